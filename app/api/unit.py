@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from softcal.app.api.recording import Recording
+from softcal.app.batch.calibrating import LotFacts, UnitFacts
 from softcal.core.errors import InputError
 from softcal.core.maps.config import DEFAULT
 from softcal.core.maps.interface import Anchors
@@ -14,7 +15,7 @@ from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network as train_network
 from softcal.core.recording import Array, OutputRecording
-from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.method import Method
@@ -192,9 +193,9 @@ def fit_map(
     if target.output_unit != model.network.output_unit:
         raise InputError(f"target output is in {target.output_unit}, the source's in {model.network.output_unit}")
     limit = stated_limit(network.reference_unit, limit_rmse)
-    measured = None if audit is None else audit.labelled
-    calibration = calibrate(UnitProblem(model, target.unlabelled, limit, _anchors(anchors), measured))
-    return Unit(model.network, calibration, target.unlabelled.sample_rate_Hz)
+    known = UnitFacts(_anchors(anchors), audit=None if audit is None else audit.labelled)
+    (problem,) = LotFacts((model,), limit).problems(target.unlabelled, known)
+    return Unit(model.network, calibrate(problem), target.unlabelled.sample_rate_Hz)
 
 
 def _anchors(known: Any) -> Anchors | None:

@@ -1,7 +1,7 @@
 """Audits of a lot: which units to check with the load cell, kept in the registry, and what their results say."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 
 from softcal.app.registry.limit import lot_limit
@@ -38,6 +38,15 @@ class LotAudit:
     def missing(self) -> tuple[str, ...]:
         """Units of the plan that were not measured yet."""
         return tuple(serial for serial in self.plan.serials if serial not in self.measured)
+
+    @property
+    def rows(self) -> Iterator[tuple[str, str, float, float | None, str]]:
+        """Each unit of the plan: serial, why it was drawn, what was forecast and measured, and what that says."""
+        for serial in self.plan.serials:
+            measured = self.measured.get(serial)
+            held = "within" if measured is None or measured <= self.limit.maximum_rmse else "beyond"
+            why = "doubtful" if serial in self.plan.doubtful else "random"
+            yield serial, why, self.forecasts[serial], measured, "open" if measured is None else held
 
 
 def draw_plan(
@@ -104,18 +113,19 @@ def audit_json(audit: LotAudit) -> dict[str, object]:
     }
 
 
+AUDIT_HEADER = ("serial", "why", "predicted", "measured", "result")
+IN_WORDS = {
+    "random": "random",
+    "doubtful": "largest predicted error",
+    "open": "to be measured",
+    "within": "within",
+    "beyond": "misses the limit",
+}
+
+
 def audit_rows(audit: LotAudit) -> list[list[object]]:
     """Return one row per unit of the plan under `AUDIT_HEADER`."""
-    rows: list[list[object]] = []
-    for serial in audit.plan.serials:
-        why = "largest predicted error" if serial in audit.plan.doubtful else "random"
-        measured = audit.measured.get(serial)
-        word = "to be measured" if measured is None else "within" if _holds(audit, serial) else "misses the limit"
-        rows.append([serial, why, audit.forecasts[serial], measured, word])
-    return rows
-
-
-AUDIT_HEADER = ("serial", "why", "predicted", "measured", "result")
+    return [[serial, IN_WORDS[why], *errors, IN_WORDS[result]] for serial, why, *errors, result in audit.rows]
 
 
 def audit_line(audit: LotAudit) -> str:
@@ -126,14 +136,14 @@ def audit_line(audit: LotAudit) -> str:
     return f"audit: lot {audit.statement.word}: {audit.statement.text}"
 
 
-def _holds(audit: LotAudit, serial: str) -> bool:
-    return audit.measured[serial] <= audit.limit.maximum_rmse
-
-
 def _standing(registry: Registry, lot_id: str, facts: Mapping[str, object]) -> LotAudit:
     settings = json.loads(json.dumps(facts))
     plan, limit = AuditPlan.from_settings(settings["plan"]), Limit.of(settings["limit"])
-    errors = {unit.serial: unit.after_rmse for unit in _targets(registry, lot_id) if not _is_doubted(unit)}
+    errors = {
+        unit.serial: unit.after_rmse
+        for unit in _targets(registry, lot_id)
+        if not any(why.code.startswith(DOUBT) for why in unit.reasons)
+    }
     measured = {s: float(e) for s in plan.serials if (e := errors.get(s)) is not None}
     is_complete = len(measured) == len(plan.serials)
     statement = judge_lot(plan, settings["forecasts"], measured, limit) if is_complete else None
@@ -142,10 +152,6 @@ def _standing(registry: Registry, lot_id: str, facts: Mapping[str, object]) -> L
 
 def _targets(registry: Registry, lot_id: str) -> list[UnitEntry]:
     return [unit for unit in registry.units(lot_id) if unit.role == "target"]
-
-
-def _is_doubted(unit: UnitEntry) -> bool:
-    return any(why.code.startswith(DOUBT) for why in unit.reasons)
 
 
 def _accepted(registry: Registry, lot_id: str) -> dict[str, float]:

@@ -1,27 +1,23 @@
 """Calibrate a whole lot without a screen: train or reuse f, fit every unit, verdicts, registry; resumable."""
 
 import time
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from softcal.app.batch.audit import update_lot
 from softcal.app.batch.judging import judge_leaning
-from softcal.app.batch.line_statement import state_line
+from softcal.app.batch.known import KeptFacts, lot_facts, state_line, state_sources
 from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
 from softcal.app.batch.release import judge_lot
-from softcal.app.batch.report import BatchReport, UnitResult
+from softcal.app.batch.report import BatchReport
 from softcal.app.batch.train import train_or_find
-from softcal.app.batch.unit_work import SharedWork
 from softcal.app.files.lot_folder import LotFolder
 from softcal.app.files.recording_file import naming
-from softcal.app.registry.golden import bridges_over, golden_of, keep_golden_of
+from softcal.app.registry.golden import bridges_over, keep_golden_of
 from softcal.app.registry.known_loads import keep_loads
 from softcal.app.registry.reference import state_reference
-from softcal.core.lot import Lot
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.bridge import Bridge, make_bridge
 from softcal.core.unit.source_model import SourceModel, make_source_model
-from softcal.core.unit.verdict import Limit, default_limit, stated_limit
 from softcal.db.registry import Registry
 
 
@@ -40,38 +36,28 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     config = replace(config, anchors=config.anchors or folder.read_anchors())
     source = folder.read_source()
     trained = train_or_find(folder.lot, source, registry, config.network, config.actor, watch.on_epoch)
-    own = config.network if config.score_own else None
     models = [make_source_model(source, trained.network, method=config.method)]
     for other in folder.read_more_sources():
         found = train_or_find(folder.lot, other, registry, config.network, config.actor, watch.on_epoch)
         models.append(make_source_model(other, found.network, method=config.method))
-    lot = registry.lot(folder.lot.id)
-    line = state_line(registry, lot.id, folder.line, config.actor)
-    reference = state_reference(registry, lot.id, folder.reference, source, config.actor)
-    limit, run = _limit(lot, models), folder.read_golden()
+    lot, run = registry.lot(folder.lot.id), folder.read_golden()
+    state_line(registry, lot.id, folder.line, config.actor)
+    state_sources(registry, lot.id, [model.network.id for model in models[1:]], config.actor)
+    state_reference(registry, lot.id, folder.reference, source, config.actor)
+    kept = KeptFacts(registry, lot.id, list(folder.unit_paths))
+    facts = lot_facts(registry, lot, models, config.network if config.score_own else None)
     bridge = _bridge(folder, models[0], run)
-    golden = {} if bridge else _kept_golden(folder, registry)
-    bridges = bridges_over(registry, models[0], (sha256 for of in golden.values() for sha256 in of.values()))
-    shared = SharedWork(folder.lot, tuple(models), own, limit, line, reference, bridge, bridges)
+    facts = replace(facts, bridge=bridge, bridges=bridges_over(registry, models[0], kept.golden_runs))
     watch.on_start(len(folder.unit_paths))
-    work = LotWork(folder, registry, shared, config, watch, golden)
-    results = work.results()
-    _keep_loads(registry, lot.id, config, results)
-    _keep_golden(registry, lot.id, run, config, results)
+    work = LotWork(folder, registry, facts, kept, config, watch)
+    work.run()
+    _keep_beside(registry, work, folder, run, config)
     decided = judge_lot(registry, folder.lot.id, config.actor)
     audit = update_lot(registry, folder.lot.id, config.actor)
     judge_leaning(registry, folder.lot.id, config.actor)
     judged = work.told(list(folder.unit_paths))
     ordered = tuple(judged[serial] for serial in folder.unit_paths)
     return BatchReport(folder.lot.id, trained, ordered, time.perf_counter() - start_s, audit, config.release, decided)
-
-
-def _keep_loads(registry: Registry, lot_id: str, config: BatchConfig, results: Mapping[str, UnitResult]) -> None:
-    """Keep the known loads that lay beside the files, so that whoever calibrates those recordings again has them."""
-    made = [serial for serial in config.anchors if serial in results and results[serial].made is not None]
-    records = {serial: registry.calibration(serial, lot_id=lot_id).record for serial in made}
-    loads = {record.recording_sha256: (serial, config.anchors[serial]) for serial, record in records.items()}
-    keep_loads(registry, lot_id, loads, "file", actor=config.actor)
 
 
 Golden = OutputRecording | LabelledRecording | None
@@ -84,29 +70,13 @@ def _bridge(folder: LotFolder, model: SourceModel, run: Golden) -> Bridge | None
         return make_bridge(model, run)
 
 
-def _kept_golden(folder: LotFolder, registry: Registry) -> Mapping[str, Mapping[str, str]]:
-    """Return what the registry has of golden runs, by serial and recording."""
-    found: dict[str, dict[str, str]] = {}
-    for sha256, (serial, golden) in golden_of(registry, folder.lot.id, list(folder.unit_paths)).items():
-        found.setdefault(serial, {})[sha256] = golden
-    return found
-
-
-def _keep_golden(
-    registry: Registry, lot_id: str, run: Golden, config: BatchConfig, results: Mapping[str, UnitResult]
-) -> None:
-    """Keep the golden run that lay beside the files, so that whoever calibrates those recordings again has it."""
-    if not isinstance(run, LabelledRecording):
-        return
-    sha256 = registry.add_recording(lot_id, run, "audit", actor=config.actor)
-    made = [serial for serial, result in results.items() if result.made is not None]
-    of = {registry.calibration(serial, lot_id=lot_id).record.recording_sha256: (serial, sha256) for serial in made}
-    keep_golden_of(registry, lot_id, of, actor=config.actor)
-
-
-def _limit(lot: Lot, sources: Sequence[SourceModel]) -> Limit | None:
-    stated = stated_limit(lot.reference_unit, lot.limit_rmse)
-    if stated is not None or len(sources) == 1:
-        return stated
-    # One limit for all units, whichever source they take: a noisier source must not widen it.
-    return default_limit(lot.reference_unit, sources[0].held_out_rmse, sources[0].method.decision)
+def _keep_beside(registry: Registry, work: LotWork, folder: LotFolder, run: Golden, config: BatchConfig) -> None:
+    """Keep known loads and the golden run that lay beside the files: whoever calibrates those recordings has them."""
+    lot_id, actor = folder.lot.id, config.actor
+    of = work.recordings([serial for serial in folder.unit_paths if serial in config.anchors])
+    loads = {sha256: (serial, config.anchors[serial]) for serial, sha256 in of.items()}
+    keep_loads(registry, lot_id, loads, "file", actor=actor)
+    if isinstance(run, LabelledRecording):
+        golden = registry.add_recording(lot_id, run, "audit", actor=actor)
+        pressed = {sha256: (serial, golden) for serial, sha256 in work.recordings(list(folder.unit_paths)).items()}
+        keep_golden_of(registry, lot_id, pressed, actor=actor)

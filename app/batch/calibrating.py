@@ -1,13 +1,113 @@
-"""Calibrate one unit and keep the result: what the line, a batch, its workers and a watched folder share."""
+"""One unit from its recording to its calibration: what the line, a batch, its workers, a comparison and Python share.
+
+The one place that puts a `UnitProblem` together. It asks no registry and reads no file: `known.py` says what is known.
+"""
 
 import time
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 
-from softcal.core.errors import UnitRefused
+from softcal.core.errors import InputError, UnitRefused
+from softcal.core.maps.anchors import check_loads
+from softcal.core.maps.interface import Anchors
+from softcal.core.network.config import NetworkConfig
+from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.unit.bridge import Bridge
+from softcal.core.unit.budget import Reference
 from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.calibration import CalibrationRecord
-from softcal.core.unit.verdict import Verdict
-from softcal.core.words.reason import Reason
+from softcal.core.unit.line_spread import LineSpread
+from softcal.core.unit.rules import rules_in_force
+from softcal.core.unit.source_model import SourceModel
+from softcal.core.unit.sources import nearest
+from softcal.core.unit.verdict import Limit, Verdict
+from softcal.core.words.reason import Reason, reason
+
+
+@dataclass(frozen=True, eq=False)
+class UnitFacts:
+    """What is known of a unit beside its recording.
+
+    Args:
+        anchors: known loads, where someone brought them with the recording.
+        kept: known loads by the hash of the recording they belong to; asked where `anchors` is None.
+        golden: hash of the golden run by the hash of the recording it belongs to.
+        audit: its labelled recording, which only measures.
+        unread_audit: why a file that was brought as its audit cannot be read; "" where none was or it can.
+    """
+
+    anchors: Anchors | None = None
+    kept: Mapping[str, Anchors] = field(default_factory=dict)
+    golden: Mapping[str, str] = field(default_factory=dict)
+    audit: LabelledRecording | None = None
+    unread_audit: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class LotFacts:
+    """What all units of a lot are calibrated with.
+
+    Args:
+        sources: each source's recording, its shared network and all that the method in force derives from them; the
+            lot's own source first.
+        limit: the lot's limit; None derives one from the source's own error.
+        own: how own calibrations are trained on audits, for comparison; None trains none.
+        line: how differently the line presses units, where it was stated.
+        reference: what the source was compared with; None where nobody said.
+        bridge: the source pressed again in the units' sitting, where a lot folder has that run.
+        bridges: golden runs that the registry knows recordings to belong to, by their hash; in place of one that f
+            cannot read, why. Asked where there is no `bridge`.
+        rules: identities of the rules that may hold units back, as they are installed where the work was started.
+    """
+
+    sources: tuple[SourceModel, ...]
+    limit: Limit | None = None
+    own: NetworkConfig | None = None
+    line: LineSpread | None = None
+    reference: Reference | None = None
+    bridge: Bridge | None = None
+    bridges: Mapping[str, Bridge | str] = field(default_factory=dict)
+    rules: tuple[str, ...] = field(default_factory=rules_in_force)
+
+    @property
+    def source(self) -> SourceModel:
+        """The lot's own source."""
+        return self.sources[0]
+
+    def problems(self, recording: OutputRecording, known: UnitFacts) -> list[UnitProblem]:
+        """Return the unit with each source, in the order of the lot.
+
+        Raises:
+            InputError: its known loads or its golden run cannot be used; the reason says why.
+        """
+        anchors = known.kept.get(recording.sha256) if known.anchors is None else known.anchors
+        if anchors is not None:
+            try:
+                check_loads(self.source.source, anchors, "the unit was not calibrated", self.source.method.map.anchors)
+            except InputError as error:
+                raise InputError(reason("wrong_loads", error=str(error))) from error
+        bridge = self.bridge or self.bridges.get(known.golden.get(recording.sha256, ""))
+        if isinstance(bridge, str):
+            raise InputError(reason("wrong_golden", error=bridge))
+        networks = {model.network.id for model in self.sources}
+        return [
+            UnitProblem(
+                model,
+                recording,
+                self.limit,
+                anchors,
+                known.audit,
+                self.own,
+                self.line,
+                self.reference,
+                # The golden run is one of the lot's own source: it says nothing of the others.
+                bridge if model is self.source else None,
+                tuple(networks - {model.network.id}),
+                self.rules,
+                known.unread_audit,
+            )
+            for model in self.sources
+        ]
 
 
 @dataclass(frozen=True)
@@ -16,6 +116,41 @@ class Refusal:
 
     verdict: Verdict
     reason: Reason
+
+
+@dataclass(frozen=True)
+class Known:
+    """A unit whose calibration from this very input is there already."""
+
+    input_sha256: str
+
+
+Result = CalibrationRecord | Refusal | Known
+
+
+def calibrate_unit(
+    lot: LotFacts,
+    recording: OutputRecording,
+    unit: UnitFacts = UnitFacts(),
+    known: Collection[str] = (),  # noqa: B008
+) -> Result:
+    """Calibrate a unit with the source that suits it best.
+
+    Args:
+        known: input hashes of the calibrations it has already: those are not computed again.
+
+    Raises:
+        InputError: the lot's limit is stated in another unit than the reference.
+    """
+    try:
+        problems = lot.problems(recording, unit)
+    except InputError as error:
+        return Refusal(Verdict.RETEST, error.reason)
+    for problem in problems:
+        # Its input names the sources it was chosen among: the choice need not be made again.
+        if problem.input_sha256 in known:
+            return Known(problem.input_sha256)
+    return calibrated(problems[0] if len(problems) == 1 else nearest(problems))
 
 
 def calibrated(problem: UnitProblem) -> CalibrationRecord | Refusal:

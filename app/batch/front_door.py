@@ -6,15 +6,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from softcal.app.batch.known import config_of, stated_sources
 from softcal.app.bootstrap import data_folder
 from softcal.app.files.importing import ImportPlan, LookedAt, import_lot, look_through
 from softcal.app.files.lot_folder import FOLDER_OF, LotFolder, open_lot_folder, write_lot_toml
 from softcal.app.files.recording_file import write_recording
 from softcal.app.registry.audits import newest_audits
+from softcal.app.registry.source import source_recording
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.network.config import NetworkConfig
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
@@ -120,7 +121,8 @@ def lot_files(registry: Registry, lot_id: str, tell: Callable[[int, int], None])
         if stored.is_dir():
             shutil.copytree(stored, folder)
         folder.mkdir(exist_ok=True)
-        write_lot_toml(folder, lot)
+        others = [source_recording(registry, network).serial for network in stated_sources(registry, lot_id)]
+        write_lot_toml(folder, lot, more_sources=others)
         for number, ((kind, serial), entry) in enumerate(newest.items()):
             tell(number, len(newest))
             _write(folder / FOLDER_OF[kind], serial, registry.recording(entry.sha256))
@@ -139,11 +141,4 @@ def _write(folder: Path, serial: str, recording: OutputRecording | LabelledRecor
 def network_of(registry: Registry, lot_id: str) -> NetworkConfig:
     """Return how the network in use was trained, so that a lot is calibrated again with it; the usual one without."""
     state = registry.released_network(lot_id)
-    config = state.network.training.get("config") if state else None
-    if not isinstance(config, dict):
-        return NetworkConfig()
-    given: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in config.items()}
-    try:
-        return NetworkConfig(**given)
-    except TypeError:
-        return NetworkConfig()
+    return config_of(state.network) if state else NetworkConfig()

@@ -9,6 +9,7 @@ import hashlib
 import math
 import time
 import uuid
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -17,16 +18,16 @@ from itertools import chain
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from softcal.app.batch.calibrating import Refusal
+from softcal.app.batch.calibrating import Known, LotFacts, Refusal
 from softcal.app.batch.claims import Claims
 from softcal.app.batch.engine import EngineChoice, WorkerLost, run_all
 from softcal.app.batch.guard import PassingRefusal, each_alone
+from softcal.app.batch.known import KeptFacts, keep_result
 from softcal.app.batch.report import UnitResult
 from softcal.app.batch.unit_work import (
     Chunk,
     ChunkOutcome,
     FileContent,
-    Known,
     SharedWork,
     UnitOutcome,
     UnitTask,
@@ -36,10 +37,10 @@ from softcal.app.batch.unit_work import (
 from softcal.app.files.lot_folder import LotFolder
 from softcal.app.files.regular import read_regular
 from softcal.app.logs import note
-from softcal.app.registry.audits import audit_of, newest_audits
-from softcal.app.registry.known_loads import known_loads, values
+from softcal.app.registry.known_loads import values
 from softcal.core.errors import InputError, RegistryError
 from softcal.core.identity import content_sha256
+from softcal.core.lot import Lot
 from softcal.core.maps.interface import Anchors
 from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.unit.method import Method
@@ -55,6 +56,9 @@ much as one of four or more, and a batch that is killed repeats no more than the
 
 NO_RESULT = "the registry has no result of it; have the registry verified"
 FIRST_CHUNK, LARGEST_CHUNK = 4, 128
+HELD_BYTES = 64_000_000
+"""Files are read ahead until they are so many bytes, so that each is read once and a large lot needs no more memory."""
+
 LOOK_EVERY_S = 1.0
 """How often a batch that waits for units of others looks whether they are done."""
 
@@ -88,6 +92,10 @@ class BatchConfig:
     actor: str | None = None
 
 
+Files = tuple[FileContent, FileContent | None]
+"""Recording of a unit, and its audit."""
+
+
 def _silent(_: object) -> None:
     return None
 
@@ -115,58 +123,69 @@ class LotWork:
     """The units of one lot on their way through queue, engine and registry.
 
     Args:
-        golden: golden runs that the registry knows recordings to belong to, by serial and recording.
+        facts: what the lot's units are calibrated with.
+        kept: what the registry has about each of them.
     """
 
     def __init__(
         self,
         folder: LotFolder,
         registry: Registry,
-        shared: SharedWork,
+        facts: LotFacts,
+        kept: KeptFacts,
         config: BatchConfig,
         watch: Watch,
-        golden: Mapping[str, Mapping[str, str]],
     ) -> None:
-        self._folder, self._registry, self._shared = folder, registry, shared
+        self._folder, self._registry, self._facts, self._known = folder, registry, facts, kept
         self._config, self._watch = config, watch
         self._lot_id = folder.lot.id
-        self._work = WorkSet(self._lot_id, _settings_sha256(shared, config.refit))
-        self._loads_kept = _kept_loads(registry, folder, config)
-        self._golden_kept = golden
-        self._audits_kept = newest_audits(registry, self._lot_id)
+        self._work = WorkSet(self._lot_id, _settings_sha256(folder.lot, facts, config.refit))
+        self._unread = deque(folder.unit_paths)
+        self._held: dict[str, Files] = {}
         self._works: dict[str, str] = {}
+        self._recordings: dict[str, str] = {}
         self._new: set[str] = set()
         self._ended: set[str] = set()
         self._unit_s: float | None = None
 
-    def results(self) -> dict[str, UnitResult]:
-        """Return the result of every unit, whoever made it."""
-        self._works = dict(self._readable())
+    def run(self) -> None:
+        """Work until every unit has a result, whoever made it."""
         with Claims(self._registry, self._work) as claims:
             claims.take_back_from_dead()
-            claims.queue.enqueue(self._work, self._undecided())
             self._tell_done(claims)
             while not self._is_done(claims):
                 self._work_off(claims)
-        return self.told(list(self._folder.unit_paths))
 
-    def _readable(self) -> Iterator[tuple[str, str]]:
-        """Give serial and hash of the work of each unit; what cannot be read is that unit's result."""
-        for serial in self._folder.unit_paths:
+    def _look_further(self, claims: Claims) -> None:
+        """Read the next files, ask for what is to be done with them, and hold them until their turn comes."""
+        self._held.clear()
+        works, size = dict[str, str](), 0
+        while self._unread and size < HELD_BYTES:
+            serial = self._unread.popleft()
+            if serial in self._works:
+                continue
             try:
-                recording, audit = self._contents(serial)
+                files = self._contents(serial)
             except InputError as error:
                 self._refuse(serial, f"recording not readable: {error}")
                 continue
-            yield serial, self._work_sha256(serial, recording, audit)
+            self._held[serial] = files
+            works[serial] = self._work_sha256(serial, *files)
+            size += sum(len(file.content) for file in files if file is not None)
+        self._works |= works
+        undecided = self._undecided(list(works))
+        self._held = {serial: self._held[serial] for serial in undecided}
+        claims.queue.enqueue(self._work, undecided)
+        self._tell_done(claims)
 
-    def _undecided(self) -> dict[str, str]:
-        """Return the work of the units whose newest result in the registry answers something else.
+    def _undecided(self, serials: Sequence[str]) -> dict[str, str]:
+        """Return the work of those of the units whose newest result in the registry answers something else.
 
-        Where the same work was calibrated before, that calibration is put into use again without reading the files.
+        Where the same work was calibrated before, that calibration is put into use again without working on the files.
         """
-        decided = self._registry.decided_works(self._lot_id, list(self._works))
-        left = {s: work for s, work in self._works.items() if s not in self._ended and decided.get(s) != work}
+        asked = {serial: self._works[serial] for serial in serials if serial not in self._ended}
+        decided = self._registry.decided_works(self._lot_id, list(asked))
+        left = {serial: work for serial, work in asked.items() if decided.get(serial) != work}
         for serial, input_sha256 in self._registry.inputs_of_works(self._lot_id, left).items():
             told = {"work_sha256": left[serial], "actor": self._config.actor}
             if self._registry.put_in_use(self._lot_id, serial, input_sha256, "batch", **told):
@@ -184,6 +203,13 @@ class LotWork:
         standings = self._registry.standings(self._lot_id, serials)
         return {s: self._result(s, standings.get(s)) for s in serials}
 
+    def recordings(self, serials: Sequence[str]) -> dict[str, str]:
+        """Return the hash of the recording that each unit was calibrated from; one without a calibration has none."""
+        left = [serial for serial in serials if serial not in self._recordings]
+        made = [serial for serial, result in self.told(left).items() if result.made is not None]
+        stored = {s: self._registry.calibration(s, lot_id=self._lot_id).record.recording_sha256 for s in made}
+        return stored | {serial: self._recordings[serial] for serial in serials if serial in self._recordings}
+
     def _result(self, serial: str, standing: UnitStanding | None) -> UnitResult:
         if standing is None:
             return UnitResult(serial, Verdict.RETEST, (plain(NO_RESULT),), is_new=False)
@@ -194,12 +220,13 @@ class LotWork:
         chunks = self._chunks(claims)
         first = next(chunks, None)
         if first is None:
-            held = claims.queue.counts(work=self._work)
-            self._watch.on_wait(held["claimed"])
-            time.sleep(LOOK_EVERY_S if held["claimed"] else 0.0)
+            if held := claims.queue.counts(work=self._work)["claimed"]:
+                self._watch.on_wait(held)
+                time.sleep(LOOK_EVERY_S)
             return
         work = partial(each_alone, work_on, self._config.unit_limit_s)
-        for answer in run_all(self._config.engine, work, self._shared, chain([first], chunks), Chunk.split):
+        shared = SharedWork(self._folder.lot, self._facts)
+        for answer in run_all(self._config.engine, work, shared, chain([first], chunks), Chunk.split):
             outcome = _passing(lost(answer.item)) if isinstance(answer, WorkerLost) else answer
             for result in self._keep(claims, outcome):
                 self._watch.on_unit(result)
@@ -207,10 +234,10 @@ class LotWork:
 
     def _is_done(self, claims: Claims) -> bool:
         counts = claims.queue.counts(work=self._work)
-        if counts["queued"] + counts["claimed"] > 0:
+        if self._unread or counts["queued"] + counts["claimed"] > 0:
             return False
         # A batch with other settings forgets what nobody was working at just then, and rows of a queue can be lost.
-        undecided = self._undecided()
+        undecided = self._undecided(list(self._works))
         for item in claims.queue.given_up(self._work):
             if undecided.pop(item.serial, None) is not None:
                 self._refuse(item.serial, "not calibrated: the programs that worked on it died; run the batch again")
@@ -218,9 +245,10 @@ class LotWork:
 
     def _tell_done(self, claims: Claims) -> None:
         counts = claims.queue.counts(work=self._work)
-        self._watch.on_done(max(0, len(self._folder.unit_paths) - counts["queued"] - counts["claimed"]))
+        left = len(self._unread) + counts["queued"] + counts["claimed"]
+        self._watch.on_done(max(0, len(self._folder.unit_paths) - left))
 
-    def _contents(self, serial: str) -> tuple[FileContent, FileContent | None]:
+    def _contents(self, serial: str) -> Files:
         """Read the files of a unit as they lie there."""
         path, audit_path = self._folder.unit_paths[serial], self._folder.audit_paths.get(serial)
         recording = FileContent(path, read_regular(path, self._folder.root))
@@ -229,19 +257,22 @@ class LotWork:
 
     def _work_sha256(self, serial: str, recording: FileContent, audit: FileContent | None) -> str:
         """Return the hash of all that the unit's result depends on: much faster than parsing the recordings."""
-        anchors = self._config.anchors.get(serial)
+        anchors, kept = self._config.anchors.get(serial), self._known
         loads: object = None if anchors is None else [anchors.output.tolist(), anchors.reference.tolist()]
-        if anchors is None and serial in self._loads_kept:
-            loads = {sha256: values(kept) for sha256, kept in self._loads_kept[serial].items()}
+        if anchors is None and serial in kept.loads:
+            loads = {sha256: values(one) for sha256, one in kept.loads[serial].items()}
         files = [file and [file.path.suffix, hashlib.sha256(file.content).hexdigest()] for file in (recording, audit)]
-        golden = self._golden_kept.get(serial)
+        golden = None if self._facts.bridge else kept.golden.get(serial)
         beside: dict[str, object] = {} if golden is None else {"golden": golden}
-        if (kept := self._audits_kept.get(serial)) is not None and audit is None:
-            beside["audit"] = kept.sha256
+        if audit is None and serial in kept.audits:
+            beside["audit"] = kept.audits[serial].sha256
         return content_sha256({}, {"set": self._work.name, "files": files, "anchors": loads, **beside})
 
     def _chunks(self, claims: Claims) -> Iterator[Chunk]:
-        while items := claims.take(self._chunk_size()):
+        while (items := claims.take(self._chunk_size())) or self._unread:
+            if not items:
+                self._look_further(claims)
+                continue
             mine = [item for item in items if item.serial in self._folder.unit_paths]
             for item in items:
                 if item not in mine:
@@ -262,20 +293,17 @@ class LotWork:
         known = {} if self._config.refit else self._registry.known_inputs(self._lot_id, serials)
         for item in items:
             try:
-                recording, audit = self._contents(item.serial)
+                held = self._held.pop(item.serial, None)
+                recording, audit = held or self._contents(item.serial)
             except InputError as error:
                 self._works.pop(item.serial, None)
                 yield UnitTask(item.id, item.serial, None, problem=str(error))
                 continue
-            # The file may be another one by now than it was when the work was asked for.
-            self._works[item.serial] = self._work_sha256(item.serial, recording, audit)
-            anchors = self._config.anchors.get(item.serial)
-            done = known.get(item.serial, frozenset())
-            kept, golden = self._loads_kept.get(item.serial, {}), self._golden_kept.get(item.serial, {})
-            measured = audit_of(self._registry, self._audits_kept.get(item.serial))
-            yield UnitTask(
-                item.id, item.serial, recording, audit, anchors, done, kept=kept, golden=golden, kept_audit=measured
-            )
+            if held is None:
+                # Asked for by another batch, or tried again: the file may be another one by now than it was then.
+                self._works[item.serial] = self._work_sha256(item.serial, recording, audit)
+            facts = self._known.of(item.serial, self._config.anchors.get(item.serial))
+            yield UnitTask(item.id, item.serial, recording, audit, facts, known.get(item.serial, frozenset()))
 
     def _keep(self, claims: Claims, outcome: ChunkOutcome) -> list[UnitResult]:
         """Register what is still this batch's own, and close its items, in one transaction."""
@@ -310,33 +338,20 @@ class LotWork:
             self._new.add(unit.serial)
 
     def _register_whole(self, unit: UnitOutcome) -> None:
-        registry, lot_id, result = self._registry, self._lot_id, unit.result
-        told = {"actor": self._config.actor, "work_sha256": self._works.get(unit.serial)}
+        registry, result, work = self._registry, unit.result, self._works.get(unit.serial)
         for recording, kind in ((unit.recording, "unit"), (unit.audit, "audit")):
             if recording is not None:
-                registry.add_recording(lot_id, recording, kind, actor=self._config.actor)
-        if isinstance(result, Known):
-            if not registry.put_in_use(lot_id, unit.serial, result.input_sha256, "batch", **told):
-                raise InputError(f"{unit.serial}: its calibration vanished from the registry; run `registry verify`")
-            return
-        self._new.add(unit.serial)
-        if isinstance(result, Refusal):
-            if isinstance(result, PassingRefusal):
-                told["work_sha256"] = None
-                note("unit_failed", lot=lot_id, serial=unit.serial, reason=str(result.reason), trace=result.trace)
-            registry.add_refusal(lot_id, unit.serial, str(result.verdict), (result.reason,), **told)
-            return
-        registry.add_calibration(lot_id, result, reason="batch", decided_by="batch", **told)
-
-
-def _kept_loads(registry: Registry, folder: LotFolder, config: BatchConfig) -> Mapping[str, Mapping[str, Anchors]]:
-    """Return what the registry has of known loads, by serial and recording; what lies beside the files outranks it."""
-    found: dict[str, dict[str, Anchors]] = {}
-    if folder.lot.id in registry.lot_ids():
-        serials = folder.unit_paths.keys() - config.anchors.keys()
-        for sha256, one in known_loads(registry, folder.lot.id, serials).items():
-            found.setdefault(one.serial, {})[sha256] = one.loads
-    return found
+                registry.add_recording(self._lot_id, recording, kind, actor=self._config.actor)
+        if isinstance(result, PassingRefusal):
+            work = None
+            facts = {"lot": self._lot_id, "serial": unit.serial, "reason": str(result.reason)}
+            note("unit_failed", trace=result.trace, **facts)
+        told = registry, self._lot_id, unit.serial, result, "batch"
+        keep_result(*told, actor=self._config.actor, reason="batch", work_sha256=work)
+        if unit.recording is not None and not isinstance(result, Refusal):
+            self._recordings[unit.serial] = unit.recording.sha256
+        if not isinstance(result, Known):
+            self._new.add(unit.serial)
 
 
 def _passing(outcome: ChunkOutcome) -> ChunkOutcome:
@@ -349,20 +364,19 @@ def _passing(outcome: ChunkOutcome) -> ChunkOutcome:
     return replace(outcome, units=tuple(units))
 
 
-def _settings_sha256(shared: SharedWork, is_refit: bool) -> str:
+def _settings_sha256(lot: Lot, facts: LotFacts, is_refit: bool) -> str:
     """Return the hash of all that a result depends on beside the unit's own files."""
+    networks = [model.network.id for model in facts.sources]
     settings = {
-        "lot": {name: value for name, value in shared.lot.settings().items() if name != "limit_rmse"},
-        "network": [model.network.id for model in shared.sources]
-        if len(shared.sources) > 1
-        else shared.source.network.id,
-        "method": shared.source.method.id,
-        "own": None if shared.own is None else asdict(shared.own),
-        "limit": None if shared.limit is None else shared.limit.to_json(),
-        "line": None if shared.line is None else shared.line.to_json(),
-        **({} if shared.reference is None else {"reference": shared.reference.to_json()}),
-        **({} if shared.bridge is None else {"golden": shared.bridge.sha256}),
-        **({"rules": sorted(shared.rules)} if shared.rules else {}),
+        "lot": {name: value for name, value in lot.settings().items() if name != "limit_rmse"},
+        "network": networks if len(networks) > 1 else networks[0],
+        "method": facts.source.method.id,
+        "own": None if facts.own is None else asdict(facts.own),
+        "limit": None if facts.limit is None else facts.limit.to_json(),
+        "line": None if facts.line is None else facts.line.to_json(),
+        **({} if facts.reference is None else {"reference": facts.reference.to_json()}),
+        **({} if facts.bridge is None else {"golden": facts.bridge.sha256}),
+        **({"rules": sorted(facts.rules)} if facts.rules else {}),
         # A newer version may read what an older one refused.
         "version": version("softcal"),
         "refit": uuid.uuid4().hex if is_refit else None,

@@ -3,14 +3,14 @@
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from softcal.app.charts.palette import FONTS
+from softcal.app.charts.palette import FONTS, LIGHT
 from softcal.app.charts.trace import Trace
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-BLUE, ORANGE, GREY, RED = "#1f5fa8", "#d0730f", "#8a8f98", "#b3261e"
-BANDS = {BLUE: "rgba(31, 95, 168, 0.18)", ORANGE: "rgba(208, 115, 15, 0.18)"}
+BLUE, ORANGE, GREY, RED = LIGHT.mapped, LIGHT.raw, LIGHT.source, LIGHT.limit
+BANDS = {BLUE: LIGHT.band, ORANGE: "rgba(180, 105, 14, 0.18)"}
 
 Course = Sequence[Mapping[str, Any]]
 

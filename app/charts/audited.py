@@ -5,7 +5,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from softcal.app.charts.palette import Palette
-from softcal.app.charts.style import Words, level_line, styled
+from softcal.app.charts.style import level_line, styled
+from softcal.app.texts.reasons import Words
 from softcal.app.views.audited import AuditedView
 from softcal.app.views.common import thinned
 

@@ -8,14 +8,12 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from softcal.app.charts.palette import FONTS
-from softcal.app.charts.style import Words
-from softcal.app.texts.reasons import said
+from softcal.app.charts.palette import FONTS, LIGHT, Palette
+from softcal.app.texts.reasons import Words, said
 from softcal.app.views.gap import channel_name, effect_name, pressed_name, ranked
 from softcal.core.recording import Array, Indices
 from softcal.core.words.reason import Reason
 
-BEFORE, AFTER, INK, GRID = "#9aa5b1", "#0b5cad", "#1c2733", "#e4e8ec"
 CHANNELS = {"output_V": "output", "force_N": "force"}
 """Columns that are drawn, with the name a report has for them."""
 
@@ -67,7 +65,7 @@ def _styled(figure: go.Figure, height: int, left: int = 60, **layout: Any) -> go
         template="plotly_white",
         height=height,
         margin={"l": left, "r": 20, "t": 44, "b": 44},
-        font={"family": FONTS, "size": 13, "color": INK},
+        font={"family": FONTS, "size": 13, "color": LIGHT.text},
         **layout,
     )
     return figure
@@ -127,19 +125,19 @@ def map_figure(runs: Sequence[RunView], channel: str, say: Words) -> go.Figure |
     return _styled(figure, 320, coloraxis=scale)
 
 
-def ranking_figure(report: Mapping[str, Any], shown: int, say: Words) -> go.Figure:
+def ranking_figure(report: Mapping[str, Any], shown: int, say: Words, colours: Palette = LIGHT) -> go.Figure:
     """Draw the effects by probability of being present, the likeliest on top; at least three, however unlikely."""
     every = ranked(report)
     likely = sum(cause["probability"] >= 0.005 for cause in every)
     drawn = every[: min(shown, max(3, likely))][::-1]
     names = [effect_name(cause["effect"], say) for cause in drawn]
     chances = [cause["probability"] for cause in drawn]
-    colours = [AFTER if chance >= 0.5 else BEFORE for chance in chances]
+    shades = [colours.mapped if chance >= 0.5 else colours.source for chance in chances]
     bars = go.Bar(
         x=chances,
         y=names,
         orientation="h",
-        marker_color=colours,
+        marker_color=shades,
         text=[f"{100 * chance:.0f} %" for chance in chances],
         textposition="outside",
         cliponaxis=False,
@@ -150,7 +148,7 @@ def ranking_figure(report: Mapping[str, Any], shown: int, say: Words) -> go.Figu
     return _styled(figure, 120 + 26 * max(1, len(drawn)), left=190, showlegend=False)
 
 
-def gain_figure(report: Mapping[str, Any], say: Words) -> go.Figure:
+def gain_figure(report: Mapping[str, Any], say: Words, colours: Palette = LIGHT) -> go.Figure:
     """Draw the residual of each channel before and after, with its noise floor."""
     channels = [name for name in ("output", "force") if _has_gap(report["gap"].get(name))]
     # One above the other, with level bars: side by side, or below upright ones, names meet on half of a narrow page.
@@ -163,7 +161,7 @@ def gain_figure(report: Mapping[str, Any], say: Words) -> go.Figure:
             x=values,
             y=[say(f"gap.figure.{of}") for of in ("base", "causes", "floor")],
             orientation="h",
-            marker_color=[BEFORE, AFTER, GRID],
+            marker_color=[colours.source, colours.mapped, colours.line],
             text=[f"{value:.3g} {unit}" for value in values],
             textposition="outside",
             cliponaxis=False,
@@ -178,7 +176,7 @@ def _has_gap(gap: Mapping[str, Any] | None) -> bool:
     return bool(gap) and all((gap or {}).get(key) is not None for key in ("rmse_before", "rmse_after", "noise_floor"))
 
 
-def hidden_figure(report: Mapping[str, Any], say: Words) -> go.Figure | None:
+def hidden_figure(report: Mapping[str, Any], say: Words, colours: Palette = LIGHT) -> go.Figure | None:
     """Draw how much of each effect the refitted base would swallow on these runs; None where it is not known."""
     hidden = {name: share for name, share in report["hidden_fraction"].items() if share is not None}
     if not hidden:
@@ -189,7 +187,7 @@ def hidden_figure(report: Mapping[str, Any], say: Words) -> go.Figure | None:
         x=shares,
         y=[effect_name(name, say) for name in names],
         orientation="h",
-        marker_color=["#c4441c" if share >= 0.8 else BEFORE for share in shares],
+        marker_color=[colours.limit if share >= 0.8 else colours.source for share in shares],
         hovertemplate=f"%{{y}}: {say('gap.figure.hidden.one', share='%{x:.0%}')}<extra></extra>",
     )
     figure = go.Figure(bars)
@@ -198,7 +196,7 @@ def hidden_figure(report: Mapping[str, Any], say: Words) -> go.Figure | None:
     return _styled(figure, 140 + 18 * len(names), left=150, showlegend=False)
 
 
-def trace_figure(runs: Sequence[RunView], channel: str, say: Words) -> go.Figure | None:
+def trace_figure(runs: Sequence[RunView], channel: str, say: Words, colours: Palette = LIGHT) -> go.Figure | None:
     """Draw the residual of one channel over time, one row per run, before and after; None without the channel."""
     shown = [run for run in runs if channel in run.channels]
     if not shown:
@@ -208,7 +206,7 @@ def trace_figure(runs: Sequence[RunView], channel: str, say: Words) -> go.Figure
     figure = make_subplots(rows=len(shown), subplot_titles=titles, vertical_spacing=min(0.1, 0.3 / len(shown)))
     for row, run in enumerate(shown, start=1):
         view = run.channels[channel]
-        for of, predicted, colour in (("base", view.base, BEFORE), ("causes", view.explained, AFTER)):
+        for of, predicted, colour in (("base", view.base, colours.source), ("causes", view.explained, colours.mapped)):
             name = say(f"gap.figure.{of}")
             at = _thinned(view.measured - predicted)
             line = go.Scattergl(

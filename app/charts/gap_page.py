@@ -1,15 +1,9 @@
-"""One page per diagnosis: where the twin is wrong, why, what it gains to fix it, how sure that is, what to press next.
-
-A standalone HTML file: the plotting library is inside, nothing is loaded from elsewhere.
-"""
+"""One page per diagnosis: where the twin is wrong and why, what it gains to fix it, how sure that is, what to press."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
-
-import plotly.graph_objects as go
-from plotly.offline import get_plotlyjs
 
 from softcal.app.charts.gap import (
     CHANNELS,
@@ -20,9 +14,8 @@ from softcal.app.charts.gap import (
     ranking_figure,
     trace_figure,
 )
-from softcal.app.charts.palette import FONTS
-from softcal.app.charts.style import Words
-from softcal.app.texts.reasons import phrase
+from softcal.app.charts.page import document, figures, section, table
+from softcal.app.texts.reasons import Words, phrase
 from softcal.app.views.gap import (
     LIKELY,
     begun,
@@ -46,6 +39,20 @@ BOLD = re.compile(r"\*\*(.+?)\*\*")
 """How the texts mark what stands out: the desk reads the same ones as Markdown."""
 
 
+STYLE = """h1 { padding-left: 14px; border-left: 6px solid #5b6573; }
+h1.no_gap { border-color: #1b7f4d; } h1.data { border-color: #b3261e; } h1.explained { border-color: #0b5cad; }
+h1.ambiguous { border-color: #b06f00; } h1.unknown { border-color: #b3261e; }
+.unit { margin: 0; color: #55606c; } .lead { font-size: 17px; margin: 6px 0; }
+.note { background: #fff6e0; border: 1px solid #ecd9a6; border-radius: 6px; padding: 8px 12px; }
+.next { background: #eaf3fb; border: 1px solid #bcd7ee; border-radius: 6px; padding: 12px 16px; font-size: 16px; }
+.next p { margin: 4px 0 0; }
+.chain { width: 100%; height: auto; font-size: 14px; }
+.bar { position: relative; background: #eef1f4; border-radius: 4px; min-width: 110px; height: 22px; }
+.bar i { position: absolute; inset: 0 auto 0 0; background: #eab69f; border-radius: 4px; }
+.bar span { position: relative; padding-left: 6px; }
+"""
+
+
 def gap_page(report: Mapping[str, Any], runs: Sequence[RunView], serial: str, say: Words) -> str:
     """Return the page of a diagnosis as HTML.
 
@@ -55,24 +62,22 @@ def gap_page(report: Mapping[str, Any], runs: Sequence[RunView], serial: str, sa
         serial: unit of the case.
         say: the texts of one language.
     """
+    parts = [_headline(report, serial, say)]
     if report["verdict"] == "data":
-        parts = [_headline(report, serial, say), _section(say("gap.data"), _mistakes(report, say))]
-        return _document(serial, [*parts, _section(say("gap.runs.plain"), *_traces(runs, say))], say)
-    ranking = _figure(ranking_figure(report, SHOWN_CAUSES, say))
-    return _document(
-        serial,
-        [
-            _headline(report, serial, say),
-            _section(say("gap.where"), chain_svg(report, say), _places(report["where"], say), *_maps(runs, say)),
-            _section(say("gap.why"), ranking, _causes(report, say), _ambiguity(report, say)),
-            _section(say("gap.gain"), _gain_words(report, say), _figure(gain_figure(report, say))),
-            _section(say("gap.sure"), _hidden_words(report, say), *_optional(hidden_figure(report, say))),
+        parts += [section(say("gap.data"), _mistakes(report, say)), section(say("gap.runs.plain"), *_traces(runs, say))]
+    else:
+        ranking = figures(ranking_figure(report, SHOWN_CAUSES, say))
+        maps = figures(*(map_figure(runs, channel, say) for channel in CHANNELS))
+        parts += [
+            section(say("gap.where"), chain_svg(report, say), _places(report["where"], say), maps),
+            section(say("gap.why"), ranking, _causes(report, say), _ambiguity(report, say)),
+            section(say("gap.gain"), _gain_words(report, say), figures(gain_figure(report, say))),
+            section(say("gap.sure"), _hidden_words(report, say), figures(hidden_figure(report, say))),
             *_left(report, say),
-            _section(say("gap.next"), _next(report["next_experiment"], say)),
-            _section(say("gap.runs"), *_traces(runs, say)),
-        ],
-        say,
-    )
+            section(say("gap.next"), _next(report["next_experiment"], say)),
+            section(say("gap.runs"), *_traces(runs, say)),
+        ]
+    return document(say("gap.page.title", serial=serial), parts, STYLE, say("gap.page.lang"))
 
 
 def _left(report: Mapping[str, Any], say: Words) -> Iterable[str]:
@@ -91,20 +96,14 @@ def _left(report: Mapping[str, Any], say: Words) -> Iterable[str]:
         causes = _effects(found["beside"], say)
         words.append(_told(say, "gap.left.beside", causes=causes, without=_percent(found["without"])))
     words.append(_told(say, "gap.left.span", load_N=f"{found['load_N']:.3g}", depth_mm=f"{found['depth_mm']:.3g}"))
-    table = _table([say(f"gap.column.{name}") for name in ("term", "error", "chosen")], rows)
-    return (_section(say("gap.left"), f"<p>{' '.join(words)}</p>", table),)
+    rows_shown = table([say(f"gap.column.{name}") for name in ("term", "error", "chosen")], rows)
+    return (section(say("gap.left"), f"<p>{' '.join(words)}</p>", rows_shown),)
 
 
 def _mistakes(report: Mapping[str, Any], say: Words) -> str:
     rows = [[escape(cell) for cell in row.values()] for row in mistake_rows(report, say)]
     header = [say(f"gap.column.{name}") for name in ("mistake", "channel", "runs", "evidence", "repair")]
-    return _table(header, rows)
-
-
-def _document(serial: str, parts: Sequence[str], say: Words) -> str:
-    title, script = escape(say("gap.page.title", serial=serial)), get_plotlyjs()
-    body, language = "\n".join(parts), say("gap.page.lang")
-    return _DOCUMENT.format(fonts=FONTS, language=language, title=title, script=script, body=body)
+    return table(header, rows)
 
 
 def _told(say: Words, key: str, **values: str) -> str:
@@ -116,31 +115,12 @@ def _effects(effects: Sequence[str], say: Words, key: str = "gap.and") -> str:
     return listed([effect_name(effect, say) for effect in effects], key, say)
 
 
-def _figure(figure: go.Figure) -> str:
-    return str(
-        figure.to_html(full_html=False, include_plotlyjs=False, config={"displaylogo": False, "displayModeBar": False})
-    )
-
-
-def _optional(figure: go.Figure | None) -> Iterable[str]:
-    return () if figure is None else (_figure(figure),)
-
-
-def _maps(runs: Sequence[RunView], say: Words) -> Iterable[str]:
-    figures = (map_figure(runs, channel, say) for channel in CHANNELS)
-    return (_figure(figure) for figure in figures if figure is not None)
-
-
 def _traces(runs: Sequence[RunView], say: Words) -> Iterable[str]:
     for column, channel in CHANNELS.items():
         figure = trace_figure(runs, column, say)
         if figure is not None:
             title = _told(say, "gap.figure.trace", channel=channel_name(channel, say))
-            yield f"<h3>{begun(title)}</h3>{_figure(figure)}"
-
-
-def _section(title: str, *parts: str) -> str:
-    return f"<section><h2>{escape(title)}</h2>{''.join(parts)}</section>"
+            yield f"<h3>{begun(title)}</h3>{figures(figure)}"
 
 
 def _headline(report: Mapping[str, Any], serial: str, say: Words) -> str:
@@ -249,12 +229,6 @@ def _box(stage: str, x: int, y: int, share: float, unseen: Sequence[str], say: W
     )
 
 
-def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
-    body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-
-
 def _places(places: Sequence[Mapping[str, Any]], say: Words) -> str:
     if not places:
         return f"<p>{_told(say, 'gap.where.none')}</p>"
@@ -263,7 +237,7 @@ def _places(places: Sequence[Mapping[str, Any]], say: Words) -> str:
         words = {name: escape(said) for name, said in place_words(place, say).items()}
         share = _bar(float(place["share"]))
         rows.append((words["stage"], words["channel"], words["regime"], share, words["detail"]))
-    return _table([say(f"gap.column.{name}") for name in ("stage", "channel", "regime", "share", "detail")], rows)
+    return table([say(f"gap.column.{name}") for name in ("stage", "channel", "regime", "share", "detail")], rows)
 
 
 def _bar(share: float) -> str:
@@ -284,7 +258,7 @@ def _causes(report: Mapping[str, Any], say: Words) -> str:
         )
         for cause in likely
     ]
-    return _table([say(f"gap.column.{name}") for name in ("effect", "probability", "shrink", "values")], rows)
+    return table([say(f"gap.column.{name}") for name in ("effect", "probability", "shrink", "values")], rows)
 
 
 def _form(cause: Mapping[str, Any], say: Words) -> Iterable[str]:
@@ -333,34 +307,3 @@ def _next(experiment: Mapping[str, Any] | None, say: Words) -> str:
     if not experiment or experiment.get("profile") in (None, "", "none"):
         return f"<p>{_told(say, 'gap.next.none')} {begun(why)}</p>"
     return f"<div class='next'><b>{escape(pressed_name(str(experiment['profile']), say))}</b><p>{why}</p></div>"
-
-
-_DOCUMENT = """<!doctype html>
-<html lang="{language}"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{title}</title>
-<style>
-body {{ font: 15px/1.5 {fonts}; color: #1c2733;
-  background: #eef1f4; margin: 0; }}
-main {{ max-width: 1080px; margin: 0 auto; padding: 24px 16px 64px; }}
-header, section {{ background: #fff; border: 1px solid #d8dee4; border-radius: 10px; padding: 18px 24px;
-  margin: 0 0 16px; }}
-h1 {{ font-size: 26px; line-height: 1.25; margin: 2px 0 8px; padding-left: 14px; border-left: 6px solid #5b6573; }}
-h1.no_gap {{ border-color: #1b7f4d; }} h1.data {{ border-color: #b3261e; }} h1.explained {{ border-color: #0b5cad; }}
-h1.ambiguous {{ border-color: #b06f00; }} h1.unknown {{ border-color: #b3261e; }}
-h2 {{ font-size: 18px; margin: 0 0 10px; }} h3 {{ font-size: 15px; margin: 12px 0 0; }}
-.unit {{ margin: 0; color: #55606c; }} .lead {{ font-size: 17px; margin: 6px 0; }}
-.note {{ background: #fff6e0; border: 1px solid #ecd9a6; border-radius: 6px; padding: 8px 12px; }}
-.next {{ background: #eaf3fb; border: 1px solid #bcd7ee; border-radius: 6px; padding: 12px 16px; font-size: 16px; }}
-.next p {{ margin: 4px 0 0; }}
-.chain {{ width: 100%; height: auto; font-size: 14px; }}
-body {{ word-break: keep-all; }}
-table {{ border-collapse: collapse; width: 100%; margin: 8px 0; font-size: 14px; }}
-th, td {{ text-align: left; padding: 6px 10px; border-bottom: 1px solid #e4e8ec; vertical-align: top; }}
-th {{ color: #55606c; font-weight: 600; }}
-.bar {{ position: relative; background: #eef1f4; border-radius: 4px; min-width: 110px; height: 22px; }}
-.bar i {{ position: absolute; inset: 0 auto 0 0; background: #eab69f; border-radius: 4px; }}
-.bar span {{ position: relative; padding-left: 6px; }}
-</style>
-<script>{script}</script>
-</head><body><main>{body}</main></body></html>
-"""

@@ -5,7 +5,7 @@ from typing import Any
 import pyarrow
 
 from softcal.app.charts.palette import Palette
-from softcal.app.views.line import Words
+from softcal.app.texts.reasons import Words
 from softcal.core.orders import Signal
 
 

@@ -4,7 +4,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from softcal.app.charts.palette import Palette
-from softcal.app.charts.style import Words, coloured
+from softcal.app.charts.style import coloured
+from softcal.app.texts.reasons import Words
 from softcal.app.views.common import thinned
 from softcal.app.views.long_term import Course
 

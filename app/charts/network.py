@@ -6,7 +6,8 @@ from typing import Any
 import plotly.graph_objects as go
 
 from softcal.app.charts.palette import Palette
-from softcal.app.charts.style import Words, styled
+from softcal.app.charts.style import styled
+from softcal.app.texts.reasons import Words
 
 
 def comparison(rows: Sequence[Mapping[str, Any]], unit: str, colours: Palette, words: Words) -> go.Figure:

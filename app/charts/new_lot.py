@@ -7,8 +7,9 @@ import numpy as np
 import plotly.graph_objects as go
 
 from softcal.app.charts.palette import Palette
-from softcal.app.charts.style import Words, styled
+from softcal.app.charts.style import styled
 from softcal.app.files.importing import Columns
+from softcal.app.texts.reasons import Words
 from softcal.app.views.common import thinned
 from softcal.core.recording import Array
 

@@ -8,7 +8,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from softcal.app.charts.palette import Palette
-from softcal.app.charts.style import Words, coloured, level_line, styled
+from softcal.app.charts.style import coloured, level_line, styled
+from softcal.app.texts.reasons import Words
 from softcal.app.views.profile import course
 from softcal.core.orders import Signal
 from softcal.core.profiles import Profile

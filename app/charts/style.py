@@ -1,15 +1,12 @@
 """How every Plotly figure of the screens looks. Colours come from the palette: limit lines are seen in the dark too."""
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import plotly.graph_objects as go
 
 from softcal.app.charts.palette import FONTS, Palette
 from softcal.core.recording import Array
-
-Words = Callable[..., str]
 
 HEIGHT = 320
 CLEAR = "rgba(0,0,0,0)"

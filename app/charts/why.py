@@ -7,8 +7,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from softcal.app.charts.palette import Palette
-from softcal.app.charts.style import Words, coloured, steps
-from softcal.app.texts.reasons import phrase, said
+from softcal.app.charts.style import coloured, steps
+from softcal.app.texts.reasons import Words, phrase, said
 from softcal.app.views.common import thinned
 from softcal.app.views.unit import UnitView
 

@@ -1,16 +1,14 @@
 """Where events go: the destinations of one TOML file. Secrets stand in files of their own, never in it."""
 
 import ipaddress
-import tomllib
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, fields
-from difflib import get_close_matches
+from dataclasses import dataclass
 from pathlib import Path
-from types import UnionType
-from typing import Any, ClassVar, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, ClassVar, TypeVar
 from urllib.parse import SplitResult, urlsplit
 
 from softcal.app.connect.events import KINDS
+from softcal.app.files.toml_file import check_known, read_section, read_toml
 from softcal.app.texts.catalogue import LANGUAGES
 from softcal.core.errors import InputError
 
@@ -37,8 +35,8 @@ class DestinationSettings:
     def __post_init__(self) -> None:
         if not 0 < len(self.name) <= 64 or not self.name.isprintable():
             raise InputError("name must have 1 to 64 printable characters")
-        _check_known("events", self.events, KINDS)
-        _check_known("begin", (self.begin,), BEGINNINGS)
+        check_known("events", self.events, KINDS)
+        check_known("begin", (self.begin,), BEGINNINGS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +90,7 @@ class MailSettings(DestinationSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_address("server", self.server, ("smtps", "smtp+starttls"), ("smtp",))
-        _check_known("language", (self.language,), tuple(LANGUAGES))
+        check_known("language", (self.language,), tuple(LANGUAGES))
         for address in (self.sender, *self.to):
             if address.count("@") != 1 or not address.isprintable() or any(c in address for c in " <>,;"):
                 raise InputError(f"{address!r} is no mail address")
@@ -162,6 +160,17 @@ class OpcUaSettings:
 
 
 @dataclass(frozen=True)
+class AlertSettings:
+    """How often alerts are looked for: seconds between two looks, 0 for none."""
+
+    every_s: float = 30.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.every_s < 1e6:
+            raise InputError("every_s: seconds were expected, 0 for no alerts")
+
+
+@dataclass(frozen=True)
 class ConnectSettings:
     """All destinations of a file.
 
@@ -177,7 +186,7 @@ class ConnectSettings:
     alerts_every_s: float = 30.0
 
 
-Section = TypeVar("Section")
+Destination = TypeVar("Destination", bound=DestinationSettings)
 
 
 def read_settings(path: Path) -> ConnectSettings:
@@ -186,25 +195,16 @@ def read_settings(path: Path) -> ConnectSettings:
     Raises:
         InputError: it cannot be read, names something unknown, or two destinations have one name.
     """
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: is no TOML: {error}") from error
-    _check_known(f"{path}: section", content, ("webhook", "mail", "mqtt", "opcua", "alerts"))
-    opcua = _table(path, "opcua", content.get("opcua"))
-    alerts = _table(path, "alerts", content.get("alerts")) or {}
-    _check_known(f"{path}: [alerts]", alerts, ("every_s",))
-    every_s = alerts.get("every_s", 30.0)
-    if not isinstance(every_s, int | float) or isinstance(every_s, bool) or not 0 <= every_s < 1e6:
-        raise InputError(f"{path}: [alerts] every_s: seconds were expected, 0 for no alerts")
+    content = read_toml(path)
+    check_known(f"{path}: section", content, ("webhook", "mail", "mqtt", "opcua", "alerts"))
+    alerts = read_section(f"{path}: [alerts]", AlertSettings, content.get("alerts", {}))
+    opcua = content.get("opcua")
     settings = ConnectSettings(
         tuple(_sections(path, WebhookSettings, content)),
         tuple(_sections(path, MailSettings, content)),
         tuple(_sections(path, MqttSettings, content)),
-        None if opcua is None else _section(path, "opcua", OpcUaSettings, opcua),
-        float(every_s),
+        None if opcua is None else read_section(f"{path}: [opcua]", OpcUaSettings, opcua, path.parent),
+        alerts.every_s,
     )
     names = [one.name for one in (*settings.webhooks, *settings.mails, *settings.mqtts)]
     if twice := {name for name in names if names.count(name) > 1}:
@@ -212,55 +212,11 @@ def read_settings(path: Path) -> ConnectSettings:
     return settings
 
 
-def _sections(path: Path, kind: type[Section], content: Mapping[str, Any]) -> list[Section]:
-    name = str(getattr(kind, "section", ""))
-    tables = content.get(name, [])
+def _sections(path: Path, kind: type[Destination], content: Mapping[str, Any]) -> list[Destination]:
+    tables = content.get(kind.section, [])
     if not isinstance(tables, list):
-        raise InputError(f"{path}: write [[{name}]] with two brackets: there may be several")
-    return [_section(path, name, kind, _table(path, name, table) or {}) for table in tables]
-
-
-def _table(path: Path, name: str, value: object) -> dict[str, Any] | None:
-    if value is not None and not isinstance(value, dict):
-        raise InputError(f"{path}: {name} must be a section, [{name}]")
-    return value
-
-
-def _section(path: Path, name: str, kind: type[Section], table: Mapping[str, Any]) -> Section:
-    where = f"{path}: [{name}]"
-    known = {field.name: field for field in fields(kind)}  # type: ignore[arg-type]
-    _check_known(where, table, tuple(known))
-    if missing := [n for n, f in known.items() if f.default is MISSING and n not in table]:
-        raise InputError(f"{where} lacks {missing[0]}")
-    hints = get_type_hints(kind)
-    try:
-        return kind(**{key: _typed(key, hints[key], value, path.parent) for key, value in table.items()})
-    except InputError as error:
-        raise InputError(f"{where} {error}") from error
-
-
-def _typed(key: str, hint: Any, value: object, folder: Path) -> Any:
-    """Return a value of TOML as its field wants it; a file is looked for beside the file that names it."""
-    wanted = next(part for part in get_args(hint) if part is not type(None)) if isinstance(hint, UnionType) else hint
-    if get_origin(wanted) is tuple:
-        if isinstance(value, list) and all(isinstance(part, str) for part in value):
-            return tuple(value)
-        raise InputError(f"{key}: a list of texts was expected")
-    if wanted is Path and isinstance(value, str):
-        return folder / value
-    if wanted is float and isinstance(value, int | float) and not isinstance(value, bool):
-        return float(value)
-    if wanted is str and isinstance(value, str):
-        return value
-    raise InputError(f"{key}: {'a number' if wanted is float else 'a text'} was expected, not {value!r}")
-
-
-def _check_known(where: str, names: Any, known: tuple[str, ...]) -> None:
-    for name in names:
-        if name not in known:
-            near = get_close_matches(name, known, n=1)
-            hint = f"; did you mean {near[0]}?" if near else ""
-            raise InputError(f"{where}: {name!r} is unknown; known: {', '.join(known)}{hint}")
+        raise InputError(f"{path}: write [[{kind.section}]] with two brackets: there may be several")
+    return [read_section(f"{path}: [{kind.section}]", kind, table, path.parent) for table in tables]
 
 
 def _check_positive(name: str, value: float) -> None:

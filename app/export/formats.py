@@ -8,8 +8,6 @@ from importlib.metadata import EntryPoint, version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from softcal.app.export.calibrated_unit import CalibratedUnit
 from softcal.app.export.names import FORMATS, GROUP, formats
 from softcal.core.errors import InputError, UnitRefused
@@ -73,13 +71,12 @@ def calibration_values(unit: CalibratedUnit) -> dict[str, object]:
         "output_unit": unit.network.output_unit,
         "reference_unit": unit.network.reference_unit,
         "settings": record.settings,
-        "arrays": {name: _array_values(array) for name, array in sorted(record.arrays.items())},
+        "arrays": {
+            name: {"dtype": array.dtype.str, "shape": list(array.shape), "values": array.ravel().tolist()}
+            for name, array in sorted(record.arrays.items())
+        },
         "softcal": version("softcal"),
     }
-
-
-def _array_values(array: np.ndarray[Any, Any]) -> dict[str, object]:
-    return {"dtype": array.dtype.str, "shape": list(array.shape), "values": array.ravel().tolist()}
 
 
 def _blob_files(unit: CalibratedUnit) -> dict[str, bytes]:

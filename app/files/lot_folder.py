@@ -1,13 +1,11 @@
 """A lot folder: lot.toml, source/, units/, audit/, golden/ into core values. One bad unit never stops the others."""
 
 import hashlib
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from datetime import date, datetime
 from pathlib import Path
-from typing import Any
+from typing import get_type_hints
 
 import tomlkit
 
@@ -16,6 +14,7 @@ from softcal.app.files.atomic import write_text
 from softcal.app.files.bounded_table import CSV, PARQUET
 from softcal.app.files.recording_file import naming, read_labelled, read_recording, read_table
 from softcal.app.files.regular import read_regular
+from softcal.app.files.toml_file import read_toml, typed
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
 from softcal.core.maps.interface import Anchors
@@ -23,10 +22,13 @@ from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.budget import DAYS, NUMBERS, SIMULATED, Reference
 from softcal.core.unit.line_spread import LineSpread
 
+STATED = {"cell", "certificate", "laboratory", *DAYS, *NUMBERS}
+"""What lot.toml says of the instrument behind the reference."""
+
 KNOWN_KEYS = {
     "": {"sample_rate_Hz", "source"},
     "lot": {"id", "sensor_model", "sample_rate_Hz", "source", "more_sources", "simulated"},
-    "reference": {"quantity", "unit", "cell", "certificate", "laboratory", *DAYS, *NUMBERS},
+    "reference": {"quantity", "unit", *STATED},
     "output": {"unit", "sample_rate_Hz", "source"},
     "limit": {"rmse"},
     "line": {"load_spread", "day_spread"},
@@ -41,9 +43,6 @@ FOLDER_OF = {"source": "source", "unit": "units", "audit": "audit"}
 
 GOLDEN = "golden"
 """Where the source's run in the units' sitting lies."""
-
-MOST_BYTES = 1_000_000
-"""A lot.toml has some ten lines."""
 
 
 @dataclass(frozen=True)
@@ -206,13 +205,7 @@ def _recordings(folder: Path) -> dict[str, Path]:
 def _read_lot_toml(
     path: Path,
 ) -> tuple[Lot, LineSpread | None, Reference | None, tuple[str, ...], tuple[str, ...]]:
-    if not path.exists():
-        raise InputError(f"{path}: there is no lot.toml; `softcal import` writes one")
-    try:
-        content = tomllib.loads(read_regular(path, path.parent, MOST_BYTES).decode())
-    # A thousand brackets inside one another are no table of anybody's.
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from error
+    content = read_toml(path, "`softcal import` writes one", path.parent)
     with naming(path):
         tables = {name: content.get(name, {}) for name in ("lot", "reference", "output", "limit", "line")}
         for name, table in tables.items():
@@ -239,28 +232,16 @@ def _reference(tables: Mapping[str, Mapping[str, object]]) -> Reference | None:
         raise InputError(f"[lot] simulated is {is_simulated!r}; true or false was expected")
     if is_simulated:
         return SIMULATED
-    stated = {key: value for key, value in tables["reference"].items() if key not in ("quantity", "unit")}
-    facts: dict[str, Any] = {}
-    for key, value in stated.items():
-        if key in DAYS:
-            facts[key] = _day(value, f"[reference] {key}")
-        elif key in NUMBERS:
-            facts[key] = _number(value, f"[reference] {key}")
-        elif key in KNOWN_KEYS["reference"]:
-            facts[key] = _text(tables["reference"], key, f"[reference] {key}")
+    hints = get_type_hints(Reference)
+    stated = {key: value for key, value in tables["reference"].items() if key in STATED}
+    facts = {key: typed(f"[reference] {key}", hints[key], value) for key, value in stated.items()}
     return Reference(**facts) if facts else None
-
-
-def _day(value: object, shown: str) -> date:
-    if not isinstance(value, date) or isinstance(value, datetime):
-        raise InputError(f"{shown} is {value!r}; a date such as 2026-01-31 was expected")
-    return value
 
 
 def _line(table: Mapping[str, object]) -> LineSpread | None:
     if not table:
         return None
-    load, day = (_number(table.get(name, 0.0), f"[line] {name}") for name in ("load_spread", "day_spread"))
+    load, day = (typed(f"[line] {name}", float, table.get(name, 0.0)) for name in ("load_spread", "day_spread"))
     return LineSpread(load, day)
 
 
@@ -268,14 +249,14 @@ def _lot(content: Mapping[str, object], tables: Mapping[str, Mapping[str, object
     places = (content, tables["lot"], tables["output"])
     limit = tables["limit"].get("rmse")
     return Lot(
-        id=_text(tables["lot"], "id", "[lot] id"),
-        source=_text(_only(places, "source"), "source", "source"),
-        sample_rate_Hz=_number(_only(places, "sample_rate_Hz").get("sample_rate_Hz"), "sample_rate_Hz"),
+        id=typed("[lot] id", str, tables["lot"].get("id")),
+        source=typed("source", str, _only(places, "source")["source"]),
+        sample_rate_Hz=typed("sample_rate_Hz", float, _only(places, "sample_rate_Hz")["sample_rate_Hz"]),
         sensor_model=str(tables["lot"].get("sensor_model", "")),
         reference_quantity=str(tables["reference"].get("quantity", "force")),
         reference_unit=str(tables["reference"].get("unit", "N")),
         output_unit=str(tables["output"].get("unit", "V")),
-        limit_rmse=None if limit is None else _number(limit, "[limit] rmse"),
+        limit_rmse=None if limit is None else typed("[limit] rmse", float, limit),
     )
 
 
@@ -286,19 +267,6 @@ def _only(places: tuple[Mapping[str, object], ...], key: str) -> Mapping[str, ob
     if not holders:
         raise InputError(f"{key} is missing")
     return holders[0]
-
-
-def _text(table: Mapping[str, object], key: str, shown: str) -> str:
-    value = table.get(key)
-    if not isinstance(value, str) or not value:
-        raise InputError(f"{shown} is {value!r}; a text was expected")
-    return value
-
-
-def _number(value: object, shown: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"{shown} is {value!r}; a number was expected")
-    return float(value)
 
 
 def _unknown_keys(path: Path, content: Mapping[str, object]) -> Iterator[str]:

@@ -1,11 +1,11 @@
 """A stage profile as a TOML file that people write and read: one move a line, target, speed and hold."""
 
 import math
-import tomllib
 from pathlib import Path
 
 import tomlkit
 
+from softcal.app.files.toml_file import read_toml
 from softcal.core.errors import InputError
 from softcal.core.profiles import Profile, moves
 
@@ -19,12 +19,7 @@ def read_profile(path: Path) -> Profile:
         InputError: it cannot be read, a key is unknown, or a move is not three numbers that make sense; its line among
             the moves is named.
     """
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; write one with `softcal station profiles --write`") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{path}: is no TOML file: {error}") from error
+    content = read_toml(path, "write one with `softcal station profiles --write`")
     unknown = set(content) - set(KEYS)
     rows = content.get("moves")
     if unknown or not isinstance(rows, list) or not rows:

@@ -11,11 +11,10 @@ from softcal.app.batch.lot_work import BatchConfig, Watch
 from softcal.app.batch.report import BatchReport, UnitResult
 from softcal.app.files.atomic import whole_folder
 from softcal.app.files.lot_folder import LotFolder, open_lot_folder, write_lot_toml
-from softcal.app.files.recording_file import write_columns
+from softcal.app.files.recording_file import write_recording
 from softcal.app.line.rig import PressTimes, RecordedLot, press_simulated_lot
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
-from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import draw_twins
 from softcal.core.twin.simulate import Twin
 from softcal.core.unit.budget import SIMULATED
@@ -85,16 +84,7 @@ def table_row(unit: UnitResult) -> list[object]:
 def _write(folder: Path, pressed: RecordedLot, lot: Lot) -> None:
     with whole_folder(folder) as part:
         write_lot_toml(part, lot, SIMULATED)
-        _write_labelled(part / "source" / f"{lot.source}.csv", pressed.source)
+        write_recording(part / "source" / f"{lot.source}.csv", pressed.source)
         for serial, unit in pressed.units.items():
-            write_columns(part / "units" / f"{serial}.csv", _columns(unit))
-            _write_labelled(part / "audit" / f"{serial}.csv", pressed.audits[serial])
-
-
-def _write_labelled(path: Path, recording: LabelledRecording) -> None:
-    write_columns(path, [*_columns(recording.unlabelled), ("reference", recording.reference)])
-
-
-def _columns(recording: OutputRecording) -> list[tuple[str, Array]]:
-    columns = [("t_s", recording.t_s), ("output", recording.output)]
-    return columns if recording.stage_mm is None else [*columns, ("stage_mm", recording.stage_mm)]
+            write_recording(part / "units" / f"{serial}.csv", unit)
+            write_recording(part / "audit" / f"{serial}.csv", pressed.audits[serial])

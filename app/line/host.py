@@ -72,17 +72,8 @@ class Fixture(Protocol):
         ...
 
 
-class HandFixture:
-    """A person puts the unit in, and nothing breaks on demand."""
-
-    def mount(self, serial: str) -> None:
-        """The unit is there, or the search for contact will say that it is not."""
-
-    def put_on(self, load: float) -> None:
-        """The person does; the reading shows whether the output changed."""
-
-    def follow(self, phase: str) -> None:
-        """Nothing follows."""
+class HandFixture(Fixture):
+    """A person puts the unit in and the loads on, as the run will show, and nothing breaks on demand."""
 
     def inject(self, name: str) -> Reason:
         """Refuse.

@@ -6,32 +6,28 @@ Where the lot asks for known loads, a unit is judged once they were read, and no
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from functools import lru_cache
 
-from softcal.app.batch.calibrating import Refusal, calibrated
+from softcal.app.batch.calibrating import LotFacts, Refusal, calibrate_unit
 from softcal.app.batch.judging import judge_again
-from softcal.app.batch.line_statement import stated_line
+from softcal.app.batch.known import KeptFacts, config_of, keep_result, lot_facts, stated_sources
 from softcal.app.batch.release import LineRelease
 from softcal.app.batch.train import train_or_find
 from softcal.app.line.gate_facts import SHIFT, check_golden, quarantine
 from softcal.app.line.load_readings import LoadReadings, check_stated
 from softcal.app.line.serials import numbered
-from softcal.app.registry.audits import audit_of, newest_audits
-from softcal.app.registry.golden import bridge_over, golden_lot, keep_golden_of, newest_golden
+from softcal.app.registry.golden import bridges_over, golden_lot, keep_golden_of, newest_golden
 from softcal.app.registry.known_loads import keep_loads
-from softcal.app.registry.reference import lot_reference, state_reference
+from softcal.app.registry.reference import state_reference
 from softcal.app.registry.source import source_model
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
-from softcal.core.maps.interface import Anchors
 from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.orders import Order, OrderKind, Progress, RunState
 from softcal.core.recording import OutputRecording
-from softcal.core.unit.bridge import Bridge
 from softcal.core.unit.budget import Reference
-from softcal.core.unit.calibrate import UnitProblem
 from softcal.core.unit.method import Method
-from softcal.core.unit.source_model import SourceModel
-from softcal.core.unit.verdict import Verdict, stated_limit
+from softcal.core.unit.verdict import Verdict
 from softcal.core.words.reason import Reason, joined, reason
 from softcal.db.entries import NetworkEntry
 from softcal.db.registry import Registry
@@ -41,6 +37,9 @@ from softcal.station.recording import StationRecording
 Tell = Callable[[Progress], None]
 
 TRAINING, CALIBRATING = "training the shared network", "calibrating"
+
+MOST_SOURCES = 8
+"""So many sources and golden runs are kept ready: making them takes longer than a unit."""
 
 Outcome = tuple[str, tuple[Reason, ...]]
 """Verdict of one unit, and why."""
@@ -69,8 +68,10 @@ class RunKeeper:
     ) -> None:
         self._registry, self._station, self._reference = registry, station, reference
         self._network, self._method, self._sitting = network, method, sitting
-        self._source: tuple[str, SourceModel] | None = None
-        self._bridge: tuple[tuple[str, str], Bridge] | None = None
+        self._source_model = lru_cache(MOST_SOURCES)(lambda network: source_model(registry, network, method))
+        self._bridges = lru_cache(MOST_SOURCES)(
+            lambda network, golden: bridges_over(registry, self._source_model(network), [golden])
+        )
         self._loads = LoadReadings()
         self._release = LineRelease(registry)
 
@@ -140,14 +141,14 @@ class RunKeeper:
     def _keep_reading(self, order: Order, reading: RestReading, tell: Tell, done: Progress) -> Progress:
         """Take one load; with the last one the unit is judged."""
         entry = released_network(self._registry, order.lot_id)
-        source = self._source_model(entry).source if entry else None
+        source = self._source_model(entry.id).source if entry else None
         said = self._loads.take(order, reading.output[:, 0], source, self._method.map.anchors)
         if isinstance(said, Reason):
             return replace(done, message=(said,))
         unit, loads = said
         keep_loads(self._registry, order.lot_id, {unit.sha256: (unit.serial, loads)}, "line", actor=order.actor or None)
         tell(Progress(order.order_id, RunState.RUNNING, CALIBRATING, 0.99, 1.0))
-        sha256, outcome = self._keep_unit(order, unit, loads)
+        sha256, outcome = self._keep_unit(order, unit)
         word, reasons = outcome or ("", (reason("run.no_network", lot=order.lot_id),))
         return replace(done, message=reasons, recording_sha256=sha256, verdict=word)
 
@@ -156,13 +157,13 @@ class RunKeeper:
         lot = self._registry.lot(lot_id)
         entry, loads = released_network(self._registry, lot_id), self._registry.line_rules(lot).loads
         if entry is not None and loads:
-            check_stated(loads, self._source_model(entry).source, self._method.map.anchors)
+            check_stated(loads, self._source_model(entry.id).source, self._method.map.anchors)
 
     def _keep_golden(self, order: Order, recording: StationRecording, done: Progress) -> Progress:
         labelled = recording.labelled_recording()
         own_lot = golden_lot(self._registry, order.serial)
         entry = None if own_lot is None else released_network(self._registry, own_lot)
-        source = None if entry is None else self._source_model(entry)
+        source = None if entry is None else self._source_model(entry.id)
         lot_id = own_lot or self._registry.calibration(order.serial).lot_id
         sha256 = self._registry.add_recording(lot_id, labelled, "audit", actor=order.actor or None)
         run = check_golden(self._registry, self._station, labelled, order.actor, recording_sha256=sha256, source=source)
@@ -180,7 +181,17 @@ class RunKeeper:
     def _keep_source(self, order: Order, recording: StationRecording, tell: Tell, done: Progress) -> Progress:
         def on_epoch(report: EpochReport) -> None:
             fraction = report.epoch / report.max_epochs
-            tell(Progress(order.order_id, RunState.RUNNING, TRAINING, fraction, message=(_epoch_line(report),)))
+            tell(
+                Progress(
+                    order.order_id,
+                    RunState.RUNNING,
+                    TRAINING,
+                    fraction,
+                    message=(
+                        reason("run.epoch", epoch=report.epoch, most=report.max_epochs, error=report.validation_rmse),
+                    ),
+                )
+            )
 
         tell(Progress(order.order_id, RunState.RUNNING, TRAINING))
         source = recording.labelled_recording()
@@ -194,61 +205,36 @@ class RunKeeper:
         message = (reason("run.trained", rmse=rmse, unit=lot.reference_unit),)
         return replace(done, message=message, recording_sha256=source.sha256)
 
-    def _keep_unit(
-        self, order: Order, unit: OutputRecording, loads: Anchors | None = None
-    ) -> tuple[str, Outcome | None]:
-        registry = self._registry
-        sha256 = registry.add_recording(order.lot_id, unit, "unit", actor=order.actor or None)
+    def _keep_unit(self, order: Order, unit: OutputRecording) -> tuple[str, Outcome | None]:
+        registry, actor = self._registry, order.actor or None
+        sha256 = registry.add_recording(order.lot_id, unit, "unit", actor=actor)
         entry = released_network(registry, order.lot_id)
         if entry is None:
             return sha256, None
         lot = registry.lot(order.lot_id)
-        limit = stated_limit(lot.reference_unit, lot.limit_rmse)
-        line, reference = stated_line(registry, lot.id), lot_reference(registry, lot.id)
-        bridge = self._bridge_of(lot, entry, sha256, order)
-        # What was measured on the unit stands until it is measured anew, however often it is pressed.
-        audit = audit_of(registry, newest_audits(registry, lot.id, unit.serial).get(unit.serial))
-        problem = UnitProblem(
-            self._source_model(entry), unit, limit, loads, audit, line=line, reference=reference, bridge=bridge
-        )
-        known = registry.find_calibration(unit.serial, problem.input_sha256, lot_id=lot.id)
-        if known is not None:
-            registry.put_in_use(lot.id, unit.serial, problem.input_sha256, "line", actor=order.actor or None)
-            self._release.press(lot.id, unit.serial, order.actor or None)
-            kept = registry.calibration(unit.serial, lot_id=lot.id).record
-            return sha256, (kept.verdict, kept.reasons)
-        return sha256, self._calibrate(lot, problem, order)
+        golden = newest_golden(registry, self._station, lot.source, datetime.now(UTC) - self._sitting)
+        if golden is not None:
+            keep_golden_of(registry, lot.id, {sha256: (unit.serial, golden)}, actor=actor)
+        kept = KeptFacts(registry, lot.id, [unit.serial])
+        facts = self._lot_facts(lot, entry, kept.golden.get(unit.serial, {}).get(sha256))
+        done = registry.known_inputs(lot.id, [unit.serial]).get(unit.serial, ())
+        made = calibrate_unit(facts, unit, kept.of(unit.serial), done)
+        why = order.reason or f"pressed on {self._station}"
+        keep_result(registry, lot.id, unit.serial, made, "line", actor=actor, reason=why)
+        if not isinstance(made, Refusal):
+            self._release.press(lot.id, unit.serial, actor)
+        standing = registry.standings(lot.id, [unit.serial])[unit.serial]
+        return sha256, (standing.verdict, standing.reasons)
 
-    def _bridge_of(self, lot: Lot, entry: NetworkEntry, sha256: str, order: Order) -> Bridge | None:
-        """Return the golden run of this sitting, and keep that this recording belongs to it; None without one."""
-        golden = newest_golden(self._registry, self._station, lot.source, datetime.now(UTC) - self._sitting)
-        if golden is None:
-            return None
-        keep_golden_of(self._registry, lot.id, {sha256: (order.serial, golden)}, actor=order.actor or None)
-        if self._bridge is None or self._bridge[0] != (entry.id, golden):
-            bridge = bridge_over(self._registry, self._source_model(entry), golden)
-            self._bridge = (entry.id, golden), bridge
-        return self._bridge[1]
-
-    def _calibrate(self, lot: Lot, problem: UnitProblem, order: Order) -> Outcome:
-        registry, actor, serial = self._registry, order.actor or None, problem.recording.serial
-        made = calibrated(problem)
-        if isinstance(made, Refusal):
-            registry.add_refusal(lot.id, serial, str(made.verdict), (made.reason,), actor=actor)
-            return str(made.verdict), (made.reason,)
-        registry.add_calibration(lot.id, made, actor=actor, reason=order.reason or f"pressed on {self._station}")
-        self._release.press(lot.id, serial, actor)
-        kept = registry.calibration(serial, lot_id=lot.id).record
-        return kept.verdict, kept.reasons
+    def _lot_facts(self, lot: Lot, entry: NetworkEntry, golden: str | None) -> LotFacts:
+        """Return what the lot's units are calibrated with now, over a golden run."""
+        registry = self._registry
+        others = [network for network in stated_sources(registry, lot.id) if network != entry.id]
+        facts = lot_facts(registry, lot, [self._source_model(id_) for id_ in (entry.id, *others)], config_of(entry))
+        return facts if golden is None else replace(facts, bridges=self._bridges(entry.id, golden))
 
     def _known_lot(self, lot_id: str) -> Lot | None:
         return next((lot for lot in self._registry.lots() if lot.id == lot_id), None)
-
-    def _source_model(self, entry: NetworkEntry) -> SourceModel:
-        """Return what is known of the lot's source, made once for all its units."""
-        if self._source is None or self._source[0] != entry.id:
-            self._source = entry.id, source_model(self._registry, entry.id, self._method)
-        return self._source[1]
 
 
 def released_network(registry: Registry, lot_id: str) -> NetworkEntry | None:
@@ -263,7 +249,3 @@ def _units(order: Order, recording: StationRecording) -> list[OutputRecording]:
     if channels == 1:
         return [recording.output_recording(0, order.serial)]
     return [recording.output_recording(channel, numbered(order.serial, channel)) for channel in range(channels)]
-
-
-def _epoch_line(report: EpochReport) -> Reason:
-    return reason("run.epoch", epoch=report.epoch, most=report.max_epochs, error=report.validation_rmse)

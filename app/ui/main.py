@@ -29,7 +29,14 @@ def run() -> None:
         for entry in pages_for(person(), is_new):
             title = say(f"section.{entry.section}") if entry.section else ""
             sections.setdefault(title, []).append(
-                st.Page(entry.render, title=_title(entry.name), url_path=entry.name, icon=f":material/{entry.icon}:")
+                st.Page(
+                    entry.render,
+                    title=(
+                        person().name if entry.name == "sign_in" and is_signed_in() else words()(f"page.{entry.name}")
+                    ),
+                    url_path=entry.name,
+                    icon=f":material/{entry.icon}:",
+                )
             )
         # The default page has no address of its own: a hidden one leads to the start while there is nothing yet, later
         # to what the person works with.
@@ -50,10 +57,6 @@ def _first(bar: list[StreamlitPage], is_new: bool) -> StreamlitPage:
     has_line = screen().station or registry().order_queue.stations()
     wanted = "start" if is_new else "line" if has_line else "lot"
     return next((page for page in bar if page.url_path == wanted), bar[0])
-
-
-def _title(name: str) -> str:
-    return person().name if name == "sign_in" and is_signed_in() else words()(f"page.{name}")
 
 
 run()

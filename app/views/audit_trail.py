@@ -1,16 +1,15 @@
 """The audit trail in words: who did what, what was before and after, and why. No Streamlit."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
+from softcal.app.texts.reasons import Words
 from softcal.app.views.common import percent
 from softcal.db.access.people import ROLES
 from softcal.db.entries import AuditRow
-
-Words = Callable[..., str]
 
 SECTIONS = {
     "limits": "rules",

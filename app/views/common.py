@@ -1,10 +1,10 @@
 """What several screens need to show numbers: rounding, units, and long series thinned for a chart. No Streamlit."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from softcal.app.texts.reasons import phrase
+from softcal.app.texts.reasons import Words, phrase
 from softcal.core.recording import Array
 from softcal.core.unit.verdict import Limit
 
@@ -17,7 +17,7 @@ def number(value: float | None, unit: str = "") -> str:
     return "–" if value is None else f"{value:.3g} {unit}".strip()
 
 
-def limit_said(limit: Limit | None, words: Callable[..., str]) -> str:
+def limit_said(limit: Limit | None, words: Words) -> str:
     """Return a lot's limit with its unit; one that nobody stated says so."""
     if limit is None:
         return words("lot.limit.none")
@@ -41,7 +41,7 @@ def shortened(name: str, most: int) -> str:
     return f"{name[:head]}…{name[head + 1 - most :]}"
 
 
-def phase_said(phase: str, words: Callable[..., str]) -> str:
+def phase_said(phase: str, words: Words) -> str:
     """Return the phase of a run in the language of the screen; one that nobody foresaw stays as the station says it."""
     return phrase("phase", phase, words) if phase else words("phase.queued")
 

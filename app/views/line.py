@@ -2,81 +2,22 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from softcal.app.line.facts import SHOWN_RUNS, LineFacts, LineRun, standing_of
-from softcal.app.texts.reasons import plainly, said
+from softcal.app.texts.reasons import Words, plainly, said
 from softcal.app.views.common import number, phase_said
-from softcal.core.orders import Condition, OrderKind, Progress, RunState, Signal
+from softcal.core.orders import Condition, OrderKind, RunState, Signal
 from softcal.core.quality.known_loads import KnownLoad, asked_loads
 from softcal.core.words.reason import Reason, plain, root_of
-
-Words = Callable[..., str]
+from softcal.db.entries import RunEntry, UnitStanding
 
 MOST_SENTENCES = 3
-VERDICTS = {
-    "pass": "pass",
-    "conditional": "conditional",
-    "fail": "fail",
-    "retest": "retest",
-    "retest_used_up": "retest",
-    "golden_pass": "pass",
-    "golden_fail": "fail",
-}
-"""State → verdict whose word it shows: the desk's word in capitals, so that both say the same of a unit."""
-
-TONES = {
-    "no_station": "stopped",
-    "silent": "stopped",
-    "away": "stopped",
-    "stopped": "stopped",
-    "broken": "stopped",
-    "closed": "closed",
-    "no_lot": "ready",
-    "ready": "ready",
-    "hand": "ready",
-    "armed": "ready",
-    "armed_golden": "golden",
-    "ask": "repeat",
-    "ask_new": "repeat",
-    "used_up": "check",
-    "load": "load",
-    "reading": "running",
-    "running": "running",
-    "pass": "pass",
-    "conditional": "check",
-    "fail": "fail",
-    "retest": "repeat",
-    "retest_used_up": "check",
-    "golden_pass": "pass",
-    "golden_fail": "fail",
-    "recorded": "ready",
-}
-"""State → look: colour and mark. FAIL (the unit is bad) never looks like STOPPED (the station is)."""
-
-ACTIONS = {
-    "armed": ("START", "CANCEL"),
-    "armed_golden": ("START", "CANCEL"),
-    "ask": ("OK", "CANCEL"),
-    "ask_new": ("OK", "CANCEL"),
-    "used_up": ("CANCEL",),
-    "closed": ("CANCEL",),
-    "load": ("START", "CANCEL"),
-    "reading": ("STOP",),
-    "running": ("STOP",),
-    "stopped": ("OK",),
-    "broken": ("OK",),
-}
 KEYS = {"START": "F2", "OK": "F4", "CANCEL": "F6", "STOP": "F8"}
 """Command → function key; a command is also a bar code, `CMD:START`. START alone moves anything, in every state."""
 
 COMMAND_OF_KEY = {key: command for command, key in KEYS.items()}
 """Function key → command, in every state the same, so that no key is lost while a screen is drawn."""
-
-BUSY = ("running", "reading")
-"""States in which the station is at work."""
-
-BEFORE_RUN = ("armed", "armed_golden", "ask", "ask_new", "used_up", "closed")
-"""States that are about the unit that was scanned, not about the one pressed last."""
 
 NO_CONTACT = "rig.no_contact"
 """How the message of a run begins that found no unit in the fixture."""
@@ -96,7 +37,7 @@ class LineView:
     """One moment of the operator's screen.
 
     Args:
-        state: key of `TONES`.
+        state: key of `STATES`.
         word: READY (a unit can be pressed), RUNNING, PASS, FAIL, STOPPED, ... in the language of the screen.
         serial: the unit that is meant, "" without.
         instruction: the one thing to do now.
@@ -130,7 +71,7 @@ class LineView:
     @property
     def tone(self) -> str:
         """The look of the state."""
-        return TONES[self.state]
+        return STATES[self.state].tone
 
     @property
     def spoken(self) -> str:
@@ -145,7 +86,7 @@ class LineView:
     @property
     def is_busy(self) -> bool:
         """Whether a run is in progress, so that the screen looks often."""
-        return self.state in BUSY
+        return STATES[self.state].is_busy
 
 
 def line_view(facts: LineFacts, operator: str, words: Words) -> LineView:
@@ -156,21 +97,22 @@ def line_view(facts: LineFacts, operator: str, words: Words) -> LineView:
         operator: name of who has signed in at this screen; "" leaves it to the badge.
         words: texts of the language.
     """
-    state, run = _state(facts)
-    order = run[0] if run else None
-    serial = facts.serial if state in BEFORE_RUN else order.serial if order else ""
-    progress = run[1] if run and state in BUSY else None
+    name, run = _state(facts)
+    card, state = _Card(facts, name, run, words), STATES[name]
+    progress = run[1] if run and state.is_busy else None
+    gate = facts.heartbeat.gate if facts.heartbeat and state.shows_gate else ()
     return LineView(
-        state=state,
-        word=state_word(state, words),
-        serial=serial,
-        instruction=_instruction(facts, state, serial, run, words),
-        details=(*_weight(state, run, words), *_details(facts, state, run, words), *_news(facts, state, words)),
-        why=_why(facts, state, run, words),
-        conditions=_conditions(facts, words) if state in ("armed", "closed", "ready", "hand") else (),
+        state=name,
+        word=state_word(name, words),
+        serial=card.serial,
+        instruction=state.instruction(card),
+        details=(*card.weight, *state.details(card), *card.news),
+        why=card.why,
+        conditions=tuple(Condition(plain(said(c.name, words)), c.is_good, plain(said(c.says, words))) for c in gate),
         cells=_cells(facts, operator, words),
         chips=_chips(facts, words),
-        actions=_actions(facts, state),
+        # Without a unit there is nothing to take back.
+        actions=() if name == "closed" and not facts.serial else state.actions,
         phase=phase_said(progress.phase, words) if progress else "",
         fraction=progress.fraction if progress else 0.0,
         remaining=_remaining(progress.remaining_s, words) if progress else "",
@@ -181,7 +123,8 @@ def line_view(facts: LineFacts, operator: str, words: Words) -> LineView:
 
 def state_word(state: str, words: Words) -> str:
     """Return the word of a state; a verdict's is the word that every other page has for it."""
-    return words(f"verdict.{VERDICTS[state]}").upper() if state in VERDICTS else words(f"line.{state}")
+    verdict = STATES[state].verdict
+    return words(f"verdict.{verdict}").upper() if verdict else words(f"line.{state}")
 
 
 def note_said(facts: LineFacts, words: Words) -> tuple[str, bool] | None:
@@ -261,117 +204,219 @@ def verdict_of(facts: LineFacts, run: LineRun) -> str:
     return now[0].verdict if now else run[1].verdict
 
 
-def _actions(facts: LineFacts, state: str) -> tuple[str, ...]:
-    if state == "closed" and not facts.serial:
-        return ()
-    return ACTIONS.get(state, ())
+@dataclass(frozen=True)
+class _Card:
+    """What the sentences of a state are made of: where the line stands, the state, and the run it is about."""
+
+    facts: LineFacts
+    name: str
+    run: LineRun | None
+    words: Words
+
+    @property
+    def state(self) -> "LineState":
+        return STATES[self.name]
+
+    @property
+    def serial(self) -> str:
+        if self.state.is_before_run:
+            return self.facts.serial
+        return self.run[0].serial if self.run else ""
+
+    @property
+    def standing(self) -> UnitStanding | None:
+        """Where the unit of the run stands now; of several the worst."""
+        return next(iter(standing_of(self.facts, self.run)), None) if self.run else None
+
+    @property
+    def earlier(self) -> UnitStanding | RunEntry:
+        """Where the unit that was scanned stands."""
+        return self.facts.standings.get(self.facts.serial) or self.facts.results[-1]
+
+    @property
+    def reasons(self) -> tuple[Reason, ...]:
+        """Why the unit of the card stands as it does."""
+        if self.name in ("ask", "used_up"):
+            return self.earlier.reasons
+        if self.run is None or self.state.is_busy:
+            return ()
+        if self.name == "load" and self.run[0].kind is not OrderKind.LOAD:
+            return ()
+        return self.standing.reasons if self.standing else self.run[1].message
+
+    @property
+    def in_short(self) -> tuple[str, ...]:
+        """The same without numbers."""
+        return tuple(dict.fromkeys(plainly(reason, self.words) for reason in self.reasons))[:MOST_SENTENCES]
+
+    @property
+    def why(self) -> tuple[str, ...]:
+        """The reasons with their numbers, where the card says them without."""
+        numbered = tuple(said(reason, self.words) for reason in self.reasons) if self.state.has_why else ()
+        return numbered if self.name == "pass" or numbered != self.in_short else ()
+
+    @property
+    def weight(self) -> tuple[str, ...]:
+        """The sentence that a weight lies on the unit still: its reading was the last thing that was done."""
+        is_on = self.run is not None and self.run[0].kind is OrderKind.LOAD
+        is_over = not self.state.is_busy and self.name != "load"
+        return (self.words("line.weight_off"),) if is_on and is_over else ()
+
+    @property
+    def changed(self) -> tuple[str, ...]:
+        """The sentence that somebody or something decided anew since the unit was pressed."""
+        now = self.standing
+        if self.run is None or now is None or self.run[1].verdict in ("", now.verdict):
+            return ()
+        return (self.words("line.changed", verdict=self.words(f"verdict.{self.run[1].verdict}"), at=now.made_at),)
+
+    @property
+    def code(self) -> tuple[str, ...]:
+        code = self.run[1].code if self.run and not self.state.is_busy else ""
+        return (self.words("line.code", code=code),) if code else ()
+
+    @property
+    def news(self) -> tuple[str, ...]:
+        """The sentence that another network is in use since the last unit was pressed."""
+        facts, network = self.facts, self.facts.lot.network if self.facts.lot else None
+        pressed = [order.created for order, _ in facts.runs if order.kind is OrderKind.UNIT and order.created]
+        is_known = network is not None and pressed and pressed[0] > network.since
+        if network is None or not network.reason or is_known or not self.state.has_news:
+            return ()
+        told = {"at": network.since, "actor": network.actor, "reason": network.reason}
+        return (self.words("line.network_changed", network=network.network.id[:8], **told),)
+
+    def do(self, key: str = "", **values: object) -> str:
+        """Return the instruction of the state; a key names another one."""
+        lot = self.facts.lot.id if self.facts.lot else ""
+        known = {"serial": self.serial, "lot": lot, "station": self.facts.station}
+        return self.words(key or f"line.{self.name}.do", **known, **values)
 
 
-def _instruction(facts: LineFacts, state: str, serial: str, run: LineRun | None, words: Words) -> str:
-    values: dict[str, object] = {"serial": serial, "lot": facts.lot.id if facts.lot else "", "station": facts.station}
-    if state == "load" and facts.load is not None and run is not None:
-        return words(f"line.load.do{'' if facts.load.value else '.nothing'}", **values, **_load_values(facts, run))
-    if state == "ask":
-        last = facts.standings.get(serial) or facts.results[-1]
-        values |= {"verdict": words(f"verdict.{last.verdict}"), "at": last.made_at}
-        return words("line.ask.do", **values, left=facts.retests_left)
-    if run is not None and state in ("broken", "stopped"):
-        return words(_code_key(run[1], words))
-    return words(f"line.{state}.do", **values)
+def _do_again(card: _Card) -> str:
+    last = card.earlier
+    return card.do(verdict=card.words(f"verdict.{last.verdict}"), at=last.made_at, left=card.facts.retests_left)
 
 
-def _details(facts: LineFacts, state: str, run: LineRun | None, words: Words) -> tuple[str, ...]:
-    beat = facts.heartbeat
-    if state == "closed" and beat is not None:
-        return () if beat.gate else tuple(said(why, words) for why in beat.reasons)
-    if state == "stopped" and beat is not None:
-        code = (words("line.code", code=run[1].code),) if run else ()
-        return (*(said(why, words) for why in beat.reasons), *code)
-    if state == "armed" and facts.lot is not None:
-        bare = (words("line.no_network"),) if facts.lot.network is None else ()
-        return (*bare, words("line.no_weights")) if facts.lot.rules.loads else bare
-    if state == "pass" and run is not None:
-        return (*_result(facts, run, words), *_changed(facts, run, words))
-    code = (words("line.code", code=run[1].code),) if run is not None and run[1].code and state not in BUSY else ()
-    return (*_plain(_reasons(facts, state, run), words), *_changed(facts, run, words), *code)
-
-
-def _weight(state: str, run: LineRun | None, words: Words) -> tuple[str, ...]:
-    """Return the sentence that a weight lies on the unit still: its reading was the last thing that was done."""
-    is_on = run is not None and run[0].kind is OrderKind.LOAD and state not in (*BUSY, "load")
-    return (words("line.weight_off"),) if is_on else ()
-
-
-def _reasons(facts: LineFacts, state: str, run: LineRun | None) -> tuple[Reason, ...]:
-    """Return why the unit of a card stands as it does."""
-    if state in ("ask", "used_up"):
-        return (facts.standings.get(facts.serial) or facts.results[-1]).reasons
-    if run is None or state in BUSY:
-        return ()
-    if state == "load" and run[0].kind is not OrderKind.LOAD:
-        return ()
-    now = standing_of(facts, run)
-    return now[0].reasons if now else run[1].message
-
-
-def _load_values(facts: LineFacts, run: LineRun) -> dict[str, object]:
-    """Return what the instruction names: which load of how many, and how well it must be known."""
-    load, loads = facts.load or KnownLoad(0.0), asked_loads(run[1].message)
-    unit = str(run[1].message[0].values.get("unit", ""))
+def _do_put_on(card: _Card) -> str:
+    """Name the load: which of how many, and how well it must be known."""
+    load, message = card.facts.load or KnownLoad(0.0), card.run[1].message if card.run else ()
     known = f" ± {load.expanded:g}" if load.expanded else ""
-    return {"step": facts.load_step, "of": len(loads), "load": f"{load.value:.5g}{known} {unit}"}
+    shown = f"{load.value:.5g}{known} {message[0].values.get('unit', '')}"
+    key = "line.load.do" if load.value else "line.load.do.nothing"
+    return card.do(key, step=card.facts.load_step, of=len(asked_loads(message)), load=shown)
 
 
-def _plain(reasons: tuple[Reason, ...], words: Words) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(plainly(reason, words) for reason in reasons))[:MOST_SENTENCES]
+def _do_mend(card: _Card) -> str:
+    """Say what to do about the code that a run ended with."""
+    if card.run is None:
+        return card.do()
+    is_free = any(root_of(why).code == NO_CONTACT for why in card.run[1].message)
+    try:
+        return card.words("code.no_contact" if is_free else f"code.{card.run[1].code}")
+    except KeyError:
+        return card.words("code.other")
 
 
-def _why(facts: LineFacts, state: str, run: LineRun | None, words: Words) -> tuple[str, ...]:
-    """Return the reasons with their numbers, where the card says them without."""
-    reasons = _reasons(facts, state, run) if state not in ("closed", "stopped", "broken") else ()
-    numbered = tuple(said(reason, words) for reason in reasons)
-    return numbered if state == "pass" or numbered != _plain(reasons, words) else ()
+def _say_why(card: _Card) -> tuple[str, ...]:
+    return (*card.in_short, *card.changed, *card.code)
 
 
-def _changed(facts: LineFacts, run: LineRun | None, words: Words) -> tuple[str, ...]:
-    """Return the sentence that somebody or something decided anew since the unit was pressed."""
-    now = standing_of(facts, run) if run else ()
-    if run is None or not now or run[1].verdict in ("", now[0].verdict):
-        return ()
-    return (words("line.changed", verdict=words(f"verdict.{run[1].verdict}"), at=now[0].made_at),)
+def _say_what_is_missing(card: _Card) -> tuple[str, ...]:
+    beat = card.facts.heartbeat
+    return () if beat is None or beat.gate else tuple(said(why, card.words) for why in beat.reasons)
 
 
-def _result(facts: LineFacts, run: LineRun, words: Words) -> tuple[str, ...]:
-    """Return what a good unit got: its own error beside the lot's limit, and nothing of how either was found."""
-    now = standing_of(facts, run)
-    made = now[0].made if now else None
+def _say_what_stopped(card: _Card) -> tuple[str, ...]:
+    reasons = card.facts.heartbeat.reasons if card.facts.heartbeat else ()
+    return (*(said(why, card.words) for why in reasons), *card.code)
+
+
+def _say_what_will_lack(card: _Card) -> tuple[str, ...]:
+    lot = card.facts.lot
+    lacks = {"line.no_network": lot and lot.network is None, "line.no_weights": lot and lot.rules.loads}
+    return tuple(card.words(key) for key, is_so in lacks.items() if is_so)
+
+
+def _say_error(card: _Card) -> tuple[str, ...]:
+    """Say what a good unit got: its own error beside the lot's limit, and nothing of how either was found."""
+    facts, made = card.facts, card.standing.made if card.standing else None
     kind, rmse = "", facts.results[-1].predicted_rmse if facts.results else None
     if made is not None:
         kind, rmse = (".measured", made.after_rmse) if made.is_audited else ("", made.predicted_rmse)
     if facts.lot is None or rmse is None:
-        return ()
-    lot = facts.lot.lot
-    said_rmse = number(rmse, lot.reference_unit)
-    if lot.limit_rmse is None:
-        return (words(f"line.result{kind}", rmse=said_rmse),)
-    return (words(f"line.result{kind}.limit", rmse=said_rmse, limit=number(lot.limit_rmse, lot.reference_unit)),)
+        return card.changed
+    unit, limit = facts.lot.lot.reference_unit, facts.lot.lot.limit_rmse
+    if limit is None:
+        return (card.words(f"line.result{kind}", rmse=number(rmse, unit)), *card.changed)
+    limited = card.words(f"line.result{kind}.limit", rmse=number(rmse, unit), limit=number(limit, unit))
+    return (limited, *card.changed)
 
 
-def _news(facts: LineFacts, state: str, words: Words) -> tuple[str, ...]:
-    """Return the sentence that another network is in use since the last unit was pressed."""
-    network = facts.lot.network if facts.lot else None
-    pressed = [order.created for order, _ in facts.runs if order.kind is OrderKind.UNIT and order.created is not None]
-    if network is None or not network.reason or state in (*BUSY, "load", "stopped", "silent", "no_station"):
-        return ()
-    if pressed and pressed[0] > network.since:
-        return ()
-    values = {"network": network.network.id[:8], "at": network.since, "actor": network.actor, "reason": network.reason}
-    return (words("line.network_changed", **values),)
+@dataclass(frozen=True)
+class LineState:
+    """How a state of the line looks, what it says and what can be done in it.
+
+    Args:
+        tone: colour and mark. FAIL (the unit is bad) never looks like STOPPED (the station is).
+        actions: commands that make sense.
+        verdict: whose word it shows: the desk's word in capitals, so that both say the same of a unit; "" has its own.
+        is_before_run: it is about the unit that was scanned, not about the one pressed last.
+        is_busy: the station is at work.
+        shows_gate: what the gate looked at stands below.
+        has_news: another network is told of.
+        has_why: its reasons open with their numbers.
+        instruction: the one thing to do now.
+        details: why it is so.
+    """
+
+    tone: str
+    actions: tuple[str, ...] = ()
+    verdict: str = ""
+    is_before_run: bool = False
+    is_busy: bool = False
+    shows_gate: bool = False
+    has_news: bool = True
+    has_why: bool = True
+    instruction: Callable[[_Card], str] = _Card.do
+    details: Callable[[_Card], tuple[str, ...]] = _say_why
 
 
-def _conditions(facts: LineFacts, words: Words) -> tuple[Condition, ...]:
-    gate = facts.heartbeat.gate if facts.heartbeat else ()
-    return tuple(Condition(plain(said(c.name, words)), c.is_good, plain(said(c.says, words))) for c in gate)
+_START, _AGREE = ("START", "CANCEL"), ("OK", "CANCEL")
+_SCANNED = partial(LineState, is_before_run=True)
+_AT_WORK = partial(LineState, "running", ("STOP",), is_busy=True, has_news=False)
+STATES = {
+    "no_station": LineState("stopped", has_news=False),
+    "silent": LineState("stopped", has_news=False),
+    "away": LineState("stopped"),
+    "stopped": LineState(
+        "stopped", ("OK",), has_news=False, has_why=False, instruction=_do_mend, details=_say_what_stopped
+    ),
+    "broken": LineState("stopped", ("OK",), has_why=False, instruction=_do_mend),
+    "closed": _SCANNED("closed", ("CANCEL",), shows_gate=True, has_why=False, details=_say_what_is_missing),
+    "no_lot": LineState("ready"),
+    "ready": LineState("ready", shows_gate=True),
+    "hand": LineState("ready", shows_gate=True),
+    "armed": _SCANNED("ready", _START, shows_gate=True, details=_say_what_will_lack),
+    "armed_golden": _SCANNED("golden", _START),
+    "ask": _SCANNED("repeat", _AGREE, instruction=_do_again),
+    "ask_new": _SCANNED("repeat", _AGREE),
+    "used_up": _SCANNED("check", ("CANCEL",)),
+    "load": LineState("load", _START, has_news=False, instruction=_do_put_on),
+    "reading": _AT_WORK(),
+    "running": _AT_WORK(),
+    "pass": LineState("pass", verdict="pass", details=_say_error),
+    "conditional": LineState("check", verdict="conditional"),
+    "fail": LineState("fail", verdict="fail"),
+    "retest": LineState("repeat", verdict="retest"),
+    "retest_used_up": LineState("check", verdict="retest"),
+    "golden_pass": LineState("pass", verdict="pass"),
+    "golden_fail": LineState("fail", verdict="fail"),
+    "recorded": LineState("ready"),
+}
+"""The one table of what an operator can see."""
+
+TONES = {name: state.tone for name, state in STATES.items()}
 
 
 def _is_why_stopped(facts: LineFacts, run: LineRun) -> bool:
@@ -413,16 +458,6 @@ def _chip(facts: LineFacts, run: LineRun, words: Words) -> Chip:
     order, progress = run
     state = "broken" if progress.state is not RunState.DONE else verdict_of(facts, run) or "recorded"
     return Chip(order.serial, TONES[state], state_word(state, words))
-
-
-def _code_key(progress: Progress, words: Words) -> str:
-    is_free = any(root_of(why).code == NO_CONTACT for why in progress.message)
-    key = "code.no_contact" if is_free else f"code.{progress.code}"
-    try:
-        words(key)
-    except KeyError:
-        return "code.other"
-    return key
 
 
 def _remaining(remaining_s: float, words: Words) -> str:

@@ -1,13 +1,12 @@
 """Lots side by side: the same numbers of each. No Streamlit."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
-from softcal.app.texts.reasons import plainly
+from softcal.app.texts.reasons import Words, plainly
 from softcal.app.views.common import limit_said, number, percent
 from softcal.app.views.lot import LotView
 
 MOST_LOTS = 6
-Words = Callable[..., str]
 
 
 def lot_rows(views: Sequence[LotView], words: Words) -> list[dict[str, str]]:

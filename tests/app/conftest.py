@@ -408,7 +408,8 @@ def show(open_page, monkeypatch: pytest.MonkeyPatch) -> Callable[..., AppTest]:
     """`show(url, page, role="engineer", **query)` draws one page alone."""
 
     def draw(url: str, page: str, role: str = "engineer", **query: str) -> AppTest:
-        source = f"from softcal.app.ui.app_pages import {page}\n{page}.render()\n"
+        imports = f"from softcal.app.ui.app_pages import {page}\nfrom softcal.app.ui.desk import errors_in_words\n"
+        source = f"{imports}with errors_in_words():\n    {page}.render()\n"
         monkeypatch.setattr(AppTest, "from_function", lambda _, **options: AppTest.from_string(source, **options))
         return open_page(url, lambda: None, role=role, **query)
 

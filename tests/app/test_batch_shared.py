@@ -12,14 +12,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from softcal.app.batch import unit_work
+from softcal.app.batch import lot_work, unit_work
 from softcal.app.batch.batch import run_batch
 from softcal.app.batch.engine import EngineChoice
 from softcal.app.batch.lot_work import BatchConfig
 from softcal.app.cli.main import main
 from softcal.app.files.lot_folder import open_lot_folder
+from softcal.app.files.regular import read_regular
 from softcal.core.network.config import NetworkConfig
 from softcal.db.connection import open_registry
+from softcal.db.registry import Registry
 
 UNITS = 16
 SMALL = ("--hidden", "16,8")
@@ -153,6 +155,39 @@ def test_a_result_that_comes_after_the_lease_ran_out_is_dropped(
         report = run_batch(open_lot_folder(folder), registry, config)
     assert len(report.units) == UNITS
     assert set(kept(registry_url).values()) == {1}
+
+
+def test_every_file_is_read_once_and_nothing_made_is_read_back(
+    folder: Path, registry_url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    golden = folder / "golden"
+    golden.mkdir()
+    source = pd.read_csv(folder / "source/A0.csv")
+    source.assign(output=1.01 * source.output).to_csv(golden / "A0.csv", index=False)
+    read: list[str] = []
+
+    def counted(path: Path, *arguments, **more) -> bytes:
+        read.append(f"{path.parent.name}/{path.name}")
+        return read_regular(path, *arguments, **more)
+
+    monkeypatch.setattr(lot_work, "read_regular", counted)
+    monkeypatch.setattr(Registry, "calibration", lambda *_, **__: pytest.fail("a calibration was read back"))
+    config = BatchConfig(network=NetworkConfig(hidden=(16, 8)), score_own=False)
+    with open_registry(registry_url) as registry:
+        # What the audits then say of the lot is another matter.
+        monkeypatch.setattr("softcal.app.batch.batch.judge_lot", lambda *_: None)
+        run_batch(open_lot_folder(folder), registry, config)
+    files = [f"units/A{k}.csv" for k in range(1, UNITS + 1)] + [f"audit/A{k}.csv" for k in (1, 2, 3)]
+    assert sorted(read) == sorted(files)
+    assert len(kept(registry_url)) == UNITS
+
+
+def test_a_lot_that_is_not_held_whole_is_calibrated_whole(
+    folder: Path, registry_url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lot_work, "HELD_BYTES", 1)
+    assert main(["batch", str(folder), "--registry", registry_url, *SMALL, "--no-own"]) in (0, 1)
+    assert kept(registry_url) == {f"A{k}": 1 for k in range(1, UNITS + 1)}
 
 
 def test_files_that_change_become_new_work(folder: Path, registry_url: str) -> None:

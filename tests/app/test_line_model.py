@@ -22,7 +22,7 @@ from softcal.app.line.facts import LineFacts, Screen, read_line
 from softcal.app.line.line import Step, take_scan
 from softcal.app.line.place import Place, read_place
 from softcal.app.texts import catalogue as texts
-from softcal.app.views.line import BEFORE_RUN, LineView, line_view
+from softcal.app.views.line import STATES, LineView, line_view
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
@@ -314,7 +314,7 @@ def check_card(world: World, who: str, event: str, before: LineView, trail: tupl
     place = read_place(Played(world), "line-1")  # type: ignore[arg-type]
     if view.state in RESULTS and newest is not None and place.after_run == newest[0]:
         raise Broken(f"{view.state} of {view.serial} though another unit may be in the hand", trail)
-    if view.state in BEFORE_RUN and view.serial and view.serial != place.serial:
+    if STATES[view.state].is_before_run and view.serial and view.serial != place.serial:
         raise Broken(f"{view.serial} stands there, {place.serial} was scanned", trail)
     if view.state == "load":
         is_pressed = newest is not None and newest[3] is RunState.DONE and newest[2] == view.serial

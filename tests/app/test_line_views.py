@@ -15,7 +15,7 @@ from softcal.app.texts import catalogue as texts
 from softcal.app.texts.reasons import plainly
 from softcal.app.ui.components import line_card
 from softcal.app.views import line as views_line
-from softcal.app.views.line import ACTIONS, KEYS, TONES, away_view, line_view
+from softcal.app.views.line import KEYS, STATES, away_view, line_view
 from softcal.core.lot import Lot
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.quality.known_loads import KnownLoad, loads_text
@@ -96,7 +96,7 @@ def test_every_situation_has_its_state_with_a_word_and_an_instruction():
         view = shown(**changes)
         assert view.state == situation.split(",")[0] and view.word and view.instruction
         assert view.tone in line_card.MARKS
-    assert {situation.split(",")[0] for situation in SITUATIONS} | {"away"} == set(TONES)
+    assert {situation.split(",")[0] for situation in SITUATIONS} | {"away"} == set(STATES)
 
 
 @pytest.mark.parametrize("language", texts.LANGUAGES)
@@ -318,7 +318,7 @@ def test_what_comes_from_outside_is_shown_as_text():
 
 
 def test_every_action_has_a_key_and_a_label():
-    assert {command for commands in ACTIONS.values() for command in commands} == set(KEYS)
+    assert {command for state in STATES.values() for command in state.actions} == set(KEYS)
     assert all(f"line.action.{command}" in texts.catalogue()["en"] for command in KEYS)
 
 
@@ -337,7 +337,7 @@ def contrast(one: str, other: str) -> float:
 def test_white_words_stand_out_on_the_ground_of_every_state():
     css = Path(line_card.__file__).with_suffix(".css").read_text()
     grounds = dict(re.findall(r"\.sc-(\w+) \{ background: (#\w{6}); \}", css))
-    assert set(TONES.values()) <= set(grounds)
+    assert {state.tone for state in STATES.values()} <= set(grounds)
     assert all(contrast("#FFFFFF", ground) >= 4.5 for ground in grounds.values())
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from softcal.app.charts.audited import error_over_load, estimate_over_reference
-from softcal.app.charts.lot_yield import yield_figure
+from softcal.app.charts.lot import yield_figure
 from softcal.app.charts.palette import LIGHT
 from softcal.app.texts.catalogue import text
 from softcal.app.ui.lot_report_pdf import lot_report_pdf

@@ -14,7 +14,7 @@ import pytest
 
 from softcal.app.batch.audit_evidence import AuditReader
 from softcal.app.batch.judging import judge_again
-from softcal.app.batch.line_statement import stated_line
+from softcal.app.batch.known import stated_line
 from softcal.app.batch.release import LineRelease, judge_lot, lot_standing
 from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader

@@ -138,18 +138,18 @@ def test_nothing_in_the_queue_changes_what_is_told(lot_folder, registry_url, mon
             ("A3", "claimed", -5, "elsewhere:1:x", None),
             ("A9", "queued", 0, None, None),
         ]
-        results = lot_work.LotWork.results
+        run = lot_work.LotWork.run
 
-        def forged(work: lot_work.LotWork) -> dict:
+        def forged(work: lot_work.LotWork) -> None:
             with registry.database.writing() as connection:
                 for serial, state, attempts, owner, lease in rows:
                     values = ("small", serial, "calibrate", work._work.name, "f" * 64, state, attempts, owner, lease)
                     connection.exec_driver_sql(
                         f"INSERT INTO work_items ({names}) VALUES (?,?,?,?,?,?,?,?,?,'2026-01-01 00:00:00')", values
                     )
-            return results(work)
+            run(work)
 
-        monkeypatch.setattr(lot_work.LotWork, "results", forged)
+        monkeypatch.setattr(lot_work.LotWork, "run", forged)
         config = BatchConfig(network=NetworkConfig(hidden=(16, 8)), score_own=False)
         report = run_batch(open_lot_folder(lot_folder), registry, config)
         assert {unit.serial: unit.verdict for unit in report.units} == {s: u["verdict"] for s, u in true.items()}

@@ -19,9 +19,10 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from softcal.app.batch import lot_work
-from softcal.app.batch.calibrating import Refusal
+from softcal.app.batch.calibrating import Known, LotFacts, Refusal
+from softcal.app.batch.known import KeptFacts
 from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
-from softcal.app.batch.unit_work import ChunkOutcome, Known, SharedWork, UnitOutcome
+from softcal.app.batch.unit_work import ChunkOutcome, UnitOutcome
 from softcal.app.files.lot_folder import LotFolder
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
@@ -43,7 +44,7 @@ SERIALS, SIDES = ("A1", "A2"), ("station", "centre")
 BAD = 0
 LOT = Lot("L1", "S0", 50.0)
 NETWORK = Network((np.zeros((15, 1)),), (np.zeros(1),), 0.0, 1.0, 0.0, 1.0)
-SHARED = SharedWork(LOT, (SimpleNamespace(network=NETWORK, method=Method()),), None, None)
+FACTS = LotFacts((SimpleNamespace(network=NETWORK, method=Method()),))
 
 
 def input_of(serial: str, number: int) -> str:
@@ -153,13 +154,19 @@ class OneAnswerMachine(RuleBasedStateMachine):
 
         undecided = [serial for serial in files if self.is_to_be_worked_on(side, serial)]
         with mock.patch.object(lot_work, "work_on", counting):
-            told = LotWork(folder, self.registries[side], SHARED, BatchConfig(), Watch(), {}).results()
+            work = self.work(folder, side, BatchConfig(), Watch())
+            work.run()
+            told = work.told(list(paths))
         assert set(undecided) <= set(worked)
         # A batch that was broken off leaves work in the queue that nobody may need any more.
         assert side in self.broken_off or sorted(worked) == sorted(undecided)
         for serial in files:
             self.answered(side, serial)
         assert {serial: result.verdict for serial, result in told.items()} == {s: self.verdict(side, s) for s in files}
+
+    def work(self, folder: LotFolder, side: str, config: BatchConfig, watch: Watch) -> LotWork:
+        registry = self.registries[side]
+        return LotWork(folder, registry, FACTS, KeptFacts(registry, LOT.id, list(folder.unit_paths)), config, watch)
 
     def is_to_be_worked_on(self, side: str, serial: str) -> bool:
         """Whether a batch has to read the unit's file: nothing that is known answers it."""
@@ -201,7 +208,7 @@ class OneAnswerMachine(RuleBasedStateMachine):
         # What was asked for by the same file before is put into use before anything is queued.
         asked_before = [s for s in files if any(e.work == number and e.asked == number for e in self.seen[side][s])]
         with mock.patch.object(lot_work, "work_on", fake_work), contextlib.suppress(KeyboardInterrupt):
-            LotWork(folder, self.registries[side], SHARED, BatchConfig(chunk=1), Watch(on_unit=end), {}).results()
+            self.work(folder, side, BatchConfig(chunk=1), Watch(on_unit=end)).run()
         for serial in (*asked_before, *kept):
             self.answered(side, serial)
 

@@ -10,7 +10,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import softcal
+from softcal.app.batch.compare import compare_on_lot
+from softcal.app.batch.front_door import lot_files
 from softcal.app.cli.main import main
+from softcal.app.files.anchors import write_anchors
 from softcal.app.files.recording_file import write_columns
 from softcal.app.line.pressed_run import RunKeeper
 from softcal.app.registry.known_loads import known_loads
@@ -18,6 +22,8 @@ from softcal.app.registry.laid_out import write_lot_folder
 from softcal.app.registry.reference import lot_reference
 from softcal.app.registry.source import source_model, unlabelled
 from softcal.core.errors import InputError
+from softcal.core.maps.config import MapConfig
+from softcal.core.maps.interface import Anchors
 from softcal.core.network.config import NetworkConfig
 from softcal.core.orders import Order, OrderKind, Progress
 from softcal.core.quality.known_loads import KnownLoad
@@ -32,6 +38,7 @@ from softcal.station.at_rest import RestReading
 from softcal.station.recording import Alignment, StationRecording
 
 SMALL = ("--hidden", "16,8")
+REFERENCE = {"source": "reference", "audit": "reference"}
 
 
 @pytest.fixture
@@ -54,18 +61,20 @@ def pressed(folder: Path, serial: str) -> StationRecording:
     return StationRecording(serial, "unit", t_s, output[:, None], stage_mm, None, 50.0, "V", 0.0, 0.0, 0.0, 0, aligned)
 
 
-def batched(folder: Path, url: str, out: Path) -> dict[str, dict[str, object]]:
-    assert main(["batch", str(folder), "--registry", url, "--json", str(out), *SMALL]) in (0, 1)
+def batched(folder: Path, url: str, out: Path, *more: str) -> dict[str, dict[str, object]]:
+    assert main(["batch", str(folder), "--registry", url, "--json", str(out), *SMALL, *more]) in (0, 1)
     return {unit["serial"]: unit for unit in json.loads(out.read_text())["units"]}
 
 
 def test_a_unit_pressed_on_the_line_and_batched_anywhere_has_one_calibration(
-    lot_folder, registry_url, tmp_path, registry, keeper
+    lot_folder, registry_url, tmp_path, registry, keeper, monkeypatch
 ):
     shutil.rmtree(lot_folder / "audit")
     runs = {serial: pressed(lot_folder, serial) for serial in ("A1", "A2", "A3")}
-    for serial, run in runs.items():
-        keeper.keep(Order(f"o{serial}", "s1", OrderKind.UNIT, serial, "small"), run, say)
+    with monkeypatch.context() as patched:
+        patched.setattr(Registry, "calibration", lambda *_, **__: pytest.fail("a calibration was read back"))
+        for serial, run in runs.items():
+            keeper.keep(Order(f"o{serial}", "s1", OrderKind.UNIT, serial, "small"), run, say)
     made = {serial: registry.calibration(serial) for serial in runs}
     for serial, run in runs.items():
         unit = run.output_recording()
@@ -86,6 +95,79 @@ def test_a_unit_pressed_on_the_line_and_batched_anywhere_has_one_calibration(
                 kept = {"family": stored.record.family, "revision": 1, "sha256": stored.record.map_sha256}
                 assert report[serial]["map"] == kept
                 assert report[serial]["verdict"] == stored.record.verdict
+
+
+KNOWN = ("nothing", "spread of the line", "audit", "loads", "golden run", "another source")
+
+
+def let_be_known(what: str, folder: Path, press_unit) -> None:
+    """Leave in a lot folder unit A1 and one kind of fact about it."""
+    for serial in ("A2", "A3"):
+        (folder / "units" / f"{serial}.csv").unlink()
+    if what != "audit":
+        shutil.rmtree(folder / "audit")
+    toml = folder / "lot.toml"
+    if what == "spread of the line":
+        toml.write_text(toml.read_text() + "[line]\nload_spread = 0.05\n")
+    if what == "loads":
+        rest, full = levels(folder, "A1")
+        write_anchors(folder / "anchors.csv", {"A1": Anchors(np.array([rest, full]), np.array([0.0, 2.0]))})
+    if what == "golden run":
+        (folder / "golden").mkdir()
+        press_unit(1500, 1.0, 0.5, 11).to_csv(folder / "golden/A0.csv", index=False)
+    if what == "another source":
+        toml.write_text(toml.read_text().replace("[lot]\n", '[lot]\nmore_sources = ["S9"]\n'))
+        press_unit(1500, 1.2, 0.55, 12).to_csv(folder / "source/S9.csv", index=False)
+
+
+@pytest.mark.parametrize("what", KNOWN)
+def test_whoever_calibrates_a_recording_starts_from_the_same(
+    what, lot_folder, registry_url, registry, keeper, press_unit, tmp_path
+):
+    let_be_known(what, lot_folder, press_unit)
+    run = pressed(lot_folder, "A1")
+    unit = run.output_recording()
+    columns = [("t_s", unit.t_s), ("output", unit.output), ("stage_mm", unit.stage_mm)]
+    write_columns(lot_folder / "units/A1.csv", columns)  # type: ignore[arg-type]
+    batched(lot_folder, registry_url, tmp_path / "batch.json")
+    (made,) = (one.record for one in registry.history("A1") if one.revision == 1)
+    keeper.keep(Order("o", "s1", OrderKind.UNIT, "A1", "small"), run, say)
+    assert [one.record.input_sha256 for one in registry.history("A1")] == [made.input_sha256]
+    asked = {"lot": "small", "networks": [made.network_id], "families": [MapConfig().family], "units": 1}
+    (row,) = compare_on_lot(registry, asked, lambda *_: None)
+    assert (row["predicted"], row["after"]) == (made.predicted_rmse, made.after_rmse)
+    with lot_files(registry, "small", lambda *_: None) as folder:
+        again = batched(folder.root, registry_url, tmp_path / "again.json")
+    assert not again["A1"]["is_new"]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("what", KNOWN)
+def test_a_worker_and_python_start_from_the_same(what, lot_folder, registry_url, press_unit, tmp_path):
+    let_be_known(what, lot_folder, press_unit)
+    shutil.copy(lot_folder / "units/A1.csv", lot_folder / "units/A4.csv")
+    batched(lot_folder, registry_url, tmp_path / "one.json")
+    elsewhere = f"sqlite:///{shutil.copy(tmp_path / 'registry.db', tmp_path / 'two.db')}"
+    batched(lot_folder, elsewhere, tmp_path / "two.json", "--jobs", "2", "--refit")
+    with open_registry(registry_url) as one, open_registry(elsewhere) as two:
+        made, by_worker = one.history("A1")[0].record, two.history("A1")[-1].record
+        network = one.network(made.network_id)
+    assert by_worker.input_sha256 == made.input_sha256
+    if what not in ("nothing", "audit", "loads"):
+        return
+    files = {"source": "source/A0.csv", "unit": "units/A1.csv", "audit": "audit/A1.csv"}
+    read = {
+        name: softcal.Recording.from_frame(
+            table, time_s="t_s", serial="A0" if name == "source" else "A1", reference=REFERENCE.get(name)
+        )
+        for name, file in files.items()
+        if (lot_folder / file).exists() and (table := pd.read_csv(lot_folder / file)) is not None
+    }
+    source = softcal.fit_network(read["source"], hidden=(16, 8))
+    anchors = pd.read_csv(lot_folder / "anchors.csv") if what == "loads" else None
+    in_python = softcal.fit_map(source, read["unit"], anchors=anchors, audit=read.get("audit"))
+    assert source.network.id == network.id
+    assert in_python.calibration.to_record("", "", 0.0).map_sha256 == made.map_sha256
 
 
 def say(progress: Progress) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from softcal.app.charts import lot as charts_lot
-from softcal.app.charts.lots import errors_of_lots
+from softcal.app.charts.compare import errors_of_lots
 from softcal.app.charts.palette import DARK, LIGHT
 from softcal.app.charts.unit import output_distributions
 from softcal.app.texts.catalogue import text

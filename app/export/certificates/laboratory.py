@@ -1,16 +1,14 @@
 """Who calibrates, for whom, where and in which condition: a TOML file people keep beside their station."""
 
-import tomllib
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from datetime import date
 from pathlib import Path
-from typing import Any, TypeVar
 
 import tomlkit
 
 from softcal.app.bootstrap import data_folder
 from softcal.app.files.atomic import write_text
+from softcal.app.files.toml_file import check_known, read_section, read_toml
 from softcal.core.errors import InputError
 
 NOT_STATED = "not stated"
@@ -117,9 +115,6 @@ class Laboratory:
     performance: Performance = Performance()
 
 
-Section = TypeVar("Section", Party, Person, LoadCell, Conditions, Performance)
-
-
 def read_laboratory(path: Path | None) -> Laboratory:
     """Read the file; without one everything is "not stated", and the certificate says so.
 
@@ -128,22 +123,10 @@ def read_laboratory(path: Path | None) -> Laboratory:
     """
     if path is None:
         return Laboratory()
-    try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as TOML: {error}") from error
-    known = [field.name for field in fields(Laboratory)]
-    unknown = [name for name in values if name not in known]
-    if unknown:
-        raise InputError(f"{path}: section [{unknown[0]}] is unknown; known: {', '.join(known)}")
-    return Laboratory(
-        laboratory=_section(path, values, "laboratory", Party()),
-        customer=_section(path, values, "customer", Party()),
-        person=_section(path, values, "person", Person()),
-        load_cell=_section(path, values, "load_cell", LoadCell()),
-        conditions=_section(path, values, "conditions", Conditions()),
-        performance=_section(path, values, "performance", Performance()),
-    )
+    values = read_toml(path)
+    kinds = {field.name: type(field.default) for field in fields(Laboratory)}
+    check_known(f"{path}: section", values, tuple(kinds))
+    return Laboratory(**{name: read_section(f"{path}: [{name}]", kinds[name], values[name]) for name in values})
 
 
 def kept_laboratory() -> Path | None:
@@ -162,27 +145,3 @@ def keep_laboratory(stated: Laboratory) -> Path:
     path = data_folder() / LABORATORY
     write_text(path, tomlkit.dumps(document))
     return path
-
-
-def _section(path: Path, values: Mapping[str, Any], name: str, default: Section) -> Section:
-    given = values.get(name, {})
-    known = [field.name for field in fields(default)]
-    if not isinstance(given, Mapping) or any(key not in known for key in given):
-        raise InputError(f"{path}: [{name}] takes {', '.join(known)}")
-    checked: dict[str, Any] = {key: _value(path, f"{name}.{key}", value) for key, value in given.items()}
-    return type(default)(**checked)
-
-
-def _value(path: Path, key: str, value: object) -> object:
-    is_number = key.endswith(("_N", "_C", "_pct", "_factor"))
-    wanted = "a number" if is_number else "a date such as 2026-01-31" if key.endswith("_on") else "a text"
-    fits = (
-        isinstance(value, int | float) and not isinstance(value, bool)
-        if is_number
-        else type(value) is date
-        if key.endswith("_on")
-        else isinstance(value, str) and bool(value.strip())
-    )
-    if not fits:
-        raise InputError(f"{path}: {key} is {value!r}; {wanted} was expected")
-    return float(value) if is_number else value  # type: ignore[arg-type]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from reportlab.graphics.charts.axes import XValueAxis, YValueAxis
 from reportlab.graphics.shapes import Drawing, Line, Polygon, PolyLine, String
 from reportlab.lib import colors
 
@@ -21,6 +22,7 @@ HEIGHT = 112.0
 SHOWN_S = 20.0
 """So much of a recording is shown: enough for several presses, little enough to see the interval."""
 
+MOST_TICKS = 7
 MOST_POINTS = 1200
 """A curve is thinned to this many points: more cannot be told apart on paper."""
 
@@ -40,8 +42,8 @@ def estimate_plot(facts: Certificate, width: float) -> Drawing:
     rows = rows[:: max(1, math.ceil(len(rows) / MOST_POINTS))]
     t_s, lower, upper = found.t_s[rows], found.lower[rows], found.upper[rows]
     labels = "t, s", f"{facts.quantity}, {facts.reference_unit}"
-    axes = _Axes.around(t_s, np.concatenate([lower, upper]), width, HEIGHT, labels)
-    drawing = axes.drawing()
+    axes = _Axes.around(t_s, np.concatenate([lower, upper]), width, labels)
+    drawing = axes.drawing
     edge = axes.points(np.concatenate([t_s, t_s[::-1]]), np.concatenate([lower, upper[::-1]]))
     drawing.add(Polygon(edge, fillColor=BAND, strokeColor=None))
     drawing.add(PolyLine(axes.points(t_s, found.estimate[rows]), strokeColor=CURVE, strokeWidth=0.7))
@@ -51,8 +53,8 @@ def estimate_plot(facts: Certificate, width: float) -> Drawing:
 def map_plot(facts: Certificate, width: float) -> Drawing:
     """Draw which source output each steady output of the unit stands for."""
     labels = f"output of unit {facts.serial}, {facts.output_unit}", f"source output, {facts.output_unit}"
-    axes = _Axes.around(facts.output, facts.mapped, width / 2, HEIGHT, labels)
-    drawing = axes.drawing()
+    axes = _Axes.around(facts.output, facts.mapped, width / 2, labels)
+    drawing = axes.drawing
     drawing.add(PolyLine(axes.points(facts.output, facts.mapped), strokeColor=CURVE, strokeWidth=1.2))
     return drawing
 
@@ -69,14 +71,14 @@ def bars_plot(edges: Array, counts: Array, limit: Level | None, labels: tuple[st
     """
     most = max(float(counts.max(initial=0.0)), 1.0)
     across = edges if limit is None else np.append(edges, 1.05 * limit.at)
-    axes = _Axes((float(across.min()), float(across.max())), (0.0, 1.15 * most), width, HEIGHT, labels)
-    drawing = axes.drawing(is_whole=True)
+    axes = _Axes.around(across, np.array([0.0, most]), width, labels, room=0.15, is_count=True)
+    drawing = axes.drawing
     for left, right, count in zip(edges[:-1], edges[1:], counts, strict=True):
         if count:
             corners = axes.points(np.array([left, left, right, right]), np.array([0.0, count, count, 0.0]))
             drawing.add(Polygon(corners, fillColor=CURVE, strokeColor=colors.white, strokeWidth=0.3))
     if limit is not None:
-        ends = axes.points(np.full(2, limit.at), np.array(axes.y))
+        ends = axes.points(np.full(2, limit.at), np.array([axes.up.valueMin, axes.up.valueMax]))
         drawing.add(Line(*ends, strokeColor=DECIDES, strokeWidth=1))
         drawing.add(_label(ends[2] - 3, ends[3] - 6, limit.name, "end", DECIDES))
     return drawing
@@ -93,10 +95,10 @@ def course_plot(values: Array, levels: Sequence[Level], labels: tuple[str, str],
     """
     at = np.arange(1, len(values) + 1, dtype=float)
     heights = np.append(values, [level.at for level in levels])
-    axes = _Axes.around(at, heights, width, HEIGHT, labels)
-    drawing = axes.drawing()
+    axes = _Axes.around(at, heights, width, labels)
+    drawing = axes.drawing
     for level in levels:
-        ends = axes.points(np.array(axes.x), np.full(2, level.at))
+        ends = axes.points(at[[0, -1]], np.full(2, level.at))
         drawing.add(Line(*ends, strokeColor=DECIDES, strokeWidth=0.7, strokeDashArray=[3, 2]))
         drawing.add(_label(ends[2], ends[3] + 2, level.name, "end", DECIDES))
     drawing.add(PolyLine(axes.points(at, values), strokeColor=CURVE, strokeWidth=0.8))
@@ -105,59 +107,44 @@ def course_plot(values: Array, levels: Sequence[Level], labels: tuple[str, str],
 
 @dataclass(frozen=True)
 class _Axes:
-    """A rectangle of data on a rectangle of paper."""
+    """A rectangle of data on a rectangle of paper; ReportLab's axes find the ticks."""
 
-    x: tuple[float, float]
-    y: tuple[float, float]
-    width: float
-    height: float
-    labels: tuple[str, str]
+    across: XValueAxis
+    up: YValueAxis
+    drawing: Drawing
 
     @classmethod
-    def around(cls, x: Array, y: Array, width: float, height: float, labels: tuple[str, str]) -> "_Axes":
-        return cls(_padded(x, 0.0), _padded(y, 0.04), width, height, labels)
+    def around(
+        cls, x: Array, y: Array, width: float, labels: tuple[str, str], *, room: float = 0.04, is_count: bool = False
+    ) -> "_Axes":
+        """Return axes that hold all values, `room` of the upright span beyond them, drawn with the name of each."""
+        drawing = Drawing(width, HEIGHT)
+        across, up = XValueAxis(), YValueAxis()
+        across.tickDown = up.tickLeft = 2
+        for axis, values, length, share in (
+            (across, x, width - LEFT - RIGHT, 0.0),
+            (up, y, HEIGHT - BOTTOM - TOP, room),
+        ):
+            low, high = float(values.min()), float(values.max())
+            margin = share * (high - low) or (abs(high) * 1e-3 or 1.0) * (high == low)
+            axis.valueMin, axis.valueMax = (0.0 if is_count and axis is up else low - margin), high + margin
+            axis.maximumTicks, axis.labelTextFormat = MOST_TICKS, "%g"
+            axis.strokeColor, axis.strokeWidth = AXIS, 0.5
+            axis.labels.fontName, axis.labels.fontSize, axis.labels.fillColor = font_for("0"), SIZE, AXIS
+            if is_count and axis is up:
+                axis.valueStep = max(1, math.ceil(axis.valueMax / MOST_TICKS))
+            axis.setPosition(LEFT, BOTTOM, length)
+            axis.configure([(axis.valueMin, axis.valueMax)])
+            drawing.add(axis)
+        drawing.add(_label((LEFT + width - RIGHT) / 2, 4, labels[0], "middle"))
+        drawing.add(_label(LEFT + 4, HEIGHT - TOP - 6, labels[1], "start"))
+        return cls(across, up, drawing)
 
     def points(self, x: Array, y: Array) -> list[float]:
         """Return paper coordinates as x, y, x, y, ..., rounded so that every machine writes the same file."""
-        across = LEFT + (x - self.x[0]) / (self.x[1] - self.x[0]) * (self.width - LEFT - RIGHT)
-        up = BOTTOM + (y - self.y[0]) / (self.y[1] - self.y[0]) * (self.height - BOTTOM - TOP)
-        flat: list[float] = np.round(np.stack([across, up], axis=1).ravel(), 2).tolist()
-        return flat
-
-    def drawing(self, is_whole: bool = False) -> Drawing:
-        """Return the empty plot: two axes with ticks and labels; upright ones at whole numbers where it counts."""
-        drawing = Drawing(self.width, self.height)
-        right, top = self.width - RIGHT, self.height - TOP
-        drawing.add(Line(LEFT, BOTTOM, right, BOTTOM, strokeColor=AXIS, strokeWidth=0.5))
-        drawing.add(Line(LEFT, BOTTOM, LEFT, top, strokeColor=AXIS, strokeWidth=0.5))
-        for value in _ticks(*self.x):
-            at = self.points(np.array([value]), np.array([self.y[0]]))[0]
-            drawing.add(Line(at, BOTTOM, at, BOTTOM - 2, strokeColor=AXIS, strokeWidth=0.5))
-            drawing.add(_label(at, BOTTOM - 10, f"{value:g}", "middle"))
-        upright = _ticks(*self.y)
-        for value in [tick for tick in upright if not is_whole or tick == round(tick)]:
-            at = self.points(np.array([self.x[0]]), np.array([value]))[1]
-            drawing.add(Line(LEFT, at, LEFT - 2, at, strokeColor=AXIS, strokeWidth=0.5))
-            drawing.add(_label(LEFT - 4, at - 2.5, f"{value:g}", "end"))
-        drawing.add(_label((LEFT + right) / 2, 4, self.labels[0], "middle"))
-        drawing.add(_label(LEFT + 4, top - 6, self.labels[1], "start"))
-        return drawing
+        pairs = zip(x.tolist(), y.tolist(), strict=True)
+        return [round(at, 2) for one, other in pairs for at in (self.across.scale(one), self.up.scale(other))]
 
 
 def _label(x: float, y: float, text: str, anchor: str, colour: colors.Color = AXIS) -> String:
     return String(x, y, text, fontName=font_for(text), fontSize=SIZE, fillColor=colour, textAnchor=anchor)
-
-
-def _padded(values: Array, share: float) -> tuple[float, float]:
-    low, high = float(values.min()), float(values.max())
-    margin = share * (high - low) or (abs(high) * 1e-3 or 1.0) * (high == low)
-    return low - margin, high + margin
-
-
-def _ticks(low: float, high: float) -> list[float]:
-    """Return round numbers, about five, within [low, high]."""
-    raw = (high - low) / 5
-    decade = 10.0 ** math.floor(math.log10(raw))
-    step = next(f * decade for f in (1, 2, 5, 10) if raw <= f * decade)
-    first = math.ceil(low / step)
-    return [round(k * step, 12) for k in range(first, math.floor(high / step + 1e-9) + 1)]

@@ -6,18 +6,19 @@ import streamlit as st
 
 from softcal.app.batch.audit import LotAudit, draw_plan, lot_audit
 from softcal.app.batch.audit_files import AuditFile, look_at_audits, store_audits, target_serials
+from softcal.app.batch.judging import confirm
+from softcal.app.batch.release import lot_standing
 from softcal.app.files.spreadsheet import csv_text
 from softcal.app.jobs.process import start_job
 from softcal.app.texts.reasons import said
 from softcal.app.ui.account import actor, permit, person
-from softcal.app.ui.components.audit_plan import plan_rows
-from softcal.app.ui.components.audits_panel import audits_panel
 from softcal.app.ui.components.job_panel import job_panel, newest_job
 from softcal.app.ui.components.lot_upload import choose_columns, dropped_files, first_readable, forget_files
-from softcal.app.ui.desk import ask_reason, errors_in_words, registry, words
+from softcal.app.ui.desk import ask_reason, instant, registry, words
 from softcal.app.ui.panels import go_to, lot_heading, numbers, table, units_of
 from softcal.app.views.common import number
 from softcal.core.quality.audit_plan import AuditConfig
+from softcal.core.quality.lot_standing import UnitInLot
 from softcal.db.access.people import may
 
 ASKED, UPLOAD = "audit-asked", "audit"
@@ -25,22 +26,20 @@ ACTION = "set_up"
 
 
 def render() -> None:
-    """Draw the page."""
     say = words()
-    with errors_in_words():
-        lot_id = lot_heading("audit", registry().lot_ids())
-        if lot_id is None:
-            return
-        if not units_of(lot_id):
-            return
-        st.markdown(say("audit.what"))
-        audit = lot_audit(registry(), lot_id)
-        if audit is None:
-            _draw(lot_id)
-        else:
-            _stands(audit, lot_id)
-        audits_panel(lot_id)
-        _upload(lot_id)
+    lot_id = lot_heading("audit", registry().lot_ids())
+    if lot_id is None:
+        return
+    if not units_of(lot_id):
+        return
+    st.markdown(say("audit.what"))
+    audit = lot_audit(registry(), lot_id)
+    if audit is None:
+        _draw(lot_id)
+    else:
+        _stands(audit, lot_id)
+    audits_panel(lot_id)
+    _upload(lot_id)
 
 
 def _draw(lot_id: str) -> None:
@@ -70,7 +69,7 @@ def _stands(audit: LotAudit, lot_id: str) -> None:
         (
             (say("audit.measured"), f"{len(audit.measured)} / {len(audit.plan.serials)}", None),
             (say("lot.limit"), number(audit.limit.maximum_rmse, unit), None),
-            (say("audit.says"), _verdict(audit), None),
+            (say("audit.says"), ("–" if audit.statement is None else words()(f"verdict.{audit.statement.word}")), None),
         )
     )
     if audit.statement is not None:
@@ -78,7 +77,16 @@ def _stands(audit: LotAudit, lot_id: str) -> None:
             "audit.statement", upper=audit.statement.nonconforming_upper, ratio=f"{audit.statement.error_ratio:.2g}"
         )
         st.markdown(told)
-    rows = plan_rows(audit, unit, say)
+    rows = [
+        {
+            say("column.serial"): serial,
+            say("audit.why"): say(f"audit.why.{why}"),
+            say("release.forecast"): number(forecast, unit),
+            say("release.measured"): number(measured, unit),
+            say("audit.result"): say(f"audit.result.{result}"),
+        }
+        for serial, why, forecast, measured, result in audit.rows
+    ]
     table(rows)
     st.download_button(
         say("audit.list"),
@@ -96,10 +104,6 @@ def _stands(audit: LotAudit, lot_id: str) -> None:
         if reason is not None:
             draw_plan(registry(), lot_id, config, reason=reason, actor=actor())
             st.rerun()
-
-
-def _verdict(audit: LotAudit) -> str:
-    return "–" if audit.statement is None else words()(f"verdict.{audit.statement.word}")
 
 
 def _upload(lot_id: str) -> None:
@@ -151,3 +155,40 @@ def _take(lot_id: str, looked: Sequence[AuditFile]) -> None:
     st.session_state[ASKED] = start_job(registry(), "calibrate", {"lot": lot_id}, actor())
     forget_files(UPLOAD)
     st.rerun()
+
+
+MOST_ROWS = 200
+
+
+def audits_panel(lot_id: str) -> None:
+    """Draw the audited units; nothing where none was."""
+    say, unit = words(), registry().lot(lot_id).reference_unit
+    rows = lot_standing(registry(), lot_id).audited
+    if not rows:
+        return
+    st.markdown(f"## {say('audit.units')}")
+    table([_audited_row(row, unit) for row in rows[:MOST_ROWS]])
+    for row in rows:
+        if row.doubt is not None:
+            _doubt(lot_id, row)
+
+
+def _audited_row(row: UnitInLot, unit: str) -> dict[str, object]:
+    say = words()
+    return {
+        say("column.serial"): row.serial,
+        say("release.forecast"): number(row.forecast_rmse, unit),
+        say("release.measured"): number(row.measured_rmse, unit),
+        say("column.verdict"): say(f"verdict.{row.verdict or 'none'}"),
+        say("audit.brought"): instant(row.audited_at),
+    }
+
+
+def _doubt(lot_id: str, row: UnitInLot) -> None:
+    say = words()
+    with st.container(border=True):
+        st.warning(said(row.doubt, say) if row.doubt else "", title=row.serial, icon=":material/rule:")
+        reason = ask_reason(f"confirm-{row.serial}", say("audit.confirm", serial=row.serial), "release")
+    if reason is not None:
+        confirm(registry(), lot_id, row.serial, reason=reason, actor=actor())
+        st.rerun()

@@ -7,7 +7,7 @@ import streamlit as st
 from softcal.app.files.spreadsheet import csv_text
 from softcal.app.ui.account import actor
 from softcal.app.ui.callbacks import in_one_piece
-from softcal.app.ui.desk import empty, errors_in_words, instant, registry, words, zone
+from softcal.app.ui.desk import empty, instant, registry, words, zone
 from softcal.app.ui.panels import heading, table_to_choose
 from softcal.app.views.audit_trail import HEADINGS, Entry, TrailFilter, trail
 
@@ -15,37 +15,35 @@ NEWEST, PAGE = 5000, 200
 
 
 def render() -> None:
-    """Draw the page."""
     say = words()
-    with errors_in_words():
-        heading("audit_trail")
-        is_whole = bool(st.session_state.get("trail-whole"))
-        rows = registry().newest_audit_rows(10**9 if is_whole else NEWEST)
-        if not rows:
-            empty(say("audit.none"), say("empty.lots.how"))
-            return
-        entries = trail(rows, say)
-        wanted = _filter(entries)
-        found = [entry for entry in entries if wanted.takes(entry)]
-        _counts(len(found), len(entries), is_whole)
-        if not found:
-            st.caption(say("trail.none"))
-            return
-        chosen = table_to_choose([_row(entry) for entry in found[:PAGE]], "trail")
-        st.download_button(
-            say("trail.export"),
-            data=lambda: csv_text(list(_row(found[0])), [tuple(_row(entry).values()) for entry in found]).encode(
-                "utf-8-sig"
-            ),
-            file_name="audit-trail.csv",
-            mime="text/csv",
-            icon=":material/download:",
-            key="trail-export",
-            on_click=_tell,
-            args=(len(found),),
-        )
-        if chosen is not None:
-            _in_full(found[chosen])
+    heading("audit_trail")
+    is_whole = bool(st.session_state.get("trail-whole"))
+    rows = registry().newest_audit_rows(10**9 if is_whole else NEWEST)
+    if not rows:
+        empty(say("audit.none"), say("empty.lots.how"))
+        return
+    entries = trail(rows, say)
+    wanted = _filter(entries)
+    found = [entry for entry in entries if wanted.takes(entry)]
+    _counts(len(found), len(entries), is_whole)
+    if not found:
+        st.caption(say("trail.none"))
+        return
+    chosen = table_to_choose([_row(entry) for entry in found[:PAGE]], "trail")
+    st.download_button(
+        say("trail.export"),
+        data=lambda: csv_text(list(_row(found[0])), [tuple(_row(entry).values()) for entry in found]).encode(
+            "utf-8-sig"
+        ),
+        file_name="audit-trail.csv",
+        mime="text/csv",
+        icon=":material/download:",
+        key="trail-export",
+        on_click=_tell,
+        args=(len(found),),
+    )
+    if chosen is not None:
+        _in_full(found[chosen])
 
 
 def _filter(entries: list[Entry]) -> TrailFilter:

@@ -2,10 +2,9 @@
 
 import streamlit as st
 
-from softcal.app.charts.compare import maps_together, predicted_over_load
-from softcal.app.charts.lots import errors_of_lots
+from softcal.app.charts.compare import errors_of_lots, maps_together, predicted_over_load
 from softcal.app.texts.reasons import all_said
-from softcal.app.ui.desk import colours, empty, errors_in_words, instant, registry, show_figure, verdict_badge, words
+from softcal.app.ui.desk import colours, empty, instant, registry, show_figure, verdict_badge, words
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.lot_memory import remembered_lot_view
 from softcal.app.ui.panels import heading, table
@@ -18,24 +17,22 @@ KINDS = ("units", "lots")
 
 
 def render() -> None:
-    """Draw the page."""
     say = words()
-    with errors_in_words():
-        with heading("compare"):
-            kinds = {kind: say(f"compare.{kind}") for kind in KINDS}
-            asked = str(st.query_params.get("kind", KINDS[0]))
-            kind = st.segmented_control(
-                say("compare.what"),
-                KINDS,
-                default=asked if asked in KINDS else KINDS[0],
-                format_func=kinds.__getitem__,
-                key="compare-kind",
-                label_visibility="collapsed",
-            )
-        if kind == "lots":
-            _lots()
-        else:
-            _units()
+    with heading("compare"):
+        kinds = {kind: say(f"compare.{kind}") for kind in KINDS}
+        asked = str(st.query_params.get("kind", KINDS[0]))
+        kind = st.segmented_control(
+            say("compare.what"),
+            KINDS,
+            default=asked if asked in KINDS else KINDS[0],
+            format_func=kinds.__getitem__,
+            key="compare-kind",
+            label_visibility="collapsed",
+        )
+    if kind == "lots":
+        _lots()
+    else:
+        _units()
 
 
 def _units() -> None:

@@ -12,7 +12,7 @@ from softcal.app.registry.source import source_recording
 from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.components.job_panel import job_panel, newest_job
 from softcal.app.ui.components.lot_upload import dropped_files, forget_files
-from softcal.app.ui.desk import errors_in_words, in_words, instant, registry, words
+from softcal.app.ui.desk import in_words, instant, registry, words
 from softcal.app.ui.panels import go_to, lot_heading, table, units_of
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
@@ -27,35 +27,31 @@ NOTHING = "nothing was kept"
 
 
 def render() -> None:
-    """Draw the page."""
     say = words()
-    with errors_in_words():
-        lot_id = lot_heading("known_loads", registry().lot_ids())
-        if lot_id is None:
-            return
-        lot, newest = registry().lot(lot_id), _newest(lot_id)
-        # A unit that was pressed has loads before it has a result.
-        if not newest and not units_of(lot_id):
-            return
-        st.markdown(say("known_loads.what"))
-        found = list(known_loads(registry(), lot_id).values())
-        if found:
-            table([_row(one, lot, newest) for one in reversed(found)])
-        else:
-            st.caption(say("known_loads.none"))
-        st.caption(say("known_loads.line"))
-        if may(person(), "set_limit") and st.button(
-            say("known_loads.to_rules"), icon=":material/arrow_forward:", key="known-loads-rules"
-        ):
-            go_to("limits", lot=lot_id)
-        if may(person(), ACTION):
-            with st.container(border=True):
-                _bring(lot, newest)
-
-
-def _newest(lot_id: str) -> dict[str, str]:
-    """Return the hash of the newest recording of each unit."""
-    return {entry.serial: entry.sha256 for entry in registry().recordings(lot_id, kind="unit")}
+    lot_id = lot_heading("known_loads", registry().lot_ids())
+    if lot_id is None:
+        return
+    lot, newest = (
+        registry().lot(lot_id),
+        {entry.serial: entry.sha256 for entry in registry().recordings(lot_id, kind="unit")},
+    )
+    # A unit that was pressed has loads before it has a result.
+    if not newest and not units_of(lot_id):
+        return
+    st.markdown(say("known_loads.what"))
+    found = list(known_loads(registry(), lot_id).values())
+    if found:
+        table([_row(one, lot, newest) for one in reversed(found)])
+    else:
+        st.caption(say("known_loads.none"))
+    st.caption(say("known_loads.line"))
+    if may(person(), "set_limit") and st.button(
+        say("known_loads.to_rules"), icon=":material/arrow_forward:", key="known-loads-rules"
+    ):
+        go_to("limits", lot=lot_id)
+    if may(person(), ACTION):
+        with st.container(border=True):
+            _bring(lot, newest)
 
 
 def _row(one: UnitLoads, lot: Lot, newest: Mapping[str, str]) -> dict[str, object]:

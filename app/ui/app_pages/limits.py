@@ -6,7 +6,7 @@ from softcal.app.batch.judging import judge_again
 from softcal.app.charts import lot as charts_lot
 from softcal.app.ui.account import actor
 from softcal.app.ui.components.rules_form import rules_form
-from softcal.app.ui.desk import ask_reason, colours, errors_in_words, in_words, instant, registry, words
+from softcal.app.ui.desk import ask_reason, colours, in_words, instant, registry, words
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.lot_memory import remembered_lot_view
 from softcal.app.ui.panels import figure_under, headline, lot_heading, table
@@ -17,28 +17,26 @@ from softcal.db.entries import LimitEntry
 
 
 def render() -> None:
-    """Draw the page."""
     say = words()
-    with errors_in_words():
-        lot_id = lot_heading("limits", registry().lot_ids())
-        if lot_id is None:
-            return
-        if done := st.session_state.pop("limit-done", ""):
-            st.success(done, icon=":material/check:")
-        view, versions = remembered_lot_view(lot_id), registry().limit_versions(lot_id)
-        left, right = st.columns(2)
-        with left, st.container(border=True):
-            _change(view, versions)
-        if not rest_may_follow():
-            return
-        with right:
-            figure_under("lot.distribution", charts_lot.predicted_errors(view, colours(), say), "limit-distribution")
-        st.header(say("limits.versions"))
-        if versions:
-            table([_row(entry, view.lot.reference_unit) for entry in reversed(versions)])
-        else:
-            st.caption(say("limits.none"))
-        rules_form(view.lot)
+    lot_id = lot_heading("limits", registry().lot_ids())
+    if lot_id is None:
+        return
+    if done := st.session_state.pop("limit-done", ""):
+        st.success(done, icon=":material/check:")
+    view, versions = remembered_lot_view(lot_id), registry().limit_versions(lot_id)
+    left, right = st.columns(2)
+    with left, st.container(border=True):
+        _change(view, versions)
+    if not rest_may_follow():
+        return
+    with right:
+        figure_under("lot.distribution", charts_lot.predicted_errors(view, colours(), say), "limit-distribution")
+    st.header(say("limits.versions"))
+    if versions:
+        table([_row(entry, view.lot.reference_unit) for entry in reversed(versions)])
+    else:
+        st.caption(say("limits.none"))
+    rules_form(view.lot)
 
 
 def _row(entry: LimitEntry, unit: str) -> dict[str, object]:

@@ -8,11 +8,11 @@ from softcal.app.charts.live import live_signal
 from softcal.app.line.facts import read_line
 from softcal.app.line.line import take_scan
 from softcal.app.ui.account import is_signed_in, person
+from softcal.app.ui.browser_memory import remember
 from softcal.app.ui.callbacks import in_one_piece
 from softcal.app.ui.components import line_card
-from softcal.app.ui.components.line_setup import line_setup
 from softcal.app.ui.components.scan_field import scan_field
-from softcal.app.ui.desk import colours, in_words, registry, words
+from softcal.app.ui.desk import choose_language, colours, in_words, registry, words
 from softcal.app.ui.line_memory import kept_runs, lot_at_line, refusal, remember_refusal, screen
 from softcal.app.ui.panels import go_to
 from softcal.app.views.line import COMMAND_OF_KEY, KEYS, LineView, away_view, line_view, note_said
@@ -26,7 +26,6 @@ IS_BUSY = "line-is-busy"
 
 
 def render() -> None:
-    """Draw the page."""
     st.html(line_card.style() + line_card.theme(colours()))
     is_busy = bool(st.session_state.get(IS_BUSY))
     st.fragment(_screen, run_every=BUSY_S if is_busy else IDLE_S)()
@@ -107,3 +106,30 @@ def _below(view: LineView) -> None:
     elif view.conditions:
         st.html(line_card.conditions_html(view, say("line.gate")))
     st.html(line_card.chips_html(view, say("line.last"), say("line.last.none")))
+
+
+def line_setup() -> None:
+    """Draw the settings."""
+    say = words()
+    choose_language()
+    try:
+        facts = read_line(registry(), screen())
+        station = _choose(say("line.setup.station"), "station", list(facts.stations), facts.station)
+        if station:
+            remember("station", station)
+            st.rerun()
+        lot = _choose(say("line.setup.lot"), "lot", list(facts.lots), facts.lot.id if facts.lot else "")
+        if lot:
+            take_scan(registry(), screen(), f"LOT:{lot}")
+            st.rerun()
+    except (RegistryError, InputError) as error:
+        st.caption(in_words(error))
+    st.caption(say("line.setup.codes"))
+
+
+def _choose(label: str, name: str, names: list[str], now: str) -> str:
+    """Return what a person chose instead of what holds now, "" where nothing was."""
+    # The key carries what is chosen now: a scan may have changed it since.
+    index = names.index(now) if now in names else None
+    chosen = st.selectbox(label, names, index, key=f"line-{name}-{now}", placeholder="–")
+    return str(chosen) if chosen and chosen != now else ""

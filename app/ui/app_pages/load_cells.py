@@ -1,40 +1,41 @@
 """What makes a station's references trustworthy: the load cells' certificates and the checks with golden units."""
 
-from datetime import UTC, datetime
+import tempfile
+from datetime import UTC, date, datetime
+from pathlib import Path
 
 import streamlit as st
 
 from softcal.app.charts.station import golden_figure
-from softcal.app.ui.account import person
-from softcal.app.ui.components.certificate_form import certificate_form
+from softcal.app.line.cell_certificate import certificate_from
+from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.components.station_run import choose_station, place
-from softcal.app.ui.desk import colours, empty, errors_in_words, in_words, registry, show_figure, words
+from softcal.app.ui.desk import colours, empty, in_words, registry, show_figure, words
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import heading, table
 from softcal.app.views.common import number
 from softcal.app.views.station import golden_units
+from softcal.core.errors import InputError
 from softcal.core.orders import OrderKind
 from softcal.db.access.people import may
 from softcal.db.entries import CellCertificate
 
 
 def render() -> None:
-    """Draw the page."""
     say = words()
-    with errors_in_words():
-        heading("load_cells")
-        if done := st.session_state.pop("cells-done", ""):
-            st.success(done, icon=":material/check:")
-        found = registry().certificates()
-        if found:
-            table([_row(entry) for entry in reversed(found)])
-        else:
-            empty(say("cells.none"), say("cells.none.how"))
-        if may(person(), "set_up"):
-            certificate_form()
-        st.header(say("golden.title"))
-        if rest_may_follow():
-            _golden()
+    heading("load_cells")
+    if done := st.session_state.pop("cells-done", ""):
+        st.success(done, icon=":material/check:")
+    found = registry().certificates()
+    if found:
+        table([_row(entry) for entry in reversed(found)])
+    else:
+        empty(say("cells.none"), say("cells.none.how"))
+    if may(person(), "set_up"):
+        certificate_form()
+    st.header(say("golden.title"))
+    if rest_may_follow():
+        _golden()
 
 
 def _row(entry: CellCertificate) -> dict[str, object]:
@@ -77,3 +78,55 @@ def _check() -> None:
     if st.button(say("golden.do"), disabled=not (station and serial), icon=":material/verified:") and station:
         if place(station, OrderKind.GOLDEN, serial):
             st.info(say("golden.ordered"), icon=":material/hourglass:")
+
+
+LARGEST_BYTES = 20_000_000
+FIRST_DAY, LAST_DAY = date(2000, 1, 1), date(2100, 1, 1)
+TEXTS = {"cell_serial": "cells.serial", "number": "cells.number", "laboratory": "cells.laboratory"}
+DAYS = {"issued_on": "cells.issued", "due_on": "cells.due"}
+FORCES = {"capacity_N": "cells.capacity", "uncertainty_N": "cells.uncertainty"}
+
+
+def certificate_form() -> None:
+    """Draw the form; a certificate that is stored appears in the list above it."""
+    say = words()
+    with st.form("certificate", border=True):
+        st.markdown(f"**{say('cells.add')}**")
+        document = st.file_uploader(say("cells.dcc"), type=["xml"])
+        st.caption(say("cells.typed"))
+        given: dict[str, object] = {}
+        columns = st.columns(4)
+        for column, (name, label) in zip(columns[:3], TEXTS.items(), strict=True):
+            given[name] = str(column.text_input(say(label), key=f"cell-{name}")).strip() or None
+        columns = st.columns(4)
+        for column, (name, label) in zip(columns[:2], DAYS.items(), strict=True):
+            given[name] = column.date_input(
+                say(label), value=None, min_value=FIRST_DAY, max_value=LAST_DAY, key=f"cell-{name}"
+            )
+        for column, (name, label) in zip(columns[2:], FORCES.items(), strict=True):
+            given[name] = column.number_input(
+                f"{say(label)} [N]", value=None, min_value=0.0, format="%.4g", key=f"cell-{name}"
+            )
+        if not st.form_submit_button(say("cells.store"), type="primary"):
+            return
+    permit("set_up")
+    try:
+        number = _store(given, None if document is None else document.getvalue())
+    except InputError as error:
+        st.error(in_words(error), icon=":material/error:")
+        return
+    st.session_state["cells-done"] = say("cells.stored", number=number)
+    st.rerun()
+
+
+def _store(given: dict[str, object], document: bytes | None) -> str:
+    if document is not None and len(document) > LARGEST_BYTES:
+        raise InputError(f"the document has {len(document)} bytes; at most {LARGEST_BYTES} are taken")
+    with tempfile.TemporaryDirectory(prefix="softcal-dcc-") as folder:
+        file = None
+        if document is not None:
+            file = Path(folder) / "certificate.xml"
+            file.write_bytes(document)
+        certificate = certificate_from(given, file)
+    registry().add_certificate(certificate, actor=actor())
+    return certificate.number

@@ -4,7 +4,7 @@ import streamlit as st
 
 from softcal.app.charts.long_term import course_figure
 from softcal.app.texts.reasons import phrase
-from softcal.app.ui.desk import choose, colours, empty, errors_in_words, instant, registry, show_figure, words
+from softcal.app.ui.desk import choose, colours, empty, instant, registry, show_figure, words
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import heading, table
 from softcal.app.views.common import number
@@ -12,30 +12,28 @@ from softcal.app.views.long_term import UnitInUseView, course, units_in_use
 
 
 def render() -> None:
-    """Draw the page."""
     say = words()
-    with errors_in_words():
-        beside = heading("long_term")
-        units = units_in_use(registry())
-        if not units:
-            empty(say("long_term.none"), say("long_term.none.how"))
-            return
-        with beside:
-            serial = choose(say("choose.unit"), [unit.serial for unit in units], "unit") or units[0].serial
-        table([_row(unit) for unit in units])
-        streams = registry().streams(serial)
-        stream = streams[0] if len(streams) == 1 else str(st.selectbox(say("long_term.stream"), streams))
-        found = course(registry(), serial, stream)
-        st.header(say("long_term.course", serial=serial))
-        if found.alarm:
-            st.warning(
-                phrase("adapt", found.alarm, say), icon=":material/notification_important:", title=say("long_term.due")
-            )
-        if not found.steps:
-            st.caption(say("long_term.no_steps"))
-            return
-        if rest_may_follow():
-            show_figure(course_figure(found, colours(), say), f"course-{serial}")
+    beside = heading("long_term")
+    units = units_in_use(registry())
+    if not units:
+        empty(say("long_term.none"), say("long_term.none.how"))
+        return
+    with beside:
+        serial = choose(say("choose.unit"), [unit.serial for unit in units], "unit") or units[0].serial
+    table([_row(unit) for unit in units])
+    streams = registry().streams(serial)
+    stream = streams[0] if len(streams) == 1 else str(st.selectbox(say("long_term.stream"), streams))
+    found = course(registry(), serial, stream)
+    st.header(say("long_term.course", serial=serial))
+    if found.alarm:
+        st.warning(
+            phrase("adapt", found.alarm, say), icon=":material/notification_important:", title=say("long_term.due")
+        )
+    if not found.steps:
+        st.caption(say("long_term.no_steps"))
+        return
+    if rest_may_follow():
+        show_figure(course_figure(found, colours(), say), f"course-{serial}")
 
 
 def _row(unit: UnitInUseView) -> dict[str, object]:

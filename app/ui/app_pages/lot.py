@@ -1,49 +1,54 @@
 """The lot at a glance: yields, errors, the process behind them, the units that need a look, the table."""
 
+from datetime import UTC, datetime
+
 import streamlit as st
 
 from softcal.app.charts import lot as charts_lot
-from softcal.app.ui.components.alerts_panel import alerts_panel
-from softcal.app.ui.components.audited_panel import audited_panel
-from softcal.app.ui.components.calibrate_again import calibrate_again
+from softcal.app.charts.audited import error_over_load, estimate_over_reference
+from softcal.app.jobs.process import start_job
+from softcal.app.ui.account import actor, permit, person
+from softcal.app.ui.callbacks import in_one_piece
+from softcal.app.ui.components.job_panel import job_panel, newest_job
 from softcal.app.ui.components.looks import looks
 from softcal.app.ui.components.lot_filter import chosen_lot_view
-from softcal.app.ui.components.lot_report import lot_report
 from softcal.app.ui.components.process_panel import capability_panel, control_panel, reasons_panel, yield_panel
 from softcal.app.ui.components.unit_table import unit_table
-from softcal.app.ui.desk import colours, empty, errors_in_words, registry, words
+from softcal.app.ui.desk import colours, empty, language, registry, words, zone
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import figure_under, headline, lot_heading, numbers
+from softcal.app.views.alerts import alerts
+from softcal.app.views.audited import AuditedView, audited_view
 from softcal.app.views.common import number, percent
 from softcal.app.views.lot import LotView
+from softcal.core.orders import RunState
+from softcal.db.access.people import may
 
 
 def render() -> None:
-    """Draw the page."""
     say = words()
-    with errors_in_words():
-        lot_id = lot_heading("lot", registry().lot_ids())
-        if lot_id is None:
-            return
-        first = st.container()
-        calibrate_again(lot_id)
-        view = chosen_lot_view(lot_id)
-        if not view.judged:
-            empty(say("empty.units"), say("empty.units.how"))
-            return
-        with first:
-            share = view.yields.first_pass
-            headline(say("lot.headline", share=percent(share.value), good=share.count, of=share.of))
-        alerts_panel(view)
-        _numbers(view)
-        if not rest_may_follow():
-            return
-        _figures(view)
-        audited_panel(view)
-        looks(view)
-        st.header(say("lot.table"))
-        unit_table(view.lot, view.chosen)
-        lot_report(view)
+    lot_id = lot_heading("lot", registry().lot_ids())
+    if lot_id is None:
+        return
+    first = st.container()
+    calibrate_again(lot_id)
+    view = chosen_lot_view(lot_id)
+    if not view.judged:
+        empty(say("empty.units"), say("empty.units.how"))
+        return
+    with first:
+        share = view.yields.first_pass
+        headline(say("lot.headline", share=percent(share.value), good=share.count, of=share.of))
+    alerts_panel(view)
+    _numbers(view)
+    if not rest_may_follow():
+        return
+    _figures(view)
+    audited_panel(view)
+    looks(view)
+    st.header(say("lot.table"))
+    unit_table(view.lot, view.chosen)
+    lot_report(view)
 
 
 def _numbers(view: LotView) -> None:
@@ -95,3 +100,86 @@ def _figures(view: LotView) -> None:
     with right:
         if view.audited:
             reasons_panel(view)
+
+
+def alerts_panel(view: LotView) -> None:
+    """Draw what should be looked at now, the urgent first."""
+    say = words()
+    for alert in alerts(registry(), view, datetime.now(UTC)):
+        draw, icon = (st.error, "report") if alert.is_urgent else (st.warning, "notifications")
+        draw(say(f"alert.{alert.kind}", **alert.values), icon=f":material/{icon}:")
+
+
+def lot_report(view: LotView) -> None:
+    """Offer the report; its bytes are made when somebody takes them."""
+    st.download_button(
+        words()("lot.report"),
+        data=lambda: _report_pdf(view),
+        file_name=f"{view.lot.id}-report.pdf",
+        mime="application/pdf",
+        icon=":material/picture_as_pdf:",
+        key="lot-report",
+        on_click=_tell_of_report,
+        args=(view.lot.id,),
+    )
+
+
+def _report_pdf(view: LotView) -> bytes:
+    from softcal.app.ui.lot_report_pdf import lot_report_pdf
+
+    return lot_report_pdf(registry(), view, language(), datetime.now(UTC).astimezone(zone()))
+
+
+@in_one_piece
+def _tell_of_report(lot_id: str) -> None:
+    registry().add_event("export", "lots", (lot_id,), {"file": "report.pdf"}, actor=actor())
+
+
+LOTS = 8
+
+
+def audited_panel(view: LotView) -> None:
+    """Draw the audited units of a lot; nothing where none was audited."""
+    found = _remembered_audits(view) if view.audited else None
+    if found is None:
+        return
+    say = words()
+    left, right = st.columns(2)
+    with left:
+        figure_under("lot.audited.estimate", estimate_over_reference(found, colours(), say), "audited-estimate")
+    with right:
+        figure_under("lot.audited.load", error_over_load(found, colours(), say), "audited-load")
+    st.caption(say("lot.audited.count", shown=len(found.units), of=found.of))
+
+
+def _remembered_audits(view: LotView) -> AuditedView | None:
+    marker = registry().change_marker(view.lot.id)
+    return _audited_view(str(registry().database.name), marker, view.lot.id, view.chosen, view)
+
+
+@st.cache_resource(max_entries=LOTS, show_spinner=False)
+def _audited_view(
+    registry_name: str, marker: str, lot_id: str, chosen: tuple[str, ...] | None, _lot: LotView
+) -> AuditedView | None:
+    return audited_view(registry(), _lot.lot, _lot.audited, _lot.limit_rmse)
+
+
+SEEN = "calibrate-seen"
+
+
+def calibrate_again(lot_id: str) -> None:
+    """Draw the button for whom the role allows it, and how far a calibration of the lot is for everybody."""
+    say = words()
+    job = newest_job("calibrate", lot=lot_id)
+    is_busy = job is not None and job.state.is_active
+    has_source = bool(registry().recordings(lot_id, kind="source"))
+    if may(person(), "set_up") and has_source and not is_busy:
+        if st.button(say("lot.again"), icon=":material/replay:", help=say("lot.again.help"), key="calibrate-again"):
+            permit("set_up")
+            st.session_state[SEEN] = start_job(registry(), "calibrate", {"lot": lot_id}, actor())
+            st.rerun()
+    if job is None or (not is_busy and st.session_state.get(SEEN) != job.job_id):
+        return
+    st.session_state[SEEN] = job.job_id
+    if job_panel(job) and job.state is RunState.DONE:
+        st.success(say("lot.again.done", new=job.result["new"], known=job.result["known"]), icon=":material/check:")

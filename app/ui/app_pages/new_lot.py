@@ -16,7 +16,7 @@ from softcal.app.texts.reasons import all_said
 from softcal.app.ui.account import actor, permit
 from softcal.app.ui.components.job_panel import job_panel, newest_job
 from softcal.app.ui.components.lot_upload import choose_columns, dropped_files, first_readable, forget_files
-from softcal.app.ui.desk import colours, errors_in_words, in_words, registry, show_figure, words
+from softcal.app.ui.desk import colours, in_words, registry, show_figure, words
 from softcal.app.ui.panels import go_to, heading, table
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
@@ -40,35 +40,33 @@ class _Facts:
 
 
 def render() -> None:
-    """Draw the page."""
     say = words()
-    with errors_in_words():
-        heading("new_lot")
-        if asked := st.session_state.get(ASKED):
-            _calibrating(asked)
-            return
-        with _step(1):
-            st.caption(say("new_lot.files.how"))
-            files = dropped_files()
-            found = first_readable(files) if files else None
-        if found is None:
-            return
-        with _step(2):
-            columns, rate_Hz = _columns(*found)
-        with _step(3):
-            facts = _facts(files, found[1], columns)
-        if not rate_Hz or not facts.name:
-            st.info(say("new_lot.missing"), icon=":material/edit:")
-            return
-        try:
-            plan = _plan(files, columns, rate_Hz, facts)
-        except InputError as error:
-            st.error(in_words(error), icon=":material/error:")
-            return
-        with _step(4):
-            usable = _expected(plan)
-        if usable is not None and st.button(say("new_lot.do"), type="primary", icon=":material/play_arrow:"):
-            _store(usable)
+    heading("new_lot")
+    if asked := st.session_state.get(ASKED):
+        _calibrating(asked)
+        return
+    with _step(1):
+        st.caption(say("new_lot.files.how"))
+        files = dropped_files()
+        found = first_readable(files) if files else None
+    if found is None:
+        return
+    with _step(2):
+        columns, rate_Hz = _columns(*found)
+    with _step(3):
+        facts = _facts(files, found[1], columns)
+    if not rate_Hz or not facts.name:
+        st.info(say("new_lot.missing"), icon=":material/edit:")
+        return
+    try:
+        plan = _plan(files, columns, rate_Hz, facts)
+    except InputError as error:
+        st.error(in_words(error), icon=":material/error:")
+        return
+    with _step(4):
+        usable = _expected(plan)
+    if usable is not None and st.button(say("new_lot.do"), type="primary", icon=":material/play_arrow:"):
+        _store(usable)
 
 
 def _step(number: int) -> st.delta_generator.DeltaGenerator:

@@ -15,7 +15,6 @@ NEW = User("", "operator", True, 0)
 
 
 def render() -> None:
-    """Draw the page."""
     say = words()
     people = registry().users()
     heading("people")

@@ -8,7 +8,7 @@ import streamlit as st
 
 from softcal.app.charts.station import profile_figure
 from softcal.app.files.profile_file import profile_toml, read_profile
-from softcal.app.ui.desk import colours, errors_in_words, show_figure, words
+from softcal.app.ui.desk import colours, show_figure, words
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import heading, numbers
 from softcal.app.views.profile import bounds
@@ -22,28 +22,24 @@ REACHED = {"depth": "reached", "speed": "speed"}
 
 
 def render() -> None:
-    """Draw the page."""
     say = words()
-    with errors_in_words():
-        with heading("profiles"):
-            name = st.selectbox(
-                say("profiles.profile"), [*BUILT_IN, FILE], format_func=lambda key: say(f"profile.{key}")
-            )
-        left, right = st.columns([1, 3])
-        with left:
-            profile = _from_file() if name == FILE else _built_in(name)
-            safety = _station()
-        if profile is None:
+    with heading("profiles"):
+        name = st.selectbox(say("profiles.profile"), [*BUILT_IN, FILE], format_func=lambda key: say(f"profile.{key}"))
+    left, right = st.columns([1, 3])
+    with left:
+        profile = _from_file() if name == FILE else _built_in(name)
+        safety = _station()
+    if profile is None:
+        return
+    with right:
+        _bounds(profile, safety)
+        if not rest_may_follow():
             return
-        with right:
-            _bounds(profile, safety)
-            if not rest_may_follow():
-                return
-            start_mm = FixtureConfig().approach_mm
-            figure = profile_figure(profile, start_mm, safety.deepest_mm, safety.speed_mm_s, colours(), say)
-            show_figure(figure, "profile")
-            file_name = f"{profile.name.replace(' ', '-').replace('/', '-')}.toml"
-            st.download_button(say("profiles.save"), profile_toml(profile), file_name, on_click="ignore")
+        start_mm = FixtureConfig().approach_mm
+        figure = profile_figure(profile, start_mm, safety.deepest_mm, safety.speed_mm_s, colours(), say)
+        show_figure(figure, "profile")
+        file_name = f"{profile.name.replace(' ', '-').replace('/', '-')}.toml"
+        st.download_button(say("profiles.save"), profile_toml(profile), file_name, on_click="ignore")
 
 
 def _built_in(name: str) -> Profile:

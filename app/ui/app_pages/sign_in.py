@@ -25,7 +25,6 @@ from softcal.db.access.people import may
 
 
 def render() -> None:
-    """Draw the page."""
     say = words()
     _, middle, _ = st.columns([1, 2, 1])
     with middle:

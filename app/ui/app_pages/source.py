@@ -5,35 +5,34 @@ import streamlit as st
 from softcal.app.charts import station as charts_station
 from softcal.app.charts import unit as charts_unit
 from softcal.app.jobs.jobs import newest_source
-from softcal.app.ui.components.lot_form import choose_or_add_lot
+from softcal.app.ui.account import actor, permit
 from softcal.app.ui.components.station_run import choose_station, newest_run, place, run_panel
-from softcal.app.ui.desk import colours, errors_in_words, in_words, instant, registry, show_figure, words
+from softcal.app.ui.desk import choose, colours, in_words, instant, registry, show_figure, words
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import go_to, heading, numbers
 from softcal.app.views.network import network_rows
 from softcal.app.views.station import source_facts
+from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.orders import OrderKind
 
 
 def render() -> None:
-    """Draw the page."""
     say = words()
-    with errors_in_words():
-        heading("source")
-        st.caption(say("source.how"))
-        with _step(1):
-            lot = choose_or_add_lot()
-        if lot is None:
-            return
-        with _step(2):
-            _press(lot)
-        if not registry().recordings(lot.id, kind="source"):
-            return
-        with _step(3):
-            _look(lot)
-        with _step(4):
-            _network(lot)
+    heading("source")
+    st.caption(say("source.how"))
+    with _step(1):
+        lot = choose_or_add_lot()
+    if lot is None:
+        return
+    with _step(2):
+        _press(lot)
+    if not registry().recordings(lot.id, kind="source"):
+        return
+    with _step(3):
+        _look(lot)
+    with _step(4):
+        _network(lot)
 
 
 def _step(number: int) -> st.delta_generator.DeltaGenerator:
@@ -85,3 +84,37 @@ def _network(lot: Lot) -> None:
         st.markdown(say("source.untrained"))
     if st.button(say("source.to_networks"), icon=":material/arrow_forward:"):
         go_to("networks", lot=lot.id)
+
+
+def choose_or_add_lot() -> Lot | None:
+    """Draw the choice and the form; None while there is no lot."""
+    say = words()
+    known = registry().lot_ids()
+    lot_id = choose(say("choose.lot"), known, "lot")
+    with st.expander(say("source.new_lot"), icon=":material/add:", expanded=not known):
+        _form()
+    return None if lot_id is None else registry().lot(lot_id)
+
+
+def _form() -> None:
+    say = words()
+    with st.form("lot", border=False):
+        left, middle, right = st.columns(3)
+        name = str(left.text_input(say("source.lot_id"), placeholder="2026-48")).strip()
+        source = str(middle.text_input(say("source.serial"), placeholder="S1")).strip()
+        model = str(right.text_input(say("source.model"), placeholder="eGaIn pad, 3 mm")).strip()
+        left, middle, right = st.columns(3)
+        quantity = str(left.text_input(say("source.quantity"), "force")).strip()
+        reference_unit = str(middle.text_input(say("source.reference_unit"), "N")).strip()
+        output_unit = str(right.text_input(say("source.output_unit"), "V")).strip()
+        rate_Hz = st.number_input(f"{say('column.rate')} [Hz]", 0.1, 100_000.0, 50.0)
+        if not st.form_submit_button(say("source.add_lot")):
+            return
+    permit("set_up")
+    try:
+        registry().add_lot(Lot(name, source, rate_Hz, model, quantity, reference_unit, output_unit), actor=actor())
+    except InputError as error:
+        st.error(in_words(error), icon=":material/error:")
+        return
+    st.query_params["lot"] = name
+    st.rerun()

@@ -5,7 +5,7 @@ import streamlit as st
 from softcal.app.jobs.process import DEMO, start_job
 from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.components.job_panel import job_panel, newest_job
-from softcal.app.ui.desk import errors_in_words, registry, words
+from softcal.app.ui.desk import registry, words
 from softcal.app.ui.panels import go_to, heading
 from softcal.core.orders import RunState
 from softcal.db.access.people import may
@@ -15,18 +15,16 @@ UNITS = 4
 
 
 def render() -> None:
-    """Draw the page."""
     say = words()
-    with errors_in_words():
-        heading("start")
-        st.markdown(say("start.why"))
-        demo, files, station = st.columns(3)
-        with demo, st.container(border=True):
-            _demo()
-        with files, st.container(border=True):
-            _way("files", "new_lot", "upload_file")
-        with station, st.container(border=True):
-            _way("station", "station", "precision_manufacturing")
+    heading("start")
+    st.markdown(say("start.why"))
+    demo, files, station = st.columns(3)
+    with demo, st.container(border=True):
+        _demo()
+    with files, st.container(border=True):
+        _way("files", "new_lot", "upload_file")
+    with station, st.container(border=True):
+        _way("station", "station", "precision_manufacturing")
 
 
 def _demo() -> None:

@@ -21,19 +21,17 @@ POLL_S = 2.0
 
 
 def render() -> None:
-    """Draw the page."""
     say = words()
-    with errors_in_words():
-        with heading("station"):
-            station = choose_station()
-        if station is not None:
-            _state(station)
-            _actions(station)
-            if not rest_may_follow():
-                return
-            _runs(station)
-        st.header(say("station.setup"))
-        rig_setup()
+    with heading("station"):
+        station = choose_station()
+    if station is not None:
+        _state(station)
+        _actions(station)
+        if not rest_may_follow():
+            return
+        _runs(station)
+    st.header(say("station.setup"))
+    rig_setup()
 
 
 @st.fragment(run_every=POLL_S)

@@ -1,20 +1,36 @@
 """One unit by serial: why its verdict is what it is, its map, its estimates, its history and its files."""
 
+from collections.abc import Mapping
+
 import streamlit as st
 from streamlit.delta_generator import DeltaGenerator
 
 from softcal.app.charts import unit as charts_unit
 from softcal.app.charts.why import HEIGHT, why_figure
+from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
+from softcal.app.export.certificates.laboratory import kept_laboratory
+from softcal.app.export.formats import writer_of
+from softcal.app.export.names import FORMATS
 from softcal.app.registry.standing import standing_of
 from softcal.app.texts.reasons import all_said, said
-from softcal.app.ui.components.unit_choice import choose_unit
-from softcal.app.ui.components.unit_files import unit_files
+from softcal.app.ui.account import actor
+from softcal.app.ui.callbacks import in_one_piece
 from softcal.app.ui.components.unit_history import unit_history, unit_recordings
-from softcal.app.ui.desk import choose, colours, empty, errors_in_words, registry, verdict_badge, words
+from softcal.app.ui.desk import (
+    choose,
+    colours,
+    empty,
+    in_full,
+    in_words,
+    registry,
+    verdict_badge,
+    words,
+)
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import figure_under, heading, numbers
 from softcal.app.views.common import number, percent
 from softcal.app.views.unit import UnitView, unit_view
+from softcal.core.errors import UnitRefused
 from softcal.db.entries import StoredCalibration
 
 TABS = ("why", "map", "estimates", "recordings", "history", "files")
@@ -27,23 +43,21 @@ TITLES = {
 
 
 def render() -> None:
-    """Draw the page."""
     say = words()
-    with errors_in_words():
-        with heading("unit"):
-            serial = choose_unit()
-        if serial is None:
-            empty(say("empty.units"), say("empty.units.how"))
-            return
-        if done := st.session_state.pop("unit-done", ""):
-            st.success(done, icon=":material/check:")
-        lots = registry().lots_of(serial)
-        lot_id = choose(say("choose.lot"), lots, "lot") if len(lots) > 1 else lots[0]
-        history = registry().history(serial, lot_id)
-        if not history:
-            _refused(serial, lot_id)
-            return
-        _revision(serial, history)
+    with heading("unit"):
+        serial = choose_unit()
+    if serial is None:
+        empty(say("empty.units"), say("empty.units.how"))
+        return
+    if done := st.session_state.pop("unit-done", ""):
+        st.success(done, icon=":material/check:")
+    lots = registry().lots_of(serial)
+    lot_id = choose(say("choose.lot"), lots, "lot") if len(lots) > 1 else lots[0]
+    history = registry().history(serial, lot_id)
+    if not history:
+        _refused(serial, lot_id)
+        return
+    _revision(serial, history)
 
 
 def _refused(serial: str, lot_id: str | None) -> None:
@@ -106,3 +120,74 @@ def _figures(place: DeltaGenerator, view: UnitView, names: tuple[str, ...]) -> N
 
 def _figure(view: UnitView, name: str) -> None:
     figure_under(TITLES[name], getattr(charts_unit, name)(view, colours(), words()), name)
+
+
+def choose_unit() -> str | None:
+    """Return the serial of the address or of the field; None where no unit has a result yet.
+
+    The serial stays in the address, so that a link leads back to it.
+    """
+    say = words()
+    asked = str(st.query_params.get("unit", ""))
+    left, right = st.columns(2, vertical_alignment="bottom")
+    text = str(left.text_input(say("unit.find"), key="unit-find", icon=":material/search:") or "").strip()
+    found = registry().find_serials(text)
+    if not found and text:
+        st.caption(say("unit.find.none", text=text))
+        found = registry().find_serials("")
+    if asked and not text and asked not in found:
+        found = [asked, *found]
+    if not found:
+        return None
+    index = found.index(asked) if asked in found else 0
+    chosen = str(right.selectbox(say("choose.unit"), found, index=index, key=f"unit-choice-{text}-{asked}"))
+    if chosen != asked:
+        st.query_params["unit"] = chosen
+    in_full(chosen)
+    return chosen
+
+
+MIMES = {"pdf": "application/pdf", "json": "application/json", "xml": "application/xml"}
+
+
+def unit_files(serial: str, lot_id: str, revision: int, is_in_use: bool) -> None:
+    """Draw the choice of a format and a button per file."""
+    say = words()
+    chosen = st.segmented_control(
+        say("unit.files.format"), FORMATS, format_func=lambda name: say(f"format.{name}"), key=f"format-{serial}"
+    )
+    if chosen is None:
+        st.caption(say("unit.files.how"))
+        return
+    try:
+        files = _files(serial, lot_id, None if is_in_use else revision, chosen)
+    except UnitRefused as error:
+        st.warning(in_words(error), icon=":material/block:")
+        return
+    with st.container(horizontal=True):
+        for name, content in files.items():
+            st.download_button(
+                f"{name}  ({_size(content)})",
+                data=content,
+                file_name=name,
+                mime=MIMES.get(name.rpartition(".")[2], "application/octet-stream"),
+                key=f"file-{revision}-{name}",
+                icon=":material/download:",
+                on_click=_tell,
+                args=(serial, lot_id, revision, name),
+            )
+
+
+def _files(serial: str, lot_id: str, revision: int | None, name: str) -> Mapping[str, bytes]:
+    options = ExportOptions(revision=revision, lot_id=lot_id, laboratory=kept_laboratory())
+    return writer_of(name)(UnitLoader(registry(), options).load(serial))
+
+
+@in_one_piece
+def _tell(serial: str, lot_id: str, revision: int, name: str) -> None:
+    facts = {"lot_id": lot_id, "revision": revision, "file": name}
+    registry().add_event("export", "units", (serial,), facts, actor=actor())
+
+
+def _size(content: bytes) -> str:
+    return f"{len(content)} B" if len(content) < 4096 else f"{len(content) / 1024:.0f} KiB"

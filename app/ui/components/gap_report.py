@@ -127,7 +127,7 @@ def _why(report: Report) -> None:
     _rows(cause_rows(report, say), "gap.why.none")
     for group in ambiguous_groups(report, say):
         st.warning(say("gap.ambiguous", group=group), icon=":material/call_split:")
-    _figure(gap_figures.ranking_figure(report, SHOWN_CAUSES, say), "ranking")
+    _figure(gap_figures.ranking_figure(report, SHOWN_CAUSES, say, colours()), "ranking")
 
 
 def _gain(report: Report) -> None:
@@ -135,8 +135,8 @@ def _gain(report: Report) -> None:
     left, right = st.columns(2)
     with left:
         st.header(say("gap.gain"))
-        _figure(gap_figures.gain_figure(report, say), "gain")
-    figure = gap_figures.hidden_figure(report, say)
+        _figure(gap_figures.gain_figure(report, say, colours()), "gain")
+    figure = gap_figures.hidden_figure(report, say, colours())
     with right:
         st.header(say("gap.sure"))
         if hidden := hidden_effects(report, say):
@@ -201,7 +201,7 @@ def _runs(runs: list[gap_figures.RunView]) -> None:
     say = words()
     with st.expander(say("gap.runs"), icon=":material/show_chart:"):
         for channel, name in gap_figures.CHANNELS.items():
-            figure = gap_figures.trace_figure(runs, channel, say)
+            figure = gap_figures.trace_figure(runs, channel, say, colours())
             if figure is not None:
                 st.subheader(begun(say("gap.figure.trace", channel=channel_name(name, say))))
                 _figure(figure, f"trace-{channel}")

@@ -3,7 +3,7 @@
 import streamlit as st
 
 from softcal.app.charts import lot as charts_lot
-from softcal.app.charts.lot_yield import yield_figure
+from softcal.app.charts.lot import yield_figure
 from softcal.app.ui.desk import colours, in_words, words
 from softcal.app.ui.panels import figure_under, numbers
 from softcal.app.views.common import number

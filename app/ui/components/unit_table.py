@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import streamlit as st
 
@@ -45,7 +44,12 @@ def unit_table(lot: Lot, serials: Serials = None) -> None:
     if not units:
         st.caption(say("lot.table.none"))
         return
-    columns = {say(f"column.{name}"): _error_column(name, lot.reference_unit) for name in NUMBERS}
+    columns = {
+        say(f"column.{name}"): st.column_config.NumberColumn(
+            f"{words()(f'column.{name}')} [{lot.reference_unit}]", format="%.4g"
+        )
+        for name in NUMBERS
+    }
     chosen = table_to_choose([row(unit) for unit in units], f"units-{lot.id}", columns)
     left, right = st.columns([3, 2], vertical_alignment="center")
     with left:
@@ -87,10 +91,6 @@ def _filter(lot_id: str) -> UnitFilter:
     return UnitFilter(
         tuple(verdicts), str(text or "").strip(), sort, sort in ("predicted_rmse", "after_rmse", "made_at")
     )
-
-
-def _error_column(name: str, unit: str) -> Any:
-    return st.column_config.NumberColumn(f"{words()(f'column.{name}')} [{unit}]", format="%.4g")
 
 
 def _export(lot: Lot, serials: Serials) -> None:

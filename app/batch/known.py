@@ -1,0 +1,138 @@
+"""What the registry knows that a lot's units are calibrated with, and where their results go."""
+
+import json
+from collections.abc import Collection, Sequence
+from typing import Any
+
+from softcal.app.batch.calibrating import Known, LotFacts, Refusal, Result, UnitFacts
+from softcal.app.registry.audits import audit_of, newest_audits
+from softcal.app.registry.golden import golden_of
+from softcal.app.registry.known_loads import known_loads
+from softcal.app.registry.reference import lot_reference
+from softcal.core.errors import InputError
+from softcal.core.lot import Lot
+from softcal.core.maps.interface import Anchors
+from softcal.core.network.config import NetworkConfig
+from softcal.core.unit.line_spread import LineSpread
+from softcal.core.unit.source_model import SourceModel
+from softcal.core.unit.verdict import default_limit, stated_limit
+from softcal.db.entries import NetworkEntry
+from softcal.db.registry import Registry
+
+LINE, SOURCES = "line_spread", "lot_sources"
+
+
+def state_line(registry: Registry, lot_id: str, line: LineSpread | None, actor: str | None = None) -> None:
+    """Keep how differently a line presses units, where a lot folder states it anew."""
+    if line is not None and line != stated_line(registry, lot_id):
+        registry.add_event("state", LINE, (lot_id,), line.to_json(), reason="stated with the lot", actor=actor)
+
+
+def stated_line(registry: Registry, lot_id: str) -> LineSpread | None:
+    """Return what was stated last for a lot; None where nothing was."""
+    told = registry.events(LINE, (lot_id,))
+    return LineSpread.of(json.loads(told[-1].after or "{}")) if told else None
+
+
+def state_sources(registry: Registry, lot_id: str, networks: Sequence[str], actor: str | None = None) -> None:
+    """Keep the networks of the further sources that a lot folder names, where they are others than before."""
+    if list(networks) != stated_sources(registry, lot_id):
+        registry.add_event("state", SOURCES, (lot_id,), {"networks": list(networks)}, actor=actor)
+
+
+def stated_sources(registry: Registry, lot_id: str) -> list[str]:
+    """Return the networks of a lot's further sources, in its order; empty where it has its own source alone."""
+    told = registry.events(SOURCES, (lot_id,))
+    networks: list[str] = json.loads(told[-1].after or "{}")["networks"] if told else []
+    return networks
+
+
+def config_of(network: NetworkEntry) -> NetworkConfig:
+    """Return how a network was trained, so that others are trained alike; the usual way where it does not say."""
+    config = network.training.get("config")
+    if not isinstance(config, dict):
+        return NetworkConfig()
+    given: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in config.items()}
+    try:
+        return NetworkConfig(**given)
+    except TypeError:
+        return NetworkConfig()
+
+
+def lot_facts(
+    registry: Registry, lot: Lot, sources: Sequence[SourceModel], own: NetworkConfig | None = None
+) -> LotFacts:
+    """Return what the registry states of a lot, for its units as these sources see them; golden runs are not read."""
+    limit = stated_limit(lot.reference_unit, lot.limit_rmse)
+    if limit is None and len(sources) > 1:
+        # One limit for all units, whichever source they take: a noisier source must not widen it.
+        limit = default_limit(lot.reference_unit, sources[0].held_out_rmse, sources[0].method.decision)
+    line, reference = stated_line(registry, lot.id), lot_reference(registry, lot.id)
+    return LotFacts(tuple(sources), limit, own, line, reference)
+
+
+class KeptFacts:
+    """What the registry has about units of a lot.
+
+    Attributes:
+        loads: known loads by serial and recording.
+        golden: golden runs by serial and recording.
+        audits: the newest audit by serial.
+    """
+
+    def __init__(self, registry: Registry, lot_id: str, serials: Collection[str]) -> None:
+        self._registry = registry
+        self.loads: dict[str, dict[str, Anchors]] = {}
+        self.golden: dict[str, dict[str, str]] = {}
+        for sha256, loads in known_loads(registry, lot_id, serials).items():
+            self.loads.setdefault(loads.serial, {})[sha256] = loads.loads
+        for sha256, (serial, golden) in golden_of(registry, lot_id, serials).items():
+            self.golden.setdefault(serial, {})[sha256] = golden
+        only = next(iter(serials)) if len(serials) == 1 else None
+        self.audits = newest_audits(registry, lot_id, only)
+
+    @property
+    def golden_runs(self) -> list[str]:
+        """Hashes of the golden runs that recordings of these units belong to."""
+        return [sha256 for of in self.golden.values() for sha256 in of.values()]
+
+    def of(self, serial: str, anchors: Anchors | None = None) -> UnitFacts:
+        """Return what is known of a unit; its audit is read.
+
+        Args:
+            anchors: known loads that somebody brought with its recording.
+        """
+        audit = audit_of(self._registry, self.audits.get(serial))
+        return UnitFacts(anchors, self.loads.get(serial, {}), self.golden.get(serial, {}), audit)
+
+
+def keep_result(
+    registry: Registry,
+    lot_id: str,
+    serial: str,
+    result: Result,
+    by: str,
+    *,
+    actor: str | None = None,
+    reason: str = "",
+    work_sha256: str | None = None,
+) -> None:
+    """Put what became of a unit into use.
+
+    Args:
+        by: who asks: batch or line.
+        reason: why a new calibration was made, for the audit trail.
+        work_sha256: hash of the files and settings it answers, to be found again without reading the files.
+
+    Raises:
+        InputError: a calibration that was known is there no more, or a value cannot be stored.
+    """
+    if isinstance(result, Refusal):
+        why = (result.reason,)
+        registry.add_refusal(lot_id, serial, str(result.verdict), why, actor=actor, work_sha256=work_sha256)
+    elif isinstance(result, Known):
+        asked = {"actor": actor, "work_sha256": work_sha256}
+        if not registry.put_in_use(lot_id, serial, result.input_sha256, by, **asked):
+            raise InputError(f"{serial}: its calibration vanished from the registry; run `registry verify`")
+    else:
+        registry.add_calibration(lot_id, result, actor, reason, decided_by=by, work_sha256=work_sha256)

@@ -1,0 +1,92 @@
+"""TOML files that people write, into tables and dataclasses; every error names file, section and key."""
+
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import MISSING, fields
+from datetime import date
+from difflib import get_close_matches
+from pathlib import Path
+from types import UnionType
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+
+from softcal.app.files.regular import read_regular
+from softcal.core.errors import InputError
+
+Section = TypeVar("Section")
+
+MOST_BYTES = 1_000_000
+"""What people write by hand has some ten lines."""
+
+WANTED = {float: "a number", date: "a date such as 2026-01-31"}
+
+
+def read_toml(path: Path, hint: str = "", folder: Path | None = None) -> dict[str, Any]:
+    """Return the tables of a file.
+
+    Args:
+        hint: what to do where there is no such file.
+        folder: a link is followed inside it only; None follows it everywhere.
+
+    Raises:
+        InputError: it cannot be read, or is no TOML.
+    """
+    if not path.exists():
+        raise InputError(f"{path}: there is no such file{hint and f'; {hint}'}")
+    try:
+        return tomllib.loads(read_regular(path, folder or path.resolve().parent, MOST_BYTES).decode())
+    # A thousand brackets inside one another are no table of anybody's.
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from error
+
+
+def read_section(where: str, kind: type[Section], table: object, folder: Path = Path()) -> Section:
+    """Return a dataclass from a table of its fields.
+
+    Args:
+        where: file and section, for errors.
+        folder: where files that are named lie.
+
+    Raises:
+        InputError: it is no table, a key is unknown or missing, or a value is not what its field holds.
+    """
+    if not isinstance(table, Mapping):
+        raise InputError(f"{where}: must be a section")
+    known = {field.name: field for field in fields(kind)}  # type: ignore[arg-type]
+    check_known(where, table, tuple(known))
+    if missing := [n for n, f in known.items() if f.default is MISSING and n not in table]:
+        raise InputError(f"{where} lacks {missing[0]}")
+    hints = get_type_hints(kind)
+    try:
+        return kind(**{key: typed(key, hints[key], value, folder) for key, value in table.items()})
+    except InputError as error:
+        raise InputError(f"{where} {error}") from error
+
+
+def typed(key: str, hint: Any, value: object, folder: Path = Path()) -> Any:
+    """Return a value of TOML as its field wants it; a file is looked for beside the file that names it.
+
+    Raises:
+        InputError: it is something else.
+    """
+    wanted = next(part for part in get_args(hint) if part is not type(None)) if isinstance(hint, UnionType) else hint
+    if get_origin(wanted) is tuple:
+        if isinstance(value, list) and all(isinstance(part, str) for part in value):
+            return tuple(value)
+        raise InputError(f"{key} is {value!r}; a list of texts was expected")
+    if wanted is Path and isinstance(value, str):
+        return folder / value
+    if wanted is float and isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value)
+    # A date with a time is a date, too, and a text of nothing says nothing.
+    if wanted in (date, str) and type(value) is wanted and str(value).strip():
+        return value
+    raise InputError(f"{key} is {value!r}; {WANTED.get(wanted, 'a text')} was expected")
+
+
+def check_known(where: str, names: Iterable[str], known: tuple[str, ...]) -> None:
+    """Raise `InputError` at a name that is none of the known ones."""
+    for name in names:
+        if name not in known:
+            near = get_close_matches(name, known, n=1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise InputError(f"{where}: {name!r} is unknown; known: {', '.join(known)}{hint}")

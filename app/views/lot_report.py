@@ -1,0 +1,98 @@
+"""What the report of a lot says; the page to take along and the PDF are two forms of it. No Streamlit."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from softcal.app.texts.reasons import Words, all_said, plainly
+from softcal.app.views.common import limit_said, number, percent
+from softcal.app.views.lot import LotView
+from softcal.app.views.lot_runs import DESK
+from softcal.core.quality.yields import Share
+from softcal.db.entries import UnitEntry
+
+MOST_ROWS = 40
+"""Rows of a table about some of the units; the registry has all."""
+
+
+@dataclass(frozen=True)
+class ReportPart:
+    """A section of the report.
+
+    Args:
+        title: above it.
+        picture: the picture that says the same: errors, process, reasons or scores; "" for none.
+        header, rows: its table; empty where a picture alone says it.
+        shares: of the page's width, by column.
+    """
+
+    title: str
+    picture: str = ""
+    header: Sequence[str] = ()
+    rows: Sequence[Sequence[str]] = ()
+    shares: Sequence[float] = ()
+
+
+def report_facts(view: LotView, words: Words) -> list[tuple[str, str]]:
+    """Return the numbers at the top, by name."""
+    counts = ", ".join(f"{count} {words(f'verdict.{word}')}" for word, count in view.counts.items() if count)
+    facts = [
+        (words("source.model"), view.lot.sensor_model or "–"),
+        (words("lot.units"), f"{view.judged} / {view.total}: {counts}"),
+        (words("lot.first_pass"), _said(view.yields.first_pass)),
+        (words("lot.yield"), _said(view.yields.last_pass)),
+        (words("lot.predicted"), number(view.median_predicted, view.lot.reference_unit)),
+        (words("lot.limit"), limit_said(view.limit, words)),
+        (words("lot.audited"), str(len(view.audited))),
+    ]
+    chosen = view.chosen
+    return facts if chosen is None else [*facts, (words("lot.filter"), words("report.filtered", count=len(chosen)))]
+
+
+def report_parts(view: LotView, units: Sequence[UnitEntry], title: str, words: Words) -> Iterator[ReportPart]:
+    """Give the sections from top to bottom.
+
+    Args:
+        units: those to list one by one, under `title`.
+    """
+    count, unit = words("chart.count"), view.lot.reference_unit
+    named = [words("column.serial"), words("column.verdict")]
+    errors = [f"{words(f'column.{name}')}, {unit}" for name in ("predicted", "before", "after", "own")]
+    yield ReportPart(words("lot.distribution"), "errors")
+    if len(view.days) + len(view.stations) > 0:
+        rows = [
+            (
+                words(f"lot.yield.{kind}"),
+                one.name if one.name != DESK else words("lot.yield.desk"),
+                _said(one.share),
+                f"{one.share.count} / {one.share.of}",
+            )
+            for kind, found in (("days", view.days), ("stations", view.stations), ("operators", view.operators))
+            for one in found[-MOST_ROWS:]
+        ]
+        yield ReportPart(
+            words("report.yields"), "", ("", "", words("lot.first_pass"), count), rows, (0.34, *[0.22] * 3)
+        )
+    if view.process.chart is not None:
+        yield ReportPart(words("lot.process"), "process")
+    if view.reasons:
+        why = [(plainly(reason, words), str(number)) for reason, number in view.reasons]
+        yield ReportPart(words("lot.reasons"), "reasons", (words("column.reasons"), count), why, (0.86, 0.14))
+    if view.audited:
+        worst = sorted(view.audited, key=lambda row: -(row.after_rmse or 0.0))[:MOST_ROWS]
+        scored = [(row.serial, words(f"verdict.{row.verdict}"), *(number(value) for value in row[2:])) for row in worst]
+        yield ReportPart(words("lot.scores"), "scores", [*named, *errors], scored, (0.2, *[0.16] * 5))
+    if units:
+        header = [*named, *errors, words("column.family"), words("column.reasons")]
+        shares = (0.12, 0.12, *[0.08] * 4, 0.1, 0.34)
+        yield ReportPart(title, "", header, [_unit_row(one, words) for one in units], shares)
+
+
+def _unit_row(one: UnitEntry, words: Words) -> list[str]:
+    errors = (one.predicted_rmse, one.before_rmse, one.after_rmse, one.own_rmse)
+    verdict, why = words(f"verdict.{one.verdict or 'none'}"), all_said(one.reasons, words)
+    return [one.serial, verdict, *map(number, errors), one.family or "–", why]
+
+
+def _said(share: Share) -> str:
+    low, high = share.interval
+    return f"{percent(share.value)} ({percent(low)} – {percent(high)})"
