@@ -15,21 +15,20 @@ from softcal.app.charts.gap import (
     trace_figure,
 )
 from softcal.app.charts.page import document, figures, section, table
-from softcal.app.texts.reasons import Words, phrase
+from softcal.app.texts.reasons import Words
 from softcal.app.views.gap import (
     LIKELY,
     begun,
+    cause_rows,
     channel_name,
     effect_name,
     listed,
     mistake_rows,
-    parameter_name,
-    place_words,
+    named_causes,
+    place_rows,
     pressed_name,
-    ranked,
     residual_rows,
     stage_name,
-    unit_name,
     why_next,
 )
 
@@ -64,13 +63,16 @@ def gap_page(report: Mapping[str, Any], runs: Sequence[RunView], serial: str, sa
     """
     parts = [_headline(report, serial, say)]
     if report["verdict"] == "data":
-        parts += [section(say("gap.data"), _mistakes(report, say)), section(say("gap.runs.plain"), *_traces(runs, say))]
+        mistakes = _rows(mistake_rows(report, say), "gap.data", say)
+        parts += [section(say("gap.data"), mistakes), section(say("gap.runs.plain"), *_traces(runs, say))]
     else:
+        places = _rows(place_rows(report, say), "gap.where.none", say)
         ranking = figures(ranking_figure(report, SHOWN_CAUSES, say))
+        causes = _rows(cause_rows(report, say)[:SHOWN_CAUSES], "gap.why.none", say)
         maps = figures(*(map_figure(runs, channel, say) for channel in CHANNELS))
         parts += [
-            section(say("gap.where"), chain_svg(report, say), _places(report["where"], say), maps),
-            section(say("gap.why"), ranking, _causes(report, say), _ambiguity(report, say)),
+            section(say("gap.where"), chain_svg(report, say), places, maps),
+            section(say("gap.why"), ranking, causes, _ambiguity(report, say)),
             section(say("gap.gain"), _gain_words(report, say), figures(gain_figure(report, say))),
             section(say("gap.sure"), _hidden_words(report, say), figures(hidden_figure(report, say))),
             *_left(report, say),
@@ -85,10 +87,6 @@ def _left(report: Mapping[str, Any], say: Words) -> Iterable[str]:
     found = report.get("residual")
     if not found:
         return ()
-    rows = [
-        (escape(row["term"]), escape(row["error"]), _percent(term["chosen"]))
-        for row, term in zip(residual_rows(report, say), found["terms"], strict=True)
-    ]
     words = [
         _told(say, "gap.left.is", **{name: _percent(found["shrink"][name]) for name in ("held_out", "low", "high")})
     ]
@@ -96,14 +94,23 @@ def _left(report: Mapping[str, Any], say: Words) -> Iterable[str]:
         causes = _effects(found["beside"], say)
         words.append(_told(say, "gap.left.beside", causes=causes, without=_percent(found["without"])))
     words.append(_told(say, "gap.left.span", load_N=f"{found['load_N']:.3g}", depth_mm=f"{found['depth_mm']:.3g}"))
-    rows_shown = table([say(f"gap.column.{name}") for name in ("term", "error", "chosen")], rows)
-    return (section(say("gap.left"), f"<p>{' '.join(words)}</p>", rows_shown),)
+    rows = _rows(residual_rows(report, say), "gap.left", say)
+    return (section(say("gap.left"), f"<p>{' '.join(words)}</p>", rows),)
 
 
-def _mistakes(report: Mapping[str, Any], say: Words) -> str:
-    rows = [[escape(cell) for cell in row.values()] for row in mistake_rows(report, say)]
-    header = [say(f"gap.column.{name}") for name in ("mistake", "channel", "runs", "evidence", "repair")]
-    return table(header, rows)
+def _rows(rows: Sequence[Mapping[str, str]], otherwise: str, say: Words) -> str:
+    if not rows:
+        return f"<p>{_told(say, otherwise)}</p>"
+    return table(
+        [say(f"gap.column.{name}") for name in rows[0]], [[_cell(*cell) for cell in row.items()] for row in rows]
+    )
+
+
+def _cell(name: str, told: str) -> str:
+    if name != "share":
+        return escape(told)
+    width = told.strip("<> ").replace(" ", "")
+    return f"<div class='bar'><i style='width:{width}'></i><span>{escape(told)}</span></div>"
 
 
 def _told(say: Words, key: str, **values: str) -> str:
@@ -124,8 +131,7 @@ def _traces(runs: Sequence[RunView], say: Words) -> Iterable[str]:
 
 
 def _headline(report: Mapping[str, Any], serial: str, say: Words) -> str:
-    named = [cause for cause in report["causes"] if cause["probability"] >= 0.5]
-    causes = ", ".join(f"**{effect_name(c['effect'], say)}** ({_percent(c['probability'])})" for c in named)
+    causes = ", ".join(f"**{cause}**" for cause in named_causes(report, say))
     lines = [
         f"<p class='unit'>{_told(say, 'gap.page.unit', serial=serial)}</p>",
         f"<h1 class='{escape(report['verdict'])}'>{_told(say, 'gap.verdict.' + report['verdict'])}</h1>",
@@ -227,50 +233,6 @@ def _box(stage: str, x: int, y: int, share: float, unseen: Sequence[str], say: W
         f"<text x='{x + 73}' y='{y + 26}' text-anchor='middle' fill='{ink}' font-weight='600'>{name}</text>"
         f"<text x='{x + 73}' y='{y + 46}' text-anchor='middle' fill='{ink}'>{escape(label)}</text></g>"
     )
-
-
-def _places(places: Sequence[Mapping[str, Any]], say: Words) -> str:
-    if not places:
-        return f"<p>{_told(say, 'gap.where.none')}</p>"
-    rows = []
-    for place in places:
-        words = {name: escape(said) for name, said in place_words(place, say).items()}
-        share = _bar(float(place["share"]))
-        rows.append((words["stage"], words["channel"], words["regime"], share, words["detail"]))
-    return table([say(f"gap.column.{name}") for name in ("stage", "channel", "regime", "share", "detail")], rows)
-
-
-def _bar(share: float) -> str:
-    width = 100 * min(1.0, max(0.0, share))
-    return f"<div class='bar'><i style='width:{width:.0f}%'></i><span>{_percent(share)}</span></div>"
-
-
-def _causes(report: Mapping[str, Any], say: Words) -> str:
-    likely = [cause for cause in ranked(report) if cause["probability"] >= LIKELY][:SHOWN_CAUSES]
-    if not likely:
-        return f"<p>{_told(say, 'gap.why.none')}</p>"
-    rows = [
-        (
-            escape(effect_name(cause["effect"], say)),
-            _percent(cause["probability"]),
-            _percent(cause["shrink"]),
-            "<br>".join([*(_parameter(n, v, say) for n, v in cause["parameters"].items()), *_form(cause, say)]),
-        )
-        for cause in likely
-    ]
-    return table([say(f"gap.column.{name}") for name in ("effect", "probability", "shrink", "values")], rows)
-
-
-def _form(cause: Mapping[str, Any], say: Words) -> Iterable[str]:
-    return (_told(say, "gap.form", form=phrase("gap.form", cause["form"], say)),) if cause.get("form") else ()
-
-
-def _parameter(name: str, fitted: Mapping[str, Any], say: Words) -> str:
-    ends = [fitted.get("low"), fitted.get("high")]
-    low, high = ("" if end is None else f"{end:.3g}" for end in ends)
-    interval = f" ({say('gap.range', low=low, high=high)})" if None not in ends else ""
-    value = "–" if fitted.get("value") is None else f"{fitted['value']:.4g}"
-    return escape(f"{parameter_name(name, say)} = {value} {unit_name(fitted, say)}{interval}")
 
 
 def _ambiguity(report: Mapping[str, Any], say: Words) -> str:

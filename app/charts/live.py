@@ -9,11 +9,18 @@ from softcal.app.texts.reasons import Words
 from softcal.core.orders import Signal
 
 
-def live_signal(signal: Signal, colours: Palette, words: Words) -> dict[str, Any]:
-    """Return the option that draws output and stage position over the time of the run."""
+def live_signal(signal: Signal, colours: Palette, words: Words, has_force: bool = False) -> dict[str, Any]:
+    """Return the option that draws the output over the time of the run, and the stage position.
+
+    Args:
+        has_force: draw the force in place of the stage position, where it is measured.
+    """
     output, stage = f"{words('chart.output')} [{signal.output_unit}]", f"{words('chart.stage')} [mm]"
+    beside = signal.stage_mm
+    if has_force and signal.force_N:
+        stage, beside = f"{words('chart.force')} [N]", signal.force_N
     # Not a data frame: turning one into the same bytes costs ten times as much, at every look.
-    table = pyarrow.table({"t_s": signal.t_s, output: signal.output, stage: signal.stage_mm})
+    table = pyarrow.table({"t_s": signal.t_s, output: signal.output, stage: beside})
     return {
         "animation": False,
         "backgroundColor": "transparent",

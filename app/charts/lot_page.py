@@ -27,7 +27,7 @@ def lot_page(view: LotView, units: Sequence[UnitEntry], words: Words, made: str)
         made: when and with what it was made, in words.
     """
     facts = report_facts(view, words)
-    told = "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in facts)
+    told = "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in facts.items())
     head = f"<header><h1>{escape(view.lot.id)}</h1><dl>{told}</dl><p>{escape(made)}</p></header>"
     parts = [
         section(part.title, _picture(part, view, words) or _table(part))

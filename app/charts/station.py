@@ -1,4 +1,4 @@
-"""Profiles, source recordings and golden units into Plotly figures, the live signal into ECharts options."""
+"""Profiles, source recordings and golden units into Plotly figures."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,7 +11,6 @@ from softcal.app.charts.palette import Palette
 from softcal.app.charts.style import coloured, level_line, styled
 from softcal.app.texts.reasons import Words
 from softcal.app.views.profile import course
-from softcal.core.orders import Signal
 from softcal.core.profiles import Profile
 from softcal.core.quality.control_chart import ControlChart
 from softcal.db.entries import GoldenRun
@@ -57,45 +56,6 @@ def golden_figure(runs: Sequence[GoldenRun], chart: ControlChart | None, colours
     # Numbers, for the names of months would be English in every language.
     figure.update_xaxes(tickformat="%Y-%m-%d", nticks=6)
     return styled(figure, colours, words("column.made"), f"{words('chart.error')} [{runs[0].unit}]", 280)
-
-
-def live_spec(signal: Signal, words: Words) -> dict[str, Any]:
-    """Return the live signal of a run as ECharts options: drawn in place at each update."""
-    rows = [("output", signal.output_unit, signal.output)]
-    rows += [("force", "N", signal.force_N)] if signal.force_N else [("stage", "mm", signal.stage_mm)]
-    height = 100 / len(rows)
-    return {
-        "animation": False,
-        "grid": [
-            {"left": 70, "right": 20, "top": f"{6 + k * height}%", "height": f"{height - 18}%"}
-            for k in range(len(rows))
-        ],
-        "xAxis": [
-            {"type": "value", "gridIndex": k, "name": words("chart.time"), "nameLocation": "middle", "nameGap": 24}
-            for k in range(len(rows))
-        ],
-        "yAxis": [
-            {
-                "type": "value",
-                "gridIndex": k,
-                "scale": True,
-                "name": f"{words(f'chart.{name}')} [{unit}]",
-                "nameLocation": "middle",
-                "nameGap": 48,
-            }
-            for k, (name, unit, _) in enumerate(rows)
-        ],
-        "series": [
-            {
-                "type": "line",
-                "showSymbol": False,
-                "xAxisIndex": k,
-                "yAxisIndex": k,
-                "data": np.column_stack([signal.t_s, values]).round(6).tolist(),
-            }
-            for k, (_, _, values) in enumerate(rows)
-        ],
-    }
 
 
 def source_curve(reference: Any, output: Any, units: tuple[str, str], colours: Palette, words: Words) -> go.Figure:

@@ -52,7 +52,11 @@ def lot_report_pdf(registry: Registry, view: LotView, language: str = "en", made
         made_on=now.date(),
         numbering=say("report.page", number="{number}", count="{count}"),
     )
-    story = [Paragraph(marked_up(title), style(18, BOLD)), Spacer(1, 3 * mm), facts_table(report_facts(view, say))]
+    story = [
+        Paragraph(marked_up(title), style(18, BOLD)),
+        Spacer(1, 3 * mm),
+        facts_table(list(report_facts(view, say).items())),
+    ]
     listed = say("report.bad", shown=len(bad.units), of=bad.total)
     for part in report_parts(view, bad.units, listed, say):
         story += section(part.title, _picture(part, view, say) or _table(part))

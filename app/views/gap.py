@@ -3,7 +3,7 @@
 Every function takes the words of the screen. A name that has none, as of a plug-in's own effect, is shown as it is.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from softcal.app.texts.reasons import Words, phrase, said
@@ -72,7 +72,7 @@ def cause_rows(report: Report, say: Words) -> list[dict[str, str]]:
             "stage": stage_name(str(cause.get("stage", "")), say),
             "probability": percent(cause["probability"]),
             "shrink": percent(cause["shrink"]),
-            "values": "; ".join(_value(name, fitted, say) for name, fitted in cause["parameters"].items()),
+            "values": "; ".join(_values(cause, say)),
         }
         for cause in ranked(report)
         if cause["probability"] >= LIKELY
@@ -94,21 +94,13 @@ def residual_rows(report: Report, say: Words) -> list[dict[str, str]]:
 
 def place_rows(report: Report, say: Words) -> list[dict[str, str]]:
     """Return one row per place where the gap shows, the largest share first."""
-    places = sorted(report["where"], key=lambda place: -float(place["share"]))
-    columns = ("stage", "channel", "regime", "share", "detail")
-    rows = [place_words(place, say) | {"share": percent(float(place["share"]))} for place in places]
-    return [{column: row[column] for column in columns} for row in rows]
-
-
-def place_words(place: Mapping[str, Any], say: Words) -> dict[str, str]:
-    """Return one place where the gap shows in words: stage, channel, regime and what is seen."""
-    regime, detail = _kept(place, ("regime", "detail"), say)
-    return {
-        "stage": stage_name(place["stage"], say),
-        "channel": channel_name(str(place["channel"]), say),
-        "regime": regime,
-        "detail": detail,
-    }
+    rows = []
+    for place in sorted(report["where"], key=lambda place: -float(place["share"])):
+        regime, detail = _kept(place, ("regime", "detail"), say)
+        names = stage_name(place["stage"], say), channel_name(str(place["channel"]), say), regime
+        told = (*names, percent(float(place["share"])), detail)
+        rows.append(dict(zip(("stage", "channel", "regime", "share", "detail"), told, strict=True)))
+    return rows
 
 
 def mistake_rows(report: Report, say: Words) -> list[dict[str, str]]:
@@ -152,16 +144,6 @@ def why_next(experiment: Mapping[str, Any], say: Words) -> str:
     return why
 
 
-def parameter_name(name: str, say: Words) -> str:
-    """Return how a parameter of an effect is written."""
-    return phrase("gap.parameter", name, say)
-
-
-def unit_name(fitted: Mapping[str, Any], say: Words) -> str:
-    """Return the unit of a fitted parameter, empty where it has none."""
-    return phrase("gap.unit", str(fitted["unit"]), say) if fitted.get("unit") else ""
-
-
 def ranked(report: Report) -> Sequence[Mapping[str, Any]]:
     """Return the causes, the likeliest first."""
     return sorted(report["causes"], key=lambda cause: -cause["probability"])
@@ -172,10 +154,12 @@ def _kept(entry: Mapping[str, Any], names: Sequence[str], say: Words) -> list[st
     return [said(Reason.of(one), say) for one in entry.get("reasons") or [entry.get(name) or "" for name in names]]
 
 
-def _value(name: str, fitted: Mapping[str, Any], say: Words) -> str:
-    name = parameter_name(name, say)
-    if fitted.get("value") is None:
-        return f"{name} –"
-    known = fitted.get("low") is not None and fitted.get("high") is not None
-    interval = f" ({fitted['low']:.3g} … {fitted['high']:.3g})" if known else ""
-    return f"{name} = {fitted['value']:.3g}{interval} {unit_name(fitted, say)}".rstrip()
+def _values(cause: Mapping[str, Any], say: Words) -> Iterator[str]:
+    for name, fitted in cause["parameters"].items():
+        low, high = (fitted.get(end) for end in ("low", "high"))
+        unit = phrase("gap.unit", str(fitted["unit"]), say) if fitted.get("unit") else ""
+        value = "–" if fitted.get("value") is None else f"{fitted['value']:.4g}"
+        interval = "" if None in (low, high) else f" ({say('gap.range', low=f'{low:.3g}', high=f'{high:.3g}')})"
+        yield f"{phrase('gap.parameter', name, say)} = {value}{interval} {unit}".rstrip()
+    if cause.get("form"):
+        yield say("gap.form", form=phrase("gap.form", cause["form"], say))

@@ -1,4 +1,4 @@
-"""What the report of a lot says; the page to take along and the PDF are two forms of it. No Streamlit."""
+"""What is told of a lot: its report, of which page and PDF are two forms, and lots side by side. No Streamlit."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -12,6 +12,10 @@ from softcal.db.entries import UnitEntry
 
 MOST_ROWS = 40
 """Rows of a table about some of the units; the registry has all."""
+
+
+MOST_LOTS = 6
+"""So many stand side by side."""
 
 
 @dataclass(frozen=True)
@@ -32,20 +36,33 @@ class ReportPart:
     shares: Sequence[float] = ()
 
 
-def report_facts(view: LotView, words: Words) -> list[tuple[str, str]]:
-    """Return the numbers at the top, by name."""
-    counts = ", ".join(f"{count} {words(f'verdict.{word}')}" for word, count in view.counts.items() if count)
-    facts = [
-        (words("source.model"), view.lot.sensor_model or "–"),
-        (words("lot.units"), f"{view.judged} / {view.total}: {counts}"),
-        (words("lot.first_pass"), _said(view.yields.first_pass)),
-        (words("lot.yield"), _said(view.yields.last_pass)),
-        (words("lot.predicted"), number(view.median_predicted, view.lot.reference_unit)),
-        (words("lot.limit"), limit_said(view.limit, words)),
-        (words("lot.audited"), str(len(view.audited))),
-    ]
-    chosen = view.chosen
-    return facts if chosen is None else [*facts, (words("lot.filter"), words("report.filtered", count=len(chosen)))]
+def report_facts(view: LotView, words: Words) -> dict[str, str]:
+    """Return the numbers of a lot by name."""
+    unit, process, chosen = view.lot.reference_unit, view.process, view.chosen
+    measured = [row.after_rmse for row in view.audited if row.after_rmse is not None]
+    return {
+        words("source.model"): view.lot.sensor_model or "–",
+        words("compare.days"): f"{view.days[0].name} – {view.days[-1].name}" if view.days else "–",
+        words("lot.units"): f"{view.judged} / {view.total}",
+        **{words(f"verdict.{word}"): str(view.counts[word]) for word in view.counts if word != "none"},
+        words("lot.first_pass"): _said(view.yields.first_pass),
+        words("lot.yield"): _said(view.yields.last_pass),
+        words("lot.limit"): limit_said(view.limit, words),
+        words("lot.predicted"): number(view.median_predicted, unit),
+        words("lot.audited"): str(len(measured)),
+        words("compare.measured"): number(sorted(measured)[len(measured) // 2], unit) if measured else "–",
+        words("lot.ratio"): number(view.after_to_own),
+        "Cpk": number(process.capability.cpk) if process.capability else "–",
+        words("compare.first_reason"): plainly(view.reasons[0][0], words) if view.reasons else "–",
+        **({} if chosen is None else {words("lot.filter"): words("report.filtered", count=len(chosen))}),
+    }
+
+
+def lot_rows(views: Sequence[LotView], words: Words) -> list[dict[str, str]]:
+    """Return several lots side by side: one row a fact under their names."""
+    columns = {view.lot.id: report_facts(view, words) for view in views}
+    names = list(next(iter(columns.values()))) if columns else []
+    return [{words("compare.fact.lot"): name, **{lot: facts[name] for lot, facts in columns.items()}} for name in names]
 
 
 def report_parts(view: LotView, units: Sequence[UnitEntry], title: str, words: Words) -> Iterator[ReportPart]:
@@ -95,4 +112,6 @@ def _unit_row(one: UnitEntry, words: Words) -> list[str]:
 
 def _said(share: Share) -> str:
     low, high = share.interval
+    if share.value is None:
+        return "–"
     return f"{percent(share.value)} ({percent(low)} – {percent(high)})"

@@ -15,8 +15,8 @@ from softcal.app.texts.catalogue import text
 from softcal.app.ui.lot_report_pdf import lot_report_pdf
 from softcal.app.views.audited import BANDS, AuditedView, AuditTrace, audited_view
 from softcal.app.views.lot import lot_view
+from softcal.app.views.lot_report import lot_rows
 from softcal.app.views.lot_runs import DESK, LotFilter, placed, yield_over
-from softcal.app.views.lots import lot_rows
 from softcal.core.lot import Lot
 from softcal.core.orders import Order, OrderKind, Progress, RunState
 from softcal.core.unit.verdict import Verdict

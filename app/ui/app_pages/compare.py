@@ -9,7 +9,7 @@ from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.lot_memory import remembered_lot_view
 from softcal.app.ui.panels import heading, table
 from softcal.app.views.common import number
-from softcal.app.views.lots import MOST_LOTS, lot_rows
+from softcal.app.views.lot_report import MOST_LOTS, lot_rows
 from softcal.app.views.unit import UnitView, unit_view
 
 PLACES = ("a", "b")

@@ -4,10 +4,10 @@ import uuid
 
 import streamlit as st
 
-from softcal.app.charts.station import live_spec
+from softcal.app.charts.live import live_signal
 from softcal.app.jobs.process import start_simulated_station
 from softcal.app.ui.account import actor, permit, person
-from softcal.app.ui.desk import errors_in_words, in_words, registry, words
+from softcal.app.ui.desk import colours, errors_in_words, in_words, registry, words
 from softcal.app.views.common import phase_said
 from softcal.core.errors import InputError
 from softcal.core.orders import Order, OrderKind, Progress, RunState
@@ -91,4 +91,6 @@ def _running(order_id: str, station: str) -> None:
     if not queue.is_answering(station):
         st.warning(say("station.silent", station=station), icon=":material/heart_broken:")
     if progress.signal.t_s:
-        st.echarts_chart(live_spec(progress.signal, say), height=320, key=f"signal-{order_id}")
+        st.echarts_chart(
+            live_signal(progress.signal, colours(), say, has_force=True), height=320, key=f"signal-{order_id}"
+        )
