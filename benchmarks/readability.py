@@ -3,9 +3,9 @@
 python benchmarks/readability.py BEFORE AFTER [--pages NAME ...]
 python benchmarks/readability.py BEFORE AFTER --reasons        # the sentences of core/words instead of the pages
 
-BEFORE and AFTER are revisions of git, or folders that hold README.md and docs/. Pages of docs/notebook/ are left out
-unless they are named. Only prose is judged: headings, code, tables and pictures are not, and a word in backticks is
-one word of one syllable. Words in tables are counted beside it, because prose can also be moved there.
+BEFORE and AFTER are revisions of git, or folders that hold README.md and docs/. Only prose is judged: headings, code,
+tables and pictures are not, and a word in backticks is one word of one syllable. Words in tables are counted beside it,
+because prose can also be moved there.
 
 Flesch reading ease (1948) is 206.835 - 1.015 words/sentence - 84.6 syllables/word: 60 to 70 is plain English, 30 to 50
 difficult. Syllables are groups of vowels, without a silent e; a dictionary would need a download. Means over all pages

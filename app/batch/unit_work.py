@@ -41,7 +41,7 @@ class UnitTask:
         item_id: its item in the work queue.
         serial: the unit.
         recording: its file; None where it could not be read, and `problem` says why.
-        audit: file of its labelled recording, which only measures.
+        audit: file of its labelled recording, which decides and fits nothing.
         kept_audit: its newest audit in the registry, where no file of one can be read.
         anchors: known loads, where someone took them.
         kept: those that the registry has, by the hash of the recording they belong to; asked where `anchors` is None.
