@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from tests.promises import PAGE, page
+from tests import architecture, promises
 
 ROOT = Path(__file__).parents[2]
 SOURCES = [path for folder in ("app", "core", "db", "station") for path in (ROOT / folder).rglob("*") if path.is_file()]
@@ -33,8 +33,11 @@ def test_every_message_that_the_questions_explain_is_said_somewhere():
 
 
 def test_the_table_of_promises_is_that_of_the_tests():
-    held = PAGE.read_text("utf-8")
-    assert held == page(held), "run `make proof`"
+    assert promises.PAGE.read_text("utf-8") == promises.page(), "run `make proof`"
+
+
+def test_the_picture_of_the_architecture_is_drawn_from_the_imports():
+    assert architecture.PICTURE.read_text("utf-8") == architecture.picture(), "run `make proof`"
 
 
 def test_every_link_leads_to_a_file():
