@@ -50,7 +50,9 @@ def _layer(module: ast.Module) -> str:
 
 def page() -> str:
     """Return the whole page."""
-    return f"# Which test proves which promise\n\nWritten by `make proof`. How to add one: docs/proof.md.\n\n{promises()}"
+    return (
+        f"# Which test proves which promise\n\nWritten by `make proof`. How to add one: docs/proof.md.\n\n{promises()}"
+    )
 
 
 if __name__ == "__main__":
