@@ -44,7 +44,7 @@ check-benchmarks: $(STAMP)
 	  --no-strict-optional --ignore-missing-imports --follow-imports=silent --cache-dir=.mypy_cache/benchmarks \
 	  benchmarks/*.py
 
-# The table of docs/proof.md: which test proves which promise.
+# tests/README.md, which test proves which promise, and the picture of the architecture.
 proof:
 	$(PYTHON) tests/promises.py
 

@@ -1,6 +1,6 @@
 """What smaller networks and integers cost in accuracy on real lots.
 
-    python benchmarks/export_accuracy.py [--quick] [--write docs/export_accuracy.md]
+    python benchmarks/export_accuracy.py [--quick] [--write FILE]
     python benchmarks/export_accuracy.py --sizes [--demo softcal-demo/registry.db]
 
 Source and targets of egain_pair and insole_lot: f trained on the source's first three quarters, maps fitted to each

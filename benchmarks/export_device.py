@@ -1,6 +1,6 @@
 """What a unit costs on end devices: bytes, memory, instructions (QEMU) or cycles (simavr), and error of the integers.
 
-    python benchmarks/export_device.py [--quick] [--write docs/export_device.md]
+    python benchmarks/export_device.py [--quick] [--write FILE]
 
 Trains the paper's network and smaller ones on the paper's own first sensor (egain_pair), maps the second one to it and
 runs its recording through the firmware on a Cortex-M0, a Cortex-M4, an RV32, an Uno and a Mega. Needs

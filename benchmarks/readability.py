@@ -2,10 +2,11 @@
 
 python benchmarks/readability.py BEFORE AFTER [--pages NAME ...]
 python benchmarks/readability.py BEFORE AFTER --reasons        # the sentences of core/words instead of the pages
+python benchmarks/readability.py BEFORE AFTER --code           # help texts and docstrings
 
-BEFORE and AFTER are revisions of git, or folders that hold README.md and docs/. Pages of docs/notebook/ are left out
-unless they are named. Only prose is judged: headings, code, tables and pictures are not, and a word in backticks is
-one word of one syllable. Words in tables are counted beside it, because prose can also be moved there.
+BEFORE and AFTER are revisions of git, or folders that hold README.md and docs/. Only prose is judged: headings, code,
+tables and pictures are not, and a word in backticks is one word of one syllable. Words in tables are counted beside it,
+because prose can also be moved there.
 
 Flesch reading ease (1948) is 206.835 - 1.015 words/sentence - 84.6 syllables/word: 60 to 70 is plain English, 30 to 50
 difficult. Syllables are groups of vowels, without a silent e; a dictionary would need a download. Means over all pages
@@ -18,8 +19,10 @@ and what stands in brackets is one of its own: the numbers behind a plain statem
 
 import argparse
 import ast
+import io
 import re
 import subprocess
+import tarfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import product
@@ -83,7 +86,7 @@ class Prose:
 
 def prose(text: str) -> Prose:
     """Count the prose of a page of Markdown."""
-    text = re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL)
+    text = re.sub(r"^ *```.*?^ *```", "", text, flags=re.MULTILINE | re.DOTALL)
     tables = " ".join(re.findall(r"^\|.*$", text, re.MULTILINE))
     return sum(map(_paragraph, _paragraphs(text)), Prose(in_tables=len(re.findall(r"\b[A-Za-z]{2,}\b", tables))))
 
@@ -100,6 +103,18 @@ def _paragraphs(text: str) -> Iterable[str]:
             lines = []
         if line.strip() and not skipped:
             lines.append(line[item.end() :] if item else line.strip())
+
+
+def long_sentences(text: str) -> list[str]:
+    """Return the sentences of a page that have more words than `LONG`, the longest first."""
+    text = re.sub(r"^ *```.*?^ *```", "", text, flags=re.MULTILINE | re.DOTALL)
+    found = [one for paragraph in _paragraphs(text) for one in re.split(r"(?<=[.!?:])\s+", paragraph)]
+    return sorted((s for s in found if len(_paragraph_words(s)) > LONG), key=lambda s: -len(_paragraph_words(s)))
+
+
+def _paragraph_words(text: str) -> list[str]:
+    text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", re.sub(r"`[^`]*`", "code", text))
+    return re.findall(r"[^\W\d_][\w'’-]*", text)
 
 
 def _paragraph(text: str) -> Prose:
@@ -277,6 +292,37 @@ def pages(place: str) -> dict[str, str]:
     return {name: _git("show", f"{place}:{name}") for name in names if name.endswith(".md")}
 
 
+def code_texts(place: str) -> dict[str, str]:
+    """Return what the code of a folder or of a revision says to people: `help` of commands, and `docstrings`."""
+    said = {"help": list[str](), "docstrings": list[str]()}
+    for name, text in _modules(place):
+        tree = ast.parse(text)
+        nodes = [n for n in ast.walk(tree) if isinstance(n, ast.Module | ast.ClassDef | ast.FunctionDef)]
+        said["docstrings"] += [_as_items(doc) for node in nodes if (doc := ast.get_docstring(node))]
+        if name.startswith("app/cli/"):
+            keywords = [k for k in ast.walk(tree) if isinstance(k, ast.keyword) and k.arg in ("help", "description")]
+            said["help"] += [v for k in keywords if isinstance(k.value, ast.Constant) and (v := str(k.value.value))]
+    return {kind: "\n\n".join(texts) for kind, texts in said.items()}
+
+
+def _as_items(docstring: str) -> str:
+    """Return a docstring with each argument as an item of its own, without its name."""
+    return re.sub(r"^    [\w, *]+: ", "- ", re.sub(r"^\w+:$", "", docstring, flags=re.MULTILINE), flags=re.MULTILINE)
+
+
+def _modules(place: str) -> Iterable[tuple[str, str]]:
+    folders = ("app", "core", "db", "station")
+    if Path(place).is_dir():
+        for path in sorted(p for folder in folders for p in (Path(place) / folder).rglob("*.py")):
+            yield path.relative_to(place).as_posix(), path.read_text(encoding="utf-8")
+        return
+    packed = subprocess.run(["git", "archive", place, *folders], cwd=ROOT, check=True, capture_output=True).stdout
+    with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
+        for member in archive.getmembers():
+            if member.name.endswith(".py") and (file := archive.extractfile(member)):
+                yield member.name, file.read().decode("utf-8")
+
+
 def _git(*words: str) -> str:
     return subprocess.run(
         ["git", *words], cwd=ROOT, check=True, capture_output=True, text=True, encoding="utf-8"
@@ -289,12 +335,14 @@ def main() -> None:
     parser.add_argument("after", help="revision or folder")
     parser.add_argument("--pages", nargs="+", metavar="NAME", help="these pages alone, such as docs/gap.md")
     parser.add_argument("--reasons", action="store_true", help="the sentences of all reasons, in place of the pages")
+    parser.add_argument("--code", action="store_true", help="help texts and docstrings, in place of the pages")
     arguments = parser.parse_args()
     if arguments.reasons:
         _print_reasons(arguments.before, arguments.after)
         return
-    before, after = pages(arguments.before), pages(arguments.after)
-    kept = arguments.pages or [n for n in before | after if not n.startswith(("docs/notebook/", "docs/decisions/"))]
+    read = code_texts if arguments.code else pages
+    before, after = read(arguments.before), read(arguments.after)
+    kept = arguments.pages or list(before | after)
     print("| page | when | words | in tables | words a sentence | longer than 25 words | Flesch |")
     print("|---|---|---|---|---|---|---|")
     for name in sorted(kept):

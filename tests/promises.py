@@ -1,6 +1,6 @@
 """Which test proves which promise: the first line of every test file, with the layer that it runs in.
 
-python tests/promises.py        writes the table into docs/proof.md
+python tests/promises.py        writes the table into tests/README.md, and draws docs/images/architecture.svg
 """
 
 import ast
@@ -8,8 +8,11 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs/proof.md"
-BEGIN, END = "<!-- promises: written by make proof -->\n", "<!-- end of promises -->\n"
+sys.path.insert(0, str(ROOT))
+
+from tests.architecture import PICTURE, picture  # noqa: E402
+
+PAGE = ROOT / "tests/README.md"
 ROOMS = {
     "core": "Numbers: maps, forecasts, verdicts, twin, gap, adaptation",
     "station": "The stage and what has a wire",
@@ -45,12 +48,14 @@ def _layer(module: ast.Module) -> str:
     return "both" if "mark.long" in ast.unparse(module) else "fast"
 
 
-def page(text: str) -> str:
-    """Return a page with the table of today in place of the one it holds."""
-    before, _, rest = text.partition(BEGIN)
-    return before + BEGIN + "\n" + promises() + "\n" + END + rest.partition(END)[2]
+def page() -> str:
+    """Return the whole page."""
+    return (
+        f"# Which test proves which promise\n\nWritten by `make proof`. How to add one: docs/proof.md.\n\n{promises()}"
+    )
 
 
 if __name__ == "__main__":
-    PAGE.write_text(page(PAGE.read_text("utf-8")), "utf-8")
+    PAGE.write_text(page(), "utf-8")
+    PICTURE.write_text(picture(), "utf-8")
     sys.exit(0)

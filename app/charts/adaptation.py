@@ -23,7 +23,7 @@ def adaptation_figure(
     Args:
         title: unit and stream.
         trace: the course of output, estimate and predicted error.
-        maps: the steps of the stream, oldest first, as `workflow.adapt.maps_of` reads them from the registry.
+        maps: the steps of the stream, oldest first, as `app.use.adapt.maps_of` reads them from the registry.
     """
     from plotly.subplots import make_subplots
 

@@ -17,8 +17,6 @@ from softcal.core.errors import InputError, UnitRefused
 from softcal.core.export.blob import serial_field
 from softcal.db.registry import Registry
 
-"""Where the audit trail ended at the export: `softcal registry verify --against` compares."""
-
 
 @dataclass(frozen=True, eq=False)
 class ExportedUnit:

@@ -1,7 +1,7 @@
 """Calibrate one unit: from its recording to map, interval, forecast and decision. The only place where that is done.
 
 The line, a batch, its workers, a watched folder and the screens all call `calibrate`, and all know a calibration again
-by `input_sha256`. No fit sees a reference of the unit; an audit, where there is one, only measures.
+by `input_sha256`. No fit sees a reference of the unit; an audit decides, and fits nothing.
 """
 
 from collections.abc import Callable, Mapping
@@ -63,7 +63,7 @@ class UnitProblem:
         recording: unlabelled recording of the unit.
         limit: tolerance limit of the lot; None derives one from the source's own error and says so.
         anchors: known loads of the unit, where someone took them.
-        audit: labelled recording of the unit, which only measures; None where there is none.
+        audit: labelled recording of the unit, which decides and fits nothing; None where there is none.
         own: how the unit's own calibration is trained on its audit, for comparison; None trains none.
         line: how differently the line presses units, where somebody stated it.
         reference: what the source was compared with; None where nobody said, and nothing is traced to it.

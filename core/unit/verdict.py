@@ -257,7 +257,7 @@ _WORD = {
 
 
 def statement(error: ErrorForecast, limit: Limit) -> str:
-    """Place an error against the limit with guard band w = U (95 %, k = 2), ILAC-G8:09/2019 section 4.2.3.
+    """Place an error against the limit with the guard band w = upper - error, ILAC-G8:09/2019 section 4.2.3.
 
     Pass: upper <= AL, so the probability of a false accept is below 2.5 % (5 % where the reference's own uncertainty
     counts). Conditional pass: the error itself is within TL. Conditional fail: lower <= TL. Fail: even the lower end is

@@ -1,9 +1,9 @@
-"""What the documents promise stands in the code: variables, messages, commands' names, links."""
+"""What the documents promise stands in the code: variables, messages, links, figures as printed, and one rule once."""
 
 import re
 from pathlib import Path
 
-from tests.promises import PAGE, page
+from tests import architecture, promises
 
 ROOT = Path(__file__).parents[2]
 SOURCES = [path for folder in ("app", "core", "db", "station") for path in (ROOT / folder).rglob("*") if path.is_file()]
@@ -33,8 +33,11 @@ def test_every_message_that_the_questions_explain_is_said_somewhere():
 
 
 def test_the_table_of_promises_is_that_of_the_tests():
-    held = PAGE.read_text("utf-8")
-    assert held == page(held), "run `make proof`"
+    assert promises.PAGE.read_text("utf-8") == promises.page(), "run `make proof`"
+
+
+def test_the_picture_of_the_architecture_is_drawn_from_the_imports():
+    assert architecture.PICTURE.read_text("utf-8") == architecture.picture(), "run `make proof`"
 
 
 def test_every_link_leads_to_a_file():
@@ -57,3 +60,70 @@ SHOWN = [
 def test_a_file_that_a_page_shows_is_the_file():
     other = [(page.name, path) for page, path, shown in SHOWN if (ROOT / path).read_text("utf-8") != shown]
     assert SHOWN and other == []
+
+
+RECORDS = sorted((ROOT / "docs/decisions").glob("*.md"))
+
+
+def test_decisions_are_few_of_one_form_and_cited_by_what_they_govern():
+    assert len(RECORDS) <= 20
+    cited = "\n".join(page.read_text("utf-8") for page in DOCS if page not in RECORDS) + CODE
+    for record in RECORDS:
+        text = record.read_text("utf-8")
+        assert re.match(rf"# {int(record.name[:4])}\. \S", text), record.name
+        assert re.findall(r"^\*\*(\w+)\*\*", text, re.MULTILINE) == ["Status", "Context", "Decision", "Cost"], (
+            record.name
+        )
+        assert f"decisions/{record.name}" in cited, record.name
+
+
+def _cells(line: str) -> list[str]:
+    return [cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
+
+
+def _is_part_of(cells: list[str], row: list[str]) -> bool:
+    """Whether cells stand in a row in this order; others may stand between them."""
+    left = iter(row)
+    return all(cell in left for cell in cells)
+
+
+TABLES = [
+    (page.name, name, table.splitlines())
+    for page in DOCS
+    for name, table in re.findall(r"<!-- printed: (\w+) -->\n((?:\|.*\n)+)", page.read_text("utf-8"))
+]
+
+
+def test_every_figure_of_a_table_is_one_that_a_benchmark_printed():
+    assert len(TABLES) >= 20
+    for page, name, table in TABLES:
+        printed = (ROOT / "benchmarks/printed" / f"{name}.md").read_text("utf-8")
+        rows = [_cells(line) for line in printed.splitlines() if line.startswith("|")]
+        other = [
+            line for line in table if "---" not in line and not any(_is_part_of(_cells(line), row) for row in rows)
+        ]
+        assert other == [], f"{page}: benchmarks/printed/{name}.md has no such row"
+
+
+def test_what_a_benchmark_printed_names_a_benchmark_that_is_there():
+    for path in (ROOT / "benchmarks/printed").glob("*.md"):
+        commands = re.findall(
+            r"^    (?:python (benchmarks/\w+\.py)|softcal demo)", path.read_text("utf-8"), re.MULTILINE
+        )
+        assert commands and all((ROOT / command).is_file() for command in commands if command), path.name
+
+
+def test_the_rule_of_release_stands_once():
+    told = [
+        page.name for page in DOCS if re.search(r"no unit passes on a forecast alone", page.read_text("utf-8"), re.I)
+    ]
+    bare = [
+        name
+        for name in told
+        if "trust.md#the-rule-of-release" not in next(p for p in DOCS if p.name == name).read_text("utf-8")
+    ]
+    assert bare == ["trust.md"], "the rule stands in trust.md; other pages link to it"
+    stale = re.compile(
+        r"audits? only (?:scores?|measures?)|which only (?:scores?|measures?)|rests on the forecast alone"
+    )
+    assert not [page.name for page in DOCS if stale.search(page.read_text("utf-8"))] and not stale.search(CODE)

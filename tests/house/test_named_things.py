@@ -1,0 +1,159 @@
+"""Documents and docstrings name only files, modules, commands and options that exist."""
+
+import argparse
+import ast
+import importlib.util
+import re
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+
+from softcal.app.cli.main import command_parser
+
+ROOT = Path(__file__).parents[2]
+FOLDERS = ("app", "core", "db", "station")
+CODE = [path for folder in (*FOLDERS, "benchmarks") for path in sorted((ROOT / folder).rglob("*.py"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+HOMES = "app|core|db|station|benchmarks|tests|firmware|examples|deploy|docs"
+FILES = "py|md|c|h|cpp|ino|toml|yaml|txt|service|json|csv|db|pub|pem|sig|svg|html|js|xsd|lock|ssc|secret|ini"
+OF_OTHER_PROGRAMS = {"--addon=misra", "--std=c99", "--to", "--shuffle"}
+"""Options that a page names of a program beside softcal."""
+
+
+@dataclass
+class Module:
+    """What a module says about itself, what it defines or imports, and every name it uses."""
+
+    said: list[str] = field(default_factory=list)
+    defined: set[str] = field(default_factory=set)
+    used: set[str] = field(default_factory=set)
+
+
+@cache
+def _read(path: Path) -> Module:
+    found = Module()
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        match node:
+            case ast.Expr(value=ast.Constant(value=str(text))):
+                found.said.append(text)
+            case ast.FunctionDef(name=name) | ast.ClassDef(name=name):
+                found.defined.add(name)
+            case ast.Name(id=name):
+                (found.defined if isinstance(node.ctx, ast.Store) else found.used).add(name)
+            case ast.Attribute(attr=name) | ast.arg(arg=name):
+                found.used.add(name)
+            case ast.alias(name=name, asname=asname):
+                found.defined.add((asname or name).split(".")[-1])
+    return found
+
+
+@cache
+def _said() -> tuple[tuple[str, str], ...]:
+    """Return each page and each docstring of the product with where it stands."""
+    pages = [(page.name, page.read_text("utf-8")) for page in PAGES]
+    return (*pages, *((p.relative_to(ROOT).as_posix(), text) for p in CODE for text in _read(p).said))
+
+
+def _quoted(text: str) -> list[str]:
+    return re.findall(r"`([^`\n]+)`", re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL))
+
+
+def test_every_file_that_is_named_exists() -> None:
+    name = re.compile(rf"(?<![\w./-])((?:{HOMES})/[a-z0-9_./-]*[a-z0-9_-]\.(?:py|md|c|h|cpp|ino|toml|yaml|service))\b")
+    missing = [(where, one) for where, text in _said() for one in name.findall(text) if not (ROOT / one).exists()]
+    assert missing == []
+
+
+@cache
+def _modules() -> dict[str, list[Path]]:
+    """Return the modules and packages of softcal by their own name."""
+    found: dict[str, list[Path]] = defaultdict(list)
+    for folder in FOLDERS:
+        found[folder].append(ROOT / folder)
+        for path in (ROOT / folder).rglob("*"):
+            if path.suffix == ".py" and path.name != "__init__.py":
+                found[path.stem].append(path)
+            elif (path / "__init__.py").is_file():
+                found[path.name].append(path)
+    return found
+
+
+def _holds(home: Path, name: str) -> bool:
+    """Whether a module defines or uses a name, or a package has a module of that name."""
+    if home.is_dir():
+        own = home / "__init__.py"
+        return any(child.stem == name for child in home.iterdir()) or (own.is_file() and _holds(own, name))
+    return name in _read(home).defined | _read(home).used
+
+
+@cache
+def _spoken() -> frozenset[str]:
+    return frozenset(name for path in CODE for name in _read(path).used | _read(path).defined)
+
+
+def _is_there(name: str) -> bool:
+    """Whether a dotted name leads somewhere: from a module of softcal, another library, a variable, or a text."""
+    first, *rest = name.removeprefix("softcal.").split(".")
+    homes = _modules().get(first, [])
+    if rest and homes and any(_holds(home, rest[0]) for home in homes):
+        return True
+    if (not homes or name == f"softcal.{first}") and (
+        first in _spoken() or importlib.util.find_spec(first) is not None
+    ):
+        return True
+    return any(
+        path.read_text("utf-8").count(name) > sum(text.count(name) for text in _read(path).said) for path in CODE
+    )
+
+
+def test_every_module_that_is_named_exists() -> None:
+    missing = [
+        (where, name)
+        for where, text in _said()
+        for name in (quoted.removesuffix("()") for quoted in _quoted(text))
+        if re.fullmatch(r"[a-z_]+(?:\.[A-Za-z]*[a-z_]+)+", name)
+        and name.rpartition(".")[2] not in FILES.split("|")
+        and not _is_there(name)
+    ]
+    assert missing == []
+
+
+def _parsers(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
+    yield parser
+    for below in _below(parser).values():
+        yield from _parsers(below)
+
+
+def test_every_option_that_is_named_exists() -> None:
+    known = {option for parser in _parsers(command_parser()) for option in parser._option_string_actions}
+    known |= {o for path in CODE for o in re.findall(r'"(--[a-z][\w-]*)"', path.read_text("utf-8"))} | OF_OTHER_PROGRAMS
+    missing = [
+        (where, option)
+        for where, text in _said()
+        for quoted in _quoted(text)
+        if quoted.startswith("--")
+        for option in re.findall(r"(?<!\S)--[a-z][\w=-]*", quoted)
+        if option not in known and option.partition("=")[0] not in known
+    ]
+    assert missing == []
+
+
+def test_every_command_that_is_named_exists_and_takes_the_options_said() -> None:
+    unknown, whole = [], command_parser()
+    for where, text in _said():
+        for quoted in re.findall(r"`softcal ([a-z][^`]*)`", text):
+            parser, words = whole, quoted.split()
+            while words and (below := _below(parser)) and words[0] in below:
+                parser = below[words.pop(0)]
+            known = {option for one in _parsers(parser) for option in one._option_string_actions}
+            options = {word.partition("=")[0] for word in words if word.startswith("--")}
+            is_unknown = bool(_below(parser) and words and re.fullmatch(r"[a-z-]+", words[0]))
+            if parser is whole or is_unknown or not options <= known:
+                unknown.append((where, quoted))
+    assert unknown == []
+
+
+def _below(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    return {k: v for a in parser._actions if isinstance(a, argparse._SubParsersAction) for k, v in a.choices.items()}
