@@ -82,7 +82,7 @@ def _add_score(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument("--seal", type=Path, required=True, metavar="FILE", help="file with the labels")
     parser.add_argument("--json", metavar="FILE", help="write the scores as JSON ('-' for standard output)")
     parser.add_argument(
-        "--check", action="store_true", help="exit with 1 where a line falls below its floor, or was not drawn at all"
+        "--check", action="store_true", help="exit with 1 where a line that was drawn falls below its floor"
     )
     parser.set_defaults(run=_score)
 
@@ -112,11 +112,13 @@ def _ask(options: argparse.Namespace) -> int:
 
 def _score(options: argparse.Namespace) -> int:
     from softcal.app.gap.challenge import score_challenge
-    from softcal.app.output import write_json
+    from softcal.app.output import say, write_json
 
     sheet = score_challenge(options.folder, options.reports, options.seal)
     if options.json:
         write_json(options.json, sheet.to_record())
+    for judged in (j for j in sheet.judged if j.unread):
+        say(f"counted as wrong: {judged.unread}")
     if options.json != "-":
         _print(sheet)
     return _below_floors(sheet) if options.check else 0

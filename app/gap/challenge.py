@@ -195,17 +195,24 @@ def open_challenge(folder: Path, seal_file: Path) -> list[Label]:
 
 
 def score_challenge(folder: Path, reports: Path, seal_file: Path) -> ScoreSheet:
-    """Open the seal and score the reports `<case>.json` of a folder.
+    """Open the seal and score the reports `<case>.json` of a folder; one that cannot be read counts as wrong.
 
     Raises:
-        InputError: the seal is broken, a case was changed, the folder has no report, or a report cannot be read.
+        InputError: the seal is broken, a case was changed, or the folder has no report.
     """
     labels = open_challenge(folder, seal_file)
     found = {label.case.name: reports / f"{label.case.name}.json" for label in labels}
-    read = {name: _json(path) for name, path in found.items() if path.exists()}
+    read = {name: _report(path) for name, path in found.items() if path.exists()}
     if not read:
         raise InputError(f"{reports}: no report of this challenge; expected files such as {labels[0].case.name}.json")
     return score_reports(labels, read, lambda label, report: realised_shrink(label.case, report))
+
+
+def _report(path: Path) -> dict[str, Any]:
+    try:
+        return _json(path)
+    except InputError:
+        return {}
 
 
 def _text(path: Path) -> str:

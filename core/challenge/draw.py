@@ -7,6 +7,7 @@ import numpy as np
 
 from softcal.core.challenge.cases import RunPlan, SealedCase, full_depth_mm
 from softcal.core.challenge.catalogue_equations import CATALOGUE, CATALOGUE_FORM
+from softcal.core.challenge.floors import CASES_OF_FLOOR, FLOORS
 from softcal.core.challenge.mistakes import draw_mistake
 from softcal.core.challenge.other_forms import OTHER_FORMS
 from softcal.core.challenge.outside_equations import OUTSIDE, OUTSIDE_FORM
@@ -199,9 +200,13 @@ def draw_case(seed: int, name: str, line: str) -> SealedCase:
 
 
 def draw_challenge(seed: int, count: int) -> list[SealedCase]:
-    """Draw a challenge of mixed lines, shuffled, so that neither name nor place tells anything."""
+    """Draw a challenge of mixed lines, shuffled, so that neither name nor place tells anything.
+
+    The lines that have a floor come first: each has `CASES_OF_FLOOR` cases before any other line has one.
+    """
     weights = np.array([_SHARES.get(line, 1) for line in LINES], dtype=np.float64)
-    quota = np.floor(weights / weights.sum() * count).astype(int)
+    least = np.array([line in FLOORS for line in LINES]) * min(CASES_OF_FLOOR, count // len(FLOORS))
+    quota = least + np.floor(weights / weights.sum() * (count - least.sum())).astype(int)
     rng = np.random.default_rng([seed, 10_007])
     rest = rng.choice(len(weights), count - int(quota.sum()), p=weights / weights.sum())
     lines = np.repeat(list(LINES), quota + np.bincount(rest, minlength=len(weights)))

@@ -10,6 +10,8 @@ from softcal.core.challenge.outside_equations import ALIASES
 from softcal.core.challenge.seal import Label
 from softcal.core.errors import InputError
 
+VERDICTS = ("no_gap", "explained", "ambiguous", "unknown", "data")
+
 VISIBLE_SIGMA = 5.0
 """A cause that stands out by less than this after the base is refitted counts as below the noise."""
 
@@ -59,7 +61,11 @@ def read_answer(name: str, report: Mapping[str, Any]) -> Answer:
         InputError: a key of `softcal.gap/1` is missing or has another shape.
     """
     try:
+        if report["verdict"] not in VERDICTS:
+            raise ValueError(f"verdict is {report['verdict']!r}")
         stated = {str(cause["effect"]): float(cause["probability"]) for cause in report["causes"]}
+        if not all(0.0 <= p <= 1.0 for p in stated.values()):
+            raise ValueError(f"a probability is none: {stated}")
         shares = sorted(report["where"], key=lambda place: -float(place["share"]))
         shrink = report["shrink"]
         first = max(stated, key=lambda effect: stated[effect]) if any(stated.values()) else ""
@@ -78,7 +84,7 @@ def read_answer(name: str, report: Mapping[str, Any]) -> Answer:
                 for d in report.get("data", ())
             ),
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"report of {name}: {error!r}; a report of schema softcal.gap/1 was expected") from error
 
 
@@ -92,13 +98,15 @@ class Judged:
 
     Args:
         label: the opened label.
-        answer: what the report said, None where there is no report.
+        answer: what the report said, None where there is no report or it cannot be read.
         realised_shrink: shrink on the run that was kept back, NaN where it was not computed.
+        unread: why a report cannot be read; empty where it can, or where there is none.
     """
 
     label: Label
     answer: Answer | None
     realised_shrink: float = float("nan")
+    unread: str = ""
 
     @property
     def truth(self) -> frozenset[str]:
@@ -114,20 +122,24 @@ class Judged:
     def outcome(self) -> str:
         """One word: right, set (an honest ambiguity set), below noise, missed, abstained, alarm or wrong."""
         if self.answer is None:
-            return "no report"
+            return "wrong" if self.unread else "no report"
         if self.label.case.mistake:
             return self._spoilt(self.answer, Mistake.of(self.label.case.mistake))
         if self.label.case.causes and self.answer.verdict == "no_gap":
             return "missed" if self.is_visible else "below noise"
         if not self.label.case.causes:
-            return "right" if self.answer.verdict == "no_gap" else "alarm"
+            # Something may be left of noise that is nobody's cause: only a name, or a mistake, is an alarm.
+            is_held_back = self.answer.verdict == "unknown" and not self.answer.named
+            return "right" if self.answer.verdict == "no_gap" else "abstained" if is_held_back else "alarm"
         if any(cause.effect not in CATALOGUE for cause in self.label.case.causes):
             return self._outside(self.answer)
         return self._known(self.answer)
 
     def _spoilt(self, answer: Answer, mistake: Mistake) -> str:
         """Right is the kind of the mistake, its channel and its runs; `abstained` a mistake said, but another one."""
-        if answer.verdict != "data":
+        # A unit of the whole case contradicts nothing in it: it is asked about beside any verdict.
+        is_asked = mistake.what == "unit_factor" and not mistake.runs and bool(answer.data)
+        if answer.verdict != "data" and not is_asked:
             return "wrong"
         channels = set(mistake.channel.split("+")) - {""}
         named = any(

@@ -69,14 +69,22 @@ def realised_shrink(case: SealedCase, report: Mapping[str, Any]) -> float:
         report: a record of schema `softcal.gap/1` with the fitted `base`; its named causes are the twin's effects.
 
     Returns:
-        NaN where the report names no twin, a cause belongs to one recording only, or the bare base leaves no gap.
+        NaN where the report names no twin, a cause belongs to one recording only, or the bare base leaves no gap; 0 where
+        its numbers make no twin.
     """
-    named = {c["effect"]: c["parameters"] for c in report["causes"] if c["probability"] >= NAMED}
+    named = {c["effect"]: c.get("parameters") for c in report["causes"] if c["probability"] >= NAMED}
     if "base" not in report or not named or any(effect in PER_RUN for effect in named):
         return float("nan")
-    measured = case.measure(case.kept_back)
+    try:
+        rig, causes = with_base(case.rig, report["base"]), _causes(named)
+        measured = case.measure(case.kept_back)
+        with np.errstate(all="ignore"):
+            after = _gap(case, measured, rig, causes)
+    except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError):
+        return 0.0
+    if not np.isfinite(after):
+        return 0.0
     before = _gap(case, measured, refitted_base(case), ())
-    after = _gap(case, measured, with_base(case.rig, report["base"]), _causes(named))
     return float("nan") if before < LEAST_GAP else 1.0 - after / before
 
 
@@ -84,14 +92,20 @@ def _causes(named: Mapping[str, Mapping[str, Any]]) -> tuple[Cause, ...]:
     causes = []
     for effect, fitted in named.items():
         names = (*PARAMETERS[effect], *OTHER_PARAMETERS.get(effect, ()))
-        own = {ours: float(fitted[theirs]["value"]) for theirs, ours in names if theirs in fitted}
+        own = {ours: _finite(fitted[theirs]["value"]) for theirs, ours in names if theirs in fitted}
         causes.append(Cause(effect, CATALOGUE_FORM, {**UNFITTED.get(effect, {}), **own}))
     return tuple(causes)
 
 
+def _finite(value: Any) -> float:
+    if not np.isfinite(number := float(value)):
+        raise ValueError(f"{value} is no finite number")
+    return number
+
+
 def with_base(rig: Rig, base: Mapping[str, float]) -> Rig:
     """Return the rig with other base parameters, by the names of `BASE`."""
-    u0_mm, k1_N_mm, k3_N_mm3, r0_ohm, kappa_per_N = (float(base[name]) for name in BASE)
+    u0_mm, k1_N_mm, k3_N_mm3, r0_ohm, kappa_per_N = (_finite(base[name]) for name in BASE)
     return replace(rig, u0_mm=u0_mm, k1_N_mm=k1_N_mm, k3_N_mm3=k3_N_mm3, r0_ohm=r0_ohm, kappa_per_N=kappa_per_N)
 
 

@@ -10,6 +10,7 @@ from scipy.stats import binomtest
 
 from softcal.core.challenge.judge import Judged, read_answer
 from softcal.core.challenge.seal import Label
+from softcal.core.errors import InputError
 from softcal.core.metrics import finite_or_none
 
 POOR = ("one_run", "one_speed", "no_load_cell", "no_stage", "ten_bit")
@@ -144,6 +145,7 @@ def _case_record(judged: Judged) -> dict[str, Any]:
         "verdict": answer.verdict if answer else None,
         "first": answer.first if answer else None,
         "realised_shrink": finite_or_none(judged.realised_shrink),
+        "unread": judged.unread or None,
     }
 
 
@@ -157,7 +159,7 @@ def score_reports(
     reports: Mapping[str, Mapping[str, Any]],
     realised: Callable[[Label, Mapping[str, Any]], float] = lambda label, report: float("nan"),
 ) -> ScoreSheet:
-    """Score the reports of a challenge; a case without a report counts as wrong.
+    """Score the reports of a challenge; a case without a report, or with one that cannot be read, counts as wrong.
 
     Args:
         labels: the opened labels.
@@ -171,7 +173,10 @@ def score_reports(
 def _judge(label: Label, report: Mapping[str, Any] | None, realised: Callable[..., float]) -> Judged:
     if report is None:
         return Judged(label, None)
-    answer = read_answer(label.case.name, report)
+    try:
+        answer = read_answer(label.case.name, report)
+    except InputError as error:
+        return Judged(label, None, unread=str(error))
     explained = answer.verdict in ("explained", "ambiguous")
     return Judged(label, answer, realised(label, report) if explained else float("nan"))
 

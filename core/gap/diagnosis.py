@@ -20,11 +20,11 @@ from softcal.core.gap.next_experiment import NextExperiment, propose
 from softcal.core.gap.odd_run import odd_run, odd_run_beside
 from softcal.core.gap.offsets import Offsets, offsets
 from softcal.core.gap.place import likely_stages, loose_noise
-from softcal.core.gap.plausibility import DataMistake, mistakes
+from softcal.core.gap.plausibility import DataMistake, doubts, mistakes
 from softcal.core.gap.posterior import exact_log_evidence, log_evidences, probabilities
 from softcal.core.gap.residual import Map, Regime, regimes, structure, three_maps
 from softcal.core.gap.search import EffectSearch, SearchConfig
-from softcal.core.gap.shrink import ChannelGap, Shrink, quantify
+from softcal.core.gap.shrink import ChannelGap, Shrink, quantify, unsupported
 from softcal.core.gap.start import unfitted
 from softcal.core.gap.strangers import stranger_of
 from softcal.core.recording import Array
@@ -118,7 +118,8 @@ class Diagnosis:
         protocol: how samples were held back for the shrink.
         chosen: causes that are chosen where each part of the samples in turn is held back, those the shrink is of.
         explained_share: of the structured gap energy, 1 when nothing but noise is left.
-        mistakes: what is wrong with the recordings; with the verdict `data` they stand in the way of everything else.
+        mistakes: what is wrong with the recordings; with the verdict `data` they stand in the way of everything else,
+            beside another one they are questions.
         partial: what comes nearest where nothing explains the gap.
         residual: empirical terms that describe what no named cause explains, where they hold on runs held back.
     """
@@ -286,10 +287,13 @@ def diagnose(
         return _stopped(search.base, (odd,))
     if search.stranger is None:
         search.hold_open()
+    say("holding back samples from every cause")
+    doubted = _let_go(search)
     best, logs = search.best, log_evidences(search.fits)
     if on_fits is not None:
         on_fits(search.fits)
-    group = rivals(search.fits, best, logs, tuple(search.held_open.values()))
+    group, idle = _on_unseen(rivals(search.fits, best, logs, tuple(search.held_open.values())), doubted)
+    doubted |= idle | set(search.held_open)
     say("refitting the three maps separately")
     maps = three_maps(case)
     say("measuring the shrink on samples no fit has seen")
@@ -297,13 +301,13 @@ def diagnose(
     quantified = quantify(search.base, told, search.fits.values())
     share = float(np.clip(search.share(best), 0.0, 1.0))
     verdict = _verdict(search, group)
-    is_standing = not best.hypothesis.ids or quantified.held_out_gain > 0.0
+    is_standing = not best.hypothesis.ids or quantified.stands
     if verdict in ("explained", "ambiguous") and not is_standing:
         verdict = "no_gap" if search.is_clean(search.base) and loose_noise(search.base) is None else "unknown"
     # Among the catalogue's effects only; where none of them explains the gap, the truth is most likely none of them.
     doubt = UNKNOWN_TRUST * share if verdict == "unknown" else 1.0 if is_standing else quantified.shrink.held_out
     chances = {
-        i: p * doubt * (IMITATED_TRUST if i in search.held_open else 1.0) for i, p in chances_of(logs, group).items()
+        i: p * doubt * (IMITATED_TRUST if i in doubted else 1.0) for i, p in chances_of(logs, group).items()
     }
     named = tuple(in_catalogue_form(found) for found in group)
     causes = _causes(search, named, chances, quantified.shrink.held_out)
@@ -329,9 +333,36 @@ def diagnose(
         hidden_fraction={i: hidden_fraction(best, i) for i in best.hypothesis.ids},
         next_experiment=_next(case, search, group, verdict),
         explained_share=share,
+        mistakes=doubts(case),
         partial=_nearest(search) if verdict == "unknown" else None,
         residual=learned(search.base, beside.get(verdict, ())),
     )
+
+
+def _let_go(search: EffectSearch) -> set[str]:
+    """Take out of the best hypothesis every cause that lowers nothing on samples held back; return those."""
+    gone: set[str] = set()
+    while len(ids := search.best.hypothesis.ids) > 1:
+        rest = {i: found for k, i in enumerate(ids) if (found := search.fits.get(ids[:k] + ids[k + 1 :])) is not None}
+        idle = unsupported(search.best, rest)
+        if not idle:
+            break
+        gone.add(idle[0])
+        search.best = rest[idle[0]]
+    return gone
+
+
+def _on_unseen(group: tuple[Fit, ...], gone: set[str]) -> tuple[tuple[Fit, ...], set[str]]:
+    """Return the rivals without those that merely add a cause which lowers nothing on samples held back, and these."""
+    best, kept, idle = group[0], [group[0]], set()
+    for other in group[1:]:
+        added = set(other.hypothesis.ids) - set(best.hypothesis.ids)
+        is_larger = set(best.hypothesis.ids) < set(other.hypothesis.ids)
+        if is_larger and (added & gone or (len(added) == 1 and unsupported(other, dict.fromkeys(added, best)))):
+            idle |= added
+        else:
+            kept.append(other)
+    return tuple(kept), idle
 
 
 def _under_its_floor(
@@ -393,7 +424,8 @@ def _stopped(base: Fit, found: tuple[DataMistake, ...]) -> Diagnosis:
 
 
 def _is_on_bound(parameter: Parameter, value: float) -> bool:
-    return any(math.isclose(value, end, rel_tol=1e-9, abs_tol=1e-9) for end in (parameter.low, parameter.high))
+    near = 1e-9 * parameter.usual
+    return any(math.isclose(value, end, rel_tol=1e-9, abs_tol=near) for end in (parameter.low, parameter.high))
 
 
 def _verdict(search: EffectSearch, group: tuple[Fit, ...]) -> DiagnosisVerdict:

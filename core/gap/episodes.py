@@ -31,22 +31,18 @@ PLACEMENTS = 4
 MAINS_Hz = (50.0, 60.0)
 MAINS_TOLERANCE_Hz = 0.5
 LINE_GAIN = 30.0
-"""χ² that the strongest line of a spectrum must take away; white noise reaches 20 in a thousand lines."""
+"""χ² that the strongest line of a spectrum must take away, in units of the noise or of what surrounds it, whichever is
+more: white noise reaches 20 in a thousand lines, and a gap of other causes has power everywhere."""
 
 FLAT_SAMPLES = 8
 """Samples that must lie clearly beyond a level before the output is taken as clipped there."""
 
-SLOWEST_HUM_Hz = 0.012
-"""Mains a little off their nominal frequency beat this slowly where the sample rate is a fraction of it."""
+ACROSS = np.array([1.0, 1.0, 1.0, 0.0, 0.0, -1.0, -1.0, -1.0]) / 3.0
+"""Mean after an instant less mean before it; the two samples beside it, which placed the instant, are left out."""
 
-DRIFT_PERIODS = 3.0
-ALIKE = 0.9
-"""A line of so few periods whose phases agree from run to run (1 for all alike) follows the start of the runs, not
-the mains: a drift."""
-
-LINE_SHARE = 0.02
-"""Share of the excess of χ² that a line must take away: a gap of other causes has lines everywhere."""
-
+EVENT_SHARE, EVENT_SIGMA = 0.6, 3.0
+"""A contact is bad where the output jumps: share of the fitted jumps that it must show, and standard errors. Intervals
+that only mop up a smooth gap show none."""
 
 SKEW_STEPS = 8
 """Skews tried on either side before losses are placed, each half a sample more by the end of the longest run."""
@@ -94,8 +90,25 @@ def _with_clock_to_place_by(found: Fit, effect: Effect) -> Fit:
 
 
 def with_intervals(found: Fit, effect: Effect, _: Extent) -> Fit | None:
-    """Add an effect that acts in a few intervals: place the intervals, fit, place again."""
-    return _placed(found, effect, _bad_contacts)
+    """Add an effect that acts in a few intervals: place the intervals, fit, place again; None where nothing jumps."""
+    grown = _placed(found, effect, _bad_contacts)
+    return grown if grown is not None and _jumps(grown, effect.id) else None
+
+
+def _jumps(found: Fit, effect_id: str) -> bool:
+    """Whether what an effect takes away jumps within two samples, as the effect does."""
+    without, left = found.hypothesis.without(effect_id)
+    problem, clean = found.problem, found.problem.predict(without, found.coordinates[left])
+    pull = power = 0.0
+    for block in _output_blocks(found):
+        told, seen = (
+            np.convolve((values - clean)[block.place] / problem.noise[block.place], ACROSS, mode="valid")
+            for values in (found.predicted, problem.measured)
+        )
+        pull, power = pull + float(told @ seen), power + energy(told)
+    # Neighbouring differences share most of their noise: of white noise their sum has Σ|w|² times as many samples.
+    error = np.sqrt(energy(ACROSS) * len(ACROSS) * power)
+    return power > 0.0 and pull > EVENT_SHARE * power and pull > EVENT_SIGMA * error
 
 
 def _placed(found: Fit, effect: Effect, place: Place) -> Fit | None:
@@ -296,15 +309,13 @@ def with_line(found: Fit, effect: Effect, _: Extent) -> Fit | None:
         sums[block.run] = wave_sums(grid, _taken_s(found, block.run), (problem.measured - found.predicted)[block.place])
         power += np.abs(sums[block.run]) ** 2 / (block.place.stop - block.place.start)
     at = int(np.argmax(power))
-    gain = 2 * power[at] / problem.floor("output_V") ** 2
-    if gain < max(LINE_GAIN, LINE_SHARE * (found.chi2 - problem.count)):
+    level = max(problem.floor("output_V") ** 2, float(np.median(power)) / len(blocks))
+    if 2 * power[at] / level < LINE_GAIN:
         return None
     effect = effect if effect.of_runs is None else effect.of_runs(len(case.runs))
     values = [float(np.sqrt(2 * power[at] / sum(b.place.stop - b.place.start for b in blocks))), float(grid[at])]
     # Re(S) = A/2·n·sin φ and Im(S) = −A/2·n·cos φ of a run's sum over A·sin(ωt + φ).
     phases = {k: float(np.arctan2(sums[k][at].real, -sums[k][at].imag)) for k in sums}
-    if grid[at] * longest_s < DRIFT_PERIODS and abs(np.mean(np.exp(1j * np.array(list(phases.values()))))) > ALIKE:
-        return None
     values += [phases.get(k, 0.0) for k in range(len(case.runs))]
     start = np.concatenate([found.coordinates, start_coordinates([effect], [values])])
     return fit(problem, found.hypothesis.adding(effect), start)
@@ -322,13 +333,13 @@ def _taken_s(found: Fit, run: int) -> Array:
 
 
 def _alias_grid(rate_Hz: float, longest_s: float) -> Array:
-    fine_Hz = 0.4 / longest_s
-    parts = []
+    """Return where mains may stand in the spectrum; nowhere where they stand still, or at half the rate."""
+    parts = [np.empty(0)]
     for mains_Hz in MAINS_Hz:
         alias_Hz = abs(mains_Hz - rate_Hz * round(mains_Hz / rate_Hz))
-        parts.append(np.arange(alias_Hz - MAINS_TOLERANCE_Hz, alias_Hz + MAINS_TOLERANCE_Hz, fine_Hz))
-    grid = np.unique(np.concatenate(parts))
-    return grid[(grid > max(SLOWEST_HUM_Hz, 0.5 / longest_s)) & (grid < rate_Hz / 2)]
+        if MAINS_TOLERANCE_Hz < alias_Hz < rate_Hz / 2 - MAINS_TOLERANCE_Hz:
+            parts.append(np.arange(alias_Hz - MAINS_TOLERANCE_Hz, alias_Hz + MAINS_TOLERANCE_Hz, 0.4 / longest_s))
+    return np.unique(np.concatenate(parts))
 
 
 def with_level(found: Fit, effect: Effect, extent: Extent) -> Fit | None:

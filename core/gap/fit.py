@@ -374,8 +374,12 @@ class Fit:
         normal = gram(self.jacobian)
         free = np.flatnonzero(np.diag(normal) > 0)
         covariance = np.zeros_like(normal)
-        # Two parameters that these samples cannot tell apart make the matrix singular: an inverse would fail.
-        covariance[np.ix_(free, free)] = np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True)
+        size = np.sqrt(np.diag(normal)[free])
+        # Two parameters that these samples cannot tell apart make the matrix singular: an inverse would fail. Each is
+        # counted in its own error, so that what is singular does not depend on its unit.
+        covariance[np.ix_(free, free)] = np.linalg.pinv(
+            normal[np.ix_(free, free)] / np.outer(size, size), rcond=1e-12, hermitian=True
+        ) / np.outer(size, size)
         return covariance
 
     def under(self, problem: Problem) -> "Fit":
@@ -480,9 +484,10 @@ class _Space:
         for _ in range(3):
             k = np.flatnonzero(free)
             # Marquardt's scaling by the diagonal: millimetres and ohms are damped alike.
-            damped = normal[np.ix_(k, k)] + np.diag(damping * np.diag(normal)[k] + 1e-12)
+            size = np.sqrt(np.diag(normal)[k])
+            damped = normal[np.ix_(k, k)] / np.outer(size, size) + (damping + 1e-12) * np.eye(len(k))
             candidate = x.copy()
-            candidate[k] += np.linalg.solve(damped, slope[k])
+            candidate[k] += np.linalg.solve(damped, slope[k] / size) / size
             outside = (candidate < self.low) | (candidate > self.high)
             candidate = np.clip(candidate, self.low, self.high)
             # What stands on its bound and wants beyond it is taken out; the others are solved again without it.

@@ -206,7 +206,7 @@ def _displacement(base: Fit, block: Block, run: Run) -> Array:
     """(n,) residual of the force, scaled so that a wrong position weighs alike at every depth; 0 without contact."""
     depth_mm = np.maximum(0.0, _travel(run) - base.base.u0_mm)
     slope = base.base.k1_N_mm + 3.0 * base.base.k3_N_mm3 * depth_mm**2
-    scaled = base.residual[block.place] * float(np.median(slope)) / np.maximum(slope, 1e-9)
+    scaled = base.residual[block.place] * float(np.median(slope)) / np.maximum(slope, 1e-9 * float(np.max(slope)))
     return np.asarray(np.where(depth_mm > 0, scaled, 0.0))
 
 

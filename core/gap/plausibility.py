@@ -1,7 +1,8 @@
 """Mistakes in the recordings that stand in the way of any diagnosis: units, signs, columns, rates, mixed-up runs.
 
-What the channels show is held against what such a rig can show, and every run against the others. No effect of the
-catalogue is fitted before this has found nothing.
+Evidence lies inside the case: the steps of the ADC, Vref, time stamps, two channels that contradict each other, one run
+against the others, what the lot states. A pad of an unusual size is none: it is asked about, and diagnosed. No effect of
+the catalogue is fitted before this has found nothing.
 """
 
 from collections.abc import Iterable, Mapping
@@ -47,7 +48,7 @@ UNITS_OF_RUN: Mapping[str, Mapping[str, float]] = {
 """The same for one run, where the others tell how large its values must be."""
 
 STIFFNESS_N_mm = (0.4, 25.0)
-"""Peak force over peak depth of a soft pad; beyond it a unit is wrong, if one unit brings everything back to ..."""
+"""Peak force over peak depth of a soft pad; beyond it a unit may be wrong, if one unit brings everything back to ..."""
 
 USUAL = {"stiffness_N_mm": 2.0, "depth_mm": 3.0, "force_N": 6.0}
 NEAR_USUAL = 5.0
@@ -62,6 +63,9 @@ FEW = 0.02
 
 FAR = 3.0
 """A sample is off by a broken transmission when it lies this many spans beyond what nearly all others show."""
+
+OFF_STEP = 0.1
+"""Distance from a step of the ADC, in steps, up to which a sample stands on it."""
 
 ON_GRID, OFF_GRID = 0.9, 0.5
 """Share of samples on the steps of the ADC from which a column is an output, and below which it is none."""
@@ -79,7 +83,10 @@ APART = 2.0
 """Ratio of one run to the others above which no effect but only a wrong unit or gain explains it."""
 
 NEAR_FACTOR = 1.45
-"""A ratio this near to a unit's factor is that unit."""
+"""A stiffness this near beyond what the lot states, once a unit is turned, is that unit."""
+
+SAME_FACTOR = 1.1
+"""A ratio of one run to the others this near to a unit's factor, beyond what the others differ by, is that unit."""
 
 
 @dataclass(frozen=True)
@@ -124,11 +131,31 @@ def mistakes(case: Case) -> tuple[DataMistake, ...]:
 
     The first kind that is found hides what comes after it: a wrong column has no unit.
     """
-    for look in (_rates, _columns, _ranges, _strays, _runs_exchanged, _directions, _units, _runs_apart):
+    for look in (_rates, _columns, _ranges, _strays, _runs_exchanged, _directions, _against_stated, _runs_apart):
         found = tuple(look(case))
         if found:
             return found
     return ()
+
+
+def doubts(case: Case) -> tuple[DataMistake, ...]:
+    """Return units of a whole case that would make an unusual pad a usual one: questions, for nothing in it tells.
+
+    What is diagnosed does not depend on them.
+    """
+    size = _size(case)
+    if case.stiffness_N_mm is not None or not size.is_odd:
+        return ()
+    fitting = []
+    for channel, unit, factor in _every_unit():
+        repaired = size.with_unit(channel, factor)
+        if not repaired.is_odd and repaired.oddness < np.log(NEAR_USUAL):
+            fitting.append((repaired.oddness - _roundness(repaired.speed_mm_s, channel), channel, unit, factor))
+    if not fitting:
+        return ()
+    _, channel, unit, factor = min(fitting)
+    repair = reason("data.ask.unit", channel=channel, factor=factor, unit=unit)
+    return (DataMistake("unit_factor", channel, (), factor, _unusual(size, channel, *STIFFNESS_N_mm), repair),)
 
 
 @dataclass(frozen=True)
@@ -215,10 +242,8 @@ def _columns(case: Case) -> list[DataMistake]:
 def _output_by_steps(run: Run, channels: Mapping[str, Array]) -> str | None:
     """Return the column that stands on the steps of the ADC, None where the steps do not tell."""
     step_V, vref_V = run.readout.step_V, run.readout.vref_V
-    if step_V < 2e-5:
-        # Finer than the digits of a file.
-        return None
-    tolerance = 0.02 * step_V + 0.6e-6
+    # The last digit of a file moves a value off its step; where steps are finer than that, no column stands on them.
+    tolerance = OFF_STEP * step_V
     shares = {}
     for name, values in channels.items():
         is_on = np.abs(values - np.round(values / step_V) * step_V) < tolerance
@@ -432,24 +457,8 @@ def _contact_mm(stage_mm: Array, load: Array) -> float:
     return float(np.quantile(touching, 0.02)) if len(touching) else 0.0
 
 
-def _units(case: Case) -> list[DataMistake]:
-    """Units of a whole case: the pad's stiffness, depth and force against what such pads are."""
-    size, stated = _size(case), case.stiffness_N_mm
-    stiffness = size.stiffness_N_mm
-    if stated is not None and stiffness is not None:
-        return _against_stated(size, stated, stiffness)
-    if not size.is_odd:
-        return []
-    choices = [(channel, unit, f) for channel, units in UNITS.items() for unit, f in units.items()]
-    fitting = []
-    for channel, unit, factor in choices:
-        repaired = size.with_unit(channel, factor)
-        if not repaired.is_odd and repaired.oddness < np.log(NEAR_USUAL):
-            fitting.append((repaired.oddness - _roundness(repaired.speed_mm_s, channel), channel, unit, factor))
-    if not fitting:
-        return []
-    _, channel, unit, factor = min(fitting)
-    return [_of_unit(size, channel, unit, factor, *STIFFNESS_N_mm)]
+def _every_unit() -> list[tuple[str, str, float]]:
+    return [(channel, unit, factor) for channel, units in UNITS.items() for unit, factor in units.items()]
 
 
 def _roundness(speed_mm_s: float | None, channel: str) -> float:
@@ -459,27 +468,28 @@ def _roundness(speed_mm_s: float | None, channel: str) -> float:
     return 0.5 if abs(float(f"{speed_mm_s:.1e}") / speed_mm_s - 1.0) < 2e-3 else 0.0
 
 
-def _of_unit(size: _Size, channel: str, unit: str, factor: float, low: float, high: float) -> DataMistake:
+def _unusual(size: _Size, channel: str, low: float, high: float) -> Reason:
     if size.stiffness_N_mm is not None:
-        evidence = reason("data.unit.stiffness", seen=size.stiffness_N_mm, low=low, high=high)
-    elif size.depth_mm is not None:
-        evidence = reason("data.unit.size", channel=channel, seen=size.depth_mm, unit="mm")
-    else:
-        evidence = reason("data.unit.size", channel=channel, seen=size.force_N or 0.0, unit="N")
-    repair = reason("data.repair.unit", channel=channel, factor=factor, unit=unit)
-    return DataMistake("unit_factor", channel, (), factor, evidence, repair)
+        return reason("data.unit.stiffness", seen=size.stiffness_N_mm, low=low, high=high)
+    if size.depth_mm is not None:
+        return reason("data.unit.size", channel=channel, seen=size.depth_mm, unit="mm")
+    return reason("data.unit.size", channel=channel, seen=size.force_N or 0.0, unit="N")
 
 
-def _against_stated(size: _Size, stated: tuple[float, float], stiffness: float) -> list[DataMistake]:
-    if stated[0] <= stiffness <= stated[1]:
+def _against_stated(case: Case) -> list[DataMistake]:
+    """Units and gains of a whole case: the pad's stiffness against what the lot states."""
+    size, stated = _size(case), case.stiffness_N_mm
+    stiffness = size.stiffness_N_mm
+    if stated is None or stiffness is None or stated[0] <= stiffness <= stated[1]:
         return []
-    middle = float(np.sqrt(stated[0] * stated[1]))
-    every = [(channel, unit, f) for channel, units in UNITS.items() for unit, f in units.items()]
-    turned = [(abs(np.log(size.with_unit(c, f).stiffness_N_mm or 1e-9) - np.log(middle)), c, u, f) for c, u, f in every]
+    middle, evidence = float(np.sqrt(stated[0] * stated[1])), _unusual(size, "force", *stated)
+    turned = [
+        (abs(np.log(size.with_unit(c, f).stiffness_N_mm or 1e-9) - np.log(middle)), c, u, f) for c, u, f in _every_unit()
+    ]
     distance, channel, unit, factor = min(turned)
     if distance < abs(np.log(stated[1] / middle)) + np.log(NEAR_FACTOR):
-        return [_of_unit(size, channel, unit, factor, *stated)]
-    evidence = reason("data.unit.stiffness", seen=stiffness, low=stated[0], high=stated[1])
+        repair = reason("data.repair.unit", channel=channel, factor=factor, unit=unit)
+        return [DataMistake("unit_factor", channel, (), factor, evidence, repair)]
     repair = reason("data.repair.gain", channel="force", factor=middle / stiffness)
     return [DataMistake("gain", "force", (), middle / stiffness, evidence, repair)]
 
@@ -500,23 +510,27 @@ def _runs_apart(case: Case) -> list[DataMistake]:
             ratio = float(np.exp(np.median(np.delete(spans, at)) - spans[at]))
             others = np.ptp(np.delete(spans, at))
             if abs(np.log(ratio)) > np.log(APART) + others:
-                found.append(_apart(name, number[k], ratio))
+                found.append(_apart(name, number[k], ratio, others))
     return found[:1]
 
 
 def _spread_at(reference: Array, values: Array) -> float:
-    """Return the slope of a channel against another one, robustly: over the middle of what both show."""
+    """Return the slope of a channel against another one, robustly: over the middle of what both show.
+
+    Both are sorted first: a channel that is late, or has lost samples, shows the same values at other instants.
+    """
+    reference, values = np.sort(reference), np.sort(values)
     low, high = np.quantile(reference, (0.05, 0.95))
     top = values[reference >= low + 0.6 * (high - low)]
     bottom = values[reference <= low + 0.1 * (high - low)]
     return max(abs(float(np.median(top) - np.median(bottom))) / max(float(high - low), 1e-12), 1e-12)
 
 
-def _apart(name: str, run: int, ratio: float) -> DataMistake:
+def _apart(name: str, run: int, ratio: float, others: float) -> DataMistake:
     units = UNITS_OF_RUN[name]
     unit = min(units, key=lambda u: abs(np.log(units[u] / ratio)))
     evidence = reason("data.run.apart", channel=name, ratio=1.0 / ratio)
-    if abs(np.log(units[unit] / ratio)) < np.log(NEAR_FACTOR):
+    if abs(np.log(units[unit] / ratio)) < np.log(SAME_FACTOR) + others:
         repair = reason("data.repair.unit", channel=name, factor=units[unit], unit=unit)
         return DataMistake("unit_factor", name, (run,), units[unit], evidence, repair)
     repair = reason("data.repair.gain", channel=name, factor=ratio)

@@ -1,6 +1,6 @@
 """How far the gap shrinks: forecast from what was fitted, then measured on samples that no fit has seen."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +18,9 @@ MOST_CHOSEN_FROM = 3
 
 NEAR = 10.0
 """Logarithm of the odds against a hypothesis from which it is not fitted anew: what a fit gains is foretold first."""
+
+BEYOND = 1.64
+"""Standard errors by which χ² must fall on samples held back: it falls by that much by chance one time in twenty."""
 
 BLOCK_s = 0.6
 """Length of the stretches that are held back inside a run where whole runs cannot be."""
@@ -52,8 +55,14 @@ class Quantified:
     chosen: tuple[tuple[str, ...], ...] = ()
     """Causes that are chosen where each part of the samples, in turn, is held back."""
     held_out_gain: float = 0.0
-    """By how much χ² falls on samples no fit has seen; where it does not fall, no cause stands. It tells smaller
-    effects than the shrink does: that one compares roots of mean squares with a noise level that is estimated too."""
+    gain_error: float = 0.0
+    """By how much χ² falls on samples no fit has seen, and its standard error. It tells smaller effects than the shrink
+    does: that one compares roots of mean squares with a noise level that is estimated too."""
+
+    @property
+    def stands(self) -> bool:
+        """Whether the causes lower the gap on samples held back, by more than its noise."""
+        return self.held_out_gain > BEYOND * self.gain_error and self.shrink.held_out > 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +104,7 @@ def quantify(base: Fit, best: Fit, others: Iterable[Fit] = ()) -> Quantified:
     held_out = _ratio([(g.rmse_before, g.rmse_after, g.noise_floor, g.noise_floor) for g in gap.values()])
     shrink = Shrink(*_forecast(seen, best), held_out)
     ids = tuple(fold.after.hypothesis.ids for fold in chosen)
-    return Quantified(gap, shrink, protocol, ids, _held_out_gain(chosen, best.problem))
+    return Quantified(gap, shrink, protocol, ids, *_held_out_gain(chosen, best.problem))
 
 
 def _refitted_to_first_order(found: Fit) -> Fit:
@@ -141,7 +150,7 @@ def _refit(base: Fit, best: Fit, unseen: Mask) -> _Fold:
     problem = best.problem.seeing((~unseen).astype(np.float64))
     # Few steps: the parameters of the whole case are a start close by.
     before = fit(problem, base.hypothesis, base.coordinates, steps=6)
-    after = fit(problem, best.hypothesis, best.coordinates, steps=6) if best.hypothesis.ids else before
+    after = before if best is base else fit(problem, best.hypothesis, best.coordinates, steps=6)
     return _Fold(unseen, before, after)
 
 
@@ -160,14 +169,34 @@ def _pooled(folds: list[_Fold], problem: Problem, channel: str, errors: list[Arr
     return float(np.sqrt(squares / max(count, 1)))
 
 
-def _held_out_gain(folds: list[_Fold], problem: Problem) -> float:
-    gain = 0.0
+def unsupported(best: Fit, smaller: Mapping[str, Fit]) -> list[str]:
+    """Return the causes of a hypothesis that do not lower χ² on samples held back beyond its noise, the weakest first.
+
+    Args:
+        smaller: the hypothesis without each cause, fitted, by that cause.
+    """
+    folds = [_refit(best, best, unseen) for unseen in _folds(best.problem, best.hypothesis)[0]]
+    sure = {}
+    for effect_id, rest in smaller.items():
+        pairs = [replace(fold, before=_seen_by(fold, rest)) for fold in folds]
+        gain, error = _held_out_gain(pairs, best.problem)
+        sure[effect_id] = gain / error if error > 0.0 else 0.0
+    return sorted((i for i, z in sure.items() if z <= BEYOND), key=lambda i: sure[i])
+
+
+def _seen_by(fold: _Fold, found: Fit) -> Fit:
+    return fit(fold.after.problem, found.hypothesis, found.coordinates, steps=6)
+
+
+def _held_out_gain(folds: list[_Fold], problem: Problem) -> tuple[float, float]:
+    """Return by how much χ² falls on samples held back, and its standard error: that of what white noise adds to it."""
+    gain = parted = 0.0
     for fold in folds:
         before, after = (
             problem.whitened(problem.measured - f.predicted)[fold.unseen] for f in (fold.before, fold.after)
         )
-        gain += energy(before) - energy(after)
-    return gain
+        gain, parted = gain + energy(before) - energy(after), parted + energy(before - after)
+    return gain, 2.0 * float(np.sqrt(parted))
 
 
 def _channel_gap(folds: list[_Fold], problem: Problem, channel: str) -> ChannelGap:

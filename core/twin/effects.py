@@ -271,9 +271,16 @@ class Form:
     effect: Effect
     carry: tuple[tuple[int | None, float], ...]
 
-    def start(self, values: Sequence[float]) -> list[float]:
-        """Return where a fit of this form begins when the catalogue's equation ended at these values."""
-        return [number if index is None else values[index] * number for index, number in self.carry]
+    def start(self, values: Sequence[float], factor: Callable[[str], float] = lambda unit: 1.0) -> list[float]:
+        """Return where a fit of this form begins when the catalogue's equation ended at these values.
+
+        Args:
+            factor: by what a quantity of a unit is larger on this rig than on the common one.
+        """
+        return [
+            number * factor(p.unit) if index is None else values[index] * number
+            for p, (index, number) in zip(self.effect.parameters, self.carry, strict=True)
+        ]
 
 
 def memory(memory: Memory, name: str, *start: float) -> Array:

@@ -123,7 +123,7 @@ EFFECTS = (
         parameters=(Parameter("r", "N/s", -0.1, 0.1, 0.001, neutral=0.0),),
         step=_drift,
         signs=Signs(
-            probes=Sizes((0.1,), "rate_per_s"),
+            probes=Sizes((0.0125,), "force_rate_N_s"),
             hides_behind=("loadcell_creep",),
             shown_by=("rest",),
         ),

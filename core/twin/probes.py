@@ -16,6 +16,7 @@ Measure = Literal[
     "period_s",
     "softness_mm_N",
     "rate_per_s",
+    "force_rate_N_s",
     "period_per_duration",
     "per_force2",
 ]
@@ -40,6 +41,7 @@ class Extent:
             "softness_mm_N": self.depth_mm / self.force_N,
             "per_force2": 1.0 / self.force_N**2,
             "rate_per_s": 1.0 / self.duration_s,
+            "force_rate_N_s": self.force_N / self.duration_s,
             "period_per_duration": self.period_s / self.duration_s,
         }
         return derived[name] if name in derived else float(getattr(self, name))

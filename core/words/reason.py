@@ -264,6 +264,7 @@ ENGLISH: Mapping[str, str] = {
     "data.rate": "the time stamps show {seen:.4g} Hz, sample_rate_Hz says {stated:.4g} Hz",
     "data.repair.rate": "correct the one that is wrong; if the time stamps are right, sample_rate_Hz is {seen:.4g}",
     "data.repair.unit": "multiply {channel} by {factor:.4g}: it looks like {unit}",
+    "data.ask.unit": "is {channel} in {unit}? Then multiply it by {factor:.4g}; the diagnosis holds either way",
     "data.swapped_columns.steps": "another column than output_V has the steps of the ADC; output_V has none",
     "data.swapped_columns.smooth": "force_N is as smooth as a commanded position, stage_mm as noisy as a force",
     "data.repair.swap": "exchange the headings {one} and {other}",
@@ -290,7 +291,7 @@ ENGLISH: Mapping[str, str] = {
     ),
     "data.repair.divider": "exchange them, or take Vref less the output where that is how it is wired",
     "data.unit.stiffness": (
-        "the pad is too stiff or too soft for a pad; if this is right, ask the engineer to state its stiffness with "
+        "the pad is stiffer or softer than such pads; if this is right, ask the engineer to state its stiffness with "
         "the case ({seen:.3g} N/mm, pads have {low:.3g} to {high:.3g} N/mm)"
     ),
     "data.unit.size": "{channel} moves by {seen:.3g} {unit}, far from what a pad is pressed by",

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from softcal.core.challenge.catalogue_equations import CATALOGUE
-from softcal.core.challenge.draw import draw_case
+from softcal.core.challenge.draw import draw_case, draw_challenge
 from softcal.core.challenge.floors import FLOORS, shortfalls
 from softcal.core.challenge.mistakes import Mistake
 from softcal.core.challenge.score import score_reports
@@ -85,7 +85,21 @@ def test_a_diagnosis_that_fails_on_one_line_alone_is_seen() -> None:
         assert [sentence.split(":")[0] for sentence in told] == [line]
 
 
-def test_a_line_that_is_left_out_is_a_shortfall() -> None:
-    kept = [label for label in labels(1) if label.case.line != "outside"]
-    told = shortfalls(score_reports(kept, {label.case.name: truth(label) for label in kept}))
+def test_reports_of_a_line_that_are_left_out_are_a_shortfall() -> None:
+    every = labels(1)
+    told = shortfalls(score_reports(every, {la.case.name: truth(la) for la in every if la.case.line != "outside"}))
     assert [sentence.split(":")[0] for sentence in told] == ["outside"]
+
+
+def test_forty_cases_of_the_mix_pass_with_the_truth_and_fall_without_looking() -> None:
+    every = [Label(case, "00", 100.0) for case in draw_challenge(seed=5, count=40)]
+    lines = [label.case.line for label in every]
+    assert min(lines.count(line) for line in FLOORS) >= PER_LINE
+    assert shortfalls(score_reports(every, {label.case.name: truth(label) for label in every})) == []
+    for mutant in MUTANTS.values():
+        assert shortfalls(score_reports(every, {label.case.name: mutant(label) for label in every})) != []
+
+
+def test_a_line_that_nobody_drew_is_no_shortfall() -> None:
+    usual = [label for label in labels(1) if label.case.line == "usual"]
+    assert shortfalls(score_reports(usual, {label.case.name: truth(label) for label in usual})) == []

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from softcal.core.challenge.cases import SealedCase
+from softcal.core.challenge.cases import SealedCase, distance_sigma
 from softcal.core.challenge.draw import draw_case
 from softcal.core.challenge.judge import Judged, read_answer
 from softcal.core.challenge.mistakes import Mistake
+from softcal.core.challenge.realised import BASE, PER_RUN, realised_shrink
 from softcal.core.challenge.rig import Cause
 from softcal.core.challenge.score import calibration_error, score_reports, wilson
 from softcal.core.challenge.seal import Label
@@ -65,6 +66,8 @@ def outcome(truth: Label, said: dict[str, Any]) -> str:
         ),
         (label(), report("no_gap", {}), "right"),
         (label(), report("explained", {"backlash": 0.9}), "alarm"),
+        (label(), report("unknown", {"backlash": 0.2}), "abstained"),
+        (label(), report("unknown", {"backlash": 0.9}), "alarm"),
         (label("slip"), report("unknown", {"backlash": 0.9}), "right"),
         (label("slip"), report("explained", {"backlash": 0.9}), "wrong"),
     ],
@@ -77,6 +80,52 @@ def test_a_case_without_a_report_counts_as_wrong() -> None:
     sheet = score_reports([label("channel_creep")], {})
     assert sheet.rows[0].hits == 0 and sheet.rows[0].count == 1
     assert sheet.judged[0].outcome == "no report"
+
+
+STRANGE: dict[str, dict[str, Any]] = {
+    "nothing": {},
+    "another verdict": report("perhaps", {"channel_creep": 0.9}),
+    "no number": report("explained", {"channel_creep": float("nan")}),
+    "more than sure": report("explained", {"channel_creep": 3.0}),
+    "causes of text": {**report("explained", {}), "causes": ["channel_creep"]},
+    "places of text": {**report("explained", {"channel_creep": 0.9}), "where": "everywhere"},
+    "data of text": {**report("data", {}), "data": "all wrong"},
+}
+
+
+@pytest.mark.parametrize("strange", STRANGE)
+def test_a_strange_report_counts_as_wrong_and_stops_nothing(strange: str) -> None:
+    labels = [label("channel_creep", name="case-1"), label("channel_creep", name="case-2"), label(name="case-3")]
+    sound = report("explained", {"channel_creep": 0.9})
+    sheet = score_reports(labels, {"case-1": STRANGE[strange], "case-2": sound, "case-3": STRANGE[strange]})
+    assert [judged.outcome for judged in sheet.judged] == ["wrong", "right", "wrong"]
+    assert "case-1" in sheet.judged[0].unread
+    json.dumps(sheet.to_record(), allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    ("effect", "parameters", "base"),
+    [
+        ("channel_creep", {}, {}),
+        ("channel_creep", {"c": {"value": None}, "tau": {"value": 5.0}}, {}),
+        ("channel_creep", {"c": {"value": 0.1}, "tau": {"value": float("nan")}}, {}),
+        ("channel_creep", {"c": {"value": 0.1}, "tau": {"value": 5.0}}, {"k1_N_mm": "stiff"}),
+        ("a ghost", {"size": {"value": 1.0}}, {}),
+    ],
+)
+def test_numbers_that_make_no_twin_shrink_nothing(
+    effect: str, parameters: dict[str, Any], base: dict[str, Any]
+) -> None:
+    case = next(c for k in range(20) if len((c := draw_case(k, "case-1", "usual")).causes) and _leaves_a_gap(c))
+    rig = {name: getattr(case.rig, name) for name in BASE}
+    named = [{"effect": effect, "probability": 1.0, "parameters": parameters}]
+    told = {**report("explained", {}), "causes": named, "base": {**rig, **base}}
+    sheet = score_reports([Label(case, "00", 100.0)], {"case-1": told}, lambda la, said: realised_shrink(la.case, said))
+    assert sheet.judged[0].realised_shrink == 0.0
+
+
+def _leaves_a_gap(case: SealedCase) -> bool:
+    return not {cause.effect for cause in case.causes} & set(PER_RUN) and distance_sigma(case) > 50.0
 
 
 def test_shrink_is_scored_on_the_run_kept_back() -> None:
@@ -122,6 +171,7 @@ def test_a_report_of_another_shape_is_refused_in_one_line() -> None:
         ("data", [("gain", "output", [2])], "abstained"),
         ("data", [], "abstained"),
         ("explained", [("unit_factor", "output", [2])], "wrong"),
+        ("no_gap", [("unit_factor", "force", "all")], "wrong"),
         ("no_gap", [], "wrong"),
     ],
 )
@@ -132,3 +182,10 @@ def test_a_mistake_in_the_recordings_asks_for_its_kind_channel_and_run(
     spoilt = replace(label("channel_creep"), case=replace(label("channel_creep").case, mistake=mistake))
     data = [{"what": what, "channel": channel, "runs": runs} for what, channel, runs in told]
     assert outcome(spoilt, {**report(verdict, {"channel_creep": 0.98}), "data": data}) == expected
+
+
+def test_a_unit_of_the_whole_case_may_be_asked_about_beside_any_verdict() -> None:
+    case = replace(label().case, mistake=Mistake("unit_factor", "force", (), 9.80665).to_text())
+    asked = {**report("no_gap", {}), "data": [{"what": "unit_factor", "channel": "force", "runs": "all"}]}
+    assert outcome(replace(label(), case=case), asked) == "right"
+    assert outcome(replace(label(), case=case), report("no_gap", {})) == "wrong"

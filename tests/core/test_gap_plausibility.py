@@ -11,7 +11,7 @@ from softcal.app.files.case_folder import open_table
 from softcal.core import profiles
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import diagnose
-from softcal.core.gap.plausibility import mistakes
+from softcal.core.gap.plausibility import doubts, mistakes
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate
 
@@ -56,8 +56,6 @@ def sound() -> Case:
 
 
 SPOILT = {
-    "force in kgf": ((), {"force_N": scaled("force_N", 1 / 9.80665)}, ("unit_factor", "force", 9.80665)),
-    "travel in inch": ((), {"stage_mm": scaled("stage_mm", 1 / 25.4)}, ("unit_factor", "stage", 25.4)),
     "output in mV": ((), {"output_V": scaled("output_V", 1e3)}, ("unit_factor", "output", 1e-3)),
     "output as codes": (
         (),
@@ -109,6 +107,36 @@ def test_a_mistake_is_named_with_its_runs_and_its_repair(sound: Case, name: str)
     assert report["twin"] is None and report["causes"] and not any(c["probability"] for c in report["causes"])  # type: ignore[attr-defined, union-attr]
 
 
+@pytest.mark.parametrize(
+    ("channel", "factor"), [("force", 9.80665), ("stage", 25.4)], ids=["force in kgf", "travel in inch"]
+)
+def test_a_unit_of_the_whole_case_is_asked_about_and_diagnosed(sound: Case, channel: str, factor: float) -> None:
+    name = {"force": "force_N", "stage": "stage_mm"}[channel]
+    diagnosis = diagnose(spoilt(sound, **{name: scaled(name, 1 / factor)}))
+    assert diagnosis.verdict == "no_gap"
+    assert [(f.what, f.channel, f.runs, f.factor) for f in diagnosis.mistakes] == [("unit_factor", channel, (), factor)]
+
+
+@pytest.mark.parametrize(("newtons", "stroke"), [(30.0, 0.5), (0.03, 0.3)], ids=["200 N", "0.2 N"])
+def test_an_unusual_pad_is_no_mistake(sound: Case, newtons: float, stroke: float) -> None:
+    pad = spoilt(sound, force_N=scaled("force_N", newtons), stage_mm=scaled("stage_mm", stroke))
+    assert mistakes(pad) == () and diagnose(pad).verdict == "no_gap"
+
+
+@pytest.mark.parametrize("seed", range(120, 128))
+def test_lost_samples_are_no_wrong_unit(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    losses = sorted((float(rng.uniform(3.0, 15.0)), int(rng.integers(3, 20))) for _ in range(3))
+    assert mistakes(make_case(EffectSetting("dropped_samples", {}, tuple(losses)), seed=seed)) == ()
+
+
+@pytest.mark.parametrize(("ratio", "what"), [(1 / 4.44822, "unit_factor"), (1 / 3.15, "gain")])
+def test_a_unit_is_suggested_only_where_the_number_fits(sound: Case, ratio: float, what: str) -> None:
+    found = mistakes(spoilt(sound, 2, force_N=scaled("force_N", ratio)))
+    assert [(f.what, f.runs) for f in found] == [(what, (2,))]
+    assert found[0].factor == pytest.approx(1 / ratio, rel=0.1)
+
+
 @pytest.mark.parametrize("effect", ["mullins_softening", "readout_lag", "thermal_drift", "clock_skew"])
 def test_an_effect_is_no_mistake(effect: str) -> None:
     diagnosis = diagnose(make_case(EffectSetting(effect)))
@@ -145,8 +173,10 @@ def test_a_gain_of_all_runs_shows_where_the_lot_states_its_stiffness(sound: Case
 
 def test_a_stiff_pad_that_the_lot_states_is_believed(sound: Case) -> None:
     stiff = spoilt(sound, stage_mm=scaled("stage_mm", 1 / 25.4))
-    assert mistakes(stiff)[0].what == "unit_factor"
-    assert mistakes(replace(stiff, stiffness_N_mm=(40.0, 60.0))) == ()
+    assert mistakes(replace(stiff, stiffness_N_mm=(1.0, 3.0)))[0].what == "unit_factor"
+    assert doubts(stiff)[0].what == "unit_factor"
+    believed = replace(stiff, stiffness_N_mm=(40.0, 60.0))
+    assert mistakes(believed) == doubts(believed) == ()
 
 
 @pytest.mark.parametrize("name", ["S1", "S2"])

@@ -1,6 +1,7 @@
 """A diagnosis does not depend on the size of a rig: the same recordings in larger or smaller units say the same."""
 
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -23,15 +24,22 @@ BASE = BaseParameters(
     u0_mm=0.35, k1_N_mm=1.5, k3_N_mm3=0.12, kappa_per_N=0.06, sigma_output_V=0.0012, sigma_force_N=0.012
 )
 DEPTH_mm = 3.1
-CASES = {
-    "none": (),
-    "channel_collapse": (EffectSetting("channel_collapse", {"beta": 0.03, "Fc": 3.5}),),
-    "backlash": (EffectSetting("backlash", {"b": 0.05}),),
-    "wiring_resistance": (EffectSetting("wiring_resistance", {"Rw": 0.8}),),
-    "loadcell_saturation": (EffectSetting("loadcell_saturation", {"F_sat": 16.0}),),
-    "loadcell_nonlinearity": (EffectSetting("loadcell_nonlinearity", {"lambda": 0.05}),),
-    "contact_shift": (EffectSetting("contact_shift", {"s": 0.06, "tau": 15.0}),),
+SIZES = {
+    "channel_collapse": {"beta": 0.03, "Fc": 3.5},
+    "wiring_resistance": {"Rw": 0.8},
+    "loadcell_saturation": {"F_sat": 16.0},
+    "loadcell_nonlinearity": {"lambda": 0.05},
+    "contact_shift": {"s": 0.06, "tau": 15.0},
+    "thermal_drift": {"alpha": 0.003},
+    "mains_hum": {"A": 0.004, "f": 10.0},
+    "adc_saturation": {"V_max": 1.25},
 }
+EPISODES = {"dropped_samples": ((6.0, 5.0), (9.0, 8.0)), "intermittent_contact": ((4.0, 5.2), (11.0, 11.5))}
+CASES: dict[str, tuple[EffectSetting, ...]] = {"none": ()} | {
+    i: (EffectSetting(i, SIZES.get(i, {}), EPISODES.get(i, ())),) for i in EFFECTS
+}
+QUICK = ("none", "channel_collapse", "wiring_resistance", "loadcell_nonlinearity", "mullins_softening")
+"""Cases of every kind of size (none, force, resistor, cell, a lazy minimum) that take seconds; the others are long."""
 
 
 def _case(*effects: EffectSetting) -> Case:
@@ -43,9 +51,10 @@ def _case(*effects: EffectSetting) -> Case:
     )
     for profile in pressed:
         t_s, stage_mm = profile.sample(50.0)
-        force_N, output_V = simulate(Twin(BASE, effects, READOUT), t_s, stage_mm, rng, np.full(len(t_s), 22.0))
-        runs.append(Run(profile.name, t_s, READOUT, stage_mm, force_N, output_V, profile=profile.name))
-    return Case("G1", tuple(runs), stiffness_N_mm=(0.4, 25.0))
+        warm_C = 22.0 + 3.0 * (1.0 - np.exp(-t_s / 10.0)) + 0.3 * np.sin(t_s / 3.0)
+        force_N, output_V = simulate(Twin(BASE, effects, READOUT), t_s, stage_mm, rng, warm_C)
+        runs.append(Run(profile.name, t_s, READOUT, stage_mm, force_N, output_V, warm_C, profile=profile.name))
+    return Case("G1", tuple(runs))
 
 
 def scaled(case: Case, force: float, stroke: float, volts: float, ohms: float) -> Case:
@@ -53,41 +62,47 @@ def scaled(case: Case, force: float, stroke: float, volts: float, ohms: float) -
     readout = replace(case.readout, vref_V=case.readout.vref_V * volts, r_series_ohm=case.readout.r_series_ohm * ohms)
     factors = {"stage_mm": stroke, "force_N": force, "output_V": volts}
     runs = [replace(r, readout=readout, **{n: getattr(r, n) * by for n, by in factors.items()}) for r in case.runs]
-    low, high = case.stiffness_N_mm or (0.4, 25.0)
-    return Case(case.serial, tuple(runs), stiffness_N_mm=(low * force / stroke, high * force / stroke))
+    return Case(case.serial, tuple(runs))
 
 
 def _said(case: Case) -> dict[str, Any]:
     found = diagnose(case)
-    assert found.verdict != "data"
-    named = found.best.hypothesis.ids
-    likely = {c.effect: c.probability for c in found.causes if c.effect in named}
-    return {"verdict": found.verdict, "named": named} | likely | vars(found.shrink)
+    told = {"verdict": found.verdict, "named": found.best.hypothesis.ids, "explained": found.explained_share}
+    told |= {c.effect: c.probability for c in found.causes} | {f"{c.effect}: shrink": c.shrink for c in found.causes}
+    return told | vars(found.shrink) | {f"{p.stage} {p.channel} {p.regime}": p.share for p in found.places}
 
 
-@pytest.fixture(scope="module")
-def said() -> dict[str, dict[str, Any]]:
-    return {name: _said(_case(*effects)) for name, effects in CASES.items()}
+@cache
+def _first(name: str) -> dict[str, Any]:
+    return _said(_case(*CASES[name]))
 
 
-@pytest.mark.parametrize("name", CASES)
+def _agrees(name: str, factors: tuple[float, ...]) -> None:
+    found, first = _said(scaled(_case(*CASES[name]), *factors)), _first(name)
+    assert set(found) == set(first)
+    for key, value in first.items():
+        # What a power of ten rounds off differently moves a fit in its tenth digit; kinked effects carry it further.
+        assert found[key] == (pytest.approx(value, abs=1e-4) if isinstance(value, float) else value), key
+
+
+@pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.long) for n in CASES])
+def test_a_rig_larger_by_powers_of_ten_is_told_the_same(name: str) -> None:
+    powers = np.random.default_rng(list(CASES).index(name)).integers(-3, 4, 4)
+    _agrees(name, tuple(10.0**powers))
+
+
+@pytest.mark.parametrize("name", ["none", "loadcell_nonlinearity"])
 @pytest.mark.parametrize(
     "factors",
     [(0.02, 1.0, 1.0, 1.0), (1.0, 8.0, 0.01, 50.0), (18.75, 0.1, 1.9, 0.3)],
     ids=["0.16 N", "millivolts", "150 N and 0.3 mm"],
 )
-def test_a_larger_rig_is_told_the_same(
-    said: dict[str, dict[str, Any]], name: str, factors: tuple[float, float, float, float]
-) -> None:
-    found, first = _said(scaled(_case(*CASES[name]), *factors)), said[name]
-    assert set(found) == set(first)
-    for key, value in first.items():
-        # Derivatives are taken in steps: what is read off a fit agrees to some digits.
-        assert found[key] == (pytest.approx(value, abs=0.003) if isinstance(value, float) else value), key
+def test_a_larger_rig_is_told_the_same(name: str, factors: tuple[float, float, float, float]) -> None:
+    _agrees(name, factors)
 
 
-def test_the_planted_effects_are_named(said: dict[str, dict[str, Any]]) -> None:
-    assert {name: said[name]["named"] for name in CASES} == {n: () if n == "none" else (n,) for n in CASES}
+def test_the_planted_effects_are_named() -> None:
+    assert {name: _first(name)["named"] for name in QUICK} == {n: () if n == "none" else (n,) for n in QUICK}
 
 
 @given(st.floats(1e-3, 1e3), st.floats(1e-3, 1e3), st.sampled_from(["N", "mm", "N/mm", "N/mm³", "1/N²", "mm/N", "V/s"]))
