@@ -14,7 +14,7 @@ from softcal.core.gap import next_experiment
 from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction, rivals
 from softcal.core.gap.candidates import Probe
 from softcal.core.gap.case import Case
-from softcal.core.gap.coordinates import fit_scale, to_fit
+from softcal.core.gap.coordinates import from_fit
 from softcal.core.gap.diagnosis import (
     SCHEMA,
     UNKNOWN_TRUST,
@@ -25,30 +25,30 @@ from softcal.core.gap.diagnosis import (
     estimates_of,
     shares_of,
 )
-from softcal.core.gap.fit import Block, Fit, fit
+from softcal.core.gap.fit import Block, Fit, Hypothesis, fit
 from softcal.core.gap.next_experiment import NextExperiment
 from softcal.core.gap.posterior import log_evidences
 from softcal.core.gap.residual import Regime, structure
+from softcal.core.gap.screen import Tangent
 from softcal.core.gap.search import EffectSearch, Progress, SearchConfig
 from softcal.core.gap.shrink import ChannelGap, Shrink, quantify
 from softcal.core.gap.simulator import (
     Simulator,
-    SimulatorHypothesis,
     SimulatorProblem,
     SimulatorRun,
-    noise_of,
     planned,
 )
+from softcal.core.gap.start import best_of, best_start, noise_levels, scattered
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect, Parameter
+from softcal.core.twin.effects import Effect
 from softcal.core.twin.probes import Extent
 from softcal.core.words.reason import Reason, reason
 
-STARTS = 3
-"""Starts of the base fit: the usual values, and this many less one around them."""
-
 CONFIG = SearchConfig(leads=(8, 5), beam=(3,))
 """As for the twin, up to two causes at once."""
+
+DRAWS = 10
+"""Places at which an effect is tried, over its bounds."""
 
 STANDS_OUT = 1.5
 """Share of the gap over share of time from which a condition is listed."""
@@ -77,8 +77,6 @@ class SimulatorDiagnosis:
     def report(self) -> dict[str, object]:
         """Return the report of schema `softcal.gap/1`; `parameters` are those of the simulator that explains most."""
         found = self.base if self.verdict == "unknown" else self.best
-        hypothesis = found.hypothesis
-        named = hypothesis.named(found.coordinates) if isinstance(hypothesis, SimulatorHypothesis) else {}
         return {
             "schema": SCHEMA,
             "simulator": self.simulator.name,
@@ -94,7 +92,7 @@ class SimulatorDiagnosis:
             "hidden_fraction": self.hidden_fraction,
             "next_experiment": self.next_experiment.record(),
             "explained_share": self.explained_share,
-            "parameters": named,
+            "parameters": self.simulator.named(found.hypothesis, found.coordinates),
         }
 
 
@@ -154,10 +152,39 @@ class SimulatorSearch(EffectSearch):
         duration_s = max(float(run.elapsed_s[-1]) for run in case.runs)
         extent = Extent(1.0, 1.0, 0.0, 1.0, duration_s, float(np.median(case.runs[0].step_s[1:])))
         probes = tuple(Probe(c, row, c.is_one_sided) for c in simulator.candidates for row in c.probes(extent))
+        self._candidates = simulator.candidates
         self._begin(base, probes, (), extent, CONFIG, say)
 
     def _rough_start(self) -> Array:
         return self.base.coordinates[self.base.hypothesis.of_base]
+
+    def _start_again(self) -> None:
+        """Fit every cause and every pair from several starts where the likeliest hypothesis leaves structure.
+
+        A level that was never reached promises nothing to first order, and two causes may gain only together.
+        """
+        if self.is_clean(self._leader):
+            return
+        self._say("trying every cause, and every two, from several starts")
+        for effect in self._candidates:
+            self._try(self.base, effect)
+        singles = sorted((f for ids, f in self.fits.items() if len(ids) == 1), key=lambda f: f.chi2)
+        for found in singles:
+            for effect in self._candidates:
+                self._try(found, effect)
+        super()._start_again()
+
+    def _try(self, parent: Fit, effect: Effect) -> None:
+        """Fit an effect on top of a parent from the likeliest of many places, by promise and as they are."""
+        if effect.id in parent.hypothesis.ids:
+            return
+        tangent, hypothesis = Tangent(parent), parent.hypothesis.adding(effect)
+        places = scattered(effect.parameters, DRAWS)
+        rows = [[from_fit(p, float(x)) for p, x in zip(effect.parameters, place, strict=True)] for place in places]
+        leads = [tangent.lead(Probe(effect, tuple(row), effect.is_one_sided)) for row in rows]
+        starts = [lead.start(parent) for lead in sorted((x for x in leads if x), key=lambda x: -x.gain)[:2]]
+        starts += [np.append(parent.coordinates, place) for place in places]
+        self.keep(best_of(parent.problem, hypothesis, starts))
 
     def _try_forms(self, share: float) -> None:
         self._settle_noise(self._leader)
@@ -168,33 +195,23 @@ class SimulatorSearch(EffectSearch):
     def _find_stranger(self) -> Fit | None:
         return None
 
-    def _settle_noise(self, best: Fit) -> None:
-        problem = best.problem.with_noise(noise_of(best))
-        self.fits = {ids: found.under(problem) for ids, found in self.fits.items()}
-        self.base = self.fits[()]
-
 
 def base_fit(simulator: Simulator, case: Case) -> Fit:
-    """Fit the base parameters alone from several starts, with noise levels from the residual."""
+    """Fit the base parameters alone from several starts, with noise levels from the residual.
+
+    Raises:
+        InputError: the simulator fails wherever it is tried.
+    """
     problem = SimulatorProblem(case, dict.fromkeys(simulator.channels, 1.0), simulator=simulator)
     spans = {c: [problem.measured[b.place] for b in problem.blocks if b.channel == c] for c in simulator.channels}
     rough = {c: 0.02 * max(float(np.std(np.concatenate(parts))), 1e-12) for c, parts in spans.items()}
-    hypothesis = SimulatorHypothesis(base=simulator.base)
-    first = problem.with_noise(rough)
-    fits = [fit(first, hypothesis, start, steps=40) for start in _starts(simulator.base)]
-    best = min(fits, key=lambda found: found.chi2)
+    hypothesis = Hypothesis(of_all=simulator.base)
+    best = best_start(problem.with_noise(rough), hypothesis)
+    if best.chi2 == np.inf:
+        raise InputError(f"{problem.failures.first}; it fails at all {problem.failures.of} places that were tried")
     for _ in range(3):
-        best = fit(best.problem.with_noise(noise_of(best)), hypothesis, best.coordinates)
+        best = fit(best.problem.with_noise(noise_levels(best)), hypothesis, best.coordinates)
     return best
-
-
-def _starts(base: tuple[Parameter, ...]) -> list[Array]:
-    rng = np.random.default_rng(1)
-    usual = np.array([to_fit(p, p.usual) for p in base])
-    scale = np.array([fit_scale(p) for p in base])
-    bounds = np.array([sorted((to_fit(p, p.low), to_fit(p, p.high))) for p in base])
-    drawn = [usual + 0.5 * scale * rng.normal(size=len(base)) for _ in range(STARTS - 1)]
-    return [np.clip(start, bounds[:, 0], bounds[:, 1]) for start in (usual, *drawn)]
 
 
 def _verdict(search: EffectSearch, group: tuple[Fit, ...]) -> DiagnosisVerdict:
