@@ -8,13 +8,14 @@ from typing import TypeAlias
 import numpy as np
 
 from softcal.core.gap.case import Case, Mask, Run
-from softcal.core.gap.colour import Colour, filter_of, filtered
+from softcal.core.gap.colour import Colour, ColourConfig, filter_of, filtered
 from softcal.core.gap.coordinates import fit_scale, from_fit, to_fit
 from softcal.core.gap.forward import predict
 from softcal.core.gap.linear import dots, energy, gram
 from softcal.core.gap.offsets import (
     IS_RELATIVE,
     Directions,
+    Nearby,
     Sizes,
     bases_of,
     directions,
@@ -191,6 +192,11 @@ class Problem:
         """Return a recorded channel of a run, (n,)."""
         return np.asarray(getattr(self.case.runs[run], channel))
 
+    @cached_property
+    def colour_config(self) -> ColourConfig:
+        """How noise that fades is read."""
+        return ColourConfig()
+
     @property
     def smooth_order(self) -> int:
         """Which differences of a residual hold its noise alone: second ones where the rest of it may be quick."""
@@ -311,17 +317,27 @@ class Problem:
         out = self.clean(hypothesis, coordinates, {})
         if not self.has_offsets or self.case.is_planned or not len(self.largest_offsets):
             return self._known(out), self.predict
-        out, nearby = with_offsets(
-            self,
-            out,
-            lambda clean, sizes: self.directions(hypothesis, coordinates, clean, sizes),
-            lambda sizes: self.clean(hypothesis, coordinates, sizes),
-        )
+        out, nearby = self._with_offsets(hypothesis, coordinates, out)
+        out = nearby.added(self, out)
 
         def around(other: Hypothesis, near: Array) -> Array:
             return self._known(nearby.added(self, self.clean(other, near, nearby.moved)))
 
         return self._known(out), around
+
+    def _with_offsets(self, hypothesis: Hypothesis, coordinates: Array, clean: Array) -> tuple[Array, Nearby]:
+        return with_offsets(
+            self,
+            clean,
+            lambda clean, sizes: self.directions(hypothesis, coordinates, clean, sizes),
+            lambda sizes: self.clean(hypothesis, coordinates, sizes),
+        )
+
+    def offset_sizes(self, hypothesis: Hypothesis, coordinates: Array) -> dict[int, Array]:
+        """Return by run, (k,), what it has of its own at these coordinates."""
+        clean, nearby = self._with_offsets(hypothesis, coordinates, self.clean(hypothesis, coordinates, {}))
+        sizes = nearby.sizes(self, clean)
+        return {run: size + nearby.moved.get(run, 0.0) for run, size in sizes.items()}
 
     def _known(self, out: Array) -> Array:
         # A sample nobody can foretell costs as much as a right prediction would: nothing is won by not knowing.
@@ -472,14 +488,14 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20,
         for _ in range(TRIES):
             candidate = space.step(x, normal, slope, damping)
             moved = candidate - x
-            if float(2.0 * moved @ slope - moved @ normal @ moved) < 0.1 * tolerance:
-                break
-            trial, trial_around = problem.predict_around(hypothesis, candidate)
-            trial_residual = problem.whitened(problem.measured - trial)
-            trial_chi2 = _finite_energy(trial_residual)
-            if trial_chi2 < chi2:
-                accepted = True
-                break
+            # A step cut short by a bound may promise nothing where a more damped one does.
+            if float(2.0 * moved @ slope - moved @ normal @ moved) > 0.1 * tolerance:
+                trial, trial_around = problem.predict_around(hypothesis, candidate)
+                trial_residual = problem.whitened(problem.measured - trial)
+                trial_chi2 = _finite_energy(trial_residual)
+                if trial_chi2 < chi2:
+                    accepted = True
+                    break
             # From the whole step to a thousandth of it: what still does not descend is a minimum.
             damping = max(30.0 * damping, 1e-3)
         if not accepted:

@@ -111,7 +111,7 @@ class Nearby:
 
 
 def with_offsets(problem: "Problem", clean: Array, along: Along, again: Again) -> tuple[Array, Nearby]:
-    """Return a prediction, (samples,), with the offsets of every run in it, and how they move nearby."""
+    """Return a prediction, (samples,), with the offsets that bend it in it, and how all of them move nearby."""
     near = Nearby(along(clean, {}))
     for _ in range(PASSES - 1):
         sizes = near.sizes(problem, clean)
@@ -121,7 +121,7 @@ def with_offsets(problem: "Problem", clean: Array, along: Along, again: Again) -
         moved = {run: step + near.moved.get(run, 0.0) for run, step in sizes.items()}
         clean = again(moved)
         near = Nearby(along(clean, moved), moved)
-    return near.added(problem, clean), near
+    return clean, near
 
 
 def bases_of(base: BaseParameters, sizes: Sizes) -> dict[int, BaseParameters]:

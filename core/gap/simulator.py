@@ -23,7 +23,9 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.gap.case import SHORTEST, Case, Mask, Run
-from softcal.core.gap.fit import Block, Hypothesis, Problem
+from softcal.core.gap.colour import ColourConfig, COMMON_STEP_s
+from softcal.core.gap.fit import Block, Fit, Hypothesis, Problem
+from softcal.core.gap.library import columns_of
 from softcal.core.gap.offsets import Directions, Sizes
 from softcal.core.gap.scale import RigScale
 from softcal.core.recording import Array
@@ -271,10 +273,7 @@ class SimulatorProblem(Problem):
         return [self.of.channels for _ in self.case.runs]
 
     def recorded(self, run: int, channel: str) -> Array:
-        found = self.case.runs[run]
-        if not isinstance(found, SimulatorRun):
-            raise ValueError(f"{found.name} is no run of a simulator")
-        return found.columns[channel]
+        return self._runs[run].columns[channel]
 
     @cached_property
     def is_free(self) -> Array:
@@ -296,6 +295,14 @@ class SimulatorProblem(Problem):
     @property
     def scored_channels(self) -> list[str]:
         return list(self.of.channels)
+
+    @cached_property
+    def _times_slower(self) -> float:
+        return float(np.median(np.concatenate([run.step_s[1:] for run in self.case.runs]))) / COMMON_STEP_s
+
+    @cached_property
+    def colour_config(self) -> ColourConfig:
+        return ColourConfig().slower(self._times_slower)
 
     @property
     def smooth_order(self) -> int:
@@ -376,3 +383,41 @@ class SimulatorProblem(Problem):
                     return np.full(len(out), np.nan)
             out[block.place] = found[block.channel]
         return out
+
+    def followed(self, predicted: Array, channel: str) -> dict[str, dict[str, Array]]:
+        """Return groups of (samples,) columns that a residual of a channel may follow: of inputs and channels."""
+        signals = {name: [run.columns[name] for run in self._runs] for name in self.of.inputs if name != channel}
+        for name in self.of.channels:
+            signals[name] = [predicted[b.place] for b in self.blocks if b.channel == name]
+        out: dict[str, dict[str, Array]] = {}
+        for name, parts in signals.items():
+            low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)
+            for block in (b for b in self.blocks if b.channel == channel):
+                signal = (2.0 * parts[block.run] - low - high) / max(high - low, 1e-300)
+                for kind, columns in columns_of(signal, self._runs[block.run], self._times_slower).items():
+                    group = out.setdefault(f"{kind} of {name}", {})
+                    for k, column in enumerate(columns):
+                        group.setdefault(f"{k}", np.zeros(len(predicted)))[block.place] = column
+        return out
+
+    @cached_property
+    def _runs(self) -> list[SimulatorRun]:
+        return [run for run in self.case.runs if isinstance(run, SimulatorRun)]
+
+
+def followed(found: Fit, channel: str) -> list[Mapping[str, Array]]:
+    """Return groups of (samples,) columns that a residual of a channel may follow."""
+    problem = found.problem
+    return list(problem.followed(found.predicted, channel).values()) if isinstance(problem, SimulatorProblem) else []
+
+
+def is_high(found: Fit, block: Block) -> Array:
+    """Return where a channel of a run lies above its median, (n,)."""
+    level = found.predicted[block.place]
+    return np.asarray(level > np.median(level))
+
+
+def is_quick(found: Fit, block: Block) -> Array:
+    """Return where a channel of a run changes faster than usual, (n,)."""
+    rate = np.abs(np.gradient(found.predicted[block.place], found.problem.case.runs[block.run].t_s))
+    return np.asarray(rate > np.median(rate))

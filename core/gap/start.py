@@ -79,20 +79,21 @@ STARTS = StartConfig()
 
 def best_start(problem: Problem, hypothesis: Hypothesis, config: StartConfig = STARTS) -> Fit:
     """Return the best minimum found from starts all over the bounds."""
-    return best_of(problem, hypothesis, scattered(hypothesis.parameters, config.scattered), config)
+    usual, *others = scattered(hypothesis.parameters, config.scattered)
+    places = [usual, *likeliest(problem, hypothesis, others)[: config.tried]]
+    rough = sorted((fit(problem, hypothesis, place, steps=config.first) for place in places), key=lambda f: f.chi2)
+    fits = [fit(problem, hypothesis, found.coordinates, steps=config.steps) for found in rough[:2]]
+    return min(fits, key=lambda found: found.chi2)
 
 
-def best_of(problem: Problem, hypothesis: Hypothesis, starts: Sequence[Array], config: StartConfig = STARTS) -> Fit:
-    """Return the best minimum found from these starts; from the first of them in any case."""
+def likeliest(problem: Problem, hypothesis: Hypothesis, places: Sequence[Array]) -> list[Array]:
+    """Return places in the order of what a prediction at each leaves; last those where there is none."""
 
-    def chi2(place: Array) -> float:
+    def left(place: Array) -> float:
         found = energy(problem.whitened(problem.measured - problem.predict(hypothesis, place)))
         return found if np.isfinite(found) else np.inf
 
-    likely = [starts[0], *sorted(starts[1:], key=chi2)[: config.tried]]
-    rough = sorted((fit(problem, hypothesis, place, steps=config.first) for place in likely), key=lambda f: f.chi2)
-    fits = [fit(problem, hypothesis, found.coordinates, steps=config.steps) for found in rough[:2]]
-    return min(fits, key=lambda found: found.chi2)
+    return sorted(places, key=left)
 
 
 def noise_levels(found: Fit) -> dict[str, float]:

@@ -27,7 +27,8 @@ def _swing(t: np.ndarray, u: np.ndarray, own: np.ndarray, missing: np.ndarray) -
     for n in range(len(u) - 1):
         step = (t[n + 1] - t[n]) / SUBSTEPS
         for part in range(SUBSTEPS):
-            u0, u1 = (u[n] + (u[n + 1] - u[n]) * (part + k) / SUBSTEPS for k in (0.0, 1.0))
+            u0 = u[n] + (u[n + 1] - u[n]) * part / SUBSTEPS
+            u1 = u[n] + (u[n + 1] - u[n]) * (part + 1) / SUBSTEPS
             middle = 0.5 * (u0 + u1)
             a1 = _acceleration(y, v, u0, own, missing)
             a2 = _acceleration(y + 0.5 * step * v, v + 0.5 * step * a1, middle, own, missing)

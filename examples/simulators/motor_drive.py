@@ -43,7 +43,7 @@ def simulate(inputs: Columns, p: Mapping[str, float]) -> Columns:
         [1e-6 * p["air_drag.c2"], 1e-3 * p["falling_drag.viscous"], p["falling_drag.within"], p["slow_torque.lag"]]
     )
     speed = _spin(
-        inputs["t_s"], inputs["torque_Nm"] * (1.0 + p["weak_motor.share"] * inputs["torque_Nm"]), own, dry, more
+        inputs["t_s"], inputs["torque_Nm"] * (1.0 - p["weak_motor.share"] * np.abs(inputs["torque_Nm"])), own, dry, more
     )
     return {"speed_rad_s": speed}
 
@@ -81,7 +81,7 @@ SIMULATOR = Simulator(
             Parameter("within", "rad/s", 1.0, 1000.0, 50.0, scale="log"),
         ),
         candidate("slow_torque", "drive", Parameter("lag", "s", 0.0, 1.0, 0.05, neutral=0.0)),
-        candidate("weak_motor", "motor", Parameter("share", "1/(N·m)", -3.0, 3.0, 0.5, neutral=0.0)),
+        candidate("weak_motor", "motor", Parameter("share", "1/(N·m)", 0.0, 5.0, 0.5, neutral=0.0)),
     ),
     experiments={"one way": _driven(0.05, False), "to and fro": _driven(0.05, True)},
 )
