@@ -6,13 +6,16 @@ values of variance 1; it is the exact likelihood, for any step of time and with 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize
 
 from softcal.core.recording import Array
 from softcal.core.twin.signals import compiled
+
+COMMON_STEP_s = 0.02
+"""Time between two samples of a common rig."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,11 @@ class ColourConfig:
     ratios: tuple[float, ...] = (0.3, 1.0, 3.0)
     fading_s: tuple[float, ...] = (0.1, 0.4, 1.6)
     gain: float = 12.0
+
+    def slower(self, times: float) -> "ColourConfig":
+        """Return the same for a rig that is sampled, and fades, so many times more slowly than a common one."""
+        fading_s = tuple(times * tau_s for tau_s in self.fading_s)
+        return replace(self, shortest_s=times * self.shortest_s, longest_s=times * self.longest_s, fading_s=fading_s)
 
 
 def read_noise(stretches: Sequence[Stretch], config: ColourConfig) -> Noise:

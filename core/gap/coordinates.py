@@ -28,7 +28,8 @@ def fit_scale(parameter: Parameter) -> float:
     """Return a natural step of this parameter in the coordinates of the fit."""
     if parameter.scale == "log":
         return 1.0
-    return abs(to_fit(parameter, parameter.usual)) or 1.0
+    # What is usually 0 tells no size; narrow bounds do.
+    return abs(to_fit(parameter, parameter.usual)) or min(1.0, 0.1 * (parameter.high - parameter.low))
 
 
 def start_coordinates(effects: Sequence[Effect], values: Sequence[Sequence[float]]) -> Array:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from softcal.core.gap.case import Case
 from softcal.core.gap.coordinates import from_fit
 from softcal.core.gap.empirical import LearnedResidual, learned
 from softcal.core.gap.explained import explained_twin, form_of, in_catalogue_form, with_constants
-from softcal.core.gap.fit import BASE, Fit
+from softcal.core.gap.fit import BASE, Fit, Problem
 from softcal.core.gap.floor import coloured, is_noise
 from softcal.core.gap.next_experiment import NextExperiment, propose
 from softcal.core.gap.odd_run import odd_run, odd_run_beside
@@ -282,7 +282,8 @@ def diagnose(
     if (odd := odd_run(search.base)) is not None:
         return _stopped(search.base, (odd,))
     search.run()
-    search = _under_its_floor(case, search, config, say)
+    if not search.is_clean(search.best) or loose_noise(search.best) is not None:
+        search = under_its_floor(search, lambda problem: EffectSearch(case, config, say, problem), is_noise, say)
     if (odd := odd_run_beside(search)) is not None:
         return _stopped(search.base, (odd,))
     if search.stranger is None:
@@ -365,21 +366,26 @@ def _on_unseen(group: tuple[Fit, ...], gone: set[str]) -> tuple[tuple[Fit, ...],
     return tuple(kept), idle
 
 
-def _under_its_floor(
-    case: Case, search: EffectSearch, config: SearchConfig | None, say: Callable[[str], None]
-) -> EffectSearch:
-    """Search once more where what is left may be noise that fades; keep that only where it is shown to be noise."""
-    if search.is_clean(search.best) and loose_noise(search.best) is None:
-        return search
+S = TypeVar("S", bound=EffectSearch)
+
+
+def under_its_floor(
+    search: S, searched: Callable[[Problem], S], is_floor: Callable[[Fit], bool], say: Callable[[str], None]
+) -> S:
+    """Search once more where what is left may be noise that fades; keep that only where it is shown to be noise.
+
+    Args:
+        searched: begins a search under the noise of a problem.
+        is_floor: whether what a fit leaves is noise.
+    """
     closest = min(search.fits.values(), key=lambda found: found.chi2)
     problem = coloured(closest)
     if problem is None:
         return search
     say("searching once more under noise that fades")
-    again = EffectSearch(case, config, say, problem)
+    again = searched(problem)
     again.run()
-    is_floor = again.stranger is None and again.is_clean(again.best) and is_noise(again.best)
-    return again if is_floor else search
+    return again if again.stranger is None and again.is_clean(again.best) and is_floor(again.best) else search
 
 
 def _nearest(search: EffectSearch) -> Partial | None:

@@ -8,11 +8,20 @@ from typing import TypeAlias
 import numpy as np
 
 from softcal.core.gap.case import Case, Mask, Run
-from softcal.core.gap.colour import Colour, filter_of, filtered
+from softcal.core.gap.colour import Colour, ColourConfig, filter_of, filtered
 from softcal.core.gap.coordinates import fit_scale, from_fit, to_fit
 from softcal.core.gap.forward import predict
 from softcal.core.gap.linear import dots, energy, gram
-from softcal.core.gap.offsets import largest_offsets, with_offsets
+from softcal.core.gap.offsets import (
+    IS_RELATIVE,
+    Directions,
+    Nearby,
+    Sizes,
+    bases_of,
+    directions,
+    largest_offsets,
+    with_offsets,
+)
 from softcal.core.gap.rounding import dither_V, mean_code_V
 from softcal.core.gap.scale import RigScale
 from softcal.core.recording import Array
@@ -29,6 +38,12 @@ BASE = (
 )
 DIFFERENCE = 2e-4
 """Step of a numerical derivative, in units of the parameter's usual size: above the corners of play and clipping."""
+
+QUIETEST = 1e-6
+"""Least noise of a force that is believed, N on the common rig."""
+
+TRIES = 6
+"""Steps tried from one place, each damped more than the one before."""
 
 PRIOR_ODDS = 0.02
 """Prior odds of each effect being present: one effect in half of the cases, any of the 25."""
@@ -48,15 +63,17 @@ Around: TypeAlias = Callable[["Hypothesis", Array], Array]
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """The base twin with these effects on top.
+    """The base with these effects on top.
 
     Args:
         effects: entries of the catalogue, or other realisations of the same causes.
         episodes: per run, the rows of its episodic effects.
+        of_all: parameters of the base, which every hypothesis has; the twin's where nothing else is said.
     """
 
     effects: tuple[Effect, ...] = ()
     episodes: Episodes = ()
+    of_all: tuple[Parameter, ...] = BASE
 
     @cached_property
     def chain(self) -> Chain:
@@ -69,8 +86,8 @@ class Hypothesis:
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """All parameters: the base's five, then those of the effects in order."""
-        return BASE + tuple(p for effect in self.effects for p in effect.parameters)
+        """All parameters: those of the base, then those of the effects in order."""
+        return self.of_all + tuple(p for effect in self.effects for p in effect.parameters)
 
     def episodes_of(self, run: int) -> Mapping[str, Array]:
         return self.episodes[run] if self.episodes else {}
@@ -83,7 +100,7 @@ class Hypothesis:
     @property
     def of_base(self) -> slice:
         """Where the base parameters stand in the vector of parameters."""
-        return slice(0, len(BASE))
+        return slice(0, len(self.of_all))
 
     @cached_property
     def slices(self) -> dict[str, slice]:
@@ -91,10 +108,10 @@ class Hypothesis:
         ends = np.cumsum([self.of_base.stop, *(len(effect.parameters) for effect in self.effects)])
         return {e.id: slice(int(ends[k]), int(ends[k + 1])) for k, e in enumerate(self.effects)}
 
-    def split(self, coordinates: Array) -> tuple[BaseParameters, list[list[float]]]:
-        """Return base parameters and the values of every effect at these coordinates of the fit."""
+    def split(self, coordinates: Array) -> tuple[list[float], list[list[float]]]:
+        """Return the values of the base and of every effect at these coordinates of the fit."""
         values = [from_fit(p, float(x)) for p, x in zip(self.parameters, coordinates, strict=True)]
-        return BaseParameters(*values[self.of_base]), [values[place] for place in self.slices.values()]
+        return values[self.of_base], [values[place] for place in self.slices.values()]
 
     def place_of(self, effect_id: str) -> int:
         """Return where the size of an effect stands among the coordinates."""
@@ -175,6 +192,20 @@ class Problem:
         """Return a recorded channel of a run, (n,)."""
         return np.asarray(getattr(self.case.runs[run], channel))
 
+    @cached_property
+    def colour_config(self) -> ColourConfig:
+        """How noise that fades is read."""
+        return ColourConfig()
+
+    @property
+    def smooth_order(self) -> int:
+        """Which differences of a residual hold its noise alone: second ones where the rest of it may be quick."""
+        return 1
+
+    def least_noise(self, channel: str) -> float:
+        """Return the least noise of a channel that is believed: one without any has no weight."""
+        return 0.1 * self.case.readout.step_V if channel == "output_V" else QUIETEST * self.scale.factor("N")
+
     @property
     def scored_channels(self) -> list[str]:
         """Channels whose gap is measured; where the stage stands on a rigid block is none."""
@@ -247,8 +278,18 @@ class Problem:
 
     @cached_property
     def largest_offsets(self) -> Array:
-        """(3,) bounds of every run's own zero, resistance and seat."""
+        """(k,) bounds of what every run has of its own: of the twin a zero, a resistance and a seat."""
         return largest_offsets(self.case)
+
+    @property
+    def are_relative(self) -> Mask:
+        """(k,) of which offsets only what the runs differ by is taken off."""
+        return IS_RELATIVE
+
+    @property
+    def are_bending(self) -> Mask:
+        """(k,) which offsets move a channel other than in proportion."""
+        return IS_RELATIVE
 
     @property
     def is_driven_by_force(self) -> bool:
@@ -273,27 +314,45 @@ class Problem:
 
     def predict_around(self, hypothesis: Hypothesis, coordinates: Array) -> tuple[Array, "Around"]:
         """Return the clean prediction, (samples,), and what foretells it nearby in one pass of the chain."""
-        base, values = hypothesis.split(coordinates)
-        out = self._clean(hypothesis, base, values, {})
-        if not self.has_offsets or self.case.is_planned:
+        out = self.clean(hypothesis, coordinates, {})
+        if not self.has_offsets or self.case.is_planned or not len(self.largest_offsets):
             return self._known(out), self.predict
-        out, nearby = with_offsets(self, base, out, lambda own: self._clean(hypothesis, base, values, own))
+        out, nearby = self._with_offsets(hypothesis, coordinates, out)
+        out = nearby.added(self, out)
 
         def around(other: Hypothesis, near: Array) -> Array:
-            base, values = other.split(near)
-            return self._known(nearby.added(self, self._clean(other, base, values, nearby.own(base))))
+            return self._known(nearby.added(self, self.clean(other, near, nearby.moved)))
 
         return self._known(out), around
+
+    def _with_offsets(self, hypothesis: Hypothesis, coordinates: Array, clean: Array) -> tuple[Array, Nearby]:
+        return with_offsets(
+            self,
+            clean,
+            lambda clean, sizes: self.directions(hypothesis, coordinates, clean, sizes),
+            lambda sizes: self.clean(hypothesis, coordinates, sizes),
+        )
+
+    def offset_sizes(self, hypothesis: Hypothesis, coordinates: Array) -> dict[int, Array]:
+        """Return by run, (k,), what it has of its own at these coordinates."""
+        clean, nearby = self._with_offsets(hypothesis, coordinates, self.clean(hypothesis, coordinates, {}))
+        sizes = nearby.sizes(self, clean)
+        return {run: size + nearby.moved.get(run, 0.0) for run, size in sizes.items()}
 
     def _known(self, out: Array) -> Array:
         # A sample nobody can foretell costs as much as a right prediction would: nothing is won by not knowing.
         unknown = np.isnan(out)
         return np.where(unknown, self.measured - self.noise, out) if unknown.any() else out
 
-    def _clean(
-        self, hypothesis: Hypothesis, base: BaseParameters, values: list[list[float]], own: Mapping[int, BaseParameters]
-    ) -> Array:
-        """Return the prediction with a base of its own for some runs, NaN where nobody can know."""
+    def directions(self, hypothesis: Hypothesis, coordinates: Array, clean: Array, sizes: Sizes) -> Directions:
+        """Return how a prediction with these offsets in it changes with each of them."""
+        return directions(self, BaseParameters(*hypothesis.split(coordinates)[0]), clean, sizes)
+
+    def clean(self, hypothesis: Hypothesis, coordinates: Array, sizes: Sizes) -> Array:
+        """Return the prediction, (samples,), with these offsets in it, NaN where nobody can know."""
+        given, values = hypothesis.split(coordinates)
+        base = BaseParameters(*given)
+        own = bases_of(base, sizes)
         out = np.empty(len(self.measured))
         last, prediction = -1, None
         for block in self.blocks:
@@ -305,6 +364,8 @@ class Problem:
             if block.channel == "output_V" and self.dither_V is not None and channel is not None:
                 channel = mean_code_V(channel, self.dither_V, self.case.readout.step_V)
             out[block.place] = self.measured[block.place] if channel is None else channel
+            if block.channel == "force_N" and block.run in sizes:
+                out[block.place] += sizes[block.run][0]
         return out
 
     def seeing(self, use: Array) -> "Problem":
@@ -357,7 +418,8 @@ class Fit:
 
     @cached_property
     def base(self) -> BaseParameters:
-        return self.hypothesis.split(self.coordinates)[0]
+        """The base parameters of the twin."""
+        return BaseParameters(*self.hypothesis.split(self.coordinates)[0])
 
     @cached_property
     def effect_values(self) -> list[list[float]]:
@@ -419,21 +481,27 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20,
     x = np.clip(start, space.low, space.high)
     predicted, around = problem.predict_around(hypothesis, x)
     residual = problem.whitened(problem.measured - predicted)
-    chi2, damping = energy(residual), 1e-4
+    chi2, damping = _finite_energy(residual), 1e-4
+    if chi2 == np.inf:
+        return Fit(problem, hypothesis, x, predicted, chi2, np.zeros((len(x), len(predicted))))
     slopes = space.slopes(x, predicted, around)
     for _ in range(steps):
         jacobian = np.array([problem.whitened(row) for row in slopes])
+        normal, slope = gram(jacobian), dots(jacobian, residual)
         accepted = False
-        for _ in range(6):
-            candidate = space.step(x, jacobian, residual, damping)
-            trial, trial_around = problem.predict_around(hypothesis, candidate)
-            trial_residual = problem.whitened(problem.measured - trial)
-            trial_chi2 = energy(trial_residual)
-            if trial_chi2 < chi2:
-                accepted = True
-                break
-            # Six times tenfold is a millionth of the step: what still does not descend is a minimum.
-            damping = max(damping * 10, 1e-6)
+        for _ in range(TRIES):
+            candidate = space.step(x, normal, slope, damping)
+            moved = candidate - x
+            # A step cut short by a bound may promise nothing where a more damped one does.
+            if float(2.0 * moved @ slope - moved @ normal @ moved) > 0.1 * tolerance:
+                trial, trial_around = problem.predict_around(hypothesis, candidate)
+                trial_residual = problem.whitened(problem.measured - trial)
+                trial_chi2 = _finite_energy(trial_residual)
+                if trial_chi2 < chi2:
+                    accepted = True
+                    break
+            # From the whole step to a thousandth of it: what still does not descend is a minimum.
+            damping = max(30.0 * damping, 1e-3)
         if not accepted:
             break
         gain = chi2 - trial_chi2
@@ -444,6 +512,12 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20,
             break
         slopes = space.slopes(x, predicted, around)
     return Fit(problem, hypothesis, x, predicted, chi2, slopes)
+
+
+def _finite_energy(residual: Array) -> float:
+    """Return the sum of squares; infinity where the prediction is not finite, so that a fit goes elsewhere."""
+    found = energy(residual)
+    return found if np.isfinite(found) else np.inf
 
 
 class _Space:
@@ -471,14 +545,18 @@ class _Space:
             step = DIFFERENCE * self.scale[k]
             if x[k] + step > self.high[k]:
                 step = -step
-            moved = x.copy()
-            moved[k] += step
-            out[k] = (around(self._hypothesis, moved) - predicted) / step
+            # Beside a place where a simulator fails the other side tells; between two such places a parameter is held.
+            for side in (step, -step):
+                moved = x.copy()
+                moved[k] += side
+                row = (around(self._hypothesis, moved) - predicted) / side
+                if np.all(np.isfinite(row)):
+                    out[k] = row
+                    break
         return out
 
-    def step(self, x: Array, jacobian: Array, residual: Array, damping: float) -> Array:
+    def step(self, x: Array, normal: Array, slope: Array, damping: float) -> Array:
         """Return the damped Gauss–Newton step; parameters pushed out of their bounds are held there."""
-        normal, slope = gram(jacobian), dots(jacobian, residual)
         free = self.is_free & (np.diag(normal) > 0)
         candidate = x.copy()
         for _ in range(3):

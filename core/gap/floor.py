@@ -5,12 +5,13 @@ only where it passes three tests. It is as strong at rest as under load. It foll
 speed, load, time, temperature, what came before. And nothing of it is seen in two channels at once.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
-from softcal.core.gap.colour import Colour, ColourConfig, Stretch, log_likelihood, read_noise
+from softcal.core.gap.colour import Colour, Stretch, log_likelihood, read_noise
 from softcal.core.gap.fit import Block, Fit, Problem
 from softcal.core.gap.library import variables
 from softcal.core.gap.linear import combine, dots
@@ -23,14 +24,12 @@ class FloorConfig:
     """When what is left counts as noise.
 
     Args:
-        colour: how noise is read.
         uneven: log likelihood that noise of its own at rest, and of its own under load, may gain over the same noise
             in both: three numbers more gain 1.5 on average and 10 in one of 10,000.
         coherent: standard errors by which what is left may follow the variables of the chain.
         fewest: samples at rest and under load, each, that tell; fewer do not test.
     """
 
-    colour: ColourConfig = ColourConfig()
     uneven: float = 14.0
     coherent: float = 6.0
     fewest: int = 100
@@ -62,8 +61,8 @@ def _noise_of(
 ) -> tuple[dict[str, float], dict[str, Colour]]:
     colours = {}
     for channel in channels:
-        noise = read_noise([_stretch(found, b) for b in _blocks(found, channel)], CONFIG.colour)
-        if noise.gain > CONFIG.colour.gain:
+        noise = read_noise([_stretch(found, b) for b in _blocks(found, channel)], found.problem.colour_config)
+        if noise.gain > found.problem.colour_config.gain:
             levels[channel], colours[channel] = noise.white, noise.colour
     return levels, colours
 
@@ -78,47 +77,67 @@ def _stretch(found: Fit, block: Block, use: Array | None = None) -> Stretch:
     return Stretch(error, step_s, np.ones(len(error)) if use is None else use)
 
 
-def is_noise(found: Fit) -> bool:
+Halves: TypeAlias = Callable[[Fit, Block], Array | None]
+"""Which samples of a channel of a run, (n,), lie in one of two conditions; None where nothing tells."""
+
+Variables: TypeAlias = Callable[[Fit, str], Iterable[Mapping[str, Array]]]
+"""What the residual of a channel may follow: (samples,) columns by name, in groups that are tested one by one."""
+
+
+def under_load(found: Fit, block: Block) -> Array | None:
+    """Return where the sensor of the twin is pressed."""
+    run = found.problem.case.runs[block.run]
+    return None if run.kind != "press" or run.stage_mm is None else run.stage_mm > found.base.u0_mm
+
+
+def of_chain(found: Fit, channel: str) -> list[Mapping[str, Array]]:
+    """Return what the chain of the twin knows, as one group."""
+    return [variables(found, channel)]
+
+
+def is_noise(found: Fit, halves: Sequence[Halves] = (under_load,), follows: Variables = of_chain) -> bool:
     """Whether what a fit leaves in its channels of coloured noise passes the three tests."""
-    return all(_is_even(found, channel) and _is_free(found, channel) for channel in found.problem.colour)
+    return all(
+        all(_is_even(found, channel, half) for half in halves) and _is_free(found, channel, follows)
+        for channel in found.problem.colour
+    )
 
 
-def _is_even(found: Fit, channel: str) -> bool:
-    """Whether one noise fits rest and load alike."""
+def _is_even(found: Fit, channel: str, half: Halves) -> bool:
+    """Whether one noise fits both conditions, as rest and load, alike."""
     problem = found.problem
     parts: dict[bool, list[Stretch]] = {False: [], True: []}
     for block in _blocks(found, channel):
-        run = problem.case.runs[block.run]
-        if run.kind != "press" or run.stage_mm is None:
-            continue
-        is_loaded = run.stage_mm > found.base.u0_mm
-        for side in (False, True):
-            parts[side].append(_stretch(found, block, (is_loaded == side).astype(np.float64)))
+        is_inside = half(found, block)
+        for side in (False, True) if is_inside is not None else ():
+            parts[side].append(_stretch(found, block, (is_inside == side).astype(np.float64)))
     if any(sum(float(s.use.sum()) for s in part) < CONFIG.fewest for part in parts.values()):
         return True
     white, colour = problem.sigma[channel], problem.colour[channel]
     gain = sum(
-        read_noise(part, CONFIG.colour).log_likelihood - log_likelihood(part, white, colour) for part in parts.values()
+        read_noise(part, problem.colour_config).log_likelihood - log_likelihood(part, white, colour)
+        for part in parts.values()
     )
     return gain < CONFIG.uneven
 
 
-def _is_free(found: Fit, channel: str) -> bool:
-    """Whether what is left follows none of the chain's variables more than noise does by chance."""
-    columns = [*variables(found, channel).values(), *_elsewhere(found, channel)]
-    rows = [found.problem.whitened(column) for column in columns]
-    seen = projected(rows, found.jacobian)
+def _is_free(found: Fit, channel: str, follows: Variables) -> bool:
+    """Whether what is left follows none of the variables more than noise does by chance."""
+    groups = [[*group.values(), *_elsewhere(found, channel)] for group in follows(found, channel)]
+    return not any(_is_followed(found, columns) for columns in groups)
+
+
+def _is_followed(found: Fit, columns: Sequence[Array]) -> bool:
+    seen = projected([found.problem.whitened(column) for column in columns], found.jacobian)
     by_chance = len(seen)
-    if not by_chance:
-        return True
-    gain = float(np.sum(dots(seen, found.residual) ** 2))
-    return bool(gain < by_chance + CONFIG.coherent * np.sqrt(2.0 * by_chance))
+    gain = float(np.sum(dots(seen, found.residual) ** 2)) if by_chance else 0.0
+    return bool(gain > by_chance + CONFIG.coherent * np.sqrt(2.0 * by_chance))
 
 
 def _elsewhere(found: Fit, channel: str) -> list[Array]:
     """Return what the channel before this one leaves of the same runs: noise of two channels has nothing in common."""
     problem, out = found.problem, np.zeros(len(found.problem.measured))
-    others = {b.run: b for name in ("force_N", "output_V") if name != channel for b in _blocks(found, name)}
+    others = {b.run: b for name in problem.scored_channels if name != channel for b in _blocks(found, name)}
     for block in _blocks(found, channel):
         if block.run in others and problem.case.runs[block.run].kind == "press":
             out[block.place] = (problem.measured - found.predicted)[others[block.run].place]

@@ -39,6 +39,26 @@ def variables(found: Fit, channel: str) -> Mapping[str, Array]:
     return out
 
 
+def columns_of(signal: Array, run: Run, times: float) -> dict[str, list[Array]]:
+    """Return what a residual may follow of any signal: groups of (n,) columns, as they may be tested one by one.
+
+    Args:
+        signal: (n,) within −1 and 1.
+        times: by what this rig is slower than a common one; the memories fade by so much more slowly.
+    """
+    rate = np.gradient(signal, run.t_s)
+    way, quick = np.sign(rate), np.gradient(rate, run.t_s)
+    places = [2.0 * k / (HATS - 1) - 1.0 for k in range(HATS)]
+    memories = [low_pass(signal, run.step_s, times * tau_s, np.zeros(2)) for tau_s in MEMORY_s]
+    return {
+        "level": [np.maximum(0.0, 1.0 - 0.5 * (HATS - 1) * np.abs(signal - place)) for place in places],
+        "way": [way, signal * way, signal**2 * way],
+        "rate": [rate, np.abs(rate), rate * np.abs(rate), signal * rate, quick],
+        "memory": [*memories, *(signal * remembered for remembered in memories)],
+        "time": [run.elapsed_s, signal * run.elapsed_s],
+    }
+
+
 class _State:
     """Depth, load and time of one run, as the fitted base has them."""
 

@@ -153,6 +153,9 @@ def _distance(mine: Fit, other: Fit, run: Run) -> float:
     hypothesis = mine.hypothesis.without_episodes()
     theirs = problem.predict(other.hypothesis.without_episodes(), other.coordinates)
     parted = problem.whitened(theirs - problem.predict(hypothesis, mine.coordinates))
+    if not np.all(np.isfinite(parted)):
+        # A simulator that fails there tells nothing.
+        return 0.0
     jacobian = fit(problem, hypothesis, mine.coordinates, steps=0).jacobian
     old = gram(mine.jacobian)
     free = np.flatnonzero(np.diag(old) > 0)

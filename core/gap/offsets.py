@@ -3,12 +3,13 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.linear import combine
+from softcal.core.gap.linear import combine, dots, gram
 from softcal.core.recording import Array
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.signals import compiled
@@ -28,11 +29,18 @@ SEAT = 0.03
 STRAIGHT_SIGMA = 0.5
 """Noise of one sample up to which an offset may move it along the slope: where it bends, the error is far smaller."""
 
-RESISTANCE_AT, SEAT_AT = 1, 2
-"""Where these stand among the three offsets of a run; the zero of the force comes first."""
+IS_RELATIVE = np.array([False, True, True])
+"""Whose common part is the base's own: its resistance and its surface; the zero of the force comes first."""
+
+PASSES = 3
+"""How often offsets that bend a channel are taken up anew: what is left shrinks by its square."""
 
 SEATED = ("press", "rest")
 """Kinds of run in which the unit lies under the stage."""
+
+
+Directions: TypeAlias = list[Array | None]
+"""Per block, (k, n), how a channel changes with each offset of its run; None where a run has none."""
 
 
 @dataclass(frozen=True)
@@ -62,12 +70,18 @@ def offsets(problem: "Problem", base: BaseParameters, clean: Array) -> list[Offs
         base: where the directions are taken.
         clean: (samples,) prediction of the twin.
     """
-    runs, sizes = _solved(problem, _all_directions(problem, base, clean), clean)
+    runs, sizes = _solved(problem, directions(problem, base, clean), clean, {})
     return [Offsets(run, *map(float, row)) for run, row in zip(runs, sizes, strict=True)]
 
 
-Again = Callable[[Mapping[int, BaseParameters]], Array]
-"""Predict once more, with a base of its own for every run."""
+Sizes: TypeAlias = Mapping[int, Array]
+"""By run, (k,), the sizes of its offsets that are in a prediction."""
+
+Again: TypeAlias = Callable[[Sizes], Array]
+"""Predict once more, (samples,), with these offsets in it."""
+
+Along: TypeAlias = Callable[[Array, Sizes], Directions]
+"""How a prediction with these offsets in it changes with each of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,114 +89,116 @@ class Nearby:
     """The offsets of every run around one prediction: nearby they follow another one along the same directions.
 
     Args:
-        directions: per block, (3, n), how the channel changes with each offset; None where the unit is not in the run.
-        moved: by run (zero of the force, share of R0, seat) that are in the prediction; none where all are small.
+        directions: how the prediction changes with each offset.
+        moved: what is in the prediction; none where all are small.
     """
 
-    directions: list[Array | None]
-    moved: Mapping[int, Array] = field(default_factory=dict)
+    directions: Directions
+    moved: Sizes = field(default_factory=dict)
 
-    def own(self, base: BaseParameters) -> dict[int, BaseParameters]:
-        """Return the base of every run that has one of its own."""
-        return {
-            run: base.with_values(u0_mm=base.u0_mm + seat, r0_ohm=base.r0_ohm * (1.0 + resistance))
-            for run, (_, resistance, seat) in self.moved.items()
-        }
+    def sizes(self, problem: "Problem", clean: Array) -> dict[int, Array]:
+        """Return what is still to be added to a prediction, (samples,) with `moved` in it."""
+        runs, sizes = _solved(problem, self.directions, clean, self.moved)
+        return dict(zip(runs, sizes, strict=True))
 
     def added(self, problem: "Problem", clean: Array) -> Array:
-        """Return a prediction, (samples,) with the bases of `own`, with what the offsets add to it."""
-        out = clean.copy()
-        for block in problem.blocks if self.moved else ():
-            if block.channel == "force_N" and block.run in self.moved:
-                out[block.place] += self.moved[block.run][0]
-        runs, sizes = _solved(problem, self.directions, out)
-        _add(problem, self.directions, dict(zip(runs, sizes, strict=True)), out)
+        """Return a prediction, (samples,) with `moved` in it, with what the offsets add to it."""
+        out, sizes = clean.copy(), self.sizes(problem, clean)
+        for block, rows in zip(problem.blocks, self.directions, strict=True):
+            if rows is not None:
+                out[block.place] += combine(sizes[block.run], rows)
         return out
 
 
-def with_offsets(problem: "Problem", base: BaseParameters, clean: Array, again: Again) -> tuple[Array, Nearby]:
-    """Return a prediction, (samples,), with the offsets of every run in it, and how they move nearby."""
-    near = Nearby(_all_directions(problem, base, clean))
-    runs, solved = _solved(problem, near.directions, clean)
-    sizes = dict(zip(runs, solved, strict=True))
-    if not _is_bent(problem, near.directions, sizes):
-        out = clean.copy()
-        _add(problem, near.directions, sizes, out)
-        return out, near
-    # A surface that lies lower moves the corner of first touch: a straight step along the slope would leave it.
-    own = Nearby([], sizes).own(base)
-    clean = again(own)
-    near = Nearby(_all_directions(problem, base, clean, own), sizes)
-    return near.added(problem, clean), near
+def with_offsets(problem: "Problem", clean: Array, along: Along, again: Again) -> tuple[Array, Nearby]:
+    """Return a prediction, (samples,), with the offsets that bend it in it, and how all of them move nearby."""
+    near = Nearby(along(clean, {}))
+    for _ in range(PASSES - 1):
+        sizes = near.sizes(problem, clean)
+        if not _is_bent(problem, near.directions, sizes):
+            break
+        # A surface that lies lower moves the corner of first touch: a straight step along the slope would leave it.
+        moved = {run: step + near.moved.get(run, 0.0) for run, step in sizes.items()}
+        clean = again(moved)
+        near = Nearby(along(clean, moved), moved)
+    return clean, near
 
 
-def _add(problem: "Problem", directions: list[Array | None], sizes: Mapping[int, Array], out: Array) -> None:
-    for block, rows in zip(problem.blocks, directions, strict=True):
-        if rows is not None:
-            out[block.place] += combine(sizes[block.run], rows)
+def bases_of(base: BaseParameters, sizes: Sizes) -> dict[int, BaseParameters]:
+    """Return the base of every run that has one of its own."""
+    return {
+        run: base.with_values(u0_mm=base.u0_mm + seat, r0_ohm=base.r0_ohm * (1.0 + resistance))
+        for run, (_, resistance, seat) in sizes.items()
+    }
 
 
 def run_directions(problem: "Problem", base: BaseParameters, clean: Array) -> dict[int, Array]:
     """Return per seated run, (3, samples), how a prediction changes with each of its offsets; 0 in other runs."""
     out: dict[int, Array] = {}
-    for block, rows in zip(problem.blocks, _all_directions(problem, base, clean), strict=True):
+    for block, rows in zip(problem.blocks, directions(problem, base, clean), strict=True):
         if rows is not None:
             out.setdefault(block.run, np.zeros((3, len(clean))))[:, block.place] = rows
     return out
 
 
-def _is_bent(problem: "Problem", directions: list[Array | None], sizes: Mapping[int, Array]) -> bool:
-    """Whether a resistance or a seat moves a channel by so much that its slope does not foretell it."""
+def _is_bent(problem: "Problem", directions: Directions, sizes: Sizes) -> bool:
+    """Whether an offset moves a channel by so much that its slope does not foretell it."""
+    bending = np.flatnonzero(problem.are_bending)
+    if not len(bending):
+        return False
     for block, rows in zip(problem.blocks, directions, strict=True):
-        if rows is not None and _moves(rows, sizes[block.run], problem.noise[block.place]) > STRAIGHT_SIGMA:
+        if rows is not None and _moves(rows, sizes[block.run], bending, problem.noise[block.place]) > STRAIGHT_SIGMA:
             return True
     return False
 
 
 @compiled
-def _moves(rows: Array, sizes: Array, noise: Array) -> float:
-    """Return the most that resistance or seat moves a sample by, in units of the least noise."""
+def _moves(rows: Array, sizes: Array, bending: NDArray[np.int64], noise: Array) -> float:
+    """Return the most that one of these offsets moves a sample by, in units of the least noise."""
     most, least = 0.0, np.inf
     for k in range(rows.shape[1]):
-        for i in range(RESISTANCE_AT, 3):
+        for i in bending:
             most = max(most, abs(rows[i, k] * sizes[i]))
         least = min(least, noise[k])
     return most / least
 
 
-def _solved(problem: "Problem", directions: list[Array | None], clean: Array) -> tuple[list[int], Array]:
-    """Return the seated runs and, (runs, 3), their sizes along the directions of their blocks."""
+def _solved(problem: "Problem", directions: Directions, clean: Array, moved: Sizes) -> tuple[list[int], Array]:
+    """Return the runs with offsets and, (runs, k), what is to be added to theirs along the directions."""
     runs = list(dict.fromkeys(b.run for b, rows in zip(problem.blocks, directions, strict=True) if rows is not None))
-    normal, slope = np.zeros((len(runs), 3, 3)), np.zeros((len(runs), 3))
+    count = len(problem.largest_offsets)
+    normal, slope = np.zeros((len(runs), count, count)), np.zeros((len(runs), count))
     for block, rows in zip(problem.blocks, directions, strict=True):
         if rows is not None:
             k, at = runs.index(block.run), block.place
             _add_normal_equations(normal[k], slope[k], rows, problem.measured[at], clean[at], problem.slow_noise[at])
-    return runs, _sizes(normal, slope, problem.largest_offsets)
+    has = np.array([moved.get(run, np.zeros(count)) for run in runs]).reshape(len(runs), count)
+    return runs, _sizes(normal, slope, has, problem.largest_offsets, problem.are_relative)
 
 
 @compiled
-def _sizes(normal: Array, slope: Array, largest: Array) -> Array:
-    """Solve (runs, 3, 3) normal equations within bounds; a direction that a run does not have gets 0.
+def _sizes(normal: Array, slope: Array, has: Array, largest: Array, are_relative: NDArray[np.bool_]) -> Array:
+    """Solve (runs, k, k) normal equations within bounds; a direction that a run does not have gets 0.
 
-    Of resistance and seat the middle run is taken off: one that is far off for another reason must not move the others.
+    Of those that are relative the middle run is taken off: one that is far off for another reason must not move the
+    others.
     """
-    count = len(normal)
-    free = np.zeros((count, 3))
+    count, kinds = slope.shape
+    free = np.zeros((count, kinds))
     for run in range(count):
-        scale = np.ones(3)
-        for i in range(3):
+        scale = np.ones(kinds)
+        for i in range(kinds):
             if normal[run, i, i] > 0.0:
                 scale[i] = np.sqrt(normal[run, i, i])
         # The ridge divides what two directions that look alike share among both.
-        alike = normal[run] / np.outer(scale, scale) + 1e-6 * np.eye(3)
-        free[run] = np.linalg.solve(alike, slope[run] / scale) / scale
-    for i in range(3):
+        alike = normal[run] / np.outer(scale, scale) + 1e-6 * np.eye(kinds)
+        free[run] = np.linalg.solve(alike, slope[run] / scale) / scale + has[run]
+    for i in range(kinds):
         is_shown = normal[:, i, i] > 0.0
-        if i >= RESISTANCE_AT and is_shown.any():
+        if are_relative[i] and is_shown.any():
             free[is_shown, i] -= np.median(free[is_shown, i])
         free[:, i] = np.minimum(np.maximum(free[:, i], -largest[i]), largest[i])
-    return free
+    return free - has
 
 
 def largest_offsets(case: Case) -> Array:
@@ -195,11 +211,11 @@ def _range(case: Case, channel: str) -> float:
     return max((float(np.ptp(v)) for v in values if v is not None), default=0.0)
 
 
-def _all_directions(
-    problem: "Problem", base: BaseParameters, clean: Array, own: Mapping[int, BaseParameters] = MappingProxyType({})
-) -> list[Array | None]:
+def directions(
+    problem: "Problem", base: BaseParameters, clean: Array, sizes: Sizes = MappingProxyType({})
+) -> Directions:
     """Return per block, (3, n), how the channel changes with each offset; None where the unit is not in the run."""
-    runs = problem.case.runs
+    runs, own = problem.case.runs, bases_of(base, sizes)
     return [
         _directions(runs[b.run], own.get(b.run, base), b.channel, clean[b.place])
         if runs[b.run].kind in SEATED
@@ -243,23 +259,13 @@ def _add_normal_equations(
     normal: Array, slope: Array, rows: Array, measured: Array, clean: Array, noise: Array
 ) -> None:
     """Add RRᵀ and R·e of rows and errors over the noise; errors that nobody knows are left out."""
-    # Sums of their own: adding to the arrays at every sample takes ten times as long.
-    aa = ab = ac = bb = bc = cc = ae = be = ce = 0.0
+    weighted, error = np.empty(rows.shape), np.empty(len(measured))
     for k in range(len(measured)):
-        error = measured[k] - clean[k]
-        if np.isnan(error):
-            continue
-        weight = 1.0 / (noise[k] * noise[k])
-        a, b, c = rows[0, k], rows[1, k], rows[2, k]
-        wa, wb, wc = weight * a, weight * b, weight * c
-        aa += wa * a
-        ab += wa * b
-        ac += wa * c
-        bb += wb * b
-        bc += wb * c
-        cc += wc * c
-        ae += wa * error
-        be += wb * error
-        ce += wc * error
-    normal += np.array([[aa, ab, ac], [ab, bb, bc], [ac, bc, cc]])
-    slope += np.array([ae, be, ce])
+        error[k] = (measured[k] - clean[k]) / noise[k]
+        is_known = not np.isnan(error[k])
+        for i in range(rows.shape[0]):
+            weighted[i, k] = rows[i, k] / noise[k] if is_known else 0.0
+        if not is_known:
+            error[k] = 0.0
+    normal += gram(weighted)
+    slope += dots(weighted, error)

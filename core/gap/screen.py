@@ -115,7 +115,7 @@ class Tangent:
         self._rows = np.flatnonzero(scale > 0)
         scale = scale[self._rows]
         strength, axes = np.linalg.eigh(normal[np.ix_(self._rows, self._rows)] / np.outer(scale, scale))
-        keep = strength > 1e-10 * strength[-1]
+        keep = strength > 1e-10 * strength.max(initial=0.0)
         # Rows of `turn` times the Jacobian are orthonormal.
         self._turn = (axes[:, keep] / np.sqrt(strength[keep])).T / scale
         self._basis = np.array([combine(row, jacobian[self._rows]) for row in self._turn])
@@ -130,7 +130,8 @@ class Tangent:
         found = self._found
         hypothesis = found.hypothesis.adding(probe.effect)
         x = np.concatenate([found.coordinates, start_coordinates([probe.effect], [probe.values])])
-        return found.problem.whitened(self._around(hypothesis, x) - found.predicted)
+        change = found.problem.whitened(self._around(hypothesis, x) - found.predicted)
+        return change if np.all(np.isfinite(change)) else np.zeros(len(change))
 
     def visible(self, signature: Array) -> Array:
         """Return the part of a signature that the fitted parameters cannot imitate."""

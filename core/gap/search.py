@@ -304,8 +304,10 @@ class EffectSearch:
         return any(child.bic < found.bic for child in self._placed(found))
 
     def keep(self, found: Fit) -> None:
-        """Keep a fit where it is the best of its set of causes."""
+        """Keep a fit where it is the best of its set of causes; one that ended where a simulator fails is none."""
         ids = found.hypothesis.ids
+        if found.chi2 == np.inf:
+            return
         if ids in self.fits:
             yardstick = Yardstick.of((*self.fits.values(), found))
             # The same causes may end in several minima; one noise level judges them all.

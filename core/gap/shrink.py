@@ -83,7 +83,7 @@ class _Fold:
         return replace(self, after=max((*now, *fitted), key=yardstick.log_evidence))
 
 
-def quantify(base: Fit, best: Fit, others: Iterable[Fit] = ()) -> Quantified:
+def quantify(base: Fit, best: Fit, others: Iterable[Fit] = (), is_given: bool = False) -> Quantified:
     """Refit base and hypothesis without a part of the samples, forecast the shrink there, then look.
 
     Whole runs are held back, one after the other; with one run, or an effect that belongs to one run, stretches of
@@ -92,6 +92,7 @@ def quantify(base: Fit, best: Fit, others: Iterable[Fit] = ()) -> Quantified:
 
     Args:
         others: hypotheses that may be chosen where a part is held back, fitted to all samples.
+        is_given: measure this hypothesis on every part, whatever would be chosen there.
     """
     folds, protocol = _folds(base.problem, best.hypothesis)
     seen = [_refit(base, best, unseen) for unseen in folds]
@@ -99,7 +100,7 @@ def quantify(base: Fit, best: Fit, others: Iterable[Fit] = ()) -> Quantified:
         gap = {c: _channel_gap(seen, best.problem, c) for c in _channels(best.problem)}
         return Quantified(gap, Shrink(0.0, 0.0, 0.0, 0.0), protocol)
     rivals = list(_rivals(best, others))
-    chosen = [fold.chosen(rivals) for fold in seen]
+    chosen = seen if is_given else [fold.chosen(rivals) for fold in seen]
     gap = {c: _channel_gap(chosen, best.problem, c) for c in _channels(best.problem)}
     held_out = _ratio([(g.rmse_before, g.rmse_after, g.noise_floor, g.noise_floor) for g in gap.values()])
     shrink = Shrink(*_forecast(seen, best), held_out)

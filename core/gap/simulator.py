@@ -13,6 +13,7 @@
 parameter of a candidate as `candidate.parameter`, at its neutral value where the candidate is off.
 """
 
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -21,9 +22,11 @@ from typing import TypeAlias
 import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.gap.case import SHORTEST, Case, Run
-from softcal.core.gap.coordinates import from_fit
-from softcal.core.gap.fit import Around, Fit, Hypothesis, Problem
+from softcal.core.gap.case import SHORTEST, Case, Mask, Run
+from softcal.core.gap.colour import ColourConfig, COMMON_STEP_s
+from softcal.core.gap.fit import Block, Fit, Hypothesis, Problem
+from softcal.core.gap.library import columns_of
+from softcal.core.gap.offsets import Directions, Sizes
 from softcal.core.gap.scale import RigScale
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs
@@ -32,6 +35,12 @@ from softcal.core.twin.probes import Extent
 
 Columns: TypeAlias = Mapping[str, Array]
 Simulate: TypeAlias = Callable[[Columns, Mapping[str, float]], Columns]
+OFFSETS = ("zero", "gain", "delay", "drift")
+"""What a run may have of its own in a channel."""
+
+
+class SimulatorFailed(InputError):
+    """A simulator gave no finite channels at the parameters it was asked for."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +64,9 @@ class Simulator:
         base: parameters that every hypothesis has.
         candidates: effects it can switch on, made by `candidate`.
         experiments: runs that could be made, by name; the next experiment is chosen among them.
+        per_run: by channel, what each run may have of its own and no cause has to explain: `zero` in the channel's
+            unit, `gain` as a share, `delay` in s, `drift` in the channel's unit per s; each with the largest that is
+            taken off. A gain that all runs share belongs to the base.
 
     Raises:
         InputError: two parts have the same name, or a part that must be there is missing.
@@ -67,6 +79,7 @@ class Simulator:
     base: tuple[Parameter, ...]
     candidates: tuple[Effect, ...]
     experiments: Mapping[str, Experiment] = field(default_factory=dict)
+    per_run: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for what, names in (
@@ -78,25 +91,90 @@ class Simulator:
                 raise InputError(f"simulator {self.name}: no {what} is given; at least one was expected")
             if len(set(names)) < len(names):
                 raise InputError(f"simulator {self.name}: two of the {what}s have one name: {', '.join(names)}")
+        for channel, kinds in self.per_run.items():
+            if channel not in self.channels or not set(kinds) <= set(OFFSETS):
+                raise InputError(
+                    f"simulator {self.name}: per_run has {channel}: {', '.join(kinds)}; "
+                    f"one of {', '.join(self.channels)} was expected, with any of {', '.join(OFFSETS)}"
+                )
+            for kind, largest in kinds.items():
+                if not 0.0 < largest < np.inf:
+                    raise InputError(
+                        f"simulator {self.name}: {kind} of {channel} is {largest}; its largest was expected"
+                    )
+
+    @cached_property
+    def offsets(self) -> tuple[tuple[str, str], ...]:
+        """Channel and kind of everything that each run may have of its own."""
+        return tuple((channel, kind) for channel, kinds in self.per_run.items() for kind in kinds)
+
+    def named(self, hypothesis: Hypothesis, coordinates: Array) -> dict[str, float]:
+        """Return the values at these coordinates of the fit, as `run` takes them."""
+        base, values = hypothesis.split(coordinates)
+        out = {p.name: value for p, value in zip(self.base, base, strict=True)}
+        for effect in self.candidates:
+            out |= {f"{effect.id}.{p.name}": v for p, v in zip(effect.parameters, effect.neutral_values, strict=True)}
+        for effect, row in zip(hypothesis.effects, values, strict=True):
+            out |= {f"{effect.id}.{p.name}": value for p, value in zip(effect.parameters, row, strict=True)}
+        return out
 
     def __call__(self, inputs: Columns, parameters: Mapping[str, float]) -> Columns:
         """Return the predicted channels of a run.
 
         Raises:
-            InputError: a channel is missing, has another length, or is not finite.
+            SimulatorFailed: it raises, a channel is missing, has another length, or is not finite.
         """
-        found = self.run(inputs, parameters)
+        try:
+            # What overflows is found below, and is said once.
+            with np.errstate(all="ignore"):
+                found = self.run(inputs, parameters)
+        except Exception as error:
+            raise self._failed(f"{type(error).__name__}: {error}", parameters, _line_of(error, self._file)) from error
+        out: dict[str, Array] = {}
         for channel in self.channels:
-            if channel not in found:
-                raise InputError(f"simulator {self.name}: gives no {channel}; it gives {', '.join(found)}")
-            values = np.asarray(found[channel])
-            if values.shape != np.shape(inputs["t_s"]) or not np.all(np.isfinite(values)):
-                at = {name: f"{value:.4g}" for name, value in parameters.items()}
-                raise InputError(
-                    f"simulator {self.name}: {channel} has shape {values.shape} or is not finite at {at}; "
-                    f"{np.shape(inputs['t_s'])} finite numbers were expected; narrow the bounds of the parameters"
-                )
-        return found
+            if not isinstance(found, Mapping) or channel not in found:
+                gives = ", ".join(map(str, found)) if isinstance(found, Mapping) else type(found).__name__
+                raise self._failed(f"gives no {channel}; it gives {gives or 'nothing'}", parameters)
+            try:
+                out[channel] = np.asarray(found[channel], dtype=np.float64)
+            except (TypeError, ValueError) as error:
+                raise self._failed(f"{channel} is no array of numbers: {error}", parameters) from error
+            if out[channel].shape != np.shape(inputs["t_s"]):
+                shapes = f"has shape {out[channel].shape}, t_s has {np.shape(inputs['t_s'])}"
+                raise self._failed(f"{channel} {shapes}", parameters)
+            bad = np.flatnonzero(~np.isfinite(out[channel]))
+            if len(bad):
+                raise self._failed(f"{channel} is {out[channel][bad[0]]} at sample {bad[0]}", parameters)
+        return out
+
+    @cached_property
+    def _file(self) -> str:
+        """The user's file, for messages."""
+        code = getattr(self.run, "__code__", None) or getattr(type(self.run).__call__, "__code__", None)
+        return str(getattr(code, "co_filename", "")) or str(getattr(self.run, "__module__", "its module"))
+
+    def _failed(self, what: str, parameters: Mapping[str, float], line: str = "") -> SimulatorFailed:
+        at = ", ".join(f"{name} = {value:.4g}" for name, value in parameters.items())
+        return SimulatorFailed(f"simulator {self.name} ({self._file}{line}) fails: {what}; at {at}")
+
+
+def _line_of(error: Exception, file: str) -> str:
+    """Return the last line of the user's file that an error went through, empty where it did not."""
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
+    return f", line {lines[-1]}" if lines else ""
+
+
+@dataclass
+class Failures:
+    """How often a simulator failed within the bounds of its parameters, and how it did first."""
+
+    count: int = 0
+    of: int = 0
+    first: str = ""
+
+    def record(self) -> dict[str, object] | None:
+        """Return what a report says of it; None where it never failed."""
+        return {"evaluations": self.count, "of": self.of, "first": self.first} if self.count else None
 
 
 def _elsewhere(flow: Flow, values: Sequence[float], state: Memory) -> None:
@@ -173,31 +251,7 @@ def _run(name: str, columns: Columns, profile: str = "") -> SimulatorRun:
 def planned(simulator: Simulator, name: str) -> SimulatorRun:
     """Return an experiment as the run it would be, its channels still empty (zeros)."""
     inputs = {k: np.asarray(v, dtype=np.float64) for k, v in simulator.experiments[name].inputs.items()}
-    return _run(name, inputs | {channel: np.zeros(len(inputs["t_s"])) for channel in simulator.channels})
-
-
-@dataclass(frozen=True, eq=False)
-class SimulatorHypothesis(Hypothesis):
-    """The simulator with these candidates switched on."""
-
-    base: tuple[Parameter, ...] = ()
-
-    @cached_property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return self.base + tuple(p for effect in self.effects for p in effect.parameters)
-
-    @property
-    def of_base(self) -> slice:
-        return slice(0, len(self.base))
-
-    def named(self, coordinates: Array) -> dict[str, float]:
-        """Return the values at these coordinates of the fit, as the simulator takes them."""
-        values = [from_fit(p, float(x)) for p, x in zip(self.parameters, coordinates, strict=True)]
-        out = {p.name: value for p, value in zip(self.base, values[self.of_base], strict=True)}
-        for effect in self.effects:
-            for p, value in zip(effect.parameters, values[self.slices[effect.id]], strict=True):
-                out[f"{effect.id}.{p.name}"] = value
-        return out
+    return _run(name, {channel: np.zeros(len(inputs["t_s"])) for channel in simulator.channels} | inputs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,6 +259,7 @@ class SimulatorProblem(Problem):
     """Recorded channels of a mechanism as one vector, and what its simulator says of them."""
 
     simulator: Simulator | None = None
+    failures: Failures = field(default_factory=Failures)
 
     @property
     def of(self) -> Simulator:
@@ -218,10 +273,7 @@ class SimulatorProblem(Problem):
         return [self.of.channels for _ in self.case.runs]
 
     def recorded(self, run: int, channel: str) -> Array:
-        found = self.case.runs[run]
-        if not isinstance(found, SimulatorRun):
-            raise ValueError(f"{found.name} is no run of a simulator")
-        return found.columns[channel]
+        return self._runs[run].columns[channel]
 
     @cached_property
     def is_free(self) -> Array:
@@ -244,39 +296,128 @@ class SimulatorProblem(Problem):
     def scored_channels(self) -> list[str]:
         return list(self.of.channels)
 
-    def of_run(self, run: Run) -> Problem:
-        return SimulatorProblem(Case(self.case.serial, (run,)), self.sigma, simulator=self.simulator)
+    @cached_property
+    def _times_slower(self) -> float:
+        return float(np.median(np.concatenate([run.step_s[1:] for run in self.case.runs]))) / COMMON_STEP_s
 
-    def predict_around(self, hypothesis: Hypothesis, coordinates: Array) -> tuple[Array, Around]:
-        if not isinstance(hypothesis, SimulatorHypothesis):
-            raise ValueError("a simulator's problem takes a simulator's hypothesis")
-        off = {f"{c.id}.{p.name}": v for c in self.of.candidates for p, v in _off(c)}
-        parameters = off | hypothesis.named(coordinates)
+    @cached_property
+    def colour_config(self) -> ColourConfig:
+        return ColourConfig().slower(self._times_slower)
+
+    @property
+    def smooth_order(self) -> int:
+        return 2
+
+    def least_noise(self, channel: str) -> float:
+        return 1e-9 * max(float(np.ptp(self.measured[b.place])) for b in self.blocks if b.channel == channel)
+
+    def of_run(self, run: Run) -> Problem:
+        case = Case(self.case.serial, (run,), is_planned=True)
+        return SimulatorProblem(case, self.sigma, colour=self.colour, simulator=self.simulator)
+
+    @cached_property
+    def largest_offsets(self) -> Array:
+        return np.array([self.of.per_run[channel][kind] for channel, kind in self.of.offsets])
+
+    @cached_property
+    def are_relative(self) -> Mask:
+        return np.array([kind == "gain" for _, kind in self.of.offsets], dtype=np.bool_)
+
+    @cached_property
+    def are_bending(self) -> Mask:
+        return np.array([kind == "delay" for _, kind in self.of.offsets], dtype=np.bool_)
+
+    def _known(self, out: Array) -> Array:
+        # Where a simulator fails nothing is known: a fit must not go there.
+        return out
+
+    def clean(self, hypothesis: Hypothesis, coordinates: Array, sizes: Sizes) -> Array:
+        out = self._simulated(hypothesis, coordinates).copy()
+        for block in self.blocks if sizes else ():
+            rows = zip(self.of.offsets, sizes[block.run], strict=True)
+            mine = {kind: float(size) for (channel, kind), size in rows if channel == block.channel}
+            t_s = self.case.runs[block.run].elapsed_s
+            values = np.interp(t_s - mine.get("delay", 0.0), t_s, out[block.place])
+            out[block.place] = (
+                values * (1.0 + mine.get("gain", 0.0)) + mine.get("zero", 0.0) + mine.get("drift", 0.0) * t_s
+            )
+        return out
+
+    def directions(self, hypothesis: Hypothesis, coordinates: Array, clean: Array, sizes: Sizes) -> Directions:
+        raw = self._simulated(hypothesis, coordinates)
+        return [self._along(block, clean[block.place], raw[block.place]) for block in self.blocks]
+
+    def _along(self, block: Block, clean: Array, raw: Array) -> Array | None:
+        """(k, n) change of a channel with each offset of its run; None where none is allowed."""
+        if block.channel not in self.of.per_run:
+            return None
+        t_s = self.case.runs[block.run].elapsed_s
+        of_kind = {"zero": np.ones(len(t_s)), "drift": t_s, "gain": raw, "delay": -np.gradient(clean, t_s)}
+        return np.array([of_kind[kind] * (channel == block.channel) for channel, kind in self.of.offsets])
+
+    def _simulated(self, hypothesis: Hypothesis, coordinates: Array) -> Array:
+        """Return what the simulator says, (samples,), NaN everywhere where it fails in a run."""
+        parameters = self.of.named(hypothesis, coordinates)
+        key = tuple(parameters.items())
+        if self._last.get("key") != key:
+            self._last.update(key=key, out=self._run_all(parameters))
+        return np.asarray(self._last["out"])
+
+    @cached_property
+    def _last(self) -> dict[str, object]:
+        return {}
+
+    def _run_all(self, parameters: Mapping[str, float]) -> Array:
         out = np.empty(len(self.measured))
         last, found = -1, {}
+        self.failures.of += 1
         for block in self.blocks:
             if block.run != last:
                 last = block.run
                 inputs = {name: self.recorded(last, name) for name in ("t_s", *self.of.inputs)}
-                found = dict(self.of(inputs, parameters))
+                try:
+                    found = dict(self.of(inputs, parameters))
+                except SimulatorFailed as error:
+                    self.failures.count += 1
+                    self.failures.first = self.failures.first or str(error)
+                    return np.full(len(out), np.nan)
             out[block.place] = found[block.channel]
-        return out, self.predict
+        return out
+
+    def followed(self, predicted: Array, channel: str) -> dict[str, dict[str, Array]]:
+        """Return groups of (samples,) columns that a residual of a channel may follow: of inputs and channels."""
+        signals = {name: [run.columns[name] for run in self._runs] for name in self.of.inputs if name != channel}
+        for name in self.of.channels:
+            signals[name] = [predicted[b.place] for b in self.blocks if b.channel == name]
+        out: dict[str, dict[str, Array]] = {}
+        for name, parts in signals.items():
+            low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)
+            for block in (b for b in self.blocks if b.channel == channel):
+                signal = (2.0 * parts[block.run] - low - high) / max(high - low, 1e-300)
+                for kind, columns in columns_of(signal, self._runs[block.run], self._times_slower).items():
+                    group = out.setdefault(f"{kind} of {name}", {})
+                    for k, column in enumerate(columns):
+                        group.setdefault(f"{k}", np.zeros(len(predicted)))[block.place] = column
+        return out
+
+    @cached_property
+    def _runs(self) -> list[SimulatorRun]:
+        return [run for run in self.case.runs if isinstance(run, SimulatorRun)]
 
 
-def _off(effect: Effect) -> list[tuple[Parameter, float]]:
-    return list(zip(effect.parameters, effect.neutral_values, strict=True))
+def followed(found: Fit, channel: str) -> list[Mapping[str, Array]]:
+    """Return groups of (samples,) columns that a residual of a channel may follow."""
+    problem = found.problem
+    return list(problem.followed(found.predicted, channel).values()) if isinstance(problem, SimulatorProblem) else []
 
 
-def noise_of(found: Fit) -> dict[str, float]:
-    """Return σ per channel from second differences of the residual, the largest fiftieth left out."""
-    levels = dict(found.problem.sigma)
-    for channel in levels:
-        parts = [
-            (found.problem.measured - found.predicted)[b.place] for b in found.problem.blocks if b.channel == channel
-        ]
-        squares = np.sort(np.concatenate([np.diff(part, 2) ** 2 / 6.0 for part in parts]))
-        kept = squares[: max(1, int(0.98 * len(squares)))]
-        span = float(np.ptp(np.concatenate(parts))) or 1.0
-        # A Gaussian without its largest 2 % of squares keeps 0.873 of its variance.
-        levels[channel] = max(float(np.sqrt(np.mean(kept) / 0.873)), 1e-9 * span)
-    return levels
+def is_high(found: Fit, block: Block) -> Array:
+    """Return where a channel of a run lies above its median, (n,)."""
+    level = found.predicted[block.place]
+    return np.asarray(level > np.median(level))
+
+
+def is_quick(found: Fit, block: Block) -> Array:
+    """Return where a channel of a run changes faster than usual, (n,)."""
+    rate = np.abs(np.gradient(found.predicted[block.place], found.problem.case.runs[block.run].t_s))
+    return np.asarray(rate > np.median(rate))

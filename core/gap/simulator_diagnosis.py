@@ -6,6 +6,7 @@ predicts the channels is another.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -14,41 +15,62 @@ from softcal.core.gap import next_experiment
 from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction, rivals
 from softcal.core.gap.candidates import Probe
 from softcal.core.gap.case import Case
-from softcal.core.gap.coordinates import fit_scale, to_fit
+from softcal.core.gap.coordinates import from_fit
 from softcal.core.gap.diagnosis import (
     SCHEMA,
     UNKNOWN_TRUST,
     DiagnosisVerdict,
     GapPlace,
+    Partial,
     RankedCause,
     chances_of,
     estimates_of,
     shares_of,
+    under_its_floor,
 )
-from softcal.core.gap.fit import Block, Fit, fit
+from softcal.core.gap.fit import Block, Fit, Hypothesis, Problem, fit
+from softcal.core.gap.floor import coloured, is_noise
+from softcal.core.gap.linear import energy
 from softcal.core.gap.next_experiment import NextExperiment
 from softcal.core.gap.posterior import log_evidences
 from softcal.core.gap.residual import Regime, structure
+from softcal.core.gap.screen import Lead, Tangent
 from softcal.core.gap.search import EffectSearch, Progress, SearchConfig
-from softcal.core.gap.shrink import ChannelGap, Shrink, quantify
+from softcal.core.gap.shrink import ChannelGap, Quantified, Shrink, quantify
 from softcal.core.gap.simulator import (
+    Failures,
     Simulator,
-    SimulatorHypothesis,
     SimulatorProblem,
     SimulatorRun,
-    noise_of,
+    followed,
+    is_high,
+    is_quick,
     planned,
 )
+from softcal.core.gap.start import best_start, likeliest, noise_levels, scattered
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect, Parameter
+from softcal.core.twin.effects import Effect
 from softcal.core.twin.probes import Extent
 from softcal.core.words.reason import Reason, reason
 
-STARTS = 3
-"""Starts of the base fit: the usual values, and this many less one around them."""
-
 CONFIG = SearchConfig(leads=(8, 5), beam=(3,))
 """As for the twin, up to two causes at once."""
+
+DRAWS, FIRST_STEPS, WORTH = 12, 6, 0.01
+"""Places over the bounds at which causes are tried, steps from the likeliest of them, and the share of the gap that
+these must gain to go on."""
+
+MOST_PAIRS = 8
+"""Pairs of causes that are tried from several starts: all of four or fewer candidates."""
+
+NEAR_share = 0.02
+"""Share of the gap that one cause more must take to be told as what comes nearest."""
+
+LEAST_GAIN, LEAST_SHRINK = 10.0, 0.3
+"""By how much χ² and the gap must fall on samples held back: what falls by less is no cause, whatever its evidence."""
+
+ENOUGH_SHRINK = 0.85
+"""Share of the gap, held out, from which causes explain it although structure is left: another equation of them."""
 
 STANDS_OUT = 1.5
 """Share of the gap over share of time from which a condition is listed."""
@@ -76,9 +98,6 @@ class SimulatorDiagnosis:
 
     def report(self) -> dict[str, object]:
         """Return the report of schema `softcal.gap/1`; `parameters` are those of the simulator that explains most."""
-        found = self.base if self.verdict == "unknown" else self.best
-        hypothesis = found.hypothesis
-        named = hypothesis.named(found.coordinates) if isinstance(hypothesis, SimulatorHypothesis) else {}
         return {
             "schema": SCHEMA,
             "simulator": self.simulator.name,
@@ -94,8 +113,35 @@ class SimulatorDiagnosis:
             "hidden_fraction": self.hidden_fraction,
             "next_experiment": self.next_experiment.record(),
             "explained_share": self.explained_share,
-            "parameters": named,
+            "partial": None if self.partial is None else vars(self.partial) | {"effects": list(self.partial.effects)},
+            "failed": self.failures.record(),
+            "offsets": self.offsets,
+            "parameters": self.simulator.named(self.best.hypothesis, self.best.coordinates),
+            "base": self.simulator.named(self.base.hypothesis, self.base.coordinates),
         }
+
+    @property
+    def partial(self) -> Partial | None:
+        """The causes that come nearest where nothing explains the gap."""
+        ids = self.best.hypothesis.ids
+        return Partial(ids, self.explained_share) if self.verdict == "unknown" and ids else None
+
+    @property
+    def failures(self) -> Failures:
+        """How often the simulator failed on the way."""
+        problem = self.base.problem
+        return problem.failures if isinstance(problem, SimulatorProblem) else Failures()
+
+    @property
+    def offsets(self) -> list[dict[str, object]]:
+        """What every run has of its own and no cause has to explain, by run and channel."""
+        problem, kinds = self.best.problem, self.simulator.offsets
+        sizes = problem.offset_sizes(self.best.hypothesis, self.best.coordinates)
+        return [
+            {"run": problem.case.runs[run].name, "channel": channel, kind: float(size)}
+            for run, row in sizes.items()
+            for (channel, kind), size in zip(kinds, row, strict=True)
+        ]
 
 
 def diagnose_simulator(
@@ -114,18 +160,27 @@ def diagnose_simulator(
     if not runs:
         raise InputError(f"simulator {simulator.name}: no run was given; a diagnosis needs one")
     say = progress or (lambda _: None)
-    search = SimulatorSearch(simulator, Case(serial, tuple(runs)), say)
-    search.run()
+    case = Case(serial, tuple(runs))
+    search = _searched(simulator, case, say)
     best, ids = search.best, [c.id for c in simulator.candidates]
     logs = log_evidences(search.fits)
     group = rivals(search.fits, best, logs)
     say("measuring the shrink on samples no fit has seen")
     quantified = quantify(search.base, best, search.fits.values())
+    verdict = _verdict(search, group, quantified)
+    if verdict == "unknown":
+        best = _nearest(search)
+        quantified = quantify(search.base, best, is_given=True)
+        if not _stands(quantified):
+            best = search.base
+            quantified = quantify(search.base, best)
+    elif verdict == "no_gap" and best.hypothesis.ids:
+        best, group = search.base, (search.base,)
+        quantified = quantify(search.base, best)
     share = float(np.clip(search.share(best), 0.0, 1.0))
-    verdict = _verdict(search, group)
-    doubt = UNKNOWN_TRUST * share if verdict == "unknown" else 1.0
+    doubt = _trust(quantified, best) if verdict in ("unknown", "no_gap") else 1.0
     chances = {i: p * doubt for i, p in chances_of(logs, group, ids).items()}
-    causes = _causes(search, simulator, group, chances, quantified.shrink.held_out)
+    causes = _causes(search, best, simulator, group, chances, quantified.shrink.held_out)
     return SimulatorDiagnosis(
         simulator=simulator,
         serial=serial,
@@ -133,7 +188,7 @@ def diagnose_simulator(
         base=search.base,
         best=best,
         causes=causes,
-        places=_places(search, causes, verdict),
+        places=_places(search, best, causes, verdict),
         gap=quantified.gap,
         shrink=quantified.shrink,
         protocol=quantified.protocol,
@@ -145,19 +200,107 @@ def diagnose_simulator(
     )
 
 
+def _searched(simulator: Simulator, case: Case, say: Progress) -> "SimulatorSearch":
+    """Search, and once more where what is left may be noise that fades; keep that only where it is shown to be."""
+    search = SimulatorSearch(simulator, case, say)
+    search.run()
+    if search.is_clean(search.best):
+        return search
+
+    def is_floor(found: Fit) -> bool:
+        return is_noise(found, (is_high, is_quick), followed)
+
+    # What the most flexible hypothesis leaves is noise, or what a smaller one leaves is not either.
+    closest = min(search.fits.values(), key=lambda found: found.chi2)
+    problem = coloured(closest)
+    if problem is None or not is_floor(fit(problem, closest.hypothesis, closest.coordinates)):
+        return search
+
+    def again(problem: Problem) -> SimulatorSearch:
+        return SimulatorSearch(simulator, case, say, problem)
+
+    return under_its_floor(search, again, is_floor, say)
+
+
+def _trust(quantified: Quantified, best: Fit) -> float:
+    """How far the evidence among the candidates is trusted where they leave a gap: the truth may be none of them."""
+    return UNKNOWN_TRUST * quantified.shrink.held_out if best.hypothesis.ids else UNKNOWN_TRUST
+
+
+def _nearest(search: EffectSearch) -> Fit:
+    """Return the hypothesis that takes most of the gap away; of those within a little of it, the simplest."""
+    most = max(search.share(found) for found in search.fits.values())
+    near = [found for found in search.fits.values() if search.share(found) >= most - NEAR_share]
+    return min(near, key=lambda found: (len(found.hypothesis.ids), found.chi2))
+
+
 class SimulatorSearch(EffectSearch):
     """The search over the candidates of a simulator; nothing is placed first, and a cause has one realisation."""
 
-    def __init__(self, simulator: Simulator, case: Case, say: Progress) -> None:
+    def __init__(self, simulator: Simulator, case: Case, say: Progress, problem: Problem | None = None) -> None:
         say(f"fitting {simulator.name} to all runs")
-        base = base_fit(simulator, case)
+        base = base_fit(simulator, case) if problem is None else best_start(problem, Hypothesis(of_all=simulator.base))
         duration_s = max(float(run.elapsed_s[-1]) for run in case.runs)
         extent = Extent(1.0, 1.0, 0.0, 1.0, duration_s, float(np.median(case.runs[0].step_s[1:])))
         probes = tuple(Probe(c, row, c.is_one_sided) for c in simulator.candidates for row in c.probes(extent))
+        self._candidates = simulator.candidates
         self._begin(base, probes, (), extent, CONFIG, say)
 
     def _rough_start(self) -> Array:
         return self.base.coordinates[self.base.hypothesis.of_base]
+
+    def _start_again(self) -> None:
+        """Fit every cause and every pair from several starts where the likeliest hypothesis leaves structure.
+
+        A level that was never reached promises nothing to first order, and two causes may gain only together.
+        """
+        if self.is_clean(self._leader):
+            return
+        self._say("trying every cause, and every two, from several starts")
+        for effect in self._candidates:
+            self._try((effect,))
+        for pair in self._likely_pairs():
+            if self.is_clean(self._leader):
+                break
+            self._try(pair)
+        self._settle_noise(self._leader)
+
+    def _likely_pairs(self) -> list[tuple[Effect, ...]]:
+        """Return the pairs that promise most together, to first order and over many places of each."""
+        space, rows, owner = Tangent(self.base), [], []
+        for k, effect in enumerate(self._candidates):
+            for row in _rows(effect):
+                signature = space.visible(space.signature(Probe(effect, row, effect.is_one_sided)))
+                size = float(np.sqrt(energy(signature)))
+                rows += [signature / size] if size > 0.0 else []
+                owner += [k] if size > 0.0 else []
+        alike = np.array(rows) @ np.array(rows).T if rows else np.zeros((0, 0))
+        promised, of = np.array([float(row @ self.base.residual) for row in rows]), np.array(owner)
+        gains: dict[tuple[Effect, ...], float] = {}
+        for i, j in combinations(range(len(self._candidates)), 2):
+            one, other = np.flatnonzero(of == i), np.flatnonzero(of == j)
+            a, b, c = promised[one][:, None], promised[other][None, :], alike[np.ix_(one, other)]
+            together = (a**2 + b**2 - 2.0 * a * b * c) / np.maximum(1.0 - c**2, 1e-6)
+            gains[self._candidates[i], self._candidates[j]] = float(together.max(initial=0.0))
+        return sorted(gains, key=lambda pair: -gains[pair])[:MOST_PAIRS]
+
+    def _try(self, effects: tuple[Effect, ...]) -> None:
+        """Fit causes from the likeliest of many places: by what each promises beside the others, and as they are."""
+        problem, hypothesis, fits = self.base.problem, self.base.hypothesis, []
+        for effect in effects:
+            hypothesis = hypothesis.adding(effect)
+            parent = self.fits.get(tuple(sorted(e.id for e in effects if e is not effect)))
+            lead = None if parent is None else _best_lead(parent, effect)
+            if parent is not None and lead is not None:
+                fits.append(fit(problem, parent.hypothesis.adding(effect), lead.start(parent), steps=FIRST_STEPS))
+        drawn = scattered([p for effect in hypothesis.effects for p in effect.parameters], DRAWS)
+        places = [np.append(self.base.coordinates, place) for place in drawn]
+        likely = likeliest(problem, hypothesis, places)[0]
+        best = min((*fits, fit(problem, hypothesis, likely, steps=FIRST_STEPS)), key=lambda found: found.chi2)
+        # What is not better after a few steps than the best with one cause less is left there.
+        parts = [f.chi2 for ids, f in self.fits.items() if set(ids) < set(best.hypothesis.ids)]
+        if best.chi2 < min(parts) - WORTH * max(self.base.chi2 - problem.count, 0.0):
+            self.keep(fit(problem, best.hypothesis, best.coordinates, steps=60))
 
     def _try_forms(self, share: float) -> None:
         self._settle_noise(self._leader)
@@ -168,51 +311,64 @@ class SimulatorSearch(EffectSearch):
     def _find_stranger(self) -> Fit | None:
         return None
 
-    def _settle_noise(self, best: Fit) -> None:
-        problem = best.problem.with_noise(noise_of(best))
-        self.fits = {ids: found.under(problem) for ids, found in self.fits.items()}
-        self.base = self.fits[()]
+
+def _best_lead(parent: Fit, effect: Effect) -> Lead | None:
+    """Return the best promise of an effect from places all over its bounds."""
+    space = Tangent(parent)
+    leads = [space.lead(Probe(effect, row, effect.is_one_sided)) for row in _rows(effect)]
+    return max((lead for lead in leads if lead is not None), key=lambda lead: lead.gain, default=None)
+
+
+def _rows(effect: Effect) -> list[tuple[float, ...]]:
+    """Return values of an effect's parameters all over their bounds."""
+    places = scattered(effect.parameters, DRAWS)
+    return [tuple(from_fit(p, float(x)) for p, x in zip(effect.parameters, place, strict=True)) for place in places]
 
 
 def base_fit(simulator: Simulator, case: Case) -> Fit:
-    """Fit the base parameters alone from several starts, with noise levels from the residual."""
+    """Fit the base parameters alone from several starts, with noise levels from the residual.
+
+    Raises:
+        InputError: the simulator fails wherever it is tried.
+    """
     problem = SimulatorProblem(case, dict.fromkeys(simulator.channels, 1.0), simulator=simulator)
     spans = {c: [problem.measured[b.place] for b in problem.blocks if b.channel == c] for c in simulator.channels}
     rough = {c: 0.02 * max(float(np.std(np.concatenate(parts))), 1e-12) for c, parts in spans.items()}
-    hypothesis = SimulatorHypothesis(base=simulator.base)
-    first = problem.with_noise(rough)
-    fits = [fit(first, hypothesis, start, steps=40) for start in _starts(simulator.base)]
-    best = min(fits, key=lambda found: found.chi2)
+    hypothesis = Hypothesis(of_all=simulator.base)
+    best = best_start(problem.with_noise(rough), hypothesis)
+    if best.chi2 == np.inf:
+        raise InputError(f"{problem.failures.first}; it fails at all {problem.failures.of} places that were tried")
     for _ in range(3):
-        best = fit(best.problem.with_noise(noise_of(best)), hypothesis, best.coordinates)
+        best = fit(best.problem.with_noise(noise_levels(best)), hypothesis, best.coordinates)
     return best
 
 
-def _starts(base: tuple[Parameter, ...]) -> list[Array]:
-    rng = np.random.default_rng(1)
-    usual = np.array([to_fit(p, p.usual) for p in base])
-    scale = np.array([fit_scale(p) for p in base])
-    bounds = np.array([sorted((to_fit(p, p.low), to_fit(p, p.high))) for p in base])
-    drawn = [usual + 0.5 * scale * rng.normal(size=len(base)) for _ in range(STARTS - 1)]
-    return [np.clip(start, bounds[:, 0], bounds[:, 1]) for start in (usual, *drawn)]
+def _stands(quantified: Quantified) -> bool:
+    """Whether the causes shrink the gap on samples that no fit has seen, beyond what noise does."""
+    return quantified.held_out_gain > LEAST_GAIN and quantified.shrink.held_out > LEAST_SHRINK
 
 
-def _verdict(search: EffectSearch, group: tuple[Fit, ...]) -> DiagnosisVerdict:
-    best = search.best
-    if not best.hypothesis.ids:
-        return "unknown" if structure(best).is_significant else "no_gap"
-    if not search.is_explained(best):
+def _verdict(search: EffectSearch, group: tuple[Fit, ...], quantified: Quantified) -> DiagnosisVerdict:
+    best, held_out = search.best, quantified.shrink.held_out
+    if not best.hypothesis.ids or not _stands(quantified):
+        return "no_gap" if search.is_clean(search.base) else "unknown"
+    if not search.is_clean(best) and held_out < ENOUGH_SHRINK:
         return "unknown"
     return "ambiguous" if len(group) > 1 else "explained"
 
 
 def _causes(
-    search: EffectSearch, simulator: Simulator, group: tuple[Fit, ...], chances: dict[str, float], held_out: float
+    search: EffectSearch,
+    best: Fit,
+    simulator: Simulator,
+    group: tuple[Fit, ...],
+    chances: dict[str, float],
+    held_out: float,
 ) -> tuple[RankedCause, ...]:
-    shares = shares_of(search, search.best)
+    shares = shares_of(search, best)
 
     def cause(effect: Effect) -> RankedCause:
-        found = next((f for f in group if effect.id in f.hypothesis.ids), search.fits.get((effect.id,)))
+        found = next((f for f in (best, *group) if effect.id in f.hypothesis.ids), search.fits.get((effect.id,)))
         parameters = estimates_of(found, effect.id) if found is not None else {}
         return RankedCause(
             effect.id, effect.stage, chances[effect.id], shares.get(effect.id, 0.0) * held_out, parameters
@@ -221,7 +377,9 @@ def _causes(
     return tuple(sorted(map(cause, simulator.candidates), key=lambda c: (-c.probability, -c.shrink)))
 
 
-def _places(search: EffectSearch, causes: tuple[RankedCause, ...], verdict: DiagnosisVerdict) -> tuple[GapPlace, ...]:
+def _places(
+    search: EffectSearch, best: Fit, causes: tuple[RankedCause, ...], verdict: DiagnosisVerdict
+) -> tuple[GapPlace, ...]:
     """Where the gap lies: parts of the mechanism where causes are named, then the conditions in which it stands out."""
     if verdict == "no_gap":
         return ()
@@ -229,13 +387,13 @@ def _places(search: EffectSearch, causes: tuple[RankedCause, ...], verdict: Diag
     everywhere = Reason("gap.regime.everywhere")
     channel, regime = (seen[0].channel, seen[0].name) if seen else (_loudest(search.base), everywhere)
     if verdict == "unknown":
-        part, ids = float(np.clip(search.share(search.best), 0.0, 1.0)), search.best.hypothesis.ids
+        part, ids = float(np.clip(search.share(best), 0.0, 1.0)), best.hypothesis.ids
         nearest = Reason("gap.seen.no_candidate")
         if ids:
             nearest = reason("gap.seen.nearest", causes=next_experiment.named(ids, "gap.both"), share=part)
         places = [GapPlace("unknown", channel, regime, 1.0, nearest)]
     else:
-        named = [c for c in causes if c.effect in search.best.hypothesis.ids]
+        named = [c for c in causes if c.effect in best.hypothesis.ids]
         total = sum(c.shrink for c in named) or 1.0
         places = [
             GapPlace(c.stage, channel, regime, c.shrink / total, reason("gap.effect", effect=c.effect)) for c in named

@@ -1,19 +1,20 @@
 """Where the base fit begins: rough base parameters and noise levels read off the recordings."""
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import comb
 
 import numpy as np
 from scipy.optimize import nnls
 
 from softcal.core.gap.case import Case
-from softcal.core.gap.coordinates import to_fit
+from softcal.core.gap.coordinates import fit_scale, to_fit
 from softcal.core.gap.drive import HALF_WIDTH
 from softcal.core.gap.fit import BASE, Fit, Hypothesis, Problem, fit
+from softcal.core.gap.linear import energy
 from softcal.core.gap.scale import RigScale
 from softcal.core.recording import Array
-
-QUIETEST = 1e-6
-"""Least noise of a force that is believed, N on the common rig: a force without any has no weight."""
+from softcal.core.twin.effects import Parameter
 
 TRIMMED = 0.02
 """Share of the largest squared differences left out of a noise estimate: steps and drop-outs are not noise."""
@@ -34,24 +35,85 @@ def base_fit(case: Case) -> Fit:
     return found
 
 
+@dataclass(frozen=True)
+class StartConfig:
+    """How a minimum is looked for where nobody knows where to begin.
+
+    Args:
+        scattered: places at which the prediction is made once.
+        tried: of these, those from which a fit takes a few steps; the usual values are tried besides.
+        first, steps: steps from each of these, and most from the best two of them.
+    """
+
+    scattered: int = 32
+    tried: int = 5
+    first: int = 6
+    steps: int = 60
+
+
+def scattered(parameters: Sequence[Parameter], count: int, seed: int = 1) -> Array:
+    """Return (count, parameters) coordinates within bounds, the usual values first, then near and far from them.
+
+    A value that may be far off in either direction is drawn by its order of magnitude.
+    """
+    rng = np.random.default_rng(seed)
+    out = np.empty((count, len(parameters)))
+    for k, p in enumerate(parameters):
+        usual, scale = to_fit(p, p.usual), fit_scale(p)
+        low, high = sorted((to_fit(p, p.low), to_fit(p, p.high)))
+        near = usual + 0.5 * scale * rng.normal(size=count)
+        if p.scale == "log":
+            far = rng.uniform(max(low, usual - 4.0), min(high, usual + 4.0), count)
+        elif high - low > 30.0 * scale:
+            side = np.where(rng.random(count) < 0.5, -1.0, 1.0) if low < 0.0 < high else np.sign(usual or 1.0)
+            far = side * scale * 10.0 ** rng.uniform(-1.5, 1.5, count)
+        else:
+            far = rng.uniform(low, high, count)
+        out[:, k] = np.clip(np.where(rng.random(count) < 0.5, near, far), low, high)
+        out[0, k] = usual
+    return out
+
+
+STARTS = StartConfig()
+
+
+def best_start(problem: Problem, hypothesis: Hypothesis, config: StartConfig = STARTS) -> Fit:
+    """Return the best minimum found from starts all over the bounds."""
+    usual, *others = scattered(hypothesis.parameters, config.scattered)
+    places = [usual, *likeliest(problem, hypothesis, others)[: config.tried]]
+    rough = sorted((fit(problem, hypothesis, place, steps=config.first) for place in places), key=lambda f: f.chi2)
+    fits = [fit(problem, hypothesis, found.coordinates, steps=config.steps) for found in rough[:2]]
+    return min(fits, key=lambda found: found.chi2)
+
+
+def likeliest(problem: Problem, hypothesis: Hypothesis, places: Sequence[Array]) -> list[Array]:
+    """Return places in the order of what a prediction at each leaves; last those where there is none."""
+
+    def left(place: Array) -> float:
+        found = energy(problem.whitened(problem.measured - problem.predict(hypothesis, place)))
+        return found if np.isfinite(found) else np.inf
+
+    return sorted(places, key=left)
+
+
 def noise_levels(found: Fit) -> dict[str, float]:
     """Return σ of the white noise per channel from the differences of neighbouring residuals.
 
     A structured residual is smooth and hardly enters.
     """
-    problem = found.problem
+    problem, order = found.problem, found.problem.smooth_order
     squares: dict[str, list[Array]] = {}
     for block in problem.blocks:
         error = (problem.measured - found.predicted)[block.place]
-        squares.setdefault(block.channel, []).append(np.diff(error) ** 2 / 2)
+        # White noise of variance 1 gives differences of variance 2, second differences of variance 6.
+        squares.setdefault(block.channel, []).append(np.diff(error, order) ** 2 / comb(2 * order, order))
     levels = dict(problem.sigma)
     for channel, parts in squares.items():
         every = np.sort(np.concatenate(parts))
         kept = every[: max(1, int(len(every) * (1 - TRIMMED)))]
         # A Gaussian without its largest 2 % of squares keeps 0.873 of its variance.
         variance = float(np.mean(kept)) / 0.873
-        least = 0.1 * problem.case.readout.step_V if channel == "output_V" else QUIETEST * problem.scale.factor("N")
-        levels[channel] = max(float(np.sqrt(variance)), least)
+        levels[channel] = max(float(np.sqrt(variance)), problem.least_noise(channel))
     return levels
 
 
@@ -61,7 +123,7 @@ def with_driving_noise(problem: Problem, found: Fit) -> Problem:
     σ² = σV² + (dV/dF·σF)²: errors in variables to first order.
     """
     case = problem.case
-    if not any(run.kind == "press" and run.stage_mm is None for run in case.runs):
+    if not any(run.kind == "press" and run.stage_mm is None and run.force_N is not None for run in case.runs):
         return problem
     extra = np.zeros(len(problem.measured))
     for block in problem.blocks:
