@@ -132,7 +132,7 @@ class WatchedBench:
     def expect_nothing(self) -> None:
         """Take the present force as that of an empty path: whatever adds the touch force to it is in the way."""
         recent = [sample.values[0] for sample in self.readings.force[-10:]]
-        self._free_N = float(np.mean(recent)) if recent else None
+        self._free_N = self.motion.zero_N = float(np.mean(recent)) if recent else None
 
     def take_zero(self, zero_N: float) -> None:
         """Take the reading of the unloaded load cell, from now on subtracted."""
