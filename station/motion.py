@@ -4,7 +4,7 @@ Nothing else in softcal calls `home`, `begin` or `stop` of a stage; `tests/stati
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import TypeVar
 
 from softcal.core.errors import BadReply, DeviceError, NoReply, SafetyStop
@@ -12,16 +12,12 @@ from softcal.core.words.reason import Reason, reason
 from softcal.station.bench import Bench
 from softcal.station.config import LATEST_S
 from softcal.station.interfaces import Held, Move, RoughLift, RunsOn
-from softcal.station.interlock import Event, Interlock, State
+from softcal.station.interlock import ARRIVAL_S, Event, Interlock, Phase, Row, State
 from softcal.station.trajectory import DrivenMove, Trapezoid
 
 TICK_S = 0.005
 """How often the devices are read while something may move; far below every latency that is promised."""
 
-ARRIVAL_S = 2.0
-"""A move that takes this much longer than planned has failed."""
-
-HOMING_S = 90.0
 RETRACT_MM_S = 5.0
 READ_S = 0.3
 """How long the load cell is read to say what stands on the unit."""
@@ -71,6 +67,15 @@ class Motion:
         return self._interlock.state
 
     @property
+    def row(self) -> Row:
+        """What holds in the present phase of the run."""
+        return self._interlock.row
+
+    def enter(self, phase: Phase, known: Collection[str] = ()) -> None:
+        """Go on to a later phase of the run; what is known decides whether it may begin."""
+        self._interlock.enter(phase, known)
+
+    @property
     def speed_mm_s(self) -> float:
         """Largest speed of the move in progress; 0 while the stage stands."""
         return 0.0 if self._path is None else self._path.peak_mm_s
@@ -113,12 +118,13 @@ class Motion:
         Raises:
             DeviceError: as the stage, or it took too long.
         """
-        end_s = self._clock.now_s() + HOMING_S
+        self.enter(Phase.HOMING)
+        end_s = self._clock.now_s() + self.row.late_s
 
         def watch() -> None:
             on_wait()
             if self._clock.now_s() > end_s:
-                raise NoReply(reason("rig.not_home", seconds=HOMING_S))
+                raise NoReply(reason("rig.not_home", seconds=self.row.late_s))
 
         self._interlock.take(Event.HOME)
         self._stage.home(watch)
@@ -143,8 +149,8 @@ class Motion:
             self._tick()
             if is_over is not None and is_over():
                 return self._brake(path, began_s)
-            if self._clock.now_s() - began_s > path.duration_s + ARRIVAL_S:
-                raise NoReply(reason("rig.late", seconds=ARRIVAL_S, to_mm=to_mm))
+            if self._clock.now_s() - began_s > path.duration_s + self.row.late_s:
+                raise NoReply(reason("rig.late", seconds=self.row.late_s, to_mm=to_mm))
         self._arrive()
         return DrivenMove(path, began_s, self._clock.now_s())
 

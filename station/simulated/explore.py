@@ -14,7 +14,7 @@ from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply, 
 from softcal.core.words.reason import Reason
 from softcal.station.config import FixtureConfig, ForceConfig, SafetyConfig
 from softcal.station.interfaces import Held, Move, OnWait, Sample, StagePosition
-from softcal.station.interlock import Event, Interlock, State
+from softcal.station.interlock import PHASES, Event, Interlock, Phase, State
 from softcal.station.motion import Cancelled, Motion
 from softcal.station.simulated.rig import is_true
 
@@ -23,6 +23,8 @@ LONGEST_S = 120.0
 """No run of the program below may take longer, whatever happens."""
 
 TOUCH_MM, APPROACH_MM, POLLS, STEP_S = 5.0, 4.0, 3, 0.05
+
+KNOWN = frozenset(name for row in PHASES.values() for name in row.needs)
 
 
 class Choices:
@@ -260,10 +262,14 @@ def _watch(answer: int, stage: ModelStage) -> None:
 def _program(motion: Motion, stage: ModelStage) -> None:
     """A run in short: home, approach, search until the touch, touch again, press, wait, go back."""
     motion.home(lambda: None)
+    motion.enter(Phase.APPROACHING, KNOWN)
     motion.go(APPROACH_MM, 5.0)
+    motion.enter(Phase.SEARCHING, KNOWN)
     for _ in range(2):
         motion.go(8.0, 1.0, lambda: stage.is_moving and stage._polls >= POLLS - 1)
         motion.go(APPROACH_MM, 5.0)
+    motion.enter(Phase.FEELING, KNOWN)
+    motion.enter(Phase.PRESSING, KNOWN)
     motion.go(9.0, 5.0)
     motion.wait(5 * STEP_S)
     motion.go(APPROACH_MM, 5.0)
