@@ -58,21 +58,17 @@ SENTENCES: Mapping[str, str] = {
     "rig.too_deep": "the profile would reach {to_mm:.2f} mm, the limit is {deepest_mm:g} mm; check the fixture",
     "rig.late.lifting": "stage: late while it was lifted",
     "rig.behind": (
-        "load cell: its readings come later than the stage moves; look for a slow line or a filter, or ask the "
-        "engineer to state the delay in the station file (found {found_s:.3f} s, stated {declared_s:.3f} s, latency_s "
-        "= {latency_s:.2f})"
+        "load cell: its readings are not as late as the station file states; look for a slow line or a filter, or ask "
+        "the engineer to correct the delay there (found {found_s:.3f} s, stated {declared_s:.3f} s, latency_s = "
+        "{latency_s:.2f})"
     ),
-    "rig.gain": (
-        "load cell: one press shows another force than the next at equal depth; check the cell's amplifier, its "
-        "mounting and the unit's seat, then press again ({ratio:.2f} x)"
+    "rig.story.force": (
+        "sensor and load cell: from one moment on they no longer show the same force; check both plugs, the amplifier "
+        "and the unit's seat, then press again (by {percent:.1f} % of the range, {at_s:.1f} s after the first press began)"
     ),
-    "rig.odd_force": (
-        "load cell: its force does not fit the depth during a press; check the cell's plug and amplifier, and whether "
-        "something touches unit or stage; then press again ({off_N:+.2f} N, {at_s:.1f} s after the first press began)"
-    ),
-    "rig.output_gain": (
-        "sensor readout: one press changes the output more than the next at equal depth; check the motor for lost "
-        "steps, the unit's seat and its connector; then press again ({ratio:.2f} x)"
+    "rig.story.stage": (
+        "stage: from one moment on what the unit shows does not fit the depth; check the motor for lost steps and the "
+        "unit's seat, then press again (by {percent:.1f} % of the range, {at_s:.1f} s after the first press began)"
     ),
     "rig.contact_at_once": (
         "contact was found before the stage had moved; check the load cell's readings, and ask the engineer whether "
@@ -172,6 +168,8 @@ SENTENCES: Mapping[str, str] = {
     "left.lifted": "the stage is stopped and lifted",
     "left.lifted_roughly": "the stage is stopped and lifted, it must be homed",
     "left.not_lifted": "the stage is stopped but could not be lifted: lift it by hand and home it",
+    "left.told": "the stage is stopped and told to lift, which is not confirmed",
+    "left.stays": "the stage was told to lift but the force stays: lift it by hand and home it",
     "left.there": "the stage is stopped and not lifted",
     "left.runs_on": (
         "the stage does not answer any more, it stops within {seconds:.1f} s: switch it off before you reach in"
@@ -181,6 +179,7 @@ SENTENCES: Mapping[str, str] = {
     ),
     "left.may_stand": "{state}, it may stand on the unit",
     "left.stands": "{state}, with {force_N:.1f} N on the load cell",
+    "left.stands_at": "{state}, with {force_N:.1f} N on the load cell, at {at_mm:.2f} mm by its controller's count",
     # A port that cannot be opened.
     "port.unreached": "cannot be reached: {error}; check address, power and network cable",
     "port.visa": "cannot be opened: {error}; `pyvisa-shell` lists the resources there are",
