@@ -266,13 +266,20 @@ def check_schema(database: Database, schema: str) -> None:
         )
 
 
+def _bare(url: str) -> str:
+    """Return a text that is no URL without what may be its password: all from its scheme to the last `@`."""
+    scheme, _, rest = url.rpartition("://")
+    return f"{scheme}://...@{rest.rpartition('@')[2]}" if "@" in rest else url
+
+
 def _parse(url: str) -> URL:
     try:
         parsed = make_url(url)
     # A port that is no number is a plain ValueError.
     except (ArgumentError, ValueError) as error:
         raise RegistryError(
-            "the registry URL cannot be read; expected sqlite:///FILE or postgresql://USER@HOST/DATABASE"
+            f"the registry URL {_bare(url)!r} cannot be read; sqlite:///FILE or postgresql://USER@HOST/DATABASE was "
+            f"expected{'' if '://' in url else f', for a file sqlite:///{url}'}"
         ) from error
     if parsed.drivername == "postgresql":
         parsed = parsed.set(drivername="postgresql+psycopg")
