@@ -2,17 +2,22 @@
 
 import json
 import sys
+import textwrap
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from contextvars import ContextVar
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import TextIO
 
 from softcal.app.files.atomic import write_text
 from softcal.app.files.spreadsheet import csv_text, write_table
 from softcal.core.errors import InputError
+
+WIDTH, NARROWEST = 100, 4
+"""Characters of a table that no terminal shows, and of its narrowest column."""
 
 
 def say(line: str) -> None:
@@ -62,7 +67,8 @@ def answering(json_target: str | None, csv_target: str | None) -> Iterator[None]
 def print_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Print a table; floats with four significant digits, None as a dash. With `--csv` it is written as CSV instead.
 
-    On a terminal it fits the width: long texts are wrapped, and verdicts have their colour unless NO_COLOR is set.
+    Long texts are wrapped to the width of the terminal, or of a page where there is none. On a terminal verdicts have
+    their colour unless NO_COLOR is set.
     """
     table, answer = [list(row) for row in rows], _ANSWER.get()
     if answer.csv == "-" and answer.stdout is not None:
@@ -80,11 +86,23 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None
 
 
 def _print_aligned(cells: list[list[str]]) -> None:
-    widths = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))]
-    for k, row in enumerate(cells):
-        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
-        if k == 0:
-            print("  ".join("-" * width for width in widths))
+    widths = _fitting([max(map(len, column)) for column in zip(*cells, strict=True)])
+    rows = [[_folded(cell, width) for cell, width in zip(row, widths, strict=True)] for row in cells]
+    for row in (rows[0], [["-" * width] for width in widths], *rows[1:]):
+        for line in zip_longest(*row, fillvalue=""):
+            print("  ".join(part.ljust(width) for part, width in zip(line, widths, strict=True)).rstrip())
+
+
+def _fitting(widths: list[int]) -> list[int]:
+    """Take from the widest columns until a row fits."""
+    fitting, room = list(widths), WIDTH - 2 * (len(widths) - 1)
+    while sum(fitting) > room and max(fitting) > NARROWEST:
+        fitting[fitting.index(max(fitting))] -= 1
+    return fitting
+
+
+def _folded(cell: str, width: int) -> list[str]:
+    return textwrap.wrap(cell, width, break_on_hyphens=False) if len(cell) > width else [cell]
 
 
 COLOURS = {"pass": "green", "conditional": "yellow", "fail": "red", "retest": "magenta"}
@@ -110,8 +128,13 @@ def _cell(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else shown(str(value)).replace("\n", " ")
 
 
-def write_json(target: str, value: object) -> None:
-    """Write a result as JSON into a file, or on standard output where the target is `-`. NaN is refused."""
+def write_json(target: str, value: Mapping[str, object]) -> None:
+    """Write a result as JSON into a file, or on standard output where the target is `-`. NaN is refused.
+
+    Every answer is an object whose first key, `schema`, names what the others are: `softcal.NAME/VERSION`.
+    """
+    if next(iter(value), "") != "schema":
+        raise ValueError(f"an answer begins with its schema, this one with {next(iter(value), None)!r}")
     text = json.dumps(value, indent=2, allow_nan=False) + "\n"
     if target == "-":
         (_ANSWER.get().stdout or sys.stdout).write(text)

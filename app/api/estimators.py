@@ -8,7 +8,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from softcal.app.api.recording import Recording
 from softcal.app.api.unit import SourceNetwork
-from softcal.core.errors import InputError
+from softcal.core.errors import InputError, UnitRefused
 from softcal.core.maps.catalogue import family
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.config import DEFAULT, MapConfig
@@ -17,6 +17,8 @@ from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.network.training import merge_members, validation_blocks
 from softcal.core.recording import Array
+from softcal.core.unit.findings import contradictions
+from softcal.core.unit.health import check_alive
 from softcal.core.windows import TAPS, windows
 
 
@@ -109,6 +111,10 @@ class MapTransformer(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         rate_Hz = self.sample_rate_Hz or known.unlabelled.sample_rate_Hz
         target = Recording(output, sample_rate_Hz=rate_Hz, output_unit=known.unlabelled.output_unit).unlabelled
         problem = FitProblem(known, self.source.network, target, None, MapConfig(family=self.family))
+        method = self.source.model.method
+        check_alive(target, known.unlabelled, method.health)
+        for found in contradictions(known.unlabelled, target, method, problem.synchrony):
+            raise UnitRefused(found.reason)
         chosen = choose_map(problem).unit_map if self.family == DEFAULT else family(self.family).fit(problem)
         self.map_, self.family_ = chosen, chosen.family
         return self
@@ -118,6 +124,11 @@ class MapTransformer(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         check_is_fitted(self)
         output = self._output(X, reset=False)
         return self.map_.apply(windows(np.concatenate([np.full(TAPS - 1, output[0]), output])))
+
+    def get_feature_names_out(self, input_features: Any = None) -> Any:
+        """Name the columns of `transform`, oldest sample first, for `set_output(transform="pandas")`."""
+        check_is_fitted(self)
+        return np.asarray([f"window_{ago}" for ago in reversed(range(TAPS))], dtype=object)
 
     def _output(self, X: Any, reset: bool) -> Array:  # noqa: N803
         table = validate_data(self, X, dtype=np.float64, reset=reset)

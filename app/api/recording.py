@@ -3,6 +3,7 @@
 from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Recording:
     """The output of one unit over time, and the reference beside it where one was read.
 
@@ -44,10 +45,23 @@ class Recording:
 
     def __post_init__(self) -> None:
         # Whatever is wrong with it is said here, not at the first use.
+        for name in ("serial", "output_unit", "reference_unit"):
+            expect(name, getattr(self, name), str, "text")
+        if self.sample_rate_Hz is not None:
+            expect("sample_rate_Hz", self.sample_rate_Hz, Real, "a number of samples a second")
+        for name in ("output", "reference", "t_s", "stage_mm"):
+            if hasattr(getattr(self, name), "columns"):
+                raise InputError(f"{name} is a table; one column was expected: Recording.from_frame takes a table")
         _ = self.labelled if self.reference is not None else self.unlabelled
 
     def __len__(self) -> int:
         return len(self.unlabelled)
+
+    def __repr__(self) -> str:
+        raw, read = self.unlabelled, "" if self.reference is None else f", reference in {self.reference_unit}"
+        lasted_s = len(raw) / raw.sample_rate_Hz
+        rate = f"{len(raw)} samples at {raw.sample_rate_Hz:g} Hz ({lasted_s:.4g} s)"
+        return f"<Recording {self.serial}: {rate}, output in {self.output_unit}{read}>"
 
     @cached_property
     def unlabelled(self) -> OutputRecording:
@@ -144,6 +158,40 @@ class Recording:
         import pandas as pd
 
         return pd.DataFrame(self.unlabelled.arrays() if self.reference is None else self.labelled.arrays())
+
+
+def recording_of(given: Any, name: str, **usual: Any) -> Recording:
+    """Return a recording: as it is, out of a table with the columns of the contract, or out of the output alone.
+
+    Args:
+        given: a `Recording`, a DataFrame, or the output: (n,) array, list or Series.
+        name: of the argument, for the message.
+        usual: facts of `Recording` where the data state none; the rate counts where there is no column `t_s`.
+
+    Raises:
+        InputError: it is none of these.
+    """
+    if isinstance(given, Recording):
+        return given
+    if hasattr(given, "columns"):
+        return Recording.from_frame(given, **usual | ({"sample_rate_Hz": None} if "t_s" in given.columns else {}))
+    if isinstance(given, (str, bytes, dict)) or not hasattr(given, "__len__"):
+        raise InputError(
+            f"{name} is {_shown(given)}; a Recording, a DataFrame or the output itself was expected "
+            "(Recording.read takes a file)"
+        )
+    return Recording(given, **usual)
+
+
+def expect(name: str, value: Any, kind: Any, expected: str) -> None:
+    """Refuse an argument of another type; a bool is no number."""
+    if not isinstance(value, kind) or (kind is Real and isinstance(value, bool)):
+        raise InputError(f"{name} is {_shown(value)}; {expected} was expected")
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return f"{text if len(text) <= 60 else text[:57] + '...'} ({type(value).__name__})"
 
 
 def _numbers(name: str, values: Any) -> Array:

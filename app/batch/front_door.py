@@ -19,6 +19,7 @@ from softcal.app.registry.source import source_recording
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.network.config import NetworkConfig
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.unit.findings import contradictions
 from softcal.core.unit.health import check_alive, health_findings, output_limits
 from softcal.core.unit.method import Method
 from softcal.core.words.reason import Reason
@@ -70,14 +71,15 @@ def _expected(one: LookedAt, source: LookedAt | None, plan: ImportPlan) -> Expec
 
 
 def _findings(target: OutputRecording, source: OutputRecording, reference: Array) -> tuple[Reason, ...]:
-    health = Method().health
+    method = Method()
     try:
-        check_alive(target, source, health)
+        check_alive(target, source, method.health)
     except UnitRefused as error:
         return (error.reason,)
     is_rising = bool(np.cov(source.output, reference)[0, 1] > 0)
-    limits = output_limits(target, source, is_rising, health)
-    return tuple(finding.reason for finding in health_findings(target, source, limits, health))
+    limits = output_limits(target, source, is_rising, method.health)
+    found = contradictions(source, target, method) or health_findings(target, source, limits, method.health)
+    return tuple(finding.reason for finding in found)
 
 
 def lots_folder() -> Path:

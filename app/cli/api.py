@@ -1,10 +1,12 @@
 """`softcal api`: the REST interface, and the tokens by which programs sign in to it."""
 
 import argparse
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal.app.cli.options import add_csv, add_json, add_registry, registry_at, registry_of, say_written
+from softcal.app.files.atomic import write_text
 from softcal.app.output import print_table, say, write_json
 
 if TYPE_CHECKING:
@@ -19,7 +21,7 @@ EXAMPLES = """examples:
   softcal api token withdraw 3f2a9c0b1d4e --reason "MES was replaced"
   softcal api openapi --out openapi.json
 
-A token may do what the role of its account may; people with the role quality make accounts, on the page People.
+A token may do what the role of its account may; `softcal account` makes accounts.
 """
 
 
@@ -85,7 +87,8 @@ def _openapi(options: argparse.Namespace) -> int:
     from softcal.app.connect.rest import openapi_document, rest_app
 
     with registry_at("sqlite://") as registry:
-        write_json(str(options.out), openapi_document(rest_app(registry)))
+        text = json.dumps(openapi_document(rest_app(registry)), indent=2) + "\n"
+    write_text(options.out, text)
     return DONE
 
 

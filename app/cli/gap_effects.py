@@ -34,7 +34,8 @@ def _list(options: argparse.Namespace) -> int:
     from softcal.core.twin.catalogue import EFFECTS
 
     if options.json:
-        write_json(options.json, [_record(effect) for effect in EFFECTS.values()])
+        effects = [_record(effect) for effect in EFFECTS.values()]
+        write_json(options.json, {"schema": "softcal.gap.effects/1", "effects": effects})
     if options.json != "-" or options.csv:
         header = ["effect", "stage", "equation", "needs", "hides behind", "shown by"]
         print_table(header, [_row(effect) for effect in EFFECTS.values()])

@@ -21,6 +21,9 @@ EXAMPLES = """examples:
   softcal lot watch lot-1 --idle 60 --jobs 2     stop when nothing came for a minute
   softcal lot limit lot-1 --rmse 0.15 --reason "customer drawing, revision C"
   softcal lot limit lot-1                        every version of the limit, who set it and why
+  softcal lot limit lot-1 --automatic --reason "follows the source again"
+  softcal lot network lot-1                      networks of the lot, and which of them the line uses
+  softcal lot network lot-1 --release 3f2a9c0b --reason "trained on the new source"
   softcal lot rules lot-1 --serial-pattern 'EG-[0-9]{4}' --letters upper --target 500 --reason "order 4711"
   softcal lot rules lot-1 --retests fail=0 retest=3 --reason "customer allows no second try"
   softcal lot audit-plan lot-1                   which few units to check with the load cell, and how far that is
@@ -63,10 +66,22 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     add_registry(limit)
     add_json(limit)
     add_csv(limit)
-    limit.add_argument("--rmse", type=float, help="new limit in the lot's reference unit")
-    limit.add_argument("--reason", help="why; needed with --rmse")
+    new = limit.add_mutually_exclusive_group()
+    new.add_argument("--rmse", type=float, help="new limit in the lot's reference unit")
+    new.add_argument("--automatic", action="store_true", help="let the limit follow from the source's own error again")
+    limit.add_argument("--reason", help="why; needed with a new limit")
     limit.add_argument("--expect", type=int, metavar="VERSION", help="refuse when somebody changed it since")
     limit.set_defaults(run=_limit)
+    network = actions.add_parser("network", help="show or decide which network of a lot the line uses")
+    network.add_argument("lot", metavar="ID", help="lot in the registry")
+    add_registry(network)
+    add_json(network)
+    add_csv(network)
+    what = network.add_mutually_exclusive_group()
+    what.add_argument("--release", metavar="NETWORK", help="use this one from now on; the first digits of its id do")
+    what.add_argument("--withdraw", metavar="NETWORK", help="take it from the line; the one before it is used again")
+    network.add_argument("--reason", default="", help="why; needed with a decision")
+    network.set_defaults(run=_network)
     rules = actions.add_parser(
         "rules", help="show or set how a lot's serials look, how many are planned, and who may be pressed again"
     )
@@ -233,10 +248,11 @@ def _watch(options: argparse.Namespace) -> int:
 def _limit(options: argparse.Namespace) -> int:
     from softcal.app.batch.judging import judge_again
 
-    if options.rmse is not None and not (options.reason or "").strip():
-        raise InputError("--rmse needs --reason: a limit without a reason cannot be defended")
+    is_new = options.rmse is not None or options.automatic
+    if is_new and not (options.reason or "").strip():
+        raise InputError("a new limit needs --reason: without one it cannot be defended")
     with registry_of(options, create=False) as registry:
-        if options.rmse is not None:
+        if is_new:
             registry.set_limit(options.lot, options.rmse, reason=options.reason, expected_version=options.expect)
             judge_again(registry, [options.lot])
         unit = registry.lot(options.lot).reference_unit
@@ -247,6 +263,29 @@ def _limit(options: argparse.Namespace) -> int:
     if options.json != "-" or options.csv:
         rows = [[e.version, e.rmse, f"{e.made_at:%Y-%m-%d %H:%M}", e.actor, e.reason] for e in versions]
         print_table(("version", f"limit {unit}", "set (UTC)", "by", "reason"), rows)
+    return DONE
+
+
+def _network(options: argparse.Namespace) -> int:
+    with registry_of(options, create=False) as registry:
+        registry.lot(options.lot)
+        if asked := options.release or options.withdraw:
+            fitting = [
+                one.network.id for one in registry.network_states(options.lot) if one.network.id.startswith(asked)
+            ]
+            if len(fitting) != 1:
+                raise InputError(
+                    f"{len(fitting)} networks of lot {options.lot!r} begin with {asked!r}; one was expected"
+                )
+            decide = registry.release_network if options.release else registry.withdraw_network
+            decide(fitting[0], reason=options.reason)
+        states = registry.network_states(options.lot)
+    if options.json:
+        told = [{"id": one.network.id, "state": one.state} for one in states]
+        write_json(options.json, {"schema": "softcal.lot.network/1", "lot": options.lot, "networks": told})
+    if options.json != "-" or options.csv:
+        rows = [[one.network.id[:12], one.state, f"{one.network.added_at:%Y-%m-%d %H:%M}"] for one in states]
+        print_table(("network", "state", "trained (UTC)"), rows)
     return DONE
 
 

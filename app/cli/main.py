@@ -34,6 +34,7 @@ COMMANDS = (
     "gap",
     "report",
     "ui",
+    "account",
     "api",
     "connect",
     "doctor",
@@ -41,7 +42,7 @@ COMMANDS = (
 )
 """Modules of `softcal.app.cli`, in the order of `softcal --help`; each has `add_parser` and sets `run`."""
 
-LOGGED = ("demo", "import_", "train", "batch", "trim", "adapt", "station", "lot", "ui", "api", "connect")
+LOGGED = ("demo", "import_", "train", "batch", "trim", "adapt", "station", "lot", "ui", "account", "api", "connect")
 """Commands whose runs are in the log: with what they were called, what they did, how they ended."""
 
 

@@ -307,9 +307,7 @@ def diagnose(
         verdict = "no_gap" if search.is_clean(search.base) and loose_noise(search.base) is None else "unknown"
     # Among the catalogue's effects only; where none of them explains the gap, the truth is most likely none of them.
     doubt = UNKNOWN_TRUST * share if verdict == "unknown" else 1.0 if is_standing else quantified.shrink.held_out
-    chances = {
-        i: p * doubt * (IMITATED_TRUST if i in doubted else 1.0) for i, p in chances_of(logs, group).items()
-    }
+    chances = {i: p * doubt * (IMITATED_TRUST if i in doubted else 1.0) for i, p in chances_of(logs, group).items()}
     named = tuple(in_catalogue_form(found) for found in group)
     causes = _causes(search, named, chances, quantified.shrink.held_out)
     found_regimes = regimes(search.base)

@@ -30,7 +30,7 @@ from softcal.core.unit.bridge import Bridge
 from softcal.core.unit.budget import Reference
 from softcal.core.unit.calibration import AUDIT_GAIN, AUDIT_ZERO, Calibration, CalibrationRecord
 from softcal.core.unit.estimate import estimate
-from softcal.core.unit.findings import map_findings, opening_findings, wiring_findings
+from softcal.core.unit.findings import contradictions, map_findings, opening_findings
 from softcal.core.unit.forecast import (
     MapEvidence,
     Trial,
@@ -146,7 +146,7 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
     evidence = _evidence(problem, fit, chosen, limits)
     forecast = forecast_error(evidence.budget, evidence.knowledge)
     lag = find_readout_lag(fit.source.unlabelled, target, fit.synchrony, method.map)
-    findings = wiring_findings(model, target) or (
+    findings = contradictions(known, target, method, fit.synchrony) or (
         *health_findings(target, known, limits, method.health),
         *map_findings(model, target, evidence, lag),
         *(opening_findings(chosen.evidence, method.findings) if lag is None else ()),

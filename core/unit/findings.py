@@ -1,15 +1,18 @@
 """What the mapped windows of a unit tell about it: wrong programme, other sensor, reversed wiring, drift, creep."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
-from softcal.core.maps.crossing import KEPT
+from softcal.core.maps.config import CrossingConfig
+from softcal.core.maps.crossing import KEPT, averaging_length, level_path
 from softcal.core.maps.readout_lag import ReadoutLag
-from softcal.core.recording import Array, OutputRecording
+from softcal.core.maps.synchrony import Synchrony, find_synchrony
+from softcal.core.recording import RATE_TOLERANCE, Array, OutputRecording
 from softcal.core.unit.forecast import MapEvidence, map_variance, rest_rows
-from softcal.core.unit.method import FindingConfig
+from softcal.core.unit.method import FindingConfig, Method
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.verdict import Finding, Verdict
 from softcal.core.words.reason import Reason, reason
@@ -34,13 +37,29 @@ def map_findings(
     return tuple(finding for finding in checks if finding is not None)
 
 
-def wiring_findings(model: SourceModel, target: OutputRecording) -> tuple[Finding, ...]:
-    """Return a finding where the unit is wired the wrong way round.
+def contradictions(
+    source: OutputRecording, target: OutputRecording, method: Method, shared: Synchrony | None = None
+) -> tuple[Finding, ...]:
+    """Return what the two outputs say against the unit being what it is declared to be; the first of them alone.
 
-    It is the only one to be told then: upside down a unit at rest looks clipped, and the right programme wrong.
+    A channel the wrong way round, or in another physical unit, also looks clipped or pressed by a wrong programme.
+
+    Args:
+        source, target: outputs of the source and of the unit.
+        method: in force.
+        shared: what both outputs say about a common load; None where nobody compared them in time.
     """
-    found = _reversed(model, target)
-    return () if found is None else (found,)
+    config = method.findings
+    if _is_reversed(source, target, method, shared):
+        return (Finding(reason("reversed"), Verdict.FAIL),)
+    if shared is not None and not shared.is_synchronous and (times := _times_as_fast(source, target, method)) != 1:
+        return (Finding(reason("other_speed", times=times), Verdict.RETEST),)
+    (low, high), (least, most) = (_reach(recording.output, config.level_tails) for recording in (target, source))
+    apart = max(low - most, least - high)
+    if apart > max(config.apart_spans * max(high - low, most - least), config.apart_level * abs(least + most) / 2):
+        said = reason("elsewhere", low=low, high=high, least=least, most=most, unit=target.output_unit)
+        return (Finding(said, Verdict.RETEST),)
+    return ()
 
 
 def opening_findings(evidence: Mapping[str, float | str], config: FindingConfig) -> tuple[Finding, ...]:
@@ -127,20 +146,19 @@ def _other_use(evidence: MapEvidence, config: FindingConfig) -> Finding | None:
 def _stretched(model: SourceModel, target: OutputRecording, evidence: MapEvidence) -> Finding | None:
     """Return a finding where the unit would have to answer much less or more than the source.
 
-    A unit pressed over a small part of the source's range looks like an insensitive one. The stage position or known
-    loads tell them apart; one clock does not. A readout that clips looks so, too, and is named for what it is.
+    A unit pressed over a small part of the source's range looks like an insensitive one. The stage position, a common
+    load or known loads tell them apart; beyond what units of one kind differ by, they tell of another physical unit. A
+    readout that clips looks so, too, and is named for what it is.
     """
-    if evidence.knowledge.kind == "stage" or evidence.knowledge.is_anchored or evidence.budget["clipping"]:
+    if evidence.budget["clipping"]:
         return None
     raw = model.interval.support.shape(target.windows[evidence.rows])
     spans = [np.subtract(*_reach(shape.level, model.method.forecast.reach)[::-1]) for shape in (evidence.shape, raw)]
     gain, config = float(spans[0] / max(spans[1], 1e-12)), model.method.findings
-    times = max(gain, 1 / gain)
-    if evidence.knowledge.is_placed:
-        return Finding(reason("stretched", gain=gain)) if times > config.stretch else None
-    if times <= config.said_stretch:
+    times, is_known = max(gain, 1 / gain), evidence.knowledge.is_placed or evidence.knowledge.is_anchored
+    if times <= (config.stretch if is_known else config.said_stretch):
         return None
-    best = Verdict.RETEST if times > config.blind_stretch else Verdict.CONDITIONAL
+    best = Verdict.RETEST if is_known or times > config.blind_stretch else Verdict.CONDITIONAL
     return Finding(reason("stretched", gain=gain), best)
 
 
@@ -174,32 +192,53 @@ def _restless(model: SourceModel, target: OutputRecording, evidence: MapEvidence
     return Finding(reason("creep", spread=spread, unit=unit))
 
 
-def _reversed(model: SourceModel, target: OutputRecording) -> Finding | None:
-    """Return a finding where the output moves against the source's direction."""
-    source, config = model.source.unlabelled, model.method.findings
-    if target.stage_mm is None or source.stage_mm is None:
-        unit_sign, source_sign = (_lean(recording, config) for recording in (target, source))
-    else:
-        unit_sign = _along_stage(target)
-        source_sign = _along_stage(source)
-    is_sure = min(abs(unit_sign), abs(source_sign)) > config.lean
-    if not is_sure or unit_sign * source_sign > 0:
-        return None
-    return Finding(reason("reversed"), Verdict.FAIL)
+def _is_reversed(source: OutputRecording, target: OutputRecording, method: Method, shared: Synchrony | None) -> bool:
+    """Tell whether the output falls where the source's rises: along the stage, in time, or in how its levels lie."""
+    config = method.findings
+    if target.stage_mm is not None and source.stage_mm is not None:
+        along = _along_stage(target), _along_stage(source)
+        return min(map(abs, along)) > config.along_stage and along[0] * along[1] < 0
+    if shared is not None and shared.rank_correlation <= -method.map.synchrony.min_rank_correlation:
+        return True
+    # Wasserstein's distance of the levels, as they are and upside down. k presses leave 1 / sqrt(k) of it to chance.
+    unit, known = (_levels(recording, config) for recording in (target, source))
+    nearer = float(np.mean(np.abs(unit - known)) - np.mean(np.abs(1 - unit[::-1] - known)))
+    presses = min(_presses(recording, method.map.crossing) for recording in (target, source))
+    return nearer * presses**0.5 > config.upside_down
+
+
+def _times_as_fast(source: OutputRecording, target: OutputRecording, method: Method) -> float:
+    """Return how many times as fast as the source's a unit's whole programme went by; 1 where it is not the source's.
+
+    The drive cannot do that by itself: the samples were taken, or are told to be taken, at another rate.
+    """
+    lasted_s, whole_s = (recording.t_s[-1] - recording.t_s[0] for recording in (target, source))
+    times = float(whole_s / lasted_s)
+    if abs(times - 1) <= RATE_TOLERANCE:
+        return 1.0
+    since_s = (target.t_s - target.t_s[0]) * times
+    at_s = source.t_s - source.t_s[0]
+    paced = replace(source, serial=target.serial, output=np.interp(at_s, since_s, target.output), stage_mm=None)
+    return times if find_synchrony(source, paced, method.map).is_synchronous else 1.0
+
+
+@lru_cache(maxsize=KEPT)
+def _levels(recording: OutputRecording, config: FindingConfig) -> Array:
+    """Return the quantiles of the output, as shares of the span between its tails."""
+    low, high = _reach(recording.output, config.level_tails)
+    shares = np.linspace(*config.level_shares, config.levels)
+    return np.asarray((np.quantile(recording.output, shares) - low) / (high - low))
+
+
+def _presses(recording: OutputRecording, config: CrossingConfig) -> float:
+    path = level_path(recording, averaging_length(recording, config), config)
+    return 1.0 if path is None else max(path.swings / 2, 1.0)
 
 
 @lru_cache(maxsize=KEPT)
 def _along_stage(recording: OutputRecording) -> float:
     """Return the correlation of output and stage position."""
     return float(np.corrcoef(recording.output, recording.stage_mm)[0, 1])
-
-
-@lru_cache(maxsize=KEPT)
-def _lean(recording: OutputRecording, config: FindingConfig) -> float:
-    """Return the robust skewness (Bowley 1901, with 2 % tails): positive where the unit rests low and peaks high."""
-    lower, upper = config.lean_tails
-    low, middle, high = np.quantile(recording.output, (lower, 0.5, upper))
-    return float((high + low - 2 * middle) / (high - low))
 
 
 def _not_better(model: SourceModel, evidence: MapEvidence) -> Finding | None:

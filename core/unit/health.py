@@ -5,9 +5,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from softcal.core.errors import UnitRefused
+from softcal.core.errors import InputError, UnitRefused
 from softcal.core.maps.crossing import KEPT
-from softcal.core.recording import Array, Indices, OutputRecording
+from softcal.core.recording import RATE_TOLERANCE, Array, Indices, OutputRecording
 from softcal.core.unit.method import HealthConfig
 from softcal.core.unit.verdict import Finding, Verdict
 from softcal.core.words.reason import Reason, reason
@@ -91,12 +91,19 @@ def noise_band(output: Array, config: HealthConfig) -> float:
 
 
 def check_alive(target: OutputRecording, source: OutputRecording, config: HealthConfig) -> None:
-    """Refuse a channel that carries no signal.
+    """Refuse a channel that carries no signal, or none that windows of the source can be compared with.
 
     Raises:
-        UnitRefused: the output is constant, noise alone, or moves by too small a share of the source's.
+        UnitRefused: the output is constant, noise alone, moves by too small a share of the source's, or was sampled at
+            another rate.
+        InputError: it is in another physical unit.
     """
     output, unit = target.output, target.output_unit
+    if unit != source.output_unit:
+        raise InputError(f"target output is in {unit}, the source's in {source.output_unit}")
+    seen, wanted = target.sample_rate_Hz, source.sample_rate_Hz
+    if abs(seen / wanted - 1) > RATE_TOLERANCE:
+        raise UnitRefused(reason("other_rate", seen=seen, wanted=wanted))
     cure = Reason("part.check_cable")
     if np.ptp(output) == 0:
         raise UnitRefused(reason("dead.constant", level=float(output[0]), unit=unit, count=len(output), cure=cure))

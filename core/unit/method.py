@@ -202,8 +202,12 @@ class FindingConfig:
         drift_explained: share of that scatter a straight line must explain to be called a drift.
         misread_factor: estimates off the source's loads for a second, at equal histories, by so many times its error.
         creep_factor: scatter at rest beyond so many times the source's own.
-        lean: skewness from which the direction of loading is sure.
-        lean_tails: quantiles beside the median that the skewness is taken from.
+        along_stage: correlation of output and stage position from which the direction is sure.
+        upside_down: an output is the wrong way round where its levels lie nearer to the source's when mirrored, by this
+            share of the span over the square root of the presses.
+        level_tails, level_shares, levels: quantiles between which levels lie, and the so many that are compared.
+        apart_spans, apart_level: an output is none of this kind where its range and the source's are apart by so many
+            spans and by this share of the source's level.
         late_s: units of one kind, started alike, follow each other within this; a third of a window is beyond it.
         blind_correction: share of the model's error below which a correction does no harm either way.
     """
@@ -223,8 +227,15 @@ class FindingConfig:
     drift_explained: float = setting(0.5)
     misread_factor: float = setting(0.5)
     creep_factor: float = setting(1.0)
-    lean: float = setting(0.3)
-    lean_tails: tuple[float, float] = setting((0.02, 0.98))
+    along_stage: float = setting(0.3)
+    upside_down: float = setting(
+        0.15, "between eGaIn, where a mirrored unit shows 0.20 or more, and the insole, whose good ones reach 0.10"
+    )
+    level_tails: tuple[float, float] = setting((0.01, 0.99))
+    level_shares: tuple[float, float] = setting((0.005, 0.995))
+    levels: int = setting(100)
+    apart_spans: float = setting(0.5, f"{SET}: ranges of good units overlap, in eGaIn and insole throughout")
+    apart_level: float = setting(0.5, f"{SET}: rest resistance differs by tens of per cent between units of a kind")
     late_s: float = setting(0.05)
     blind_correction: float = setting(0.5)
 

@@ -254,6 +254,18 @@ ENGLISH: Mapping[str, str] = {
         "constant {lag:.2g} s longer)"
     ),
     "reversed": "its output moves in the wrong direction; exchange the two leads or check the divider",
+    "elsewhere": (
+        "its output lies where no unit like the source does; check the physical unit, the zero and the channel "
+        "({low:.4g} to {high:.4g} {unit}, the source {least:.4g} to {most:.4g} {unit})"
+    ),
+    "other_speed": (
+        "it went through the source's programme at another speed; correct the sampling rate, or record it again at the "
+        "source's ({times:.3g} x as fast)"
+    ),
+    "other_rate": (
+        "it was sampled at another rate than the source, so that its windows last otherwise; correct the stated rate, "
+        "or record it at the source's ({seen:.4g} Hz, the source {wanted:.4g} Hz)"
+    ),
     "not_better": (
         "its calibration may be worse than none; {why}; press it again over the whole range, or audit it (estimates "
         "change by {correction:.3g} {unit})"

@@ -260,7 +260,8 @@ def open_database(url: str, *, create: bool = True) -> Database:
     # A port that is no number is a plain ValueError.
     except (ArgumentError, ValueError) as error:
         raise RegistryError(
-            "the registry URL cannot be read; expected sqlite:///FILE or postgresql://USER@HOST/DATABASE"
+            f"the registry URL {_bare(url)!r} cannot be read; sqlite:///FILE or postgresql://USER@HOST/DATABASE was "
+            f"expected{'' if '://' in url else f', for a file sqlite:///{url}'}"
         ) from error
     if parsed.drivername in ("sqlite", "sqlite+pysqlite"):
         database = Database(_sqlite_engine(parsed, create))
@@ -303,6 +304,12 @@ def check_schema(database: Database, schema: str) -> None:
         raise RegistryError(
             f"registry {database.name} has schema {schema}, newer than {SCHEMA} of this version; update softcal"
         )
+
+
+def _bare(url: str) -> str:
+    """Return a text that is no URL without what may be its password: all from its scheme to the last `@`."""
+    scheme, _, rest = url.rpartition("://")
+    return f"{scheme}://...@{rest.rpartition('@')[2]}" if "@" in rest else url
 
 
 def _sqlite_engine(url: URL, create: bool) -> Engine:

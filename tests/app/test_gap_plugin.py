@@ -48,7 +48,7 @@ def softcal(site: Path, *arguments: str) -> str:
 
 
 def test_it_is_listed_last(installed: Path) -> None:
-    effects = json.loads(softcal(installed, "gap", "effects", "--json", "-"))
+    effects = json.loads(softcal(installed, "gap", "effects", "--json", "-"))["effects"]
     assert effects[-1]["effect"] == "adhesion" and effects[-1]["is_plugin"]
     assert not any(effect["is_plugin"] for effect in effects[:-1])
 

@@ -1,5 +1,6 @@
 """`import softcal`: the README's lines, pandas in and out, the registry, scikit-learn's conventions."""
 
+import json
 import re
 import subprocess
 import sys
@@ -150,6 +151,102 @@ def test_anchors_must_come_in_pairs(source, tables):
         softcal.fit_map(source, target, anchors=([0.5, 0.6], [0.0]))
     anchored = softcal.fit_map(source, target, anchors=pd.DataFrame({"output": [0.54], "reference": [0.0]}))
     assert anchored.predicted_rmse is not None
+
+
+@pytest.mark.parametrize("serial", ["S1", "S2"])
+def test_a_unit_is_saved_loaded_and_exported_without_a_registry(source, tables, tmp_path, serial):
+    target = softcal.Recording.from_frame(tables[1], time_s="t_s", serial=serial)
+    unit = softcal.fit_map(source, target)
+    unit.save(tmp_path / "unit.db")
+    again = softcal.Unit.load(tmp_path / "unit.db")
+    assert (again.serial, again.verdict, again.reasons) == (serial, unit.verdict, unit.reasons)
+    pd.testing.assert_frame_equal(again.estimate(target), unit.estimate(target))
+    with pytest.raises(softcal.UnitRefused, match=unit.verdict):
+        unit.export(tmp_path / "held")
+    files = {one: made.export(tmp_path / one, "json", release="conditional") for one, made in
+             (("new", unit), ("kept", again))}  # fmt: skip
+    kept = [json.loads(Path(found[0]).read_text())["calibration"] for found in files.values()]
+    assert kept[0]["map_sha256"] == kept[1]["map_sha256"] and kept[0]["arrays"] == kept[1]["arrays"]
+    assert main(["estimate", "--registry", f"sqlite:///{tmp_path / 'unit.db'}", "--serial", serial,
+                 str(write(tables, tmp_path, {})[1]), "--out", str(tmp_path / "out.csv")]) == 0  # fmt: skip
+    with pytest.raises(softcal.InputError, match="nowhere.db"):
+        softcal.Unit.load(tmp_path / "nowhere.db")
+
+
+def test_units_make_a_table_and_say_themselves_in_one_short_line(source, unit, tables):
+    lot = pd.concat([unit.to_frame(), unit.to_frame()])
+    assert list(lot["serial"]) == ["S2", "S2"] and lot["predicted_rmse"].notna().all()
+    for one, names in (
+        (unit, ("S2", unit.verdict)),
+        (softcal.Recording.from_frame(tables[0], time_s="t_s"), ("1500",)),
+    ):
+        assert len(repr(one)) < 120 and all(name in repr(one) for name in names)
+
+
+def test_pandas_goes_in_everywhere(tables, unit):
+    network = softcal.fit_network(tables[0], **SMALL)
+    output = tables[1]["output"]
+    for given in (
+        tables[1],
+        tables[1][["t_s", "output"]],
+        tables[1][["output"]],
+        output,
+        output.to_numpy(),
+        list(output),
+    ):
+        found = softcal.fit_map(network, given, audit=tables[1])
+        assert found.calibration.scores is not None
+        assert len(found.estimate(given)) == 1500 and found.map.family
+    assert found.rmse(tables[1]) == pytest.approx(found.rmse(softcal.Recording.from_frame(
+        tables[1], reference="reference", time_s="t_s")))  # fmt: skip
+    shifted = tables[1].set_index(tables[1].index + 7)
+    assert list(unit.estimate(shifted).index[:2]) == [7, 8]
+
+
+@pytest.mark.parametrize(
+    ("call", "named"),
+    [
+        (lambda f, t: softcal.Recording([1.0] * 20, sample_rate_Hz="50"), "sample_rate_Hz is '50'.*number"),
+        (lambda f, t: softcal.Recording([1.0] * 20, sample_rate_Hz=True), "sample_rate_Hz is True"),
+        (lambda f, t: softcal.Recording([1.0] * 20, sample_rate_Hz=50, serial=7), "serial is 7 .*text"),
+        (lambda f, t: softcal.Recording(t, sample_rate_Hz=50), "output is a table"),
+        (lambda f, t: softcal.fit_network("S1.csv"), "source is 'S1.csv'.*Recording"),
+        (lambda f, t: softcal.fit_network(t[["output", "reference"]]), "sample_rate_Hz"),
+        (lambda f, t: softcal.fit_network(t, seed="1"), "seed is '1'"),
+        (lambda f, t: softcal.fit_network(t, hidden=8), "hidden is 8"),
+        (lambda f, t: softcal.fit_map("S1", t), "network is 'S1'.*fit_network"),
+        (lambda f, t: softcal.fit_map(f, None), "target is None"),
+        (lambda f, t: softcal.fit_map(f, {"output": [1.0]}), "target is "),
+        (lambda f, t: softcal.fit_map(f, t, limit_rmse="0.2"), "limit_rmse is '0.2'"),
+        (lambda f, t: softcal.fit_map(f, t, family=3), "family is 3"),
+        (lambda f, t: softcal.fit_map(f, t, anchors=5), "anchors"),
+        (lambda f, t: softcal.fit_map(f, t, anchors=pd.DataFrame({"output": [0.5]})), "anchors.*reference"),
+    ],
+)
+def test_a_wrong_type_is_one_line_with_value_and_expectation(source, tables, call, named):
+    with pytest.raises(softcal.InputError, match=named) as refused:
+        call(source, tables[0])
+    assert "\n" not in str(refused.value)
+
+
+def test_a_pipeline_hands_on_data_frames_where_it_is_asked_to(source, tables):
+    transformer = softcal.MapTransformer(source).set_output(transform="pandas")
+    windows = transformer.fit(tables[1][["output"]]).transform(tables[1][["output"]])
+    assert isinstance(windows, pd.DataFrame) and list(windows.columns[[0, -1]]) == ["window_14", "window_0"]
+    assert windows.index.equals(tables[1].index)
+
+
+def test_another_rate_and_an_inverted_channel_are_refused_by_map_and_transformer(source, tables):
+    output = tables[1]["output"]
+    for rate_Hz in (10.0, 100.0):
+        with pytest.raises(softcal.UnitRefused, match=f"{rate_Hz:g} Hz.*50 Hz"):
+            softcal.fit_map(source, softcal.Recording(output, sample_rate_Hz=rate_Hz))
+        with pytest.raises(softcal.UnitRefused, match="50 Hz"):
+            softcal.MapTransformer(source, sample_rate_Hz=rate_Hz).fit(output.to_frame())
+    inverted = 2.0 - output
+    assert softcal.fit_map(source, inverted).verdict == "fail"
+    with pytest.raises(softcal.UnitRefused, match="direction"):
+        softcal.MapTransformer(source).fit(inverted.to_frame())
 
 
 @parametrize_with_checks(

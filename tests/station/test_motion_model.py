@@ -5,9 +5,9 @@ import pytest
 from softcal.core.errors import DeviceError
 from softcal.core.words.reason import Reason, plain
 from softcal.station import interlock, motion
+from softcal.station.bench import open_simulated_bench
 from softcal.station.interfaces import Move
 from softcal.station.interlock import NEXT, PHASES, Event, Interlock, Phase, Speed, State, Watch
-from softcal.station.bench import open_simulated_bench
 from softcal.station.motion import Motion
 from softcal.station.safety import FollowWatch, ForceWatch, JumpWatch, StreamWatch, StuckWatch
 from softcal.station.simulated.explore import KNOWN, broken_property, explore, run_once
