@@ -53,19 +53,22 @@ class Keeper(Protocol):
 
 
 class Fixture(Protocol):
-    """What holds the unit: a person on a real station, a program on the simulated one."""
+    """What holds the unit: a person on a real station, a program on the simulated one.
+
+    What one does not say otherwise is left to the person.
+    """
 
     def mount(self, serial: str) -> None:
         """Put the unit of this serial under the stage."""
-        ...
+        return None
 
     def put_on(self, load: float) -> None:
         """Put a known load on the unit, in the reference unit of its lot; 0 takes everything off."""
-        ...
+        return None
 
     def follow(self, phase: str) -> None:
         """Take the phase a run is in."""
-        ...
+        return None
 
     def inject(self, name: str) -> Reason:
         """Break something, and say what will happen."""

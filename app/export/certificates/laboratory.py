@@ -3,6 +3,7 @@
 from dataclasses import dataclass, fields
 from datetime import date
 from pathlib import Path
+from typing import Any
 
 import tomlkit
 
@@ -124,9 +125,10 @@ def read_laboratory(path: Path | None) -> Laboratory:
     if path is None:
         return Laboratory()
     values = read_toml(path)
-    kinds = {field.name: type(field.default) for field in fields(Laboratory)}
+    kinds: dict[str, type[Any]] = {field.name: type(field.default) for field in fields(Laboratory)}
     check_known(f"{path}: section", values, tuple(kinds))
-    return Laboratory(**{name: read_section(f"{path}: [{name}]", kinds[name], values[name]) for name in values})
+    sections: dict[str, Any] = {n: read_section(f"{path}: [{n}]", kinds[n], table) for n, table in values.items()}
+    return Laboratory(**sections)
 
 
 def kept_laboratory() -> Path | None:

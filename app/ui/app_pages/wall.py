@@ -7,7 +7,7 @@ from pathlib import Path
 
 import streamlit as st
 
-from softcal.app.ui.components import line_card, wall_board
+from softcal.app.ui.components import line_card
 from softcal.app.ui.components.line_card import chips_row
 from softcal.app.ui.desk import colours, errors_in_words, registry, words
 from softcal.app.ui.lot_memory import remembered_lot_view
@@ -21,7 +21,7 @@ EVERY_S = 3.0
 
 
 def render() -> None:
-    st.html(line_card.style() + line_card.theme(colours()) + wall_board.style())
+    st.html(line_card.style() + line_card.theme(colours()) + board_style())
     lot_id = lot_heading("wall", registry().lot_ids())
     if lot_id is None:
         return
@@ -37,11 +37,11 @@ def _board(lot_id: str) -> None:
     found = alerts(registry(), view, datetime.now(UTC))
     with st.container(key="wall"):
         board = wall_view(registry(), view, found, say)
-        st.html(wall_board.board_html(board, say("line.last"), say("wall.well"), say("wall.stations.none")))
+        st.html(board_html(board, say("line.last"), say("wall.well"), say("wall.stations.none")))
 
 
 @cache
-def style() -> str:
+def board_style() -> str:
     """Return the style of the board; once per page, after that of the line's card."""
     return f"<style>{Path(__file__).with_suffix('.css').read_text(encoding='utf-8')}</style>"
 
