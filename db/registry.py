@@ -10,12 +10,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from sqlalchemy import RowMapping, select
 from sqlalchemy.exc import DataError, DBAPIError, StatementError
 
 from softcal.core.errors import InputError
 from softcal.db.access.people import People
 from softcal.db.access.tokens import TokenTable
 from softcal.db.entries import Anchor, AuditRow, Heads
+from softcal.db.schema.database import parts
+from softcal.db.schema.tables import audit, canonical_json
 from softcal.db.truth import history
 from softcal.db.truth.adaptations import AdaptationTables
 from softcal.db.truth.calibrations import CalibrationTables
@@ -129,18 +132,21 @@ class Registry(
 
     def events(self, entity: str, key: tuple[str | int, ...]) -> list[AuditRow]:
         """Return what the audit trail tells of one entity, in time order, whichever registry wrote it."""
-        with self.database.reading() as connection:
-            return history.of_entities(connection, entity, [key])
+        return self.events_of(entity, [key])
 
     def events_of(self, entity: str, keys: Sequence[tuple[str | int, ...]]) -> list[AuditRow]:
         """Return what the audit trail tells of several entities of a kind, in time order."""
-        with self.database.reading() as connection:
-            return history.of_entities(connection, entity, keys)
+        found: list[RowMapping] = []
+        with self.database.reading():
+            for part in parts(keys):
+                names = [canonical_json(key) for key in part]
+                found += self.database.rows(select(audit).where(audit.c.entity == entity, audit.c.key.in_(names)))
+        return sorted((AuditRow(**row) for row in found), key=lambda row: (row.at, row.origin, row.seq))
 
     def events_of_kind(self, entity: str) -> list[AuditRow]:
         """Return what the audit trail tells of all entities of a kind, in time order."""
-        with self.database.reading() as connection:
-            return history.of_kind(connection, entity)
+        query = select(audit).where(audit.c.entity == entity).order_by(audit.c.at, audit.c.origin, audit.c.seq)
+        return [AuditRow(**row) for row in self.database.rows(query)]
 
     def audit_rows(self, origin: str | None = None) -> list[AuditRow]:
         """Return the audit trail of one registry, or of all that were synchronised, oldest first per origin."""
@@ -149,8 +155,14 @@ class Registry(
 
     def newest_audit_rows(self, count: int) -> list[AuditRow]:
         """Return the newest rows of the audit trail, whoever wrote them, the newest first."""
+        found: list[RowMapping] = []
         with self.database.reading() as connection:
-            return history.newest(connection, count)
+            # The newest of each chain are found through the index; sorted by time, all rows would be read.
+            for origin in history.origins(connection):
+                chain = select(audit).where(audit.c.origin == origin)
+                found += self.database.rows(chain.order_by(audit.c.seq.desc()).limit(count))
+        rows = sorted((AuditRow(**row) for row in found), key=lambda row: (row.at, row.origin, row.seq), reverse=True)
+        return rows[:count]
 
     def verify(
         self,
@@ -170,4 +182,4 @@ class Registry(
     def heads(self) -> Heads:
         """Return number and hash of the last row of every chain of the audit trail: what to write down elsewhere."""
         with self.database.reading() as connection:
-            return {origin: history.head(connection, origin) for origin in history.origins(connection)}
+            return history.heads(connection)

@@ -73,6 +73,6 @@ def _heads_of_backup(path: Path) -> Heads:
     database = open_database(f"sqlite:///{path}", create=False)
     try:
         with database.reading() as connection:
-            return {origin: history.head(connection, origin) for origin in history.origins(connection)}
+            return history.heads(connection)
     finally:
         database.close()

@@ -132,7 +132,7 @@ def judge_lot(
     ratios = [measured[serial] / forecasts[serial] for serial in plan.serials]
     ratio = float(np.sqrt(np.mean(np.square(ratios)))) if ratios else float("nan")
     text = _told(plan, len(failed), upper - random_failed, limit)
-    process = process_upper(len(plan.random), random_failed)
+    process = failing_share(len(plan.random), random_failed, CONFIDENCE)
     return LotStatement(word, failed, upper - random_failed, process, ratio, text)
 
 
@@ -158,8 +158,3 @@ def nonconforming_upper(population: int, checked: int, failed: int) -> int:
     candidates = np.arange(failed, population - (checked - failed) + 1)
     plausible = hypergeom.cdf(failed, population, candidates, checked) > 1 - CONFIDENCE
     return int(candidates[plausible].max())
-
-
-def process_upper(checked: int, failed: int) -> float:
-    """Return the one-sided 95 % upper bound of the failing share of a process."""
-    return failing_share(checked, failed, CONFIDENCE)

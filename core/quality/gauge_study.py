@@ -6,7 +6,7 @@ Here the appraisers are stations or re-mounts and the parts are units; a trial i
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy.special import fdtrc
 
 from softcal.core.errors import InputError
 from softcal.core.recording import Array
@@ -92,7 +92,7 @@ def study_by_anova(measured: Array, pooling_alpha: float = POOLING_ALPHA) -> Gau
     df_interaction, df_error = (parts - 1) * (appraisers - 1), parts * appraisers * (trials - 1)
     ms_part, ms_appraiser = ss_part / (parts - 1), ss_appraiser / (appraisers - 1)
     ms_interaction, ms_error = ss_interaction / df_interaction, ss_error / df_error
-    p = float(stats.f.sf(ms_interaction / ms_error, df_interaction, df_error)) if ms_error > 0 else 0.0
+    p = float(fdtrc(df_interaction, df_error, ms_interaction / ms_error)) if ms_error > 0 else 0.0
     # What cannot be told from repeatability is counted there: kept apart it would only make both less certain.
     if p > pooling_alpha:
         ms_error = (ss_interaction + ss_error) / (df_interaction + df_error)

@@ -103,8 +103,7 @@ def _fill(source: Database, target: Database) -> None:
             migrate(target)
             connection.execute(delete(registry_info).where(registry_info.c.key.not_in(["origin", "origin_sha256"])))
             _copy_tables(rows, connection, keep_origin=False)
-            heads = {origin: list(history.head(rows, origin)) for origin in history.origins(rows)}
-            Adoption(target, RegistrySettings()).state_restored(heads)
+            Adoption(target, RegistrySettings()).state_restored(history.heads(rows))
     finally:
         target.close()
 

@@ -1,13 +1,13 @@
 """Create and upgrade the schema, and what a registry states anew when it was upgraded or restored."""
 
 import uuid
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from sqlalchemy import and_, func, insert, inspect, select, text
 
 from softcal.db.access.people import people_as_told
 from softcal.db.care import checks
+from softcal.db.entries import Heads
 from softcal.db.schema import tables
 from softcal.db.schema.database import Database, schema_of
 from softcal.db.schema.tables import calibrations, in_use, network_releases, networks, users
@@ -84,7 +84,7 @@ class Adoption(InUseTable):
                 told = {"lot_id": row["lot_id"], "state": "released", "actor": "softcal", "reason": reason}
                 self._store(connection, network_releases, values | told, "release", "softcal", reason)
 
-    def state_restored(self, heads: Mapping[str, Sequence[object]]) -> None:
+    def state_restored(self, heads: Heads) -> None:
         """Begin this registry's own chain with where it comes from: each chain's last row at that moment."""
         with self.database.writing() as connection:
             self._tell(connection, "restore", "registry", (self.origin,), after={"heads": heads})

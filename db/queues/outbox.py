@@ -52,7 +52,7 @@ class Outbox(OncePerCut):
     def end(self) -> dict[str, int]:
         """Return the cursor behind everything there is."""
         with self.database.reading() as connection:
-            return {origin: history.head(connection, origin)[0] for origin in history.origins(connection)}
+            return {origin: seq for origin, (seq, _) in history.heads(connection).items()}
 
     def after(self, cursor: Cursor, count: int) -> list[AuditRow]:
         """Return the next rows behind a cursor, in the order of their chains and, between chains, of time."""

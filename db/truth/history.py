@@ -5,7 +5,7 @@ or put in between is found (after Schneier and Kelsey 1999, Secure audit logs, s
 """
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from datetime import date, datetime
 from heapq import merge
 from itertools import islice
@@ -13,8 +13,7 @@ from itertools import islice
 from sqlalchemy import Connection, Table, bindparam, insert, select
 
 from softcal.core.errors import RegistryError
-from softcal.db.entries import AuditRow
-from softcal.db.schema.database import parts
+from softcal.db.entries import AuditRow, Heads
 from softcal.db.schema.found import found_in
 from softcal.db.schema.tables import LATER_COLUMNS, TOLD_BY_HASH, audit, canonical_json
 
@@ -82,15 +81,6 @@ def origins(connection: Connection) -> list[str]:
     return found
 
 
-def of_entities(connection: Connection, entity: str, keys: Sequence[tuple[str | int, ...]]) -> list[AuditRow]:
-    """Return the rows of entities of one kind from every chain, in time order; nothing else is read."""
-    found: list[AuditRow] = []
-    for part in parts(keys):
-        query = select(audit).where(audit.c.entity == entity, audit.c.key.in_([canonical_json(key) for key in part]))
-        found += [AuditRow(**row._mapping) for row in connection.execute(query)]
-    return sorted(found, key=lambda row: (row.at, row.origin, row.seq))
-
-
 def rows(
     connection: Connection, origin: str | None = None, after_seq: int = 0, count: int | None = None
 ) -> Iterator[AuditRow]:
@@ -111,21 +101,6 @@ def after(connection: Connection, cursor: Mapping[str, int], count: int) -> list
     chains = [list(rows(connection, origin, cursor.get(origin, 0), count)) for origin in origins(connection)]
     # A clock that was set back must not put a row before the one it follows.
     return list(islice(merge(*chains, key=lambda row: row.at), count))
-
-
-def of_kind(connection: Connection, entity: str) -> list[AuditRow]:
-    """Return the rows of all entities of one kind from every chain, in time order."""
-    query = select(audit).where(audit.c.entity == entity).order_by(audit.c.at, audit.c.origin, audit.c.seq)
-    return [AuditRow(**row._mapping) for row in connection.execute(query)]
-
-
-def newest(connection: Connection, count: int) -> list[AuditRow]:
-    """Return the newest rows of all chains by time, the newest first, without reading the others."""
-    found: list[AuditRow] = []
-    for origin in origins(connection):
-        query = select(audit).where(audit.c.origin == origin).order_by(audit.c.seq.desc()).limit(count)
-        found += [AuditRow(**row._mapping) for row in connection.execute(query)]
-    return sorted(found, key=lambda row: (row.at, row.origin, row.seq), reverse=True)[:count]
 
 
 def chain_faults(trail: Iterator[AuditRow], after_seq: int = 0, after_hash: str = FIRST_HASH) -> Iterator[str]:
@@ -151,6 +126,11 @@ def head(connection: Connection, origin: str) -> tuple[int, str]:
     """Return number and hash of the newest row of a chain."""
     newest = connection.execute(NEWEST, {"chain": origin}).first()
     return (0, FIRST_HASH) if newest is None else (newest.seq, newest.hash)
+
+
+def heads(connection: Connection) -> Heads:
+    """Return number and hash of the newest row of every chain."""
+    return {origin: head(connection, origin) for origin in origins(connection)}
 
 
 def row_key(table: Table, values: Values) -> tuple[str | int, ...]:

@@ -5,7 +5,7 @@ One question in SQL says it for a unit, for a sorted and filtered page of a lot 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
@@ -79,6 +79,23 @@ class UnitFilter:
         if len(self.serials or ()) > MOST_SERIALS:
             raise InputError(f"{len(self.serials or ())} units at once; choose fewer than {MOST_SERIALS}, by days")
 
+    def conditions(self, table: Subquery) -> Iterator[ColumnElement[bool]]:
+        """Give what a unit has to meet."""
+        if self.verdicts:
+            yield func.coalesce(table.c.verdict, "none").in_(self.verdicts)
+        if self.text:
+            yield func.lower(table.c.serial).contains(self.text.lower(), autoescape=True)
+        if self.serials is not None:
+            yield table.c.serial.in_(self.serials)
+
+    def order(self, table: Subquery) -> list[ColumnElement[Any]]:
+        """Return by what units are sorted."""
+        if self.sort == "severity":
+            severity = case(_severities(), value=table.c.verdict, else_=1)
+            return [severity, table.c.predicted_rmse.desc().nulls_last(), table.c.serial]
+        column = table.c[self.sort]
+        return [(column.desc() if self.is_descending else column.asc()).nulls_last(), table.c.serial]
+
 
 @dataclass(frozen=True)
 class UnitPage:
@@ -115,7 +132,8 @@ class LotPages(RegistryBase):
             self._lot_row(connection, lot_id)
             standing = Standing.of(connection, lot_id)
             table = standing.table(role="target")
-            condition, order = _condition(table, wanted), _order(table, wanted)
+            condition: ColumnElement[bool] = and_(True, *wanted.conditions(table))
+            order = wanted.order(table)
             query = select(table).where(condition).order_by(*order).limit(size).offset((page - 1) * size)
             total = connection.execute(select(func.count()).select_from(table).where(condition)).scalar_one()
             entries = [standing.entry(connection, row) for row in connection.execute(query).mappings().all()]
@@ -192,8 +210,7 @@ class LotPages(RegistryBase):
         A cheap key for what was computed from a lot: every change ends a chain of the audit trail with another row.
         """
         with self.database.reading() as connection:
-            heads = [history.head(connection, origin) for origin in history.origins(connection)]
-        return "|".join([lot_id, *(sha256 for _, sha256 in heads)])
+            return "|".join([lot_id, *(sha256 for _, sha256 in history.heads(connection).values())])
 
 
 @dataclass(frozen=True)
@@ -292,23 +309,3 @@ def _is_newest(table: Table, names: Sequence[str]) -> ColumnElement[bool]:
     is_same = and_(other.c.lot_id == table.c.lot_id, other.c.serial == table.c.serial)
     is_newer = tuple_(*(other.c[name] for name in names)) > tuple_(*(table.c[name] for name in names))
     return ~select(other.c.serial).where(is_same, is_newer).correlate(table).exists()
-
-
-def _condition(table: Subquery, wanted: UnitFilter) -> ColumnElement[bool]:
-    parts: list[ColumnElement[bool]] = []
-    if wanted.verdicts:
-        parts.append(func.coalesce(table.c.verdict, "none").in_(wanted.verdicts))
-    if wanted.text:
-        parts.append(func.lower(table.c.serial).contains(wanted.text.lower(), autoescape=True))
-    if wanted.serials is not None:
-        parts.append(table.c.serial.in_(wanted.serials))
-    return and_(True, *parts)
-
-
-def _order(table: Subquery, wanted: UnitFilter) -> list[ColumnElement[Any]]:
-    if wanted.sort == "severity":
-        severity = case(_severities(), value=table.c.verdict, else_=1)
-        return [severity, table.c.predicted_rmse.desc().nulls_last(), table.c.serial]
-    column = table.c[wanted.sort]
-    first = (column.desc() if wanted.is_descending else column.asc()).nulls_last()
-    return [first, table.c.serial]

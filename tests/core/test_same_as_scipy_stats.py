@@ -6,7 +6,6 @@ from scipy import stats
 
 from softcal.core.maps.synchrony import ranks
 from softcal.core.quality.acceptance import Promise, failing_share, tolerance_factor
-from softcal.core.quality.audit_plan import process_upper
 from softcal.core.quality.conformal import share_beyond
 from softcal.core.quality.widening import _next_unit
 
@@ -20,8 +19,6 @@ def test_bounds_of_a_share(checked: int, failed: int, confidence: float) -> None
     assert failing_share(checked, failed, confidence) == pytest.approx(wanted, rel=1e-8)
     beta = stats.beta.ppf(confidence, failed + 1, checked - failed)
     assert failing_share(checked, failed, confidence) == pytest.approx(beta, **CLOSE)
-    if confidence == 0.95:
-        assert process_upper(checked, failed) == pytest.approx(failing_share(checked, failed, 0.95), **CLOSE)
 
 
 @pytest.mark.parametrize(("count", "rank"), [(9, 9), (10, 10), (19, 18), (40, 37)])

@@ -7,6 +7,7 @@ from sqlalchemy import text
 
 from softcal.core.errors import InputError, RegistryError
 from softcal.core.lot import Lot
+from softcal.core.words.reason import plain
 from softcal.db.care import sync
 from softcal.db.care.backup import back_up, restore
 from softcal.db.care.sync import synchronise
@@ -79,6 +80,21 @@ def test_of_two_results_for_one_serial_a_person_decides(station, registry, make_
         assert side.calibration("A1", 2, origin=yours).record.predicted_rmse == pytest.approx(0.3)
         assert side.verify() == []
     assert station.calibrate("A1", 4) == 4
+
+
+def test_a_refusal_after_a_conflict_is_what_every_question_tells(station, registry, make_factory):
+    synchronise(station.registry, registry)
+    station.calibrate("A1", 2)
+    make_factory(registry).calibrate("A1", 3)
+    synchronise(station.registry, registry)
+    registry.add_refusal("L1", "A1", "fail", (plain("cable"),))
+    (unit,) = registry.units(serial="A1")
+    (paged,) = registry.unit_page("L1", UnitFilter(text="A1")).units
+    stated = registry.standings("L1", ["A1"])["A1"]
+    assert unit == paged and unit.is_conflict
+    for told in (unit, stated, registry.runs("L1", "A1")[-1]):
+        assert (told.verdict, told.reasons) == ("fail", (plain("cable"),))
+    assert stated.made is None and registry.verdict_counts("L1")["fail"] == 1
 
 
 def test_the_same_map_made_twice_is_no_conflict(station, registry, make_factory):
