@@ -242,7 +242,7 @@ def known_words() -> frozenset[str]:
     """Return the basic words and those of the glossary."""
     basic = (ROOT / "benchmarks/basic_words.txt").read_text(encoding="utf-8")
     basic = " ".join(line for line in basic.splitlines() if not line.startswith("#"))
-    glossary = re.findall(r"^\| ([^|]+) \|", (ROOT / "docs/glossary.md").read_text(encoding="utf-8"), re.MULTILINE)
+    glossary = re.findall(r"^- \*\*([^*]+)\*\*", (ROOT / "docs/glossary.md").read_text(encoding="utf-8"), re.MULTILINE)
     return frozenset(word.lower() for word in [*basic.split(), *(w for term in glossary for w in _words(term))])
 
 

@@ -1,8 +1,10 @@
-"""The commands in the documents: each can be copied into a shell; where no rig or server is needed it is run."""
+"""The commands in the documents: each can be copied into a shell, and runs as written where no rig is needed."""
 
+import json
 import re
 import shlex
 import shutil
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,10 +13,15 @@ import pandas as pd
 import pytest
 
 from softcal.app.cli.main import command_parser, main
+from softcal.core.profiles import Profile, ramps
+from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
+from softcal.core.twin.simulate import EffectSetting, Twin, simulate
+from softcal.db.connection import open_registry
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 COMMAND = re.compile(r"(?:\w+=\S+ )*softcal (?P<words>.*)")
+READOUT = ReadoutMetadata(3.3, 12, 10.0, 50.0)
 A_PACKAGE = {"--format ini": "the example package of the page brings the format"}
 """Parts of commands that only an installed package understands."""
 
@@ -23,17 +30,13 @@ ELSEWHERE = {
     "softcal station": "tests/app/test_station_command.py, test_station_serve.py",
     "softcal demo": "tests/app/test_demo.py",
     "softcal batch lot-1 --registry sqlite:///registry.db": "tests/app/test_rig_to_lot.py",
-    "softcal gap diagnose": "tests/app/test_gap_command.py, test_gap_plugin.py, test_gap_simulator.py",
-    "softcal gap apply": "tests/app/test_gap_command.py",
+    "--simulator": "tests/app/test_gap_simulator_page.py",
     "softcal gap transfer": "tests/app/test_gap_command.py",
-    "softcal gap lot": "tests/app/test_gap_lot.py",
     "softcal gap challenge": "tests/app/test_gap_challenge.py",
     "softcal gap score": "tests/app/test_gap_challenge.py",
     "serial:/dev/ttyACM0": "tests/app/test_adapt_live.py",
     "tcp://127.0.0.1:7007": "tests/app/test_adapt_live.py",
     "--format ini": "tests/app/test_open_plugins.py",
-    "--sign factory.pem": "tests/app/test_export_command.py",
-    "--public-key factory.pub": "tests/app/test_export_command.py",
     "--scheduler tcp://": "tests/app/test_engine.py",
     "postgresql://": "tests/db/test_scale.py",
     "--origin": "tests/app/test_second_station.py",
@@ -43,20 +46,21 @@ ELSEWHERE = {
     "| psql": "tests/db/test_grants.py",
     "softcal quality capability": "tests/app/test_registry_command.py",
     "softcal quality golden": "tests/app/test_registry_command.py",
-    "softcal api": "tests/app/test_connect_run.py, test_connect_rest.py",
-    "softcal connect": "tests/app/test_connect_run.py, test_connect_mqtt.py",
-    "--parquet": "tests/app/test_connect_run.py",
+    "softcal api serve": "tests/app/test_connect_rest.py",
+    "softcal api token withdraw": "tests/app/test_connect_run.py",
+    "softcal connect check": "tests/app/test_connect_run.py, test_connect_mqtt.py",
+    "softcal connect run": "tests/app/test_connect_run.py, test_connect_mqtt.py",
 }
 """Commands that need a rig, a server, a package or a second station: part of the command → where they are tried."""
 
 
-def _commands(page: Path) -> list[str]:
+def _commands(page: Path, command: re.Pattern[str] = COMMAND) -> list[str]:
     """Return the commands of the blocks of a page, one line each, without their comments."""
     text = page.read_text(encoding="utf-8")
     found = []
     for block in re.findall(r"^```[a-z]*\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
         for line in block.replace("\\\n", " ").splitlines():
-            if COMMAND.match(line.strip()):
+            if command.match(line.strip()):
                 found.append(shlex.join(shlex.split(line, comments=True)).replace("'|'", "|"))
     return found
 
@@ -128,9 +132,9 @@ def _run(page: str, workplace: Path) -> int:
     return count
 
 
-def _import(*files: str) -> None:
+def _import(*files: str, out: str = "lot-1") -> None:
     columns = ["--output-column", "output_V", "--reference-column", "force_N", "--sample-rate", "50"]
-    assert main(["import", *files, "--source", "S1", *columns, "--audit", "--limit", "0.3", "--out", "lot-1"]) == 0
+    assert main(["import", *files, "--source", "S1", *columns, "--audit", "--limit", "0.3", "--out", out]) == 0
 
 
 def test_the_readme_runs_as_written(workplace: Callable[[str], Path]) -> None:
@@ -141,19 +145,57 @@ def test_the_readme_runs_as_written(workplace: Callable[[str], Path]) -> None:
 @pytest.mark.parametrize(
     ("page", "serial", "least"),
     [
+        ("docs/connect.md", "A1", 5),
         ("docs/engineer.md", "S2", 4),
+        ("docs/format.md", "S2", 2),
         ("docs/long-term.md", "A1", 2),
         ("docs/registry.md", "A17", 7),
         ("docs/trust.md", "S2", 4),
         ("docs/verdict.md", "A1", 2),
     ],
 )
-def test_a_page_runs_as_written(workplace: Callable[[str], Path], page: str, serial: str, least: int) -> None:
+def test_a_page_runs_as_written(
+    workplace: Callable[[str], Path], page: str, serial: str, least: int, require: Callable[[object, str], None]
+) -> None:
     folder = workplace(serial)
     shutil.copy(folder / "plain.csv", folder / "new.csv")
     _import("S1.csv", f"{serial}.csv", "S3.csv")
     assert main(["batch", "lot-1"]) in (0, 1)
+    with open_registry(f"sqlite:///{folder}/registry.db") as registry:
+        registry.set_user("MES", "operator", "2580", actor="kim")
+    for line in _commands(ROOT / page, re.compile("openssl gen")):
+        require(shutil.which("openssl"), "no openssl")
+        subprocess.run(line.replace("'&&'", "&&"), shell=True, check=True, capture_output=True)
     assert _run(page, folder) >= least
+
+
+def test_the_rules_of_a_line_are_set_as_written(workplace: Callable[[str], Path]) -> None:
+    folder = workplace("S2")
+    _import("S1.csv", "S2.csv", "S3.csv", out="LOT-1")
+    assert main(["batch", "LOT-1"]) in (0, 1)
+    assert _run("docs/station-service.md", folder) == 2
+
+
+@pytest.mark.long
+def test_a_gap_is_diagnosed_as_written(workplace: Callable[[str], Path]) -> None:
+    folder = workplace("S2")
+    for case in ("rig-7", "lot-7/A1", "lot-7/A2"):
+        for run, profile in enumerate((ramps([3.0] * 2, 0.8), ramps([3.0] * 5, 4.0)), start=1):
+            _press(folder / case / "runs" / str(run), profile, run)
+    assert _run("docs/gap.md", folder) >= 5
+    assert _run("docs/own-effect.md", folder) == 2
+
+
+def _press(folder: Path, profile: Profile, seed: int) -> None:
+    """Record a run of a rig whose readout lags."""
+    t_s, stage_mm = profile.sample(50.0)
+    twin = Twin(BaseParameters(kappa_per_N=0.06), (EffectSetting("readout_lag", {"tau": 0.1}),), READOUT)
+    force_N, output_V = simulate(twin, t_s, stage_mm, np.random.default_rng(seed))
+    folder.mkdir(parents=True)
+    table = pd.DataFrame({"t_s": t_s, "stage_mm": stage_mm, "force_N": force_N, "output_V": output_V})
+    table.to_csv(folder / "recording.csv", index=False)
+    facts = {"vref_V": 3.3, "adc_bits": 12, "r_series_ohm": 10.0, "sample_rate_Hz": 50.0, "serial": folder.parts[-3]}
+    (folder / "recording.json").write_text(json.dumps(facts), encoding="utf-8")
 
 
 def test_no_command_escapes_in_a_block_that_is_only_indented() -> None:
@@ -164,13 +206,13 @@ def test_no_command_escapes_in_a_block_that_is_only_indented() -> None:
 
 def test_every_command_is_run_as_written_or_tried_elsewhere() -> None:
     run = {
-        "README.md", "docs/engineer.md", "docs/long-term.md", "docs/registry.md", "docs/trust.md", "docs/tutorial.md",
+        "README.md", "docs/connect.md", "docs/engineer.md", "docs/format.md", "docs/gap.md", "docs/long-term.md",
+        "docs/own-effect.md", "docs/registry.md", "docs/station-service.md", "docs/trust.md", "docs/tutorial.md",
         "docs/verdict.md",
     }  # fmt: skip
     for page in PAGES:
         left = [c for c in _commands(page) if not any(part in c for part in ELSEWHERE)]
-        alone = all(_words(c)[:2] == ["gap", "effects"] or _words(c)[0] in ("lot",) for c in left)
-        assert str(page.relative_to(ROOT)) in run or alone, left
+        assert str(page.relative_to(ROOT)) in run or left == [], left
     for places in ELSEWHERE.values():
         first = places.partition(",")[0]
         assert (ROOT / first).is_file(), first
