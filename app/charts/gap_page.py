@@ -30,6 +30,7 @@ from softcal.app.views.gap import (
     effect_name,
     listed,
     mistake_rows,
+    no_cause_words,
     parameter_name,
     place_words,
     pressed_name,
@@ -63,6 +64,7 @@ def gap_page(report: Mapping[str, Any], runs: Sequence[RunView], serial: str, sa
         serial,
         [
             _headline(report, serial, say),
+            *_asked(report, say),
             _section(say("gap.where"), chain_svg(report, say), _places(report["where"], say), *_maps(runs, say)),
             _section(say("gap.why"), ranking, _causes(report, say), _ambiguity(report, say)),
             _section(say("gap.gain"), _gain_words(report, say), _figure(gain_figure(report, say))),
@@ -93,6 +95,11 @@ def _left(report: Mapping[str, Any], say: Words) -> Iterable[str]:
     words.append(_told(say, "gap.left.span", load_N=f"{found['load_N']:.3g}", depth_mm=f"{found['depth_mm']:.3g}"))
     table = _table([say(f"gap.column.{name}") for name in ("term", "error", "chosen")], rows)
     return (_section(say("gap.left"), f"<p>{' '.join(words)}</p>", table),)
+
+
+def _asked(report: Mapping[str, Any], say: Words) -> Iterable[str]:
+    """Show what is asked about the recordings beside a diagnosis."""
+    return (_section(say("gap.data.asked"), _mistakes(report, say)),) if report.get("data") else ()
 
 
 def _mistakes(report: Mapping[str, Any], say: Words) -> str:
@@ -274,7 +281,7 @@ def _bar(share: float) -> str:
 def _causes(report: Mapping[str, Any], say: Words) -> str:
     likely = [cause for cause in ranked(report) if cause["probability"] >= LIKELY][:SHOWN_CAUSES]
     if not likely:
-        return f"<p>{_told(say, 'gap.why.none')}</p>"
+        return f"<p>{escape(no_cause_words(report, say))}</p>"
     rows = [
         (
             escape(effect_name(cause["effect"], say)),

@@ -1,7 +1,7 @@
 """The noise floor: is what a hypothesis leaves noise, and is it the same noise everywhere?
 
 Noise that fades looks like a gap, and a gap that nothing explains could be called noise. What is left counts as noise
-only where it passes three tests. It is as strong at rest as under load. It follows nothing that the chain knows: depth,
+only where it passes three tests. What fades of it is as strong at rest as under load. It follows nothing that the chain knows: depth,
 speed, load, time, temperature, what came before. And nothing of it is seen in two channels at once.
 """
 
@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from softcal.core.gap.colour import Colour, ColourConfig, Stretch, log_likelihood, read_noise
 from softcal.core.gap.fit import Block, Fit, Problem
@@ -24,8 +25,8 @@ class FloorConfig:
 
     Args:
         colour: how noise is read.
-        uneven: log likelihood that noise of its own at rest, and of its own under load, may gain over the same noise
-            in both: three numbers more gain 1.5 on average and 10 in one of 10,000.
+        uneven: log likelihood that noise of its own at rest, and of its own under load, may gain over the same fading
+            noise in both: two numbers more gain 1 on average and 9 in one of 10,000.
         coherent: standard errors by which what is left may follow the variables of the chain.
         fewest: samples at rest and under load, each, that tell; fewer do not test.
     """
@@ -37,6 +38,9 @@ class FloorConfig:
 
 
 CONFIG = FloorConfig()
+
+WANDERS = 0.9
+"""Share of the longest fading time from which a time stands on its bound."""
 
 
 def noise_of(found: Fit) -> tuple[dict[str, float], dict[str, Colour]]:
@@ -79,12 +83,15 @@ def _stretch(found: Fit, block: Block, use: Array | None = None) -> Stretch:
 
 
 def is_noise(found: Fit) -> bool:
-    """Whether what a fit leaves in its channels of coloured noise passes the three tests."""
+    """Whether what a fit leaves in its channels of coloured noise fades, and passes the three tests."""
+    # What has not faded by the longest time that is tried is no noise but a wander: an R0 that walks, a drift.
+    if any(colour.fading_s > WANDERS * CONFIG.colour.longest_s for colour in found.problem.colour.values()):
+        return False
     return all(_is_even(found, channel) and _is_free(found, channel) for channel in found.problem.colour)
 
 
 def _is_even(found: Fit, channel: str) -> bool:
-    """Whether one noise fits rest and load alike."""
+    """Whether one fading noise fits rest and load alike; white noise may grow with the load, a gap is never white."""
     problem = found.problem
     parts: dict[bool, list[Stretch]] = {False: [], True: []}
     for block in _blocks(found, channel):
@@ -98,9 +105,17 @@ def _is_even(found: Fit, channel: str) -> bool:
         return True
     white, colour = problem.sigma[channel], problem.colour[channel]
     gain = sum(
-        read_noise(part, CONFIG.colour).log_likelihood - log_likelihood(part, white, colour) for part in parts.values()
+        read_noise(part, CONFIG.colour).log_likelihood - _with_own_white(part, white, colour) for part in parts.values()
     )
     return gain < CONFIG.uneven
+
+
+def _with_own_white(part: Sequence[Stretch], white: float, colour: Colour) -> float:
+    """Return the largest log likelihood of a part with this fading noise, whatever its white noise."""
+    found = minimize_scalar(
+        lambda x: -log_likelihood(part, white * float(np.exp(x)), colour), bounds=(-2.0, 2.0), method="bounded"
+    )
+    return -float(found.fun)
 
 
 def _is_free(found: Fit, channel: str) -> bool:
