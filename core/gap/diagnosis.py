@@ -309,9 +309,7 @@ def diagnose(
     verdict, is_standing = _verdict(search, group, quantified), quantified.stands or not best.hypothesis.ids
     # Among the catalogue's effects only; where none of them explains the gap, the truth is most likely none of them.
     doubt = UNKNOWN_TRUST * share if verdict == "unknown" else 1.0 if is_standing else IMITATED_TRUST
-    chances = {
-        i: p * doubt * (IMITATED_TRUST if i in doubted else 1.0) for i, p in chances_of(logs, group).items()
-    }
+    chances = {i: p * doubt * (IMITATED_TRUST if i in doubted else 1.0) for i, p in chances_of(logs, group).items()}
     named = tuple(in_catalogue_form(found) for found in group)
     causes = _causes(search, named, chances, quantified.shrink.held_out)
     found_regimes = regimes(search.base)
@@ -361,7 +359,10 @@ def _on_unseen(group: tuple[Fit, ...], gone: set[str]) -> tuple[tuple[Fit, ...],
     best, kept, idle = group[0], [group[0]], set()
     for other in group[1:]:
         added = set(other.hypothesis.ids) - set(best.hypothesis.ids)
-        is_larger = set(best.hypothesis.ids) < set(other.hypothesis.ids)
+        # Another form of a cause may hold what a second one is: beside it nothing is left for that to lower.
+        is_larger = set(best.hypothesis.ids) < set(other.hypothesis.ids) and not any(
+            map(form_of, best.hypothesis.effects)
+        )
         if is_larger and (added & gone or (len(added) == 1 and unsupported(other, dict.fromkeys(added, best)))):
             idle |= added
         else:

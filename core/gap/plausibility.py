@@ -484,7 +484,8 @@ def _against_stated(case: Case) -> list[DataMistake]:
         return []
     middle, evidence = float(np.sqrt(stated[0] * stated[1])), _unusual(size, "force", *stated)
     turned = [
-        (abs(np.log(size.with_unit(c, f).stiffness_N_mm or 1e-9) - np.log(middle)), c, u, f) for c, u, f in _every_unit()
+        (abs(np.log(size.with_unit(c, f).stiffness_N_mm or 1e-9) - np.log(middle)), c, u, f)
+        for c, u, f in _every_unit()
     ]
     distance, channel, unit, factor = min(turned)
     if distance < abs(np.log(stated[1] / middle)) + np.log(NEAR_FACTOR):

@@ -152,7 +152,9 @@ def test_a_bad_contact_jumps_and_a_smooth_gap_does_not():
         assert with_intervals(base_fit(make_case(effect)), contact, None) is None
 
 
-@pytest.mark.parametrize(("rate_Hz", "slow_Hz", "is_hum"), [(10.0, 0.2, False), (50.0, 0.2, False), (50.0, 10.02, True)])
+@pytest.mark.parametrize(
+    ("rate_Hz", "slow_Hz", "is_hum"), [(10.0, 0.2, False), (50.0, 0.2, False), (50.0, 10.02, True)]
+)
 def test_hum_is_a_line_where_mains_can_stand(rate_Hz, slow_Hz, is_hum):
     case = make_case()
     every = round(50.0 / rate_Hz)
