@@ -368,7 +368,9 @@ def _powers(value: Array) -> list[Term]:
 
 def _remembered(value: Array, powers: Sequence[int], times_s: Sequence[float]) -> list[Term]:
     return [
-        Term(_slow(value**power, time_s), power * value ** (power - 1), time_s) for time_s in times_s for power in powers
+        Term(_slow(value**power, time_s), power * value ** (power - 1), time_s)
+        for time_s in times_s
+        for power in powers
     ]
 
 

@@ -25,6 +25,7 @@ from softcal.app.views.gap import (
     listed,
     mistake_rows,
     named_causes,
+    no_cause_words,
     place_rows,
     pressed_name,
     residual_rows,
@@ -63,14 +64,15 @@ def gap_page(report: Mapping[str, Any], runs: Sequence[RunView], serial: str, sa
     """
     parts = [_headline(report, serial, say)]
     if report["verdict"] == "data":
-        mistakes = _rows(mistake_rows(report, say), "gap.data", say)
+        mistakes = _rows(mistake_rows(report, say), say("gap.data"), say)
         parts += [section(say("gap.data"), mistakes), section(say("gap.runs.plain"), *_traces(runs, say))]
     else:
-        places = _rows(place_rows(report, say), "gap.where.none", say)
+        places = _rows(place_rows(report, say), say("gap.where.none"), say)
         ranking = figures(ranking_figure(report, SHOWN_CAUSES, say))
-        causes = _rows(cause_rows(report, say)[:SHOWN_CAUSES], "gap.why.none", say)
+        causes = _rows(cause_rows(report, say)[:SHOWN_CAUSES], no_cause_words(report, say), say)
         maps = figures(*(map_figure(runs, channel, say) for channel in CHANNELS))
         parts += [
+            *_asked(report, say),
             section(say("gap.where"), chain_svg(report, say), places, maps),
             section(say("gap.why"), ranking, causes, _ambiguity(report, say)),
             section(say("gap.gain"), _gain_words(report, say), figures(gain_figure(report, say))),
@@ -94,13 +96,19 @@ def _left(report: Mapping[str, Any], say: Words) -> Iterable[str]:
         causes = _effects(found["beside"], say)
         words.append(_told(say, "gap.left.beside", causes=causes, without=_percent(found["without"])))
     words.append(_told(say, "gap.left.span", load_N=f"{found['load_N']:.3g}", depth_mm=f"{found['depth_mm']:.3g}"))
-    rows = _rows(residual_rows(report, say), "gap.left", say)
+    rows = _rows(residual_rows(report, say), say("gap.left"), say)
     return (section(say("gap.left"), f"<p>{' '.join(words)}</p>", rows),)
+
+
+def _asked(report: Mapping[str, Any], say: Words) -> Iterable[str]:
+    """Show what is asked about the recordings beside a diagnosis."""
+    asked = mistake_rows(report, say)
+    return (section(say("gap.data.asked"), _rows(asked, "", say)),) if asked else ()
 
 
 def _rows(rows: Sequence[Mapping[str, str]], otherwise: str, say: Words) -> str:
     if not rows:
-        return f"<p>{_told(say, otherwise)}</p>"
+        return f"<p>{escape(otherwise)}</p>"
     return table(
         [say(f"gap.column.{name}") for name in rows[0]], [[_cell(*cell) for cell in row.items()] for row in rows]
     )

@@ -79,6 +79,11 @@ def cause_rows(report: Report, say: Words) -> list[dict[str, str]]:
     ]
 
 
+def no_cause_words(report: Report, say: Words) -> str:
+    """Return what is said where no cause is likely: none is needed, or none explains what is there."""
+    return say("gap.why.unknown" if report["verdict"] == "unknown" else "gap.why.none")
+
+
 def residual_rows(report: Report, say: Words) -> list[dict[str, str]]:
     """Return one row per empirical term: the term, its standard error, and how often it was chosen without a run."""
     found = report.get("residual") or {"formula": (), "terms": ()}

@@ -24,7 +24,7 @@ from softcal.core.gap.plausibility import DataMistake, doubts, mistakes
 from softcal.core.gap.posterior import exact_log_evidence, log_evidences, probabilities
 from softcal.core.gap.residual import Map, Regime, regimes, structure, three_maps
 from softcal.core.gap.search import EffectSearch, SearchConfig
-from softcal.core.gap.shrink import ChannelGap, Shrink, quantify, unsupported
+from softcal.core.gap.shrink import ChannelGap, Quantified, Shrink, quantify, unsupported
 from softcal.core.gap.start import unfitted
 from softcal.core.gap.strangers import stranger_of
 from softcal.core.recording import Array
@@ -40,6 +40,12 @@ SCHEMA = "softcal.gap/1"
 
 UNKNOWN_TRUST = 0.3
 """How far probabilities within the catalogue are trusted where the catalogue leaves a gap, for a share of 1."""
+
+DOWN_TO_NOISE = 0.92
+"""Shrink on samples held back below which structure that is left is no mere difference between two equations."""
+
+OVER_FLOOR = 1.2
+"""Gap over the noise floor from which something is there that is no noise, whatever colour it was read as."""
 
 IMITATED_TRUST = 0.4
 """How far a cause is trusted that another equation of the causes beside it would explain as well: it is not named, and
@@ -301,16 +307,14 @@ def diagnose(
     told = with_constants(best)
     quantified = quantify(search.base, told, search.fits.values())
     share = float(np.clip(search.share(best), 0.0, 1.0))
-    verdict = _verdict(search, group)
-    is_standing = not best.hypothesis.ids or quantified.stands
-    if verdict in ("explained", "ambiguous") and not is_standing:
-        verdict = "no_gap" if search.is_clean(search.base) and loose_noise(search.base) is None else "unknown"
+    verdict, is_standing = _verdict(search, group, quantified), quantified.stands or not best.hypothesis.ids
     # Among the catalogue's effects only; where none of them explains the gap, the truth is most likely none of them.
-    doubt = UNKNOWN_TRUST * share if verdict == "unknown" else 1.0 if is_standing else quantified.shrink.held_out
+    doubt = UNKNOWN_TRUST * share if verdict == "unknown" else 1.0 if is_standing else IMITATED_TRUST
     chances = {i: p * doubt * (IMITATED_TRUST if i in doubted else 1.0) for i, p in chances_of(logs, group).items()}
     named = tuple(in_catalogue_form(found) for found in group)
     causes = _causes(search, named, chances, quantified.shrink.held_out)
     found_regimes = regimes(search.base)
+    partial = _nearest(search) if verdict == "unknown" else None
     say("describing what is left")
     beside = {"unknown": (search.base, told), "explained": (told,), "ambiguous": (told,)}
     return Diagnosis(
@@ -331,9 +335,9 @@ def diagnose(
         ambiguous_with=confused_pairs(group),
         hidden_fraction={i: hidden_fraction(best, i) for i in best.hypothesis.ids},
         next_experiment=_next(case, search, group, verdict),
-        explained_share=share,
+        explained_share=share if partial is None else partial.share,
         mistakes=doubts(case),
-        partial=_nearest(search) if verdict == "unknown" else None,
+        partial=partial,
         residual=learned(search.base, beside.get(verdict, ())),
     )
 
@@ -356,7 +360,10 @@ def _on_unseen(group: tuple[Fit, ...], gone: set[str]) -> tuple[tuple[Fit, ...],
     best, kept, idle = group[0], [group[0]], set()
     for other in group[1:]:
         added = set(other.hypothesis.ids) - set(best.hypothesis.ids)
-        is_larger = set(best.hypothesis.ids) < set(other.hypothesis.ids)
+        # Another form of a cause may hold what a second one is: beside it nothing is left for that to lower.
+        is_larger = set(best.hypothesis.ids) < set(other.hypothesis.ids) and not any(
+            map(form_of, best.hypothesis.effects)
+        )
         if is_larger and (added & gone or (len(added) == 1 and unsupported(other, dict.fromkeys(added, best)))):
             idle |= added
         else:
@@ -432,14 +439,16 @@ def _is_on_bound(parameter: Parameter, value: float) -> bool:
     return any(math.isclose(value, end, rel_tol=1e-9, abs_tol=near) for end in (parameter.low, parameter.high))
 
 
-def _verdict(search: EffectSearch, group: tuple[Fit, ...]) -> DiagnosisVerdict:
+def _verdict(search: EffectSearch, group: tuple[Fit, ...], quantified: Quantified) -> DiagnosisVerdict:
     best = search.best
     if search.stranger is not None:
         return "unknown"
-    is_loose = loose_noise(best) is not None
-    if not best.hypothesis.ids:
-        return "unknown" if is_loose or structure(best).is_significant else "no_gap"
-    if is_loose or not search.is_explained(best):
+    if not best.hypothesis.ids or not quantified.stands:
+        bare = search.base if best.hypothesis.ids else best
+        is_over = any(g.rmse_before > OVER_FLOOR * g.noise_floor for g in quantified.gap.values())
+        return "no_gap" if search.is_clean(bare) and loose_noise(bare) is None and not is_over else "unknown"
+    is_left = not search.is_clean(best) and quantified.shrink.held_out < DOWN_TO_NOISE
+    if loose_noise(best) is not None or is_left or not search.is_explained(best):
         return "unknown"
     return "ambiguous" if len(group) > 1 else "explained"
 
@@ -567,7 +576,8 @@ def _unknown_places(
     The share of each is that of the gap's energy in the regime where it stands out most.
     """
     channel, regime = _loudest(found)
-    share = float(np.clip(search.share(search.best), 0.0, 1.0))
+    partial = _nearest(search)
+    share = partial.share if partial is not None else 0.0
     loose = loose_noise(search.best)
     stages: tuple[str, ...] = likely_stages(search.base, maps)
     if search.stranger is not None:

@@ -37,10 +37,10 @@ more: white noise reaches 20 in a thousand lines, and a gap of other causes has 
 FLAT_SAMPLES = 8
 """Samples that must lie clearly beyond a level before the output is taken as clipped there."""
 
-ACROSS = np.array([1.0, 1.0, 1.0, 0.0, 0.0, -1.0, -1.0, -1.0]) / 3.0
-"""Mean after an instant less mean before it; the two samples beside it, which placed the instant, are left out."""
+ACROSS = np.array([1.0, 1.0, 0.0, -1.0, -1.0]) / 2.0
+"""Mean after an instant less mean before it; the sample between, which placed the instant, is left out."""
 
-EVENT_SHARE, EVENT_SIGMA = 0.6, 3.0
+EVENT_SHARE, EVENT_SIGMA = 0.7, 3.0
 """A contact is bad where the output jumps: share of the fitted jumps that it must show, and standard errors. Intervals
 that only mop up a smooth gap show none."""
 
@@ -96,7 +96,7 @@ def with_intervals(found: Fit, effect: Effect, _: Extent) -> Fit | None:
 
 
 def _jumps(found: Fit, effect_id: str) -> bool:
-    """Whether what an effect takes away jumps within two samples, as the effect does."""
+    """Whether what an effect takes away jumps within three samples, as the effect does."""
     without, left = found.hypothesis.without(effect_id)
     problem, clean = found.problem, found.problem.predict(without, found.coordinates[left])
     pull = power = 0.0
@@ -174,7 +174,12 @@ def _lost_samples(found: Fit, effect_id: str) -> tuple[list[Array], float]:
     case = found.problem.case
     rows: list[Array] = [np.empty((0, 2)) for _ in case.runs]
     plain = replace(found.hypothesis, episodes=_merged(found, effect_id, rows))
-    closed = found.problem.predict(plain, found.coordinates)
+    # Zero, seat and resistance of a run are fitted to what was measured: with its losses open they would follow them.
+    bare = found.problem.bare
+    closed = bare.predict(plain, found.coordinates)
+    own = found.predicted - bare.predict(found.hypothesis, found.coordinates)
+    if not found.hypothesis.episode_count:
+        own = np.zeros(len(own))
     blocks = [b for b in _output_blocks(found) if case.runs[b.run].kind == "press"]
     level = _robust_noise(found, blocks)
     # A delay that was fitted through the losses lies in their middle: the first samples then stand before it.
@@ -182,7 +187,8 @@ def _lost_samples(found: Fit, effect_id: str) -> tuple[list[Array], float]:
     for block in blocks:
         measured = found.problem.measured[block.place]
         noise = found.problem.noise[block.place] * level
-        ahead = np.concatenate([np.full(lead, closed[block.place][0]), closed[block.place]])
+        known = closed[block.place] + float(np.median(own[block.place]))
+        ahead = np.concatenate([np.full(lead, known[0]), known])
         shifts = lag_path(measured, ahead, noise, lead, LONGEST_LOSS, 4.0 * np.log(len(measured)))
         at = np.flatnonzero(np.diff(shifts) > 0) + 1
         t_s = case.runs[block.run].elapsed_s

@@ -1,8 +1,8 @@
 """The noise floor: is what a hypothesis leaves noise, and is it the same noise everywhere?
 
 Noise that fades looks like a gap, and a gap that nothing explains could be called noise. What is left counts as noise
-only where it passes three tests. It is as strong at rest as under load. It follows nothing that the chain knows: depth,
-speed, load, time, temperature, what came before. And nothing of it is seen in two channels at once.
+only where it passes three tests. What fades of it is as strong at rest as under load. It follows nothing that the chain
+knows: depth, speed, load, time, temperature, what came before. And nothing of it is seen in two channels at once.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from softcal.core.gap.colour import Colour, Stretch, log_likelihood, read_noise
 from softcal.core.gap.fit import Block, Fit, Problem
@@ -24,8 +25,8 @@ class FloorConfig:
     """When what is left counts as noise.
 
     Args:
-        uneven: log likelihood that noise of its own at rest, and of its own under load, may gain over the same noise
-            in both: three numbers more gain 1.5 on average and 10 in one of 10,000.
+        uneven: log likelihood that noise of its own at rest, and of its own under load, may gain over the same fading
+            noise in both: two numbers more gain 1 on average and 9 in one of 10,000.
         coherent: standard errors by which what is left may follow the variables of the chain.
         fewest: samples at rest and under load, each, that tell; fewer do not test.
     """
@@ -36,6 +37,9 @@ class FloorConfig:
 
 
 CONFIG = FloorConfig()
+
+WANDERS = 0.9
+"""Share of the longest fading time from which a time stands on its bound."""
 
 
 def noise_of(found: Fit) -> tuple[dict[str, float], dict[str, Colour]]:
@@ -96,7 +100,11 @@ def of_chain(found: Fit, channel: str) -> list[Mapping[str, Array]]:
 
 
 def is_noise(found: Fit, halves: Sequence[Halves] = (under_load,), follows: Variables = of_chain) -> bool:
-    """Whether what a fit leaves in its channels of coloured noise passes the three tests."""
+    """Whether what a fit leaves in its channels of coloured noise fades, and passes the three tests."""
+    # What has not faded by the longest time that is tried is no noise but a wander: an R0 that walks, a drift.
+    longest_s = found.problem.colour_config.longest_s
+    if any(colour.fading_s > WANDERS * longest_s for colour in found.problem.colour.values()):
+        return False
     return all(
         all(_is_even(found, channel, half) for half in halves) and _is_free(found, channel, follows)
         for channel in found.problem.colour
@@ -104,7 +112,7 @@ def is_noise(found: Fit, halves: Sequence[Halves] = (under_load,), follows: Vari
 
 
 def _is_even(found: Fit, channel: str, half: Halves) -> bool:
-    """Whether one noise fits both conditions, as rest and load, alike."""
+    """Whether one fading noise fits both conditions, as rest and load, alike; white noise may grow with the load."""
     problem = found.problem
     parts: dict[bool, list[Stretch]] = {False: [], True: []}
     for block in _blocks(found, channel):
@@ -115,10 +123,18 @@ def _is_even(found: Fit, channel: str, half: Halves) -> bool:
         return True
     white, colour = problem.sigma[channel], problem.colour[channel]
     gain = sum(
-        read_noise(part, problem.colour_config).log_likelihood - log_likelihood(part, white, colour)
+        read_noise(part, problem.colour_config).log_likelihood - _with_own_white(part, white, colour)
         for part in parts.values()
     )
     return gain < CONFIG.uneven
+
+
+def _with_own_white(part: Sequence[Stretch], white: float, colour: Colour) -> float:
+    """Return the largest log likelihood of a part with this fading noise, whatever its white noise."""
+    found = minimize_scalar(
+        lambda x: -log_likelihood(part, white * float(np.exp(x)), colour), bounds=(-2.0, 2.0), method="bounded"
+    )
+    return -float(found.fun)
 
 
 def _is_free(found: Fit, channel: str, follows: Variables) -> bool:

@@ -18,8 +18,9 @@ from softcal.core.twin.effects import ChainStage, Placing
 from softcal.core.words.reason import Reason, reason
 
 UNEVEN_Z = 8.0
-UNEVEN_RATIO = 1.25
-"""Noise counts as uneven when fast samples are noisier than slow ones by so many standard errors and this factor."""
+UNEVEN_RATIO = 4.0
+"""Noise counts as uneven when fast samples are noisier than slow ones by so many standard errors and this factor of the
+variance: an uneven clock that adds less than its noise to fast samples belongs to every rig."""
 
 LOADED = 0.15
 """Share of the range of the output above which a sample counts as under load."""

@@ -20,6 +20,10 @@ DIRTY_Z = 6.0
 """A map or a residual has structure when its block sums are this many standard errors above white noise."""
 
 
+TIED = 1e-6
+"""Share of the largest speed by which two samples of one ramp differ in rounding alone."""
+
+
 @dataclass(frozen=True)
 class Structure:
     """How much of a residual is not noise.
@@ -198,8 +202,9 @@ def _conditions(found: Fit, blocks: list[Block]) -> dict[Reason, Array]:
     quick = np.abs(speed[touching & (np.abs(speed) > 0)])
     slow = float(np.quantile(quick, 0.02)) if len(quick) else 0.0
     fast = float(np.quantile(quick, 0.6)) if len(quick) else np.inf
-    moving = np.abs(speed) > max(slow * 0.5, 1e-9)
-    depth = (drive - contact) / max(float(drive.max()) - contact, 1e-9)
+    fastest = float(np.max(np.abs(speed)))
+    moving = np.abs(speed) > max(0.5 * slow, 1e-9 * fastest)
+    depth = (drive - contact) / max(float(drive.max()) - contact, 1e-9 * float(np.ptp(drive)))
     conditions = {
         Reason("gap.regime.loading"): touching & moving & (speed > 0),
         Reason("gap.regime.unloading"): touching & moving & (speed < 0),
@@ -207,7 +212,7 @@ def _conditions(found: Fit, blocks: list[Block]) -> dict[Reason, Array]:
         Reason("gap.regime.no_contact"): ~touching,
         Reason("gap.regime.first_touch"): touching & (depth < 0.15),
         Reason("gap.regime.high_load"): depth > 0.8,
-        Reason("gap.regime.fast_motion"): touching & (np.abs(speed) > fast),
+        Reason("gap.regime.fast_motion"): touching & (np.abs(speed) > fast + TIED * fastest),
         Reason("gap.regime.start"): part < 0.25,
         Reason("gap.regime.end"): part > 0.75,
     }

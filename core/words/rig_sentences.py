@@ -64,7 +64,8 @@ SENTENCES: Mapping[str, str] = {
     ),
     "rig.story.force": (
         "sensor and load cell: from one moment on they no longer show the same force; check both plugs, the amplifier "
-        "and the unit's seat, then press again (by {percent:.1f} % of the range, {at_s:.1f} s after the first press began)"
+        "and the unit's seat, then press again "
+        "(by {percent:.1f} % of the range, {at_s:.1f} s after the first press began)"
     ),
     "rig.story.stage": (
         "stage: from one moment on what the unit shows does not fit the depth; check the motor for lost steps and the "

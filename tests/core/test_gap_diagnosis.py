@@ -11,9 +11,11 @@ from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.diagnosis import diagnose
+from softcal.core.gap.episodes import with_intervals, with_line, with_losses
 from softcal.core.gap.explained import explained_twin, in_catalogue_form, with_constants
 from softcal.core.gap.fit import Hypothesis, fit
 from softcal.core.gap.forms import FORMS
+from softcal.core.gap.residual import structure
 from softcal.core.gap.start import base_fit
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
@@ -129,6 +131,41 @@ def test_lost_samples_are_found_in_place_and_number():
         first_s, last_s = sorted((found[0, 0], 6.0))
         between = (run.elapsed_s >= first_s) & (run.elapsed_s <= last_s)
         assert last_s - first_s < 0.5 or np.ptp(run.stage_mm[between]) < 1e-6
+
+
+@pytest.mark.parametrize("seed", [121, 122])
+def test_losses_are_found_although_a_run_has_a_seat_of_its_own(seed):
+    rng = np.random.default_rng(seed)
+    losses = tuple(sorted((float(rng.uniform(3.0, 12.0)), int(rng.integers(3, 20))) for _ in range(3)))
+    base = base_fit(make_case(("dropped_samples", {}, losses), seed=seed))
+    placed = with_losses(base, EFFECTS["dropped_samples"], None)
+    rows = [placed.hypothesis.episodes_of(k)["dropped_samples"] for k in range(4)]
+    assert [r[:, 1].sum() for r in rows] == [sum(count for _, count in losses)] * 4
+    assert not structure(placed).is_significant
+
+
+def test_a_bad_contact_jumps_and_a_smooth_gap_does_not():
+    contact = EFFECTS["intermittent_contact"]
+    jumping = base_fit(make_case(("intermittent_contact", {"dR": 0.1}, ((4.0, 5.2), (11.0, 11.5)))))
+    assert with_intervals(jumping, contact, None) is not None
+    for effect in (("channel_creep", {"c": 0.2}, ()), ("mullins_softening", {}, ()), ("readout_lag", {}, ())):
+        assert with_intervals(base_fit(make_case(effect)), contact, None) is None
+
+
+@pytest.mark.parametrize(
+    ("rate_Hz", "slow_Hz", "is_hum"), [(10.0, 0.2, False), (50.0, 0.2, False), (50.0, 10.02, True)]
+)
+def test_hum_is_a_line_where_mains_can_stand(rate_Hz, slow_Hz, is_hum):
+    case = make_case()
+    every = round(50.0 / rate_Hz)
+    readout = dataclasses.replace(READOUT, sample_rate_Hz=rate_Hz)
+    runs = []
+    for run in case.runs:
+        columns = {n: getattr(run, n)[::every] for n in ("t_s", "stage_mm", "force_N", "output_V", "temperature_C")}
+        columns["output_V"] = columns["output_V"] + 0.005 * np.sin(2 * np.pi * slow_Hz * columns["t_s"])
+        runs.append(dataclasses.replace(run, readout=readout, **columns))
+    hum = with_line(base_fit(Case("G1", tuple(runs))), EFFECTS["mains_hum"], None)
+    assert (hum is not None) == is_hum
 
 
 def test_two_effects_of_different_stages_are_both_named():

@@ -110,9 +110,9 @@ def test_a_cause_is_named_through_coloured_noise() -> None:
     assert found.best.hypothesis.ids == ("stress_relaxation",)
 
 
-def _as_noise(case: Case, spread_N: float) -> bool:
+def _as_noise(case: Case, spread_N: float, fading_s: float = 0.5) -> bool:
     problem = base_fit(case).problem.with_noise(
-        {"force_N": 0.012, "output_V": 0.0012, "stage_mm": 0.002}, {"force_N": Colour(spread_N, 0.5)}
+        {"force_N": 0.012, "output_V": 0.0012, "stage_mm": 0.002}, {"force_N": Colour(spread_N, fading_s)}
     )
     start = np.array([to_fit(p, getattr(BASE, p.name)) for p in PARAMETERS])
     return is_noise(fit(problem, Hypothesis(), start))
@@ -133,6 +133,25 @@ def test_what_follows_the_load_is_no_noise_however_large_noise_is_taken_to_be() 
 def test_noise_that_comes_with_the_load_is_no_floor() -> None:
     rng = np.random.default_rng(12)
     assert not _as_noise(_under_load(_case(12), lambda run: _fading(rng, len(run), 0.06, 0.5)), 0.06)
+
+
+def test_white_noise_may_grow_with_the_load() -> None:
+    rng = np.random.default_rng(13)
+    assert _as_noise(_under_load(_case(13, newtons=0.06), lambda run: rng.normal(0.0, 0.025, len(run))), 0.06)
+
+
+def test_what_does_not_fade_is_no_noise() -> None:
+    assert not _as_noise(_case(11, newtons=0.1), 0.1, fading_s=ColourConfig().longest_s)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [14, 15])
+def test_a_resistance_that_wanders_is_no_floor(seed: int) -> None:
+    rng, case = np.random.default_rng(seed), _case(seed)
+    walks = [replace(r, output_V=r.output_V + np.cumsum(rng.normal(0.0, 2e-4, len(r)))) for r in case.runs]
+    found = diagnose(Case("G1", tuple(walks)))
+    assert found.verdict != "no_gap"
+    assert not [c.effect for c in found.causes if c.probability > 0.5]
 
 
 def test_a_problem_of_white_noise_is_weighted_as_ever() -> None:

@@ -3,11 +3,17 @@
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from softcal.core.gap.case import Case
+from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.diagnosis import diagnose
+from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.search import EffectSearch
+from softcal.core.gap.shrink import unsupported
+from softcal.core.gap.start import base_fit
+from softcal.core.twin.catalogue import EFFECTS
 
 
 @pytest.fixture
@@ -39,3 +45,23 @@ def test_a_strong_cause_is_chosen_whatever_is_held_back(drawn_case: Callable[...
 
 def test_nothing_is_chosen_where_nothing_is_left(drawn_case: Callable[..., Case]) -> None:
     assert diagnose(drawn_case(1300000, "sound", "none")).chosen == ()
+
+
+def _with(base: Fit, effect_id: str) -> Fit:
+    effect = EFFECTS[effect_id]
+    first = start_coordinates([effect], [[0.2 * effect.parameters[0].usual, *(p.usual for p in effect.parameters[1:])]])
+    return fit(base.problem, base.hypothesis.adding(effect), np.append(base.coordinates, first), steps=30)
+
+
+@pytest.mark.parametrize("effect_id", ["channel_creep", "loadcell_creep", "mechanical_hysteresis", "ageing_drift"])
+def test_a_cause_that_lowers_nothing_on_samples_held_back_has_no_support(
+    drawn_case: Callable[..., Case], effect_id: str
+) -> None:
+    base = base_fit(drawn_case(1300003, "sound", "none"))
+    assert unsupported(_with(base, effect_id), {effect_id: base}) == [effect_id]
+
+
+def test_a_cause_that_is_there_has_support(drawn_case: Callable[..., Case]) -> None:
+    case = drawn_case(1300002, "strong", "usual")
+    base, (named,) = base_fit(case), diagnose(case).best.hypothesis.ids
+    assert unsupported(_with(base, named), {named: base}) == []

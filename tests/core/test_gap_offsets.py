@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from softcal.core import profiles
 from softcal.core.gap.case import Case, Run
@@ -110,6 +111,45 @@ def test_a_cause_on_an_untared_rig_is_named_alone() -> None:
     relaxes = EffectSetting("stress_relaxation", {"g": 0.1, "tau": 5.0}, ())
     found = diagnose(_untared(0.02 * PEAK_N, relaxes))
     assert found.best.hypothesis.ids == ("stress_relaxation",)
+
+
+def _badly_kept(seed: int, *effects: EffectSetting) -> Case:
+    """Runs with all that rigs have at once: tare, seat, warm room, fading noise, noise under load, an uneven clock."""
+    rng = np.random.default_rng(seed)
+    runs = _runs((0.004, -0.003, 0.001), *effects, seats_mm=(0.0, 0.015, -0.01))
+    spoilt = []
+    for run in runs:
+        n, load = len(run), np.clip(np.asarray(run.force_N) / PEAK_N, 0.0, 1.0)
+        late_s = np.clip(run.t_s + rng.uniform(-0.0015, 0.0015, n), run.t_s[0], run.t_s[-1])
+        output_V = np.interp(late_s, run.t_s, np.asarray(run.output_V))
+        span_V = float(np.ptp(output_V))
+        output_V = output_V + _fading(rng, n, 0.003 * span_V) + rng.normal(0.0, 0.0015, n) * load
+        force_N = np.asarray(run.force_N) + 0.015 * PEAK_N + _fading(rng, n, 0.003 * PEAK_N)
+        force_N = force_N + rng.normal(0.0, 0.02, n) * load
+        warm_C = 22.0 + 3.0 * (1.0 - np.exp(-run.t_s / 10.0))
+        spoilt.append(dataclasses.replace(run, output_V=output_V, force_N=force_N, temperature_C=warm_C))
+    return _case(spoilt)
+
+
+def _fading(rng: np.random.Generator, count: int, spread: float) -> Array:
+    keep = np.exp(-0.02 / 0.5)
+    return np.asarray(lfilter([1.0], [1.0, -keep], rng.normal(0.0, spread * np.sqrt(1.0 - keep**2), count)))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(3))
+def test_all_that_rigs_have_at_once_is_no_gap(seed: int) -> None:
+    found = diagnose(_badly_kept(seed))
+    assert found.verdict == "no_gap" and not [c.effect for c in found.causes if c.probability > 0.5]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(3))
+def test_a_cause_is_named_beside_all_that_rigs_have(seed: int) -> None:
+    found = diagnose(_badly_kept(seed, EffectSetting("backlash", {"b": 0.12})))
+    assert [c.effect for c in found.causes if c.probability > 0.5] == ["backlash"]
+    assert found.verdict in ("explained", "ambiguous")
+    assert found.causes[0].parameters["b"].value == pytest.approx(0.12, rel=0.05)
 
 
 @pytest.mark.parametrize("channel", ["force_N", "output_V"])

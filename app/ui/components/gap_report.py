@@ -28,6 +28,7 @@ from softcal.app.views.gap import (
     mistake_rows,
     named_causes,
     next_experiment,
+    no_cause_words,
     place_rows,
     pressed_name,
     residual_rows,
@@ -71,7 +72,8 @@ def _headline(report: Report) -> None:
     say = words()
     st.header(f":material/{ICONS[report['verdict']]}: {say('gap.verdict.' + report['verdict'])}")
     for row in mistake_rows(report, say):
-        st.error(say("gap.data.found", **row), icon=":material/report:")
+        told = st.error if report["verdict"] == "data" else st.warning
+        told(say("gap.data.found", **row), icon=":material/report:")
     if report["verdict"] == "data":
         return
     if causes := named_causes(report, say):
@@ -114,7 +116,7 @@ def _where(report: Report, runs: list[gap_figures.RunView]) -> None:
         "<svg ", '<svg xmlns="http://www.w3.org/2000/svg" style="background:#fff" ', 1
     )
     st.image(picture, width="stretch", alt=say("gap.chain"))
-    _rows(place_rows(report, say), "gap.where.none")
+    _rows(place_rows(report, say), say("gap.where.none"))
     for channel in gap_figures.CHANNELS:
         figure = gap_figures.map_figure(runs, channel, say)
         if figure is not None:
@@ -124,7 +126,7 @@ def _where(report: Report, runs: list[gap_figures.RunView]) -> None:
 def _why(report: Report) -> None:
     say = words()
     st.header(say("gap.why"))
-    _rows(cause_rows(report, say), "gap.why.none")
+    _rows(cause_rows(report, say), no_cause_words(report, say))
     for group in ambiguous_groups(report, say):
         st.warning(say("gap.ambiguous", group=group), icon=":material/call_split:")
     _figure(gap_figures.ranking_figure(report, SHOWN_CAUSES, say, colours()), "ranking")
@@ -152,7 +154,7 @@ def _left(report: Report) -> None:
     st.header(say("gap.left"))
     shrink = {name: percent(found["shrink"][name]) for name in ("held_out", "low", "high")}
     st.markdown(say("gap.left.is", **shrink))
-    _rows(residual_rows(report, say), "gap.left")
+    _rows(residual_rows(report, say), say("gap.left"))
     if found["beside"]:
         causes = listed([effect_name(effect, say) for effect in found["beside"]], "gap.and", say)
         st.caption(say("gap.left.beside", causes=causes, without=percent(found["without"])))
@@ -212,7 +214,7 @@ def _rows(rows: list[dict[str, str]], otherwise: str) -> None:
     if rows:
         table([{say(f"gap.column.{name}"): value for name, value in row.items()} for row in rows])
     else:
-        st.caption(say(otherwise))
+        st.caption(otherwise)
 
 
 def _figure(figure: go.Figure, key: str) -> None:
