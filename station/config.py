@@ -223,8 +223,12 @@ def station_from_table(content: dict[str, Any]) -> StationConfig:
     return config
 
 
-def station_toml(config: StationConfig) -> str:
-    """Return the station file of a configuration, every key in it and what it means, to be read and edited."""
+def station_toml(config: StationConfig, choices: str = "") -> str:
+    """Return the station file of a configuration, every key in it and what it means, to be read and edited.
+
+    Args:
+        choices: what stands beside a port that is still open.
+    """
     document = tomlkit.document()
     document["name"] = config.name
     for name in _SECTIONS:
@@ -238,6 +242,8 @@ def station_toml(config: StationConfig) -> str:
             table.add(tomlkit.comment(line.strip()))
         for f in fields(section):
             table[f.name] = getattr(section, f.name)
+        if isinstance(section, DeviceConfig) and not section.port:
+            table["port"].comment(f"CHOOSE one: {choices}")
         document[name] = table
     return tomlkit.dumps(document)
 
@@ -288,6 +294,8 @@ def device_section(name: str, table: dict[str, Any]) -> DeviceConfig:
     kind = table.get("kind", common.kind)
     driver = driver_of(common.role, str(kind))
     config: DeviceConfig = filled(name, driver.config, {**table, "kind": kind})
+    if not config.port and "library" not in driver.wires:
+        raise InputError(reason("station_file.no_port", section=name))
     if "library" not in driver.wires and wire_of(config.port) not in driver.wires:
         raise InputError(
             reason(

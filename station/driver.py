@@ -1,8 +1,9 @@
 """What a driver declares of itself: with that a station file, a bench and a simulated rig use it without its name."""
 
+import json
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields, is_dataclass
-from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, get_type_hints
 
 from softcal.station.config import DeviceConfig, ForceConfig, ReadoutConfig, Role, StageConfig
 from softcal.station.interfaces import Clock, ForceReader, Readout, Stage
@@ -115,6 +116,28 @@ class Driver(Generic[C, D]):
     def keys(self) -> dict[str, object]:
         """Its keys in the station file and their defaults; None where a value must be given."""
         return {f.name: None if f.default is MISSING else f.default for f in fields(self.config)}
+
+    @property
+    def described_keys(self) -> list[tuple[str, str, str, str]]:
+        """Its keys as (name, type, default, unit): a default is written as in the station file, "needed" without one."""
+        types, names = (
+            get_type_hints(self.config),
+            {float: "number", int: "whole number", str: "text", bool: "true/false"},
+        )
+        defaults = {f.name: "needed" if f.default is MISSING else json.dumps(f.default) for f in fields(self.config)}
+        return [(key, names.get(types[key], str(types[key])), value, unit_of(key)) for key, value in defaults.items()]
+
+
+UNITS = {
+    "_per_N": "1/N", "_N_mm": "N/mm", "_mm_s2": "mm/s²", "_mm_s": "mm/s", "_mm": "mm", "_N": "N", "_Hz": "Hz",
+    "_ohm": "ohm", "_V": "V", "_s": "s", "baud_rate": "baud", "_bits": "bit", "_counts": "counts",
+}  # fmt: skip
+"""Units by how a key ends, the longest first."""
+
+
+def unit_of(key: str) -> str:
+    """Return the unit a key of the station file carries in its name, "" for none."""
+    return next((unit for end, unit in UNITS.items() if key.endswith(end)), "")
 
 
 AnyDriver: TypeAlias = Driver[Any, Any]

@@ -18,7 +18,7 @@ from softcal.core.recording import Array
 from softcal.core.words.reason import reason
 
 ALPHA = 0.001
-"""How often noise alone makes one story refuse a run, at most: shared by all instants and kinds of change (Bonferroni)."""
+"""How often noise alone makes one story refuse a run, at most: shared by all instants and kinds (Bonferroni)."""
 
 WRONG, LOST = 0.0075, 0.01
 """A change is refused that surely moves what its law gives by more than this share of its range (RMS over the profile):
@@ -33,7 +33,7 @@ CREEP_POWERS, CREEP_S = (1, 2, 3), (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """What an output remembers of the force: it creeps, and its filter lags."""
 
 RELAXED_POWERS, RELAXATION_S = (1, 3), (0.1, 0.5, 3.0)
-"""What a unit's force remembers of the depth. Faster than that, relaxation would be taken for a load cell that is early."""
+"""What a unit's force remembers of the depth. Faster than that, relaxation would look like an early load cell."""
 
 LOOP, SOFTENS = 0.1, (0.7, 3.0)
 """Share of the depth over which a loop closes (Duhem), and compressions after which a unit has softened (Mullins)."""
@@ -59,8 +59,8 @@ BIT_LEVELS, BIT_SPAN, BIT_ROUNDING = 16, 2, 0.01
 and how far from whole steps they may be."""
 
 FEWEST, SHALLOW, FREE = 10, 0.1, 0.02
-"""A law is laid through so many readings at least. A press is deeper than this share of the deepest. Below this share of
-the largest force a unit that comes back slowly may have left the stage: no law of the depth holds there."""
+"""A law is laid through so many readings at least. A press is deeper than this share of the deepest. Below this share
+of the largest force a unit that comes back slowly may have left the stage: no law of the depth holds there."""
 
 
 class Term(NamedTuple):
@@ -140,8 +140,9 @@ SLIPS = ("input zero",)
 def find_change(t_s: Array, values: Array, law: Law, kinds: Sequence[str], begins_s: float) -> Change | None:
     """Look for the instant from which on a channel departs most clearly from its law.
 
-    Least squares of the law, and then of the law with one change more: at each of MOMENTS instants of each kind. What is
-    left is taken for noise that hangs together over WHITE_S. Noise alone exceeds the bound in ALPHA of all runs at most.
+    Least squares of the law, and then of the law with one change more: at each of MOMENTS instants of each kind. What
+    is left is taken for noise that hangs together over WHITE_S. Noise alone exceeds the bound in ALPHA of all runs at
+    most.
 
     Args:
         t_s, values: (n,) readings.

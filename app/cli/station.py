@@ -3,7 +3,7 @@
 import argparse
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,12 +12,14 @@ from softcal.app.cli.options import add_csv, add_json, positive
 from softcal.app.cli.station_service import add_service_actions
 from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
+from softcal.core.words.reason import Reason
 
 if TYPE_CHECKING:
     from softcal.app.line.recover import Recovered
     from softcal.core.twin.simulate import Twin
     from softcal.station.acquisition import OnProgress
     from softcal.station.catalogue import Offer
+    from softcal.station.identify import DeviceIdentity
     from softcal.station.self_test import SelfTestItem
 
 EXAMPLES = """examples:
@@ -184,7 +186,8 @@ def run_check(options: argparse.Namespace) -> int:
     from softcal.app.line.rig import check_station
 
     with _signals_as_ctrl_c():
-        check = check_station(options.port, options.station, options.simulated, may_move=not options.no_motion)
+        choose = _choose if options.write else None
+        check = check_station(options.port, options.station, options.simulated, not options.no_motion, choose)
     if check.devices:
         print_table(("port", "is", "dialect", "says"), [(d.port, d.role, d.kind, str(d.says)) for d in check.devices])
     if check.findings:
@@ -193,8 +196,11 @@ def run_check(options: argparse.Namespace) -> int:
         from softcal.app.files.atomic import write_text
         from softcal.station.config import station_toml
 
-        write_text(options.write, station_toml(check.config))
+        write_text(options.write, station_toml(check.config, _either(check.devices)))
         say(f"{options.write}: station file written; set the safety bounds, the load cell's serial and its scale in it")
+        if not check.findings:
+            say(f"{options.write}: one port is still open, marked CHOOSE; nothing was tested, fill it in first")
+            return 3
     if options.json:
         write_json(options.json, check.as_json())
     faults = [finding for finding in check.findings if not finding.is_good]
@@ -202,6 +208,22 @@ def run_check(options: argparse.Namespace) -> int:
         say(f"{finding.device}, {finding.what}: {finding.cure}")
     say(f"station {check.config.name}: " + (f"{len(faults)} fault(s)" if faults else "good"))
     return 3 if faults else 0
+
+
+def _choose(part: Reason, candidates: Sequence["DeviceIdentity"]) -> "DeviceIdentity | None":
+    """Ask which device is a part; None where there is nobody to ask."""
+    from softcal.app.cli.init import asked
+
+    say("\n".join(f"{device.port}: {device.says}" for device in candidates))
+    try:
+        return asked(f"which port is {part}", {device.port: device for device in candidates}.__getitem__, None)
+    except InputError:
+        return None
+
+
+def _either(devices: Sequence["DeviceIdentity"]) -> str:
+    """Return what a port that nobody chose may be, for the station file."""
+    return "; ".join(f"{device.port} ({device.says})" for device in devices if device.channels)
 
 
 def run_profiles(options: argparse.Namespace) -> int:
@@ -312,7 +334,10 @@ def run_drivers(options: argparse.Namespace) -> int:
         if offer.driver is None:
             say(f"{offer.kind} of {offer.package}: {offer.fault}")
         elif options.kind:
-            say(f"[{SECTIONS[offer.role]}] kind = {offer.kind!r}, its keys:")
+            print_table(
+                (f"[{SECTIONS[offer.role]}]", "type", "default", "unit"),
+                [(key, kind, default, unit) for key, kind, default, unit in offer.driver.described_keys],
+            )
             say("\n".join(f"  {line.strip()}" for line in meanings(offer.driver.config)))
     return 3 if any(offer.driver is None for offer in found) else 0
 

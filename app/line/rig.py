@@ -101,13 +101,21 @@ def find_devices(ports: Sequence[str]) -> list[DeviceIdentity]:
     return found
 
 
-def station_of(devices: Sequence[DeviceIdentity]) -> StationConfig:
+Choose = Callable[[Reason, Sequence[DeviceIdentity]], DeviceIdentity | None]
+"""(part of the station, what it may be) -> what it is; None where nobody says: then the file is written to be filled in."""
+
+
+def station_of(devices: Sequence[DeviceIdentity], choose: Choose | None = None) -> StationConfig:
     """Return the station that these devices make up.
+
+    Args:
+        choose: asked where only a person can decide; without it that is refused. A part that it leaves open has no port.
 
     Raises:
         NoReply: stage, readout or load cell is missing, or two could be the same part; all that is missing is named.
     """
-    stage, readout, force = (_only(devices, role) for role in PARTS)
+    taken: list[DeviceIdentity] = []
+    stage, readout, force = (_only(devices, role, taken, choose) for role in PARTS)
     if force is None and stage is not None and stage.kind == "esm" and stage.channels:
         force = stage  # The gauge on the stand, behind the same port.
     if stage is None or readout is None or force is None:
@@ -122,13 +130,27 @@ def station_of(devices: Sequence[DeviceIdentity]) -> StationConfig:
     )
 
 
-def _only(devices: Sequence[DeviceIdentity], role: str) -> DeviceIdentity | None:
-    """Return the one device of a role; between two nobody but a person can decide."""
+def _only(
+    devices: Sequence[DeviceIdentity], role: str, taken: list[DeviceIdentity], choose: Choose | None
+) -> DeviceIdentity | None:
+    """Return the one device of a role; between two, or where a stream may be either part, nobody but a person decides."""
     found = [device for device in devices if device.role == role]
-    if len(found) > 1:
+    streams = [device for device in devices if not device.role and device.channels and device not in taken]
+    if len(found) == 1 or not (found or (streams and role in BARE and choose)):
+        return found[0] if found else None
+    if choose is None:
         first, second, *_ = (reason("port.at", port=device.port, why=device.says) for device in found)
         raise NoReply(reason("port.one_of", first=first, second=second, part=PARTS[role]))
-    return found[0] if found else None
+    candidates = found or streams
+    chosen = choose(PARTS[role], candidates)
+    if chosen is None:
+        return replace(candidates[0], port="", role=role, kind=BARE.get(role, candidates[0].kind))
+    taken.append(chosen)
+    return replace(chosen, role=role, kind=chosen.kind or BARE[role])
+
+
+BARE = {"readout": "arduino", "force": "hx711"}
+"""What a bare text stream of counts is, as either part."""
 
 
 def _and(parts: Sequence[Reason]) -> Reason:
@@ -167,9 +189,16 @@ def _finding_json(finding: SelfTestItem) -> dict[str, object]:
 
 
 def check_station(
-    ports: Sequence[str], station_file: Path | None, simulated_seed: int | None, may_move: bool
+    ports: Sequence[str],
+    station_file: Path | None,
+    simulated_seed: int | None,
+    may_move: bool,
+    choose: Choose | None = None,
 ) -> StationCheck:
     """Find the devices (unless a station is given), open them all and run the self-test.
+
+    Args:
+        choose: as in `station_of`; a station with a part that it leaves open is not tested.
 
     Raises:
         DeviceError: a port or a device is missing; all of them are named.
@@ -178,7 +207,10 @@ def check_station(
     if ports or (station_file is None and simulated_seed is None):
         devices = find_devices(ports)
     if station_file is None and simulated_seed is None:
-        with open_bench(station_of(devices)) as bench:
+        config = station_of(devices, choose)
+        if not all(device.port for device in (config.stage, config.readout, config.force) if device is not None):
+            return StationCheck(config, tuple(devices), ())
+        with open_bench(config) as bench:
             return StationCheck(bench.config, tuple(devices), tuple(self_test(bench, may_move)))
     with chosen_bench(station_file, simulated_seed) as bench:
         return StationCheck(bench.config, tuple(devices), tuple(self_test(bench, may_move)))

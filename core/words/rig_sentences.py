@@ -384,6 +384,7 @@ SENTENCES: Mapping[str, str] = {
     "station_file.no_table": "{name} must be a section: write [{name}] and its keys below",
     "station_file.wrong_wire": "[{section}] port {port} is a {wire} port; kind {kind} speaks over {wires}",
     "station_file.unknown_key": "[{section}] unknown key {key}; known are {known}{similar}",
+    "station_file.no_port": "[{section}] port is empty; write the port of that device there",
     "station_file.no_key": "[{section}] {key} is missing",
     "station_file.wrong_type": "{name} is {value}; {expected} was expected",
     "station_file.outside": "{name} is {value:g}; a value in [{low:g}, {high:g}] was expected",

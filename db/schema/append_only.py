@@ -8,7 +8,7 @@ CREATE OR REPLACE FUNCTION softcal_append_only() RETURNS trigger LANGUAGE plpgsq
 $$ {BODY} $$
 """
 BEFORE_STATEMENT_ON_CHANGES = 2 + 8 + 16 + 32
-"""`tgtype` of `pg_trigger` of a trigger before DELETE, UPDATE and TRUNCATE of a statement (PostgreSQL, pg_trigger.h)."""
+"""`tgtype` of `pg_trigger`: before DELETE, UPDATE and TRUNCATE, once a statement (PostgreSQL, pg_trigger.h)."""
 
 
 def forbid_changes(table: str) -> None:

@@ -1,5 +1,6 @@
 """`softcal init`: what it asks, what it writes, and that nothing is written over."""
 
+import argparse
 import io
 import tomllib
 from pathlib import Path
@@ -8,7 +9,13 @@ import pytest
 
 from softcal.app.cli.main import main
 from softcal.app.files.lot_folder import open_lot_folder
-from softcal.station.config import read_station_file
+from softcal.app.cli import station as station_commands
+from softcal.app.line import rig
+from softcal.core.errors import InputError
+from softcal.core.words.reason import plain, reason
+from softcal.station.catalogue import SECTIONS, offers
+from softcal.station.config import read_station_file, station_from_table, station_toml
+from softcal.station.identify import DeviceIdentity
 
 
 def _answers(monkeypatch: pytest.MonkeyPatch, *lines: str) -> None:
@@ -75,3 +82,94 @@ def test_a_station_without_a_load_cell_asks_who_answers_for_it(
     _answers(monkeypatch, *devices, *[""] * 20)
     assert main(["init", "station", str(tmp_path / "station.toml")]) == 2
     assert "without_cell" in capsys.readouterr().err and not (tmp_path / "station.toml").exists()
+
+
+DRIVERS = [offer for offer in offers() if offer.package == "softcal" and offer.driver is not None]
+PORTS = {
+    "serial": "/dev/tty{}",
+    "tcp": "tcp://192.168.0.{}:5025",
+    "ble": "ble://AA:BB:CC:DD:EE:0{}",
+    "library": "ANY{}",
+}
+
+
+@pytest.mark.parametrize("offer", DRIVERS, ids=lambda offer: f"{offer.role} {offer.kind}")
+def test_questions_end_in_a_whole_file_for_every_driver(offer, tmp_path, monkeypatch) -> None:
+    """Every key of every section is in it, at its default where only Enter was pressed."""
+    kinds = {"stage": "grbl", "cell": "hx711", "readout": "arduino"} | {offer.role: offer.kind}
+    lines = [""]
+    for k, (role, kind) in enumerate(kinds.items()):
+        driver = next(each.driver for each in DRIVERS if (each.role, each.kind) == (role, kind))
+        keys = [key for key in driver.keys if key != "kind"]
+        lines += [kind, *(PORTS[driver.wires[0]].format(k) if key == "port" else "" for key in keys)]
+    _answers(monkeypatch, *lines, *[""] * 3)
+    assert main(["init", "station", str(tmp_path / "station.toml")]) == 0
+    written = tomllib.loads((tmp_path / "station.toml").read_text())
+    assert read_station_file(tmp_path / "station.toml").force is not None
+    for role, kind in kinds.items():
+        driver = next(each.driver for each in DRIVERS if (each.role, each.kind) == (role, kind))
+        assert {**written[SECTIONS[role]], "port": None} == {**driver.keys, "kind": kind, "port": None}
+
+
+STREAM = DeviceIdentity("/dev/cell", "", "", reason("port.either", largest=8040, rate_Hz=80.0), 80.0, 1)
+FOUND = [
+    DeviceIdentity("/dev/stage", "stage", "grbl", plain("Grbl 1.1h")),
+    DeviceIdentity("/dev/board", "readout", "arduino", plain("softcal readout 1"), 50.0, 1),
+    STREAM,
+]
+
+
+@pytest.mark.parametrize("answers", [["/dev/nothing", "/dev/cell"], []])
+def test_a_cell_at_rest_near_8000_counts_is_asked_for_or_marked_in_a_whole_file(
+    answers, tmp_path, monkeypatch, capsys
+) -> None:
+    monkeypatch.setattr(rig, "find_devices", lambda ports: FOUND)
+    monkeypatch.setattr(rig, "open_bench", _no_bench)
+    _answers(monkeypatch, *answers)
+    file = tmp_path / "station.toml"
+    if answers:
+        with pytest.raises(_Opened) as opened:
+            station_commands.run_check(_check(file))
+        assert (opened.value.config.force.port, opened.value.config.force.kind) == ("/dev/cell", "hx711")
+        return
+    assert station_commands.run_check(_check(file)) == 3
+    with pytest.raises(InputError, match="force.*port"):
+        read_station_file(file)
+    (line,) = [line for line in file.read_text().splitlines() if "CHOOSE" in line]
+    assert line.startswith('port = ""') and "/dev/cell" in line
+    file.write_text(file.read_text().replace(line, 'port = "/dev/cell"'))
+    assert read_station_file(file).force.kind == "hx711"
+
+
+class _Opened(Exception):
+    def __init__(self, config) -> None:
+        self.config = config
+
+
+def _no_bench(config):
+    raise _Opened(config)
+
+
+def _check(file):
+    return argparse.Namespace(port=[], station=None, simulated=None, no_motion=True, write=file, json=None)
+
+
+def test_the_keys_of_a_driver_are_shown_with_type_default_and_unit(capsys) -> None:
+    assert main(["station", "drivers", "--kind", "hx711"]) == 0
+    rows = ["".join(line.split()) for line in "".join(capsys.readouterr()).splitlines()]
+    for words in (
+        ("counts_per_N", "number", "10000.0", "1/N"),
+        ("port", "text", "needed"),
+        ("capacity_N", "20.0", "N"),
+    ):
+        assert any(all(word in row for word in words) for row in rows), words
+
+
+def test_the_complete_station_file_of_the_docs_is_whole() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "station.md").read_text(encoding="utf-8")
+    (block,) = [part.partition("```")[0] for part in text.split("```toml\n")[1:] if "[fixture]" in part]
+    found = tomllib.loads(block)
+    config = station_from_table(found)
+    assert tomllib.loads(station_toml(config)) == found  # No key is missing.
+    lines = [line for line in block.splitlines() if " = " in line and not line.startswith("name")]
+    assert all("#" in line for line in lines)
