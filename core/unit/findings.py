@@ -12,6 +12,7 @@ from softcal.core.maps.readout_lag import ReadoutLag
 from softcal.core.maps.synchrony import Synchrony, find_synchrony
 from softcal.core.recording import RATE_TOLERANCE, Array, OutputRecording
 from softcal.core.unit.forecast import MapEvidence, map_variance, rest_rows
+from softcal.core.unit.health import OutputLimits, rail
 from softcal.core.unit.method import FindingConfig, Method
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.verdict import Finding, Verdict
@@ -38,7 +39,11 @@ def map_findings(
 
 
 def contradictions(
-    source: OutputRecording, target: OutputRecording, method: Method, shared: Synchrony | None = None
+    source: OutputRecording,
+    target: OutputRecording,
+    limits: OutputLimits,
+    method: Method,
+    shared: Synchrony | None = None,
 ) -> tuple[Finding, ...]:
     """Return what the two outputs say against the unit being what it is declared to be; the first of them alone.
 
@@ -46,11 +51,12 @@ def contradictions(
 
     Args:
         source, target: outputs of the source and of the unit.
+        limits: of the unit's output.
         method: in force.
         shared: what both outputs say about a common load; None where nobody compared them in time.
     """
     config = method.findings
-    if _is_reversed(source, target, method, shared):
+    if _is_reversed(source, target, method, shared) and not _rests_as(source, target, limits, method):
         return (Finding(reason("reversed"), Verdict.FAIL),)
     if shared is not None and not shared.is_synchronous and (times := _times_as_fast(source, target, method)) != 1:
         return (Finding(reason("other_speed", times=times), Verdict.RETEST),)
@@ -205,6 +211,19 @@ def _is_reversed(source: OutputRecording, target: OutputRecording, method: Metho
     nearer = float(np.mean(np.abs(unit - known)) - np.mean(np.abs(1 - unit[::-1] - known)))
     presses = min(_presses(recording, method.map.crossing) for recording in (target, source))
     return nearer * presses**0.5 > config.upside_down
+
+
+def _rests_as(source: OutputRecording, target: OutputRecording, limits: OutputLimits, method: Method) -> bool:
+    """Tell whether a unit that seems to clip rests at its other end as the source does: then it clips, indeed.
+
+    Turned over, it would show the source's peaks there.
+    """
+    is_upper = bool(np.isfinite(limits.rail_high))
+    if not is_upper and not np.isfinite(limits.rail_low):
+        return False
+    rests = rail(target, not is_upper, method.health).visits
+    rest, peak = (rail(source, end, method.health).visits for end in (not is_upper, is_upper))
+    return abs(rests - rest) < abs(rests - peak)
 
 
 def _times_as_fast(source: OutputRecording, target: OutputRecording, method: Method) -> float:
