@@ -18,7 +18,7 @@ from softcal.core.network.network import Network
 from softcal.core.network.training import merge_members, validation_blocks
 from softcal.core.recording import Array
 from softcal.core.unit.findings import contradictions
-from softcal.core.unit.health import check_alive
+from softcal.core.unit.health import check_alive, output_limits
 from softcal.core.windows import TAPS, windows
 
 
@@ -113,7 +113,9 @@ class MapTransformer(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         problem = FitProblem(known, self.source.network, target, None, MapConfig(family=self.family))
         method = self.source.model.method
         check_alive(target, known.unlabelled, method.health)
-        for found in contradictions(known.unlabelled, target, method, problem.synchrony):
+        is_rising = self.source.model.interval.slope_limit > 0
+        limits = output_limits(target, known.unlabelled, is_rising, method.health)
+        for found in contradictions(known.unlabelled, target, limits, method, problem.synchrony):
             raise UnitRefused(found.reason)
         chosen = choose_map(problem).unit_map if self.family == DEFAULT else family(self.family).fit(problem)
         self.map_, self.family_ = chosen, chosen.family

@@ -233,8 +233,14 @@ class Unit:
         if source.serial == self.serial:
             source = replace(source, unlabelled=replace(source.unlabelled, serial=f"source-of-{self.serial}"))
         raw = source.unlabelled
-        units = {"reference_unit": source.reference_unit, "output_unit": raw.output_unit}
-        lot = Lot("python", source.serial, raw.sample_rate_Hz, **units) if self.kept is None else self.kept.lot
+        lot = Lot(
+            "python",
+            source.serial,
+            raw.sample_rate_Hz,
+            reference_unit=source.reference_unit,
+            output_unit=raw.output_unit,
+        )
+        lot = lot if self.kept is None else self.kept.lot
         with open_registry(f"sqlite:///{folder / _FILE}", create=True) as registry:
             registry.add_lot(lot)
             training = {"source_recording_sha256": registry.add_recording(lot.id, source, "source")}

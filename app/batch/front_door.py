@@ -78,7 +78,7 @@ def _findings(target: OutputRecording, source: OutputRecording, reference: Array
         return (error.reason,)
     is_rising = bool(np.cov(source.output, reference)[0, 1] > 0)
     limits = output_limits(target, source, is_rising, method.health)
-    found = contradictions(source, target, method) or health_findings(target, source, limits, method.health)
+    found = contradictions(source, target, limits, method) or health_findings(target, source, limits, method.health)
     return tuple(finding.reason for finding in found)
 
 

@@ -146,7 +146,7 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
     evidence = _evidence(problem, fit, chosen, limits)
     forecast = forecast_error(evidence.budget, evidence.knowledge)
     lag = find_readout_lag(fit.source.unlabelled, target, fit.synchrony, method.map)
-    findings = contradictions(known, target, method, fit.synchrony) or (
+    findings = contradictions(known, target, limits, method, fit.synchrony) or (
         *health_findings(target, known, limits, method.health),
         *map_findings(model, target, evidence, lag),
         *(opening_findings(chosen.evidence, method.findings) if lag is None else ()),

@@ -12,6 +12,7 @@ from softcal.core.maps.readout_lag import ReadoutLag
 from softcal.core.maps.synchrony import Synchrony, find_synchrony
 from softcal.core.recording import RATE_TOLERANCE, Array, OutputRecording
 from softcal.core.unit.forecast import MapEvidence, map_variance, rest_rows
+from softcal.core.unit.health import OutputLimits
 from softcal.core.unit.method import FindingConfig, Method
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.verdict import Finding, Verdict
@@ -38,7 +39,11 @@ def map_findings(
 
 
 def contradictions(
-    source: OutputRecording, target: OutputRecording, method: Method, shared: Synchrony | None = None
+    source: OutputRecording,
+    target: OutputRecording,
+    limits: OutputLimits,
+    method: Method,
+    shared: Synchrony | None = None,
 ) -> tuple[Finding, ...]:
     """Return what the two outputs say against the unit being what it is declared to be; the first of them alone.
 
@@ -46,11 +51,12 @@ def contradictions(
 
     Args:
         source, target: outputs of the source and of the unit.
+        limits: of the unit's output.
         method: in force.
         shared: what both outputs say about a common load; None where nobody compared them in time.
     """
     config = method.findings
-    if _is_reversed(source, target, method, shared):
+    if _is_reversed(source, target, limits, method, shared):
         return (Finding(reason("reversed"), Verdict.FAIL),)
     if shared is not None and not shared.is_synchronous and (times := _times_as_fast(source, target, method)) != 1:
         return (Finding(reason("other_speed", times=times), Verdict.RETEST),)
@@ -192,7 +198,9 @@ def _restless(model: SourceModel, target: OutputRecording, evidence: MapEvidence
     return Finding(reason("creep", spread=spread, unit=unit))
 
 
-def _is_reversed(source: OutputRecording, target: OutputRecording, method: Method, shared: Synchrony | None) -> bool:
+def _is_reversed(
+    source: OutputRecording, target: OutputRecording, limits: OutputLimits, method: Method, shared: Synchrony | None
+) -> bool:
     """Tell whether the output falls where the source's rises: along the stage, in time, or in how its levels lie."""
     config = method.findings
     if target.stage_mm is not None and source.stage_mm is not None:
@@ -202,9 +210,12 @@ def _is_reversed(source: OutputRecording, target: OutputRecording, method: Metho
         return True
     # Wasserstein's distance of the levels, as they are and upside down. k presses leave 1 / sqrt(k) of it to chance.
     unit, known = (_levels(recording, config) for recording in (target, source))
-    nearer = float(np.mean(np.abs(unit - known)) - np.mean(np.abs(1 - unit[::-1] - known)))
+    upright, mirrored = (float(np.mean(np.abs(levels - known))) for levels in (unit, 1 - unit[::-1]))
     presses = min(_presses(recording, method.map.crossing) for recording in (target, source))
-    return nearer * presses**0.5 > config.upside_down
+    is_nearer = (upright - mirrored) * presses**0.5 > config.upside_down
+    # A readout that clips heaps its levels at the loaded end: like the source it is neither way.
+    is_clipped = bool(np.isfinite([limits.rail_low, limits.rail_high]).any())
+    return is_nearer and not (is_clipped and mirrored > config.clipped_likeness * upright)
 
 
 def _times_as_fast(source: OutputRecording, target: OutputRecording, method: Method) -> float:

@@ -205,6 +205,7 @@ class FindingConfig:
         along_stage: correlation of output and stage position from which the direction is sure.
         upside_down: an output is the wrong way round where its levels lie nearer to the source's when mirrored, by this
             share of the span over the square root of the presses.
+        clipped_likeness: one that seems to clip is the wrong way round only where mirroring leaves this part of it.
         level_tails, level_shares, levels: quantiles between which levels lie, and the so many that are compared.
         apart_spans, apart_level: an output is none of this kind where its range and the source's are apart by so many
             spans and by this share of the source's level.
@@ -231,6 +232,7 @@ class FindingConfig:
     upside_down: float = setting(
         0.15, "between eGaIn, where a mirrored unit shows 0.20 or more, and the insole, whose good ones reach 0.10"
     )
+    clipped_likeness: float = setting(0.5)
     level_tails: tuple[float, float] = setting((0.01, 0.99))
     level_shares: tuple[float, float] = setting((0.005, 0.995))
     levels: int = setting(100)

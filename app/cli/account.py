@@ -1,0 +1,101 @@
+"""`softcal account`: who may do what, for a server without a screen."""
+
+import argparse
+import sys
+from getpass import getpass
+from pathlib import Path
+
+from softcal.app.cli.options import add_csv, add_json, add_registry, registry_of
+from softcal.app.output import print_table, say, write_json
+from softcal.core.errors import InputError
+from softcal.db.people import ROLES
+
+EXAMPLES = """examples:
+  softcal account set "Mina Park" --role quality --reason "first account of line 3"     asks for the PIN
+  softcal account set MES --role engineer --reason "MES of hall 3" --pin-file pin.txt   or - for standard input
+  softcal account set "Jo Kim" --inactive --reason "left the company"
+  softcal account list
+
+Operators need no account. The page People shows and changes the same accounts.
+"""
+
+
+def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `softcal account`."""
+    parser = commands.add_parser(
+        "account",
+        help="people and programs, their roles and PINs",
+        description="Make, change and list accounts. Every change lands in the audit trail with its reason.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
+    change = actions.add_parser("set", help="make an account, or change its role, its PIN or whether it is active")
+    change.add_argument("name", metavar="NAME")
+    change.add_argument("--role", choices=ROLES, help="needed for a new account")
+    change.add_argument("--reason", required=True, help="lands in the audit trail")
+    change.add_argument("--pin-file", metavar="FILE", help="the new PIN is its first line; - for standard input")
+    change.add_argument("--new-pin", action="store_true", help="ask for a new PIN of an account that is there")
+    active = change.add_mutually_exclusive_group()
+    active.add_argument("--inactive", action="store_true", help="may no longer sign in")
+    active.add_argument("--active", action="store_true", help="may sign in again")
+    change.set_defaults(run=_set)
+    listing = actions.add_parser("list", help="every account with its role")
+    add_csv(listing)
+    listing.set_defaults(run=_list)
+    for action in (change, listing):
+        add_registry(action)
+        add_json(action)
+
+
+def _set(options: argparse.Namespace) -> int:
+    name = options.name.strip()
+    with registry_of(options, create=False) as registry:
+        known = next((user for user in registry.users() if user.name == name), None)
+        if known is None and options.role is None:
+            raise InputError(f"{name!r} has no account yet; --role says what it may: {', '.join(ROLES)}")
+        pin = _pin(options) if known is None or options.new_pin or options.pin_file else None
+        is_active = options.active or (not options.inactive and (known is None or known.is_active))
+        user = registry.set_user(
+            name,
+            options.role or known.role,  # type: ignore[union-attr]
+            pin,
+            actor=registry.settings.actor,
+            reason=options.reason,
+            is_active=is_active,
+            version=0 if known is None else known.version,
+        )
+    state = "may sign in" if user.is_active else "may not sign in"
+    say(f"{user.name}: {user.role}, {state}")
+    if options.json:
+        told = {"name": user.name, "role": user.role, "is_active": user.is_active}
+        write_json(options.json, {"schema": "softcal.account/1", **told})
+    return 0
+
+
+def _pin(options: argparse.Namespace) -> str:
+    """Return the new PIN: never out of an option, which every process of the machine may read."""
+    from softcal.app.ui.pins import check_pin
+
+    if options.pin_file is not None:
+        try:
+            text = sys.stdin.read() if options.pin_file == "-" else Path(options.pin_file).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"{options.pin_file}: the PIN cannot be read: {error}") from error
+        pin = again = (text.splitlines() or [""])[0].strip()
+    elif sys.stdin.isatty():
+        pin, again = getpass("PIN: "), getpass("again: ")
+    else:
+        raise InputError("there is no terminal to ask for the PIN at; give --pin-file FILE, or - for standard input")
+    check_pin(pin, again)
+    return pin
+
+
+def _list(options: argparse.Namespace) -> int:
+    with registry_of(options, create=False) as registry:
+        users = registry.users()
+    if options.json:
+        told = [{"name": user.name, "role": user.role, "is_active": user.is_active} for user in users]
+        write_json(options.json, {"schema": "softcal.accounts/1", "accounts": told})
+    print_table(("name", "role", "may sign in"), [[u.name, u.role, "yes" if u.is_active else "no"] for u in users])
+    return 0
