@@ -10,9 +10,8 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from softcal.core.errors import InputError
-from softcal.core.gap.simulator import Columns, Experiment, Simulator, SimulatorRun, candidate, recorded
-from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis, diagnose_simulator
+from softcal.core.gap.simulator import Columns, Simulator, SimulatorRun, candidate, recorded
+from softcal.core.gap.simulator_diagnosis import diagnose_simulator
 from softcal.core.twin.effects import Parameter
 
 T = np.arange(400) * 0.05
@@ -37,7 +36,7 @@ class Rig:
         for run in range(self.runs):
             inputs = self.inputs(run)
             gives = self.simulator.run(inputs, off | dict(self.truth))
-            noisy = {c: self.spoil(rng, v + rng.normal(0.0, self.noise, len(v))) for c, v in gives.items()}
+            noisy = {c: self.spoil(rng, v) + rng.normal(0.0, self.noise, len(v)) for c, v in gives.items()}
             out.append(recorded(self.simulator, str(run + 1), {**inputs, **noisy}))
         return out
 
@@ -94,7 +93,9 @@ def lag(values: np.ndarray, tau_s: float) -> np.ndarray:
 
 def oven(i: Columns, p: Values) -> Columns:
     heat = np.interp(T - p["late.delay"], T, i["power"]) * (1.0 - p["weak.share"] * i["power"])
-    warm = p["room"] + p["gain"] * ((1.0 - p["wall.share"]) * lag(heat, p["tau"]) + p["wall.share"] * lag(heat, p["wall.tau"]))
+    warm = p["room"] + p["gain"] * (
+        (1.0 - p["wall.share"]) * lag(heat, p["tau"]) + p["wall.share"] * lag(heat, p["wall.tau"])
+    )
     return {"T": warm}
 
 
@@ -112,7 +113,9 @@ OVEN = Rig(
         (
             candidate("late", "heater", size("delay", "s", 0.0, 3.0, 0.1)),
             candidate("weak", "heater", size("share", "1", 0.0, 0.9, 0.1)),
-            candidate("wall", "wall", size("share", "1", 0.0, 0.9, 0.2), Parameter("tau", "s", 0.1, 50.0, 5.0, scale="log")),
+            candidate(
+                "wall", "wall", size("share", "1", 0.0, 0.9, 0.2), Parameter("tau", "s", 0.1, 50.0, 5.0, scale="log")
+            ),
         ),
     ),
     {"room": -18.0, "gain": 60.0, "tau": 0.6, "wall.share": 0.3, "wall.tau": 6.0},
@@ -242,7 +245,9 @@ def plain(rig: Rig, runs: list[SimulatorRun], causes: tuple[str, ...]) -> float:
 
     rng, margin = np.random.default_rng(7), 1e-9 * (high - low)
     starts = [usual, *(usual + 0.7 * scale * rng.normal(size=len(usual)) for _ in range(5))]
-    found = [least_squares(left, np.clip(x, low + margin, high - margin), bounds=(low, high), x_scale=scale) for x in starts]
+    found = [
+        least_squares(left, np.clip(x, low + margin, high - margin), bounds=(low, high), x_scale=scale) for x in starts
+    ]
     return float(np.sqrt(2.0 * min(f.cost for f in found) / len(found[0].fun)))
 
 
