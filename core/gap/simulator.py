@@ -20,6 +20,7 @@ from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from softcal.core.errors import InputError
 from softcal.core.gap.case import SHORTEST, Case, Mask, Run
@@ -337,7 +338,10 @@ class SimulatorProblem(Problem):
             rows = zip(self.of.offsets, sizes[block.run], strict=True)
             mine = {kind: float(size) for (channel, kind), size in rows if channel == block.channel}
             t_s = self.case.runs[block.run].elapsed_s
-            values = np.interp(t_s - mine.get("delay", 0.0), t_s, out[block.place])
+            values = out[block.place]
+            if mine.get("delay") and np.all(np.isfinite(values)):
+                # A straight line between samples would err by more than the noise where a channel bends.
+                values = CubicSpline(t_s, values)(np.clip(t_s - mine["delay"], 0.0, t_s[-1]))
             out[block.place] = (
                 values * (1.0 + mine.get("gain", 0.0)) + mine.get("zero", 0.0) + mine.get("drift", 0.0) * t_s
             )
