@@ -119,7 +119,7 @@ class Driver(Generic[C, D]):
 
     @property
     def described_keys(self) -> list[tuple[str, str, str, str]]:
-        """Its keys as (name, type, default, unit): a default is written as in the station file, "needed" without one."""
+        """Its keys as (name, type, default, unit): a default as the station file has it, "needed" without one."""
         types, names = (
             get_type_hints(self.config),
             {float: "number", int: "whole number", str: "text", bool: "true/false"},

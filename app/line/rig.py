@@ -102,14 +102,14 @@ def find_devices(ports: Sequence[str]) -> list[DeviceIdentity]:
 
 
 Choose = Callable[[Reason, Sequence[DeviceIdentity]], DeviceIdentity | None]
-"""(part of the station, what it may be) -> what it is; None where nobody says: then the file is written to be filled in."""
+"""(part of the station, what it may be) -> what it is; None where nobody says: the file is then to be filled in."""
 
 
 def station_of(devices: Sequence[DeviceIdentity], choose: Choose | None = None) -> StationConfig:
     """Return the station that these devices make up.
 
     Args:
-        choose: asked where only a person can decide; without it that is refused. A part that it leaves open has no port.
+        choose: asked where only a person can decide; without it that is refused. A part it leaves open has no port.
 
     Raises:
         NoReply: stage, readout or load cell is missing, or two could be the same part; all that is missing is named.
@@ -133,7 +133,7 @@ def station_of(devices: Sequence[DeviceIdentity], choose: Choose | None = None) 
 def _only(
     devices: Sequence[DeviceIdentity], role: str, taken: list[DeviceIdentity], choose: Choose | None
 ) -> DeviceIdentity | None:
-    """Return the one device of a role; between two, or where a stream may be either part, nobody but a person decides."""
+    """Return the one device of a role; between two, or where a stream may be either part, a person decides."""
     found = [device for device in devices if device.role == role]
     streams = [device for device in devices if not device.role and device.channels and device not in taken]
     if len(found) == 1 or not (found or (streams and role in BARE and choose)):

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from softcal.app.cli import station as station_commands
 from softcal.app.cli.main import main
 from softcal.app.files.lot_folder import open_lot_folder
-from softcal.app.cli import station as station_commands
 from softcal.app.line import rig
 from softcal.core.errors import InputError
 from softcal.core.words.reason import plain, reason

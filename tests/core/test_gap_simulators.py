@@ -1,4 +1,4 @@
-"""Simulators of many kinds: the search reaches what SciPy's least squares reaches, and what is left is not explained."""
+"""Simulators of many kinds: the search reaches what SciPy's least squares does, and what is left is not explained."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
