@@ -8,7 +8,7 @@ from pathlib import Path
 from softcal.app.cli.options import add_csv, add_json, add_registry, registry_of
 from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
-from softcal.db.people import ROLES
+from softcal.db.access.people import ROLES
 
 EXAMPLES = """examples:
   softcal account set "Mina Park" --role quality --reason "first account of line 3"     asks for the PIN

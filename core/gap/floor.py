@@ -91,7 +91,9 @@ Variables: TypeAlias = Callable[[Fit, str], Iterable[Mapping[str, Array]]]
 def under_load(found: Fit, block: Block) -> Array | None:
     """Return where the sensor of the twin is pressed."""
     run = found.problem.case.runs[block.run]
-    return None if run.kind != "press" or run.stage_mm is None else run.stage_mm > found.base.u0_mm
+    if run.kind != "press" or run.stage_mm is None:
+        return None
+    return np.asarray(run.stage_mm > found.base.u0_mm, dtype=np.float64)
 
 
 def of_chain(found: Fit, channel: str) -> list[Mapping[str, Array]]:
@@ -118,7 +120,7 @@ def _is_even(found: Fit, channel: str, half: Halves) -> bool:
     for block in _blocks(found, channel):
         is_inside = half(found, block)
         for side in (False, True) if is_inside is not None else ():
-            parts[side].append(_stretch(found, block, (is_inside == side).astype(np.float64)))
+            parts[side].append(_stretch(found, block, np.asarray(is_inside == side, dtype=np.float64)))
     if any(sum(float(s.use.sum()) for s in part) < CONFIG.fewest for part in parts.values()):
         return True
     white, colour = problem.sigma[channel], problem.colour[channel]

@@ -129,7 +129,6 @@ class ModelStage:
             self.is_position_known = True
             self._hold()
         if answer == 4:
-            self._told.answers = False
             self._fault(NoReply("stage: no answer"))
 
     def _step(self) -> None:
