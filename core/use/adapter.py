@@ -17,9 +17,9 @@ from softcal.core.recording import Array, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import Flags
 from softcal.core.use.activity import CalibratedUse
-from softcal.core.use.batches import NO_SAMPLES, START, UNSETTLED, Batches, MapUpdate
+from softcal.core.use.batches import START, UNSETTLED, Batches, MapUpdate
 from softcal.core.use.cycles import CycleCutter
-from softcal.core.use.doubt import CALIBRATE, Doubt, due
+from softcal.core.use.doubt import CAUSES, Doubt, due
 from softcal.core.use.intake import RowMask, Taken
 from softcal.core.use.method import UseMethod
 from softcal.core.use.observation import NOT_WATCHED, UNWATCHED, Observation
@@ -171,7 +171,7 @@ class Adapter(Batches):
             predicted_rmse=self._predicted_rmse(found.growth),
             verdict=verdict,
             reason=reason,
-            alarm=self._alarm(found.not_followed),
+            alarm=self._alarm_of(found.not_followed),
         )
 
     def _drift_doubt(self, now_s: float | None) -> Doubt:
@@ -183,9 +183,9 @@ class Adapter(Batches):
     def _predicted_rmse(self, doubt: float) -> float:
         return float(np.hypot(self._calibrated_rmse, self._error_per_scale * doubt))
 
-    def _alarm(self, not_followed: Mapping[str, float]) -> str:
-        if self._is_out:
-            return NO_SAMPLES
+    def _alarm_of(self, not_followed: Mapping[str, float]) -> str:
+        if silence := self._alarm():
+            return silence
         if self._tracker.alarm:
             return self._tracker.alarm
         # An open jump makes the predicted error large for two cycles; that alone is no reason to calibrate.
@@ -198,7 +198,7 @@ class Adapter(Batches):
         # Two thresholds: what hovers about one would call and take back the alarm again and again.
         if not is_due and not (standing and ratio > config.clear_ratio):
             return ""
-        if standing.endswith(CALIBRATE):
+        if standing in map(due, CAUSES):
             return standing
         return due(max(not_followed, key=not_followed.__getitem__))
 

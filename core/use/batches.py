@@ -28,7 +28,6 @@ START = "start"
 NOT_EVIDENCE = (STUCK, SATURATED, WRONG_RATE)
 """Rows with these flags say nothing about drift or use."""
 
-NO_SAMPLES = "the sensor gives no usable samples; check sensor and cable"
 RECALIBRATE = "recalibrate"
 """Flag of rows that would be trusted, were the unit not due for a calibration with a reference."""
 
@@ -200,10 +199,11 @@ class Batches(ABC):
             is_evidence: (n,) whether no flag speaks against it.
         """
 
-    @property
-    def _is_out(self) -> bool:
-        """Whether the sensor has given no usable samples for long."""
-        return self._silent_batches >= self._method.intake.silent_batches
+    def _alarm(self) -> str:
+        """Return the alarm of a sensor that has been silent for long; empty where it is not."""
+        if self._silent_batches < self._method.intake.silent_batches:
+            return ""
+        return "the sensor gives no usable samples; check sensor and cable"
 
     @abstractmethod
     def _mapped(self, windows: Array) -> Array:

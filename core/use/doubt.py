@@ -23,7 +23,8 @@ FAR = "what was corrected is so much that the rest of it counts"
 """Why estimates may be wrong: what an alarm names."""
 
 CAUSES = (UNCOMPARED, MISSED, STRAY, JUMP, OPEN, LATE, FAR, QUEUE)
-CALIBRATE = "calibrate against a reference"
+CALIBRATE, COMPARE = "calibrate against a reference", "compare a known load"
+"""What to do: one known load tells use from drift; a drift that is known needs a calibration."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +92,7 @@ class Doubt:
 
 def due(why: str) -> str:
     """Return the words of an alarm."""
-    return f"{why}; {CALIBRATE}"
+    return f"{why}; {CALIBRATE if why in (LATE, FAR) else COMPARE}"
 
 
 def doubt(seen: Evidence, config: DoubtConfig) -> Doubt:

@@ -145,6 +145,7 @@ class JumpConfig:
             and by more than the floor.
         cycles: like cycles that decide between a re-seated sensor and another use.
         most: like cycles kept while they cannot decide.
+        recent: so many cycles before show at what size a machine pressed.
         largest: no jump of shift and log gain beyond these is followed.
         largest_sigmas: the largest jump in standard deviations of the prior of a re-seating.
         rest_sigmas: a rest has moved where it is off by so many times its usual scatter.
@@ -155,6 +156,7 @@ class JumpConfig:
     floor: tuple[float, float] = setting((0.08, 0.12))
     cycles: int = setting(2)
     most: int = setting(8)
+    recent: int = setting(3)
     largest: tuple[float, float] = setting((1.0, 0.35))
     largest_sigmas: float = setting(3.0)
     rest_sigmas: float = setting(4.0)

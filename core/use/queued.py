@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softcal.core.errors import InputError
 from softcal.core.maps.anchors import AnchoredMap
@@ -26,7 +27,7 @@ from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import check_fits
 from softcal.core.unit.method import Method
 from softcal.core.use.adapter import QUEUES, AdaptConfig
-from softcal.core.use.batches import NO_SAMPLES, START, Batches, MapUpdate
+from softcal.core.use.batches import START, Batches, MapUpdate
 from softcal.core.use.doubt import QUEUE, due
 from softcal.core.use.intake import RowMask, Taken
 from softcal.core.use.method import UseMethod
@@ -114,7 +115,7 @@ class QueuedTransport(Batches):
         self._source = self._given
         self._filling, self._waiting = np.empty((0, TAPS)), np.empty((0, TAPS))
         self._fit: Future[_Fitted] | None = None
-        self._known = recording.windows
+        self._known, self._due = recording.windows, ""
         error = self._calibrated_rmse
         self._begin(MapUpdate(0, None, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, error, START, "no queue is mapped yet", ""))
 
@@ -159,9 +160,7 @@ class QueuedTransport(Batches):
         else:
             while len(self._filling) >= self._queue:
                 self._take_queue()
-        is_out = self._current.alarm == NO_SAMPLES
-        if self._is_out != is_out:
-            self._put(replace(self._current, row=self._row, alarm=NO_SAMPLES if self._is_out else ""))
+        self._put(replace(self._current, row=self._row, alarm=self._alarm() or self._due))
 
     def _take_queue(self) -> None:
         """Put the map of the queue that waits in force, and begin that of the one that is full."""
@@ -192,6 +191,7 @@ class QueuedTransport(Batches):
         predicted = float(np.hypot(self._calibrated_rmse, self._doubt))
         is_sure = fitted.moved**2 > doubt.certain * fitted.chance**2
         is_due = is_sure and predicted > doubt.alarm_ratio * self._calibrated_rmse
+        self._due = due(QUEUE) if is_due else ""
         usual = self._network.evaluate(self._calibration.unit_map.apply(self._known))
         is_blind = fitted.chance > self._method.online.blind * float(usual.std())
         self._put(
@@ -206,7 +206,7 @@ class QueuedTransport(Batches):
                 predicted_rmse=predicted,
                 verdict=UNWATCHED if is_blind else FOLLOWED,
                 reason=QUEUE_DIFFERS if is_blind else "",
-                alarm=due(QUEUE) if is_due else "",
+                alarm=self._due,
             )
         )
 
@@ -217,19 +217,19 @@ class QueuedTransport(Batches):
 
     def _own_state(self) -> dict[str, object]:
         # A queue of 512 windows makes up to 0.6 MB.
-        arrays = {"filling": self._filling, "waiting": self._waiting}
-        is_swapped = isinstance(self._map, TransportMap) and self._map is not self._calibration.unit_map
+        arrays: dict[str, NDArray[Any]] = {"filling": self._filling, "waiting": self._waiting}
         if isinstance(self._calibration.unit_map, AnchoredMap) and self._source is not None:
             arrays |= {"windows": self._source.windows, "placed": self._source.placed}
-        if is_swapped:
+        if isinstance(self._map, TransportMap) and self._map is not self._calibration.unit_map:
             arrays |= self._map.arrays()
-        return {"arrays": {name: values.tolist() for name, values in arrays.items()}}
+        return {"due": self._due, "arrays": {name: values.tolist() for name, values in arrays.items()}}
 
     def _restore_own(self, state: Mapping[str, Any]) -> None:
         if (queue := UseMethod.of(state["method"]).online.queue) != self._queue:
             raise InputError(f"its queues have {queue} windows, this one {self._queue}; give --queue {queue}")
         kept = {name: _rows(name, rows) for name, rows in state["arrays"].items()}
         self._filling, self._waiting, self._fit = kept["filling"], kept["waiting"], None
+        self._due = str(state["due"])
         if "placed" in kept:
             self._source = SourcePairs(kept["windows"], kept["placed"])
         if "stored" in kept:

@@ -212,7 +212,7 @@ class DriftTracker:
         candidates = [k for k, activity in enumerate(now.activities) if activity.strangeness(cycle) <= 1]
         # Use goes on as it was more often than it changes: of two activities that fit, the latest.
         candidates.sort(key=lambda k: k != now.latest)
-        fitting = [k for k in candidates if not self._is_jump(cycle, k)]
+        fitting = [k for k in candidates if not self._is_jump(cycle, k) and not self._is_programme(cycle, k)]
         return (fitting or candidates or [-1])[0]
 
     def _is_jump(self, cycle: Cycle, index: int) -> bool:
@@ -240,6 +240,18 @@ class DriftTracker:
         near, far = (float(d @ np.linalg.solve(activity.noise, d)) for d in (apart, surprise))
         return near < far
 
+    def _is_programme(self, cycle: Cycle, index: int) -> bool:
+        """Return whether the size of a cycle stepped from that of the ones before, in a use that a machine times.
+
+        A drift gets there little by little.
+        """
+        now, activity = self._now, self._now.activities[index]
+        if not activity.is_imposed or now.recent_of != index or not now.recent:
+            return False
+        step = activity.drift_of(cycle, self._use.rest_is_low)[1] - float(np.mean(now.recent))
+        sd = math.sqrt(float(activity.noise[1, 1]) * (1 + 1 / len(now.recent)))
+        return bool(abs(step) > self._method.jump.sigmas * sd)
+
     def _surprise(self, cycle: Cycle, index: int) -> tuple[Array, Array]:
         """Return the innovation: measured drift less the predicted one, and its covariance."""
         now = self._now
@@ -250,7 +262,7 @@ class DriftTracker:
     def _compare(self, cycle: Cycle, index: int) -> Observation:
         now = self._now
         activity = now.activities[index]
-        if self._is_jump(cycle, index) or self._is_like_jumps(cycle, index):
+        if self._is_jump(cycle, index) or self._is_like_jumps(cycle, index) or self._is_programme(cycle, index):
             return self._meet_jump(cycle, index)
         now.jumps.clear()
         surprise, expected = self._surprise(cycle, index)
@@ -265,6 +277,7 @@ class DriftTracker:
             now.activities[index] = activity.refreshed(cycle, self._method.learning.refresh)
         # A person who has just put the sensor on presses otherwise for a while.
         now.to_settle = max(0, now.to_settle - 1)
+        self._remember(cycle, index)
         self._accept(measured, index)
         if now.trust.is_use_as_likely(now.filter.drift, self._seen()):
             return self._observation(cycle, HELD, USE_OR_GAIN, index)
@@ -273,6 +286,13 @@ class DriftTracker:
     def _preload(self) -> str:
         """Return what is to be said of a correction that a change of preload would have asked for as well."""
         return PRELOADED if self._now.trust.may_be_preload and np.any(self._applied()) else ""
+
+    def _remember(self, cycle: Cycle, index: int) -> None:
+        """Keep the log gain of the last few cycles of one activity."""
+        now = self._now
+        before = now.recent if now.recent_of == index else []
+        log_gain = float(now.activities[index].drift_of(cycle, self._use.rest_is_low)[1])
+        now.recent, now.recent_of = [*before[-self._method.jump.recent + 1 :], log_gain], index
 
     def _accept(self, measured: DriftFilter, index: int) -> None:
         """Take a measurement for the drift."""
@@ -369,7 +389,7 @@ class DriftTracker:
         # Wide process noise lets the filter go to the new place at once instead of averaging over old cycles.
         free = now.filter.moved(np.diag((np.array(config.largest) / config.largest_sigmas) ** 2))
         now.trust = now.trust.reseated(now.filter.drift, self._seen(), moved, round(self._memory))
-        now.trend, now.to_settle = np.zeros_like(now.trend), 0
+        now.trend, now.to_settle, now.recent = np.zeros_like(now.trend), 0, []
         self._accept(free.measured(index, level, activity.noise / config.cycles), index)
         return self._observation(cycle, JUMPED, reason, index)
 
@@ -434,7 +454,7 @@ class DriftTracker:
         now.activities.append(replace(activity, is_imposed=is_imposed))
         now.stray_before = now.stray
         now.filter = now.filter.with_learnt(activity.doubt)
-        now.latest = len(now.activities) - 1
+        now.latest, now.recent = len(now.activities) - 1, []
         return True
 
     def _moved_meanwhile(self, lesson: Lesson, activity: Activity) -> float:

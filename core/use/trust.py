@@ -124,19 +124,25 @@ class Trust:
     def applied(self, drift: Array, covariance: Array) -> Array:
         """Return the (2,) shift and log gain that are sure enough to be applied.
 
-        A log gain turns the output about the level that use cannot move, and is bounded: were it use after all, it
-        would move the mean no further than correcting the shift of the rest has repaid.
+        A log gain turns the output about a level. Where a machine times the use, that is the level at which shift and
+        log gain are uncorrelated, and each is judged by itself. Otherwise it is the level that use cannot move, and the
+        log gain is bounded: were it use after all, it would move the mean no further than correcting the shift of the
+        rest has repaid.
         """
         log_gain = sure = self._sure(float(drift[1]), covariance)
-        if (level := self.standing_level(drift)) is None:
+        level = self.standing_level(drift)
+        if self.is_imposed:
+            # A machine does not press harder little by little; a new programme comes at once, and is told before this.
+            level = -float(covariance[0, 1] / covariance[1, 1])
+        elif level is None:
             return np.zeros(2)
-        # A sensor whose rest has moved drifts, and a machine does not press harder little by little.
-        most = np.inf if self.is_imposed and self.moved else self.gain_per_shift(level) * self.moved
-        vouched = float(np.clip(log_gain, self.seated - most, self.seated + most))
-        if self.fresh:
-            vouched = self._reseated_gain(drift, covariance, self.gain_per_shift(level) * self.step)
-        # Never more than is estimated: gain and use that cancel are less likely than neither.
-        log_gain = float(np.clip(vouched, min(0.0, log_gain), max(0.0, log_gain)))
+        else:
+            most = self.gain_per_shift(level) * self.moved
+            vouched = float(np.clip(log_gain, self.seated - most, self.seated + most))
+            if self.fresh:
+                vouched = self._reseated_gain(drift, covariance, self.gain_per_shift(level) * self.step)
+            # Never more than is estimated: gain and use that cancel are less likely than neither.
+            log_gain = float(np.clip(vouched, min(0.0, log_gain), max(0.0, log_gain)))
         shift = self._sure_movement(drift, covariance, level)
         # A rest that follows the size of the use, up to here, is the sensor's creep and no drift.
         creep = -level * float(np.expm1(sure - log_gain)) * self.config.creep

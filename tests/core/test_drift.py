@@ -155,15 +155,27 @@ def test_weaker_presses_of_a_harder_use_do_not_drag_the_gain_after_it() -> None:
     assert error_of(tracker, 1.0, 0.3) < 0.05
 
 
-def test_presses_of_a_machine_that_grow_about_a_standing_rest_are_as_likely_another_programme() -> None:
+def test_presses_of_a_machine_that_slowly_grow_larger_are_gain() -> None:
     use, tracker = begun()
     output = presses(1200.0, seed=4)
     gain = np.minimum(1.15, np.linspace(1.0, 1.25, len(output)))
 
-    seen = observe(tracker, 1 + (output - 1) * gain, use)
+    observe(tracker, 1 + (output - 1) * gain, use)
+
+    assert error_of(tracker, 1.15, 1 - 1.15) < 0.03
+
+
+@pytest.mark.parametrize("share", [0.9, 1.1])
+def test_presses_of_a_machine_that_grow_at_once_about_a_standing_rest_are_another_programme(share: float) -> None:
+    """A tenth is less than what any jump of a person's use must be; the filter followed it as a gain."""
+    use, tracker = begun(presses(400.0, scatter=0.004), used_s=0.0)
+    output = presses(1200.0, seed=4, scatter=0.004)
+    load = np.where(np.arange(len(output)) > len(output) // 2, share, 1.0)
+
+    seen = observe(tracker, 1 + (output - 1) * load, use)
 
     assert error_of(tracker, 1.0, 0.0) < 0.02
-    assert (seen[-1].verdict, seen[-1].reason) == (HELD, USE_OR_GAIN)
+    assert HELD in {one.verdict for one in seen}
 
 
 @pytest.mark.parametrize("bend", [-0.5, 0.5])
