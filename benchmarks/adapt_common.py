@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from softcal.app.use.adapt import source_calibration
+from softcal.app.registry.unit import source_calibration
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
@@ -30,9 +30,14 @@ class Unit:
     network: Network
     calibration: Calibration
 
-    def adapter(self, mode: str) -> Batches:
-        """Return what follows the unit in a mode, from its beginning; `ot 1500` has a queue of 1500 windows."""
-        known, (mode, _, queue) = (self.network, self.calibration, self.source.unlabelled), mode.partition(" ")
+    def adapter(self, mode: str, calibrated: OutputRecording | None = None) -> Batches:
+        """Return what follows the unit in a mode, from its beginning; `ot 1500` has a queue of 1500 windows.
+
+        Args:
+            calibrated: its recording at calibration, where it is not the source itself.
+        """
+        known = (self.network, self.calibration, calibrated or self.source.unlabelled)
+        mode, _, queue = mode.partition(" ")
         if mode not in QUEUES:
             return Adapter(*known, AdaptConfig(mode))
         online = OnlineConfig(int(queue)) if queue else OnlineConfig()
@@ -46,9 +51,11 @@ def calibrate(t_s: Array, output: Array, reference: Array, rate_Hz: float, confi
     return Unit(source, network, source_calibration(source, network))
 
 
-def follow(unit: Unit, mode: str, t_s: Array, output: Array) -> tuple[Array, list[MapUpdate]]:
+def follow(
+    unit: Unit, mode: str, t_s: Array, output: Array, calibrated: OutputRecording | None = None
+) -> tuple[Array, list[MapUpdate]]:
     """Return the estimates of a stream and what happened to the map."""
-    adapter = unit.adapter(mode)
+    adapter = unit.adapter(mode, calibrated)
     return adapter.advance(t_s, output).estimate, adapter.take_updates()
 
 

@@ -1,4 +1,4 @@
-"""Does following do harm on the device? The streams of adapt_harm.py through `ss_adapt` of softsensor.h.
+"""Does following do harm on the device? The streams of long_use.py through `ss_adapt` of softsensor.h.
 
     python benchmarks/adapt_device.py [--streams FIRST LAST] [--seed SEED] [--gain SHARE] [--offset SHARE]
 
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from adapt_common import print_markdown
-from adapt_harm import HARM
+from long_use import HARM
 from simulated_streams import KINDS, Stream, draw
 
 from softcal.core.errors import UnitRefused

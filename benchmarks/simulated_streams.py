@@ -1,16 +1,16 @@
-"""Streams of use drawn at random, of eighteen kinds: a sensor, an activity, what drifts and how the use changes.
+"""Streams of use drawn at random, of many kinds: a sensor, an activity, what drifts and how the use changes.
 
 Everything of a stream follows from its number and a seed. No code of softcal's twin is in it.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 from simulated_use import ACTIVITIES, CURVES, Activity, Style, cycles, read, station
 
-from softcal.app.use.adapt import source_calibration
+from softcal.app.registry.unit import source_calibration
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network
@@ -103,6 +103,15 @@ def is_replaced(activity: Activity, n: int, rng: Random) -> Array:
     return np.concatenate([same(activity, at, rng), other(activity, n - at, rng)])
 
 
+def times(share: float) -> Use:
+    """Another load from the middle on, the rest unmoved."""
+
+    def use(activity: Activity, n: int, rng: Random) -> Array:
+        return np.concatenate([same(activity, n // 2, rng), cycles(activity, n - n // 2, rng, Style(share))])
+
+    return use
+
+
 def slowly_harder(activity: Activity, n: int, rng: Random) -> Array:
     return cycles(activity, n, rng) * np.linspace(1.0, rng.uniform(1.1, 1.3), n)
 
@@ -111,7 +120,7 @@ def other(activity: Activity, n: int, rng: Random) -> Array:
     """The wave of the next activity, at the rate and pace of this one."""
     waves = [one.wave for one in ACTIVITIES.values()]
     wave = waves[(waves.index(activity.wave) + 1) % len(waves)]
-    return cycles(Activity(wave, activity.cycle_s, activity.rate_Hz), n, rng)
+    return cycles(replace(activity, wave=wave), n, rng)
 
 
 def sways(activity: Activity, n: int, rng: Random) -> Array:
@@ -138,22 +147,34 @@ def day(activity: Activity, n: int, rng: Random) -> Array:
 
 @dataclass(frozen=True)
 class Kind:
-    """What a stream is of: the drift, the use, and by how much the characteristic bends, in shares of its span."""
+    """What a stream is of.
+
+    Args:
+        drift, use: of the sensor, and of whoever uses it.
+        bend: by how much the characteristic bends, in shares of its span.
+        is_about_rest: whether the gain turns about the output without load.
+    """
 
     drift: Drift
     use: Use
     bend: float = 0.0
+    is_about_rest: bool = False
 
 
 KINDS: Mapping[str, Kind] = {
     "no drift": Kind(stands, same),
     "no drift, irregular use": Kind(stands, irregular),
-    "no drift, the use changes": Kind(stands, changes),
-    "no drift, another activity": Kind(stands, is_replaced),
+    "no drift, loads x 1.3": Kind(stands, times(1.3)),
+    "no drift, loads x 1.6": Kind(stands, times(1.6)),
+    "no drift, loads x 0.6": Kind(stands, times(0.6)),
+    "no drift, load and pace change": Kind(stands, changes),
+    "no drift, another programme": Kind(stands, is_replaced),
+    "no drift, a day of several uses": Kind(stands, day),
     "no drift, use grows slowly": Kind(stands, slowly_harder),
     "level creeps": Kind(level_creeps, same),
     "level drifts": Kind(level_drifts, same),
     "gain drifts": Kind(gain_drifts, same),
+    "gain drifts about a standing rest": Kind(gain_drifts, same, is_about_rest=True),
     "level and gain age": Kind(ages, same),
     "age, and the use changes": Kind(ages, changes),
     "age, irregular use": Kind(ages, irregular),
@@ -218,14 +239,17 @@ def draw(number: int, seed: int) -> Stream:
     rng = np.random.default_rng([seed, number])
     kind = list(KINDS)[number % len(KINDS)]
     name, curve = (str(rng.choice(list(names))) for names in (ACTIVITIES, CURVES))
-    activity, of = ACTIVITIES[name], KINDS[kind]
+    # A machine or a person.
+    activity, of = replace(ACTIVITIES[name], scatter=float(rng.choice([0.004, 0.04]))), KINDS[kind]
     # Every third unit was calibrated on the station, under another programme than its use.
     is_on_station = bool(rng.random() < 1 / 3) or of.drift is drifts_at_once
     load = of.use(activity, SAMPLES, rng)
     x = np.linspace(0, 1, SAMPLES)
     gain, shift = of.drift(x, rng)
-    output = read(curve, load, activity.rate_Hz, rng, gain, shift)
     ends = CURVES[curve](np.array([0.0, 1.0]))
+    if of.is_about_rest:
+        shift = shift + (1 - gain) * ends[0] / abs(ends[1] - ends[0])
+    output = read(curve, load, activity.rate_Hz, rng, gain, shift)
     share = (output - ends[0]) / (ends[1] - ends[0])
     output = output + of.bend * _late(x) * (ends[1] - ends[0]) * share * (1 - share)
     profile = station(CALIBRATION, activity.rate_Hz, rng) if is_on_station else cycles(activity, CALIBRATION, rng)

@@ -26,11 +26,11 @@ CURVES: Mapping[str, Callable[[Array], Array]] = {
 
 @dataclass(frozen=True)
 class Style:
-    """How an activity is done: height of its loads, duration of its cycles, relative scatter of both."""
+    """How an activity is done: height of its loads, duration of its cycles, scatter of both (None: as ever)."""
 
     load: float = 1.0
     pace: float = 1.0
-    scatter: float = 0.04
+    scatter: float | None = None
 
 
 def gait(phase: Array, height: Array) -> Array:
@@ -56,11 +56,12 @@ Wave = Callable[[Array, Array], Array]
 
 @dataclass(frozen=True)
 class Activity:
-    """A cyclic use: its wave over phase, the duration of a cycle in s, and a rate in Hz that resolves it."""
+    """A cyclic use: its wave over phase, the duration of a cycle in s, a rate in Hz for it, and its scatter."""
 
     wave: Wave
     cycle_s: float
     rate_Hz: float
+    scatter: float = 0.04
 
 
 ACTIVITIES: Mapping[str, Activity] = {
@@ -74,10 +75,11 @@ ACTIVITIES: Mapping[str, Activity] = {
 def cycles(activity: Activity, samples: int, rng: np.random.Generator, style: Style | None = None) -> Array:
     """Return (samples,) loads of an activity, every cycle a little different."""
     style = style or Style()
+    scatter = activity.scatter if style.scatter is None else style.scatter
     usual = activity.cycle_s / style.pace * activity.rate_Hz
     count = int(2 * samples / usual) + 2
-    lengths = np.maximum(8, usual * (1 + style.scatter * rng.normal(size=count))).round().astype(int)
-    heights = style.load * np.maximum(0.2, 1 + style.scatter * rng.normal(size=count))
+    lengths = np.maximum(8, usual * (1 + scatter * rng.normal(size=count))).round().astype(int)
+    heights = style.load * np.maximum(0.2, 1 + scatter * rng.normal(size=count))
     index = np.repeat(np.arange(count), lengths)[:samples]
     starts = np.concatenate([[0], np.cumsum(lengths)])
     phase = (np.arange(samples) - starts[index]) / lengths[index]

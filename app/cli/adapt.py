@@ -35,8 +35,9 @@ EXAMPLES = """examples:
     softcal adapt --serial A1 simulated --duration 60 --out tcp://127.0.0.1:7007
 
 Only t_s and output of IN are read. Row k of OUT depends on rows up to k alone; columns t_s, estimate, lower, upper
-(a 90 % interval that widens with the doubt about the drift) and flag (why a row is not to be trusted; `recalibrate`
-once a calibration with a reference is due). Missing, repeated or damaged samples are flagged and move nothing.
+(a 90 % interval that widens with the doubt about the drift) and flag: why a row is not to be trusted, if so
+(`recalibrate` once a calibration with a reference is due), and whether its map is `unwatched` (nothing to compare the
+use with yet), `held` (use or drift, which cannot be told) or `followed`. Damaged samples are flagged and move nothing.
 """
 
 

@@ -13,96 +13,19 @@ from softcal.app.charts.trace import Trace
 from softcal.app.files.atomic import write_text
 from softcal.app.files.recording_file import PLAIN, ColumnNames
 from softcal.app.files.stream_file import estimate_writer, read_stream
-from softcal.app.registry.source import source_recording, unlabelled
+from softcal.app.registry.source import source_recording
+from softcal.app.registry.unit import UnitInUse, unit_in_use
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
-from softcal.core.maps.affine_map import AffineMap
-from softcal.core.network.network import Network
-from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.unit.calibration import Calibration
+from softcal.core.recording import Array
 from softcal.core.unit.estimate import Estimate
-from softcal.core.unit.health import output_limits
-from softcal.core.unit.knowledge import known_by
-from softcal.core.unit.source_model import make_source_model
-from softcal.core.unit.uncertainty import ErrorForecast
-from softcal.core.unit.verdict import Decision, Judgement, Verdict
 from softcal.core.use.adapter import QUEUES, AdaptConfig, Adapter
-from softcal.core.use.batches import Batches, MapUpdate
+from softcal.core.use.batches import BETWEEN, Batches, MapUpdate
 from softcal.core.use.method import UseMethod
 from softcal.core.use.queued import QueuedTransport
 from softcal.core.windows import TAPS
-from softcal.core.words.reason import plain
 from softcal.db.registry import Registry
-
-REASON = "the source unit itself: the shared network needs no map"
-
-
-@dataclass(frozen=True, eq=False)
-class UnitInUse:
-    """All that following a unit needs from the registry.
-
-    Args:
-        lot: its lot.
-        revision: of the calibration it starts from.
-        network: the shared network f.
-        calibration: f∘γ₀ and its interval.
-        recording: the unit's own output at calibration.
-    """
-
-    lot: Lot
-    revision: int
-    network: Network
-    calibration: Calibration
-    recording: OutputRecording
-
-
-def unit_in_use(registry: Registry, serial: str, revision: int | None = None, lot_id: str | None = None) -> UnitInUse:
-    """Return a unit as the registry knows it. The source of a lot has the identity as its map.
-
-    Raises:
-        InputError: the registry has no calibration of the serial, and it is not the source of a lot with a network.
-    """
-    if revision is None and not registry.history(serial, lot_id):
-        _register_source(registry, serial, lot_id)
-    stored = registry.calibration(serial, revision, lot_id=lot_id)
-    output = unlabelled(registry.recording(stored.record.recording_sha256))
-    network = registry.network(stored.record.network_id)
-    calibration = Calibration.from_record(stored.record)
-    return UnitInUse(registry.lot(stored.lot_id), stored.revision, network, calibration, output)
-
-
-def _register_source(registry: Registry, serial: str, lot_id: str | None) -> None:
-    """Give the source of a lot its calibration: f itself, the identity map, the interval of f on its recording."""
-    lots = [lot for lot in registry.lots() if lot.source == serial and lot_id in (None, lot.id)]
-    sources = {entry.sha256: lot.id for lot in lots for entry in registry.recordings(lot.id, serial, "source")}
-    trained = [entry for entry in registry.networks() if entry.training.get("source_recording_sha256") in sources]
-    if not trained:
-        return
-    network = trained[-1]
-    source = source_recording(registry, network.id)
-    calibration = source_calibration(source, registry.network(network.id))
-    record = calibration.to_record(input_sha256=network.input_sha256, recording_sha256=source.sha256)
-    registry.add_calibration(sources[source.sha256], record, reason=REASON)
-
-
-def source_calibration(source: LabelledRecording, network: Network) -> Calibration:
-    """Return the calibration of the source unit itself."""
-    model = make_source_model(source, network)
-    error, known = model.held_out_rmse, source.unlabelled
-    return Calibration(
-        serial=source.serial,
-        network_id=network.id,
-        unit_map=AffineMap(1.0, 0.0, "identity"),
-        interval=model.interval,
-        output_limits=output_limits(known, known, model.interval.slope_limit > 0, model.method.health),
-        forecast=ErrorForecast(error, error, error),
-        decision=Decision(Judgement(Verdict.PASS, (plain(REASON),))),
-        knowledge=known_by({}, model.method.knowledge),
-        evidence={},
-        method=model.method,
-    )
-
 
 MAPS_S = 2.0
 """Most seconds of a live stream whose maps a crash can lose."""
@@ -140,7 +63,7 @@ class AdaptReport:
         serial, revision, stream, mode: which unit, from which calibration, under which name, how.
         lot: lot of the unit.
         rows: rows taken.
-        flags: rows by flag; the empty flag are the trusted ones.
+        flags: rows by each word of their flags.
         verdicts: how often the map was followed, held or jumped.
         current: the correction in force.
         method: every number that decides how it is followed.
@@ -256,7 +179,7 @@ class Follower:
         self._pending += updates
         report = self.report
         report.rows += len(output)
-        report.flags.update(rows.flag.tolist())
+        report.flags.update(word for flag in rows.flag.tolist() for word in flag.split(BETWEEN))
         report.verdicts.update(update.verdict for update in updates)
         report.current = self._adapter.current
         report.trace.add(rows, output, report.current)

@@ -11,7 +11,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from softcal.app.use.adapt import AdaptOptions, AdaptReport, Follower, UnitInUse, unit_in_use
+from softcal.app.registry.unit import UnitInUse, unit_in_use
+from softcal.app.use.adapt import AdaptOptions, AdaptReport, Follower
 from softcal.app.use.sink import Written, cell, lines_of, open_sink, written
 from softcal.app.use.source import Sample, Samples, open_source
 from softcal.app.use.view import Show, terminal_view

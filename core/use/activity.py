@@ -32,6 +32,7 @@ class Activity:
         tolerance: (3,) largest differences in shape, log speed and log duration.
         doubt: (2, 2) covariance of the mean drift of its own cycles.
         is_imposed: whether a machine times its cycles: their durations are equal.
+        pivots: (2, u) log gains that a change of its loads shows, rising, and the level each leaves where it was.
         least_gain: smallest gain a cycle is read as.
     """
 
@@ -50,6 +51,7 @@ class Activity:
     tolerance: Array = field(metadata=array(3))
     doubt: Array = field(metadata=array(2, 2))
     is_imposed: bool
+    pivots: Array = field(metadata=array(2, "u"))
     least_gain: float
 
     def drift_of(self, cycle: Cycle, rest_is_low: bool) -> Array:
@@ -102,13 +104,39 @@ class Lesson:
     trend_sd: Array = field(default_factory=lambda: np.zeros(2))
 
 
-def learn_activity(cycles: Sequence[Cycle], rest_is_low: bool, config: ActivityConfig) -> Lesson:
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """The characteristic of a sensor at rest, as f∘γ₀ knows it.
+
+    Args:
+        output: (n,) levels, in scales of the calibrated use, rising.
+        load: (n,) what each is estimated as.
+    """
+
+    output: Array
+    load: Array
+
+    def pressed(self, output: Array, share: float) -> Array:
+        """Return what outputs would have been, had their loads been so many times as large."""
+        # Rising by force: f may bend back beyond what it was trained on, where there is no inverse.
+        sign = 1.0 if self.load[-1] >= self.load[0] else -1.0
+        load = np.maximum.accumulate(sign * self.load)
+        return np.asarray(np.interp(share * np.interp(output, self.output, load), load, self.output))
+
+
+NO_PIVOTS = np.empty((2, 0))
+
+
+def learn_activity(
+    cycles: Sequence[Cycle], rest_is_low: bool, config: ActivityConfig, curve: Curve | None = None
+) -> Lesson:
     """Describe the activity of consecutive complete cycles.
 
     Args:
         cycles: in time order, in scales of the calibrated use.
         rest_is_low: whether the unloaded turning point is the lower one.
         config: what is steady enough.
+        curve: of the sensor; None where it is not known.
     """
     if len(cycles) < config.min_cycles:
         reason = f"{len(cycles)} cycles of use, {config.min_cycles} are needed to compare with"
@@ -145,13 +173,15 @@ def learn_activity(cycles: Sequence[Cycle], rest_is_low: bool, config: ActivityC
         tolerance=tolerance,
         doubt=np.zeros((2, 2)),
         is_imposed=_core_scatter(duration, config.outliers) < config.machine_timing,
+        pivots=NO_PIVOTS,
         least_gain=config.least_gain,
     )
     # The estimator is not linear in the gain: what it finds in the activity's own cycles is its bias, and how much
     # that scatters is the measurement noise of the filter.
     drifts = np.array([blank.drift_of(cycle, rest_is_low) for cycle in cycles])
     noise = _covariance(drifts, config.few) + np.diag(floor[:2] ** 2)
-    activity = replace(blank, bias=drifts.mean(axis=0), noise=noise, doubt=noise / len(cycles))
+    pivots = NO_PIVOTS if curve is None else _pivots(blank, rest_is_low, curve, config.uses)
+    activity = replace(blank, bias=drifts.mean(axis=0), noise=noise, doubt=noise / len(cycles), pivots=pivots)
     # Of a least squares slope over an index from -1/2 to 1/2.
     return Lesson(activity, "", trend, scatter * np.sqrt(12 / len(cycles)))
 
@@ -163,6 +193,21 @@ def _covariance(values: Array, few: float) -> Array:
     left = values - values.mean(axis=0) - np.outer(time, slope)
     # Two degrees of freedom went to the line. Few cycles may differ by less than usual by chance: widened for that.
     return np.asarray(left.T @ left / (len(values) - 2) * (1 + few / (len(values) - 2)))
+
+
+def _pivots(activity: Activity, rest_is_low: bool, curve: Curve, shares: tuple[float, ...]) -> Array:
+    """Return the log gains that a change of the loads shows, rising, and the level each leaves where it was."""
+    usual = activity.level + np.exp(activity.log_scale) * activity.shape
+
+    def drift_of(output: Array) -> Array:
+        cycle = Cycle(output.mean(), output.std(), output[0], output[-1], activity.shape, 1.0, 1.0, 0.0, True)
+        return activity.drift_of(cycle, rest_is_low)
+
+    shifts, log_gains = np.array([drift_of(curve.pressed(usual, share)) - drift_of(usual) for share in shares]).T
+    # Beyond its range a sensor saturates, and more load does not show.
+    is_seen = np.concatenate([[True], np.diff(log_gains) > 0]) & (np.sign(log_gains) == np.sign(np.log(shares)))
+    shifts, log_gains = shifts[is_seen], log_gains[is_seen]
+    return np.array([log_gains, -shifts / np.expm1(log_gains)])
 
 
 def _core_scatter(values: Array, outliers: int) -> float:
@@ -193,6 +238,7 @@ class CalibratedUse:
         rest_is_low: whether the unloaded output is the lower one.
         zero: output at zero load, in scales about the mean; None where it is not known.
         lesson: the activity of the recording.
+        curve: characteristic of the sensor; None where it is not known.
     """
 
     mean: float
@@ -206,6 +252,7 @@ class CalibratedUse:
     rest_is_low: bool
     zero: float | None
     lesson: Lesson
+    curve: Curve | None = None
 
 
 def learn_use(
@@ -213,6 +260,7 @@ def learn_use(
     rest_is_low: bool,
     zero_output: float | None = None,
     method: UseMethod = UseMethod(),  # noqa: B008 - frozen
+    curve: Curve | None = None,
 ) -> CalibratedUse:
     """Learn from the recording a unit was calibrated with.
 
@@ -221,6 +269,7 @@ def learn_use(
         rest_is_low: whether the unloaded output is the lower one.
         zero_output: output at zero load, in its unit; None where it is not known.
         method: how cycles are cut, and what of them is an activity.
+        curve: characteristic of the sensor, in its unit; None where it is not known.
     """
     low, high = (float(v) for v in np.quantile(recording.output, method.cycle.swing))
     longest = max(1, int(method.cycle.longest * len(recording)))
@@ -238,11 +287,13 @@ def learn_use(
         # Means over cycles, not over samples: long rests before and after the presses are no use.
         mean = float(np.mean([c.level for c in cycles]))
         scale = float(np.exp(np.mean([np.log(c.scale) for c in cycles])))
-    lesson = learn_activity([c.standardised(mean, scale) for c in cycles], rest_is_low, method.activity)
+    if curve is not None:
+        curve = Curve((curve.output - mean) / scale, curve.load)
+    lesson = learn_activity([c.standardised(mean, scale) for c in cycles], rest_is_low, method.activity, curve)
     if not is_covered:
         lesson = Lesson(None, "the calibration recording is no sequence of cycles", np.zeros(2))
     usual_s = float(np.median([c.duration_s for c in cycles])) if cycles else longest / recording.sample_rate_Hz
     usual = recording.sample_rate_Hz * usual_s
     duration_s = float(np.ptp(recording.t_s))
     zero = None if zero_output is None else (zero_output - mean) / scale
-    return CalibratedUse(mean, scale, low, high, duration_s, usual, usual_s, longest, rest_is_low, zero, lesson)
+    return CalibratedUse(mean, scale, low, high, duration_s, usual, usual_s, longest, rest_is_low, zero, lesson, curve)

@@ -6,39 +6,30 @@ row (the estimate is causal), single samples and whole arrays give the same rows
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from softcal.core.errors import InputError
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.unit.calibration import Calibration
-from softcal.core.unit.estimate import Flags, check_fits, judge
-from softcal.core.unit.uncertainty import NORMAL_90
+from softcal.core.unit.estimate import Flags
 from softcal.core.use.activity import CalibratedUse
-from softcal.core.use.batches import NOT_EVIDENCE, START, Batches, MapUpdate
+from softcal.core.use.batches import START, UNSETTLED, Batches, MapUpdate
 from softcal.core.use.cycles import CycleCutter
-from softcal.core.use.doubt import CALIBRATE, Doubt, due
-from softcal.core.use.intake import Intake, RowMask
-from softcal.core.use.kept import restored
+from softcal.core.use.doubt import CAUSES, Doubt, due
+from softcal.core.use.intake import RowMask, Taken
 from softcal.core.use.method import UseMethod
 from softcal.core.use.observation import NOT_WATCHED, UNWATCHED, Observation
-from softcal.core.use.sensitivity import calibrated_rmse, learn_sensitivity
+from softcal.core.use.sensitivity import learn_sensitivity
 from softcal.core.use.tracker import DriftTracker
 
 FILTERS = ("none", "basic", "improved")
 QUEUES = ("ot", "ot-improved")
 MODES = (*FILTERS, *QUEUES)
-RECALIBRATE = "recalibrate"
-"""Flag of rows that would be trusted, were the unit not due for a calibration with a reference."""
-
-UNSETTLED = "unsettled"
-"""Flag of rows that would be trusted, were it not for a sudden change that more cycles must explain."""
-
-STATE_FORMAT = 5
+STATE_FORMAT = 6
 """Of what `Adapter.state` returns; raised whenever a state kept before could not be gone on from."""
 
 
@@ -87,23 +78,19 @@ class Adapter(Batches):
         recording: OutputRecording,
         config: AdaptConfig = AdaptConfig(),  # noqa: B008 - frozen
     ) -> None:
-        check_fits(network, calibration, recording.output_unit)
         if config.mode not in FILTERS:
             raise ValueError(f"mode {config.mode!r} is none of {', '.join(FILTERS)}")
-        super().__init__(network, config.method)
-        self._calibration, self._config, method = calibration, config, config.method
-        self._use, self._error_per_scale = learn_sensitivity(network, calibration, recording, method)
-        self._calibrated_rmse = calibrated_rmse(calibration)
-        self._sample_rate_Hz = recording.sample_rate_Hz
-        self._intake, self._cutter, self._tracker = self._parts()
+        super().__init__(network, calibration, recording, config.method, STATE_FORMAT)
+        self._config = config
+        self._use, self._error_per_scale = learn_sensitivity(network, calibration, recording, config.method)
+        self._cutter, self._tracker = self._parts()
         self._evidence: list[tuple[float, float] | None] = []
-        self._silent_batches, self._due_batches, self._doubt = 0, 0, 0.0
+        self._due_batches = 0
         self._begin(self._start())
 
-    def _parts(self) -> tuple[Intake, CycleCutter, DriftTracker]:
+    def _parts(self) -> tuple[CycleCutter, DriftTracker]:
         use, method = self._use, self._method
         return (
-            Intake(self._sample_rate_Hz, use.mean, method.intake),
             CycleCutter(use.low, use.high, use.usual, use.longest, method.cycle),
             DriftTracker(use, self._config.mode == "improved", method),
         )
@@ -113,26 +100,21 @@ class Adapter(Batches):
         """What the calibration recording taught about the unit's use."""
         return self._use
 
-    def _estimate(self, t_s: Array, output: Array) -> tuple[Array, Array, Array, Flags]:
-        first = self._row % self._method.intake.batch
-        rows = slice(first, first + len(output))
-        taken = self._intake.take(t_s, output, first)
+    def _mapped(self, windows: Array) -> Array:
         correction = AffineMap(self._current.gain, self._current.offset)
-        mapped = self._calibration.unit_map.apply(correction.apply(taken.windows))
-        value, lower, upper, flag = judge(self._network, self._calibration, mapped, taken.windows[:, -1], taken.run)
-        # Independent errors add in squares: those of the calibration's interval and of the drift.
-        half = np.sqrt((0.5 * (upper - lower)) ** 2 + (NORMAL_90 * self._doubt) ** 2)[rows]
-        # Rows without a full window went through the network with the others; their numbers mean nothing.
-        value = np.where(taken.is_full, value, np.nan)[rows]
-        flag = np.where(taken.flag != "", taken.flag, flag)[rows]
-        self._gather(t_s, output, taken.is_valid[rows], taken.is_restart[rows], flag)
-        if self._tracker.is_unsettled or self._current.alarm:
-            flag[flag == ""] = UNSETTLED if self._tracker.is_unsettled else RECALIBRATE
-        return value, value - half, value + half, flag
+        return self._calibration.unit_map.apply(correction.apply(windows))
 
-    def _gather(self, t_s: Array, output: Array, is_valid: RowMask, is_restart: RowMask, flag: Flags) -> None:
+    def _trouble(self) -> str:
+        return UNSETTLED if self._tracker.is_unsettled else super()._trouble()
+
+    def _with_state(self, flag: Flags) -> Flags:
+        # Nothing is watched where the map is left as it is.
+        return flag if self._config.mode == "none" else super()._with_state(flag)
+
+    def _gather(self, t_s: Array, output: Array, taken: Taken, rows: slice, is_evidence: RowMask) -> None:
         """Keep what this piece says about the use; None marks a break in it."""
-        is_usable = is_valid & ~np.isin(flag, NOT_EVIDENCE)
+        is_valid, is_restart = taken.is_valid[rows], taken.is_restart[rows]
+        is_usable = is_valid & is_evidence
         for k in range(len(output)):
             # A gap or a fault inside a cycle would give it a wrong shape and duration: it is dropped whole.
             if is_restart[k] or (is_valid[k] and not is_usable[k]):
@@ -142,7 +124,6 @@ class Adapter(Batches):
 
     def _close_batch(self) -> None:
         observations = self._observe()
-        self._silent_batches = 0 if any(self._evidence) else self._silent_batches + 1
         self._evidence = []
         last = observations[-1] if observations else None
         if self._intake.last_s is not None:
@@ -150,13 +131,7 @@ class Adapter(Batches):
         # After the trial may have ended: its shift is part of the doubt.
         found = self._drift_doubt(self._intake.last_s)
         self._doubt = self._error_per_scale * found.widening
-        proposed = self._proposed(last, found)
-        if self._is_news(proposed):
-            self._updates.append(proposed)
-            self._current = proposed
-        else:
-            # The map stays; only what is said about its error moves on.
-            self._current = replace(self._current, predicted_rmse=proposed.predicted_rmse)
+        self._put(self._proposed(last, found))
 
     def _observe(self) -> list[Observation]:
         observations: list[Observation] = []
@@ -196,12 +171,8 @@ class Adapter(Batches):
             predicted_rmse=self._predicted_rmse(found.growth),
             verdict=verdict,
             reason=reason,
-            alarm=self._alarm(found.not_followed),
+            alarm=self._alarm_of(found.not_followed),
         )
-
-    def _is_news(self, proposed: MapUpdate) -> bool:
-        names = ("gain", "offset", "verdict", "reason", "alarm")
-        return any(getattr(proposed, name) != getattr(self._current, name) for name in names)
 
     def _drift_doubt(self, now_s: float | None) -> Doubt:
         """Return what is in doubt about the drift."""
@@ -212,9 +183,9 @@ class Adapter(Batches):
     def _predicted_rmse(self, doubt: float) -> float:
         return float(np.hypot(self._calibrated_rmse, self._error_per_scale * doubt))
 
-    def _alarm(self, not_followed: Mapping[str, float]) -> str:
-        if self._silent_batches >= self._method.intake.silent_batches:
-            return "the sensor gives no usable samples; check sensor and cable"
+    def _alarm_of(self, not_followed: Mapping[str, float]) -> str:
+        if silence := self._alarm():
+            return silence
         if self._tracker.alarm:
             return self._tracker.alarm
         # An open jump makes the predicted error large for two cycles; that alone is no reason to calibrate.
@@ -227,7 +198,7 @@ class Adapter(Batches):
         # Two thresholds: what hovers about one would call and take back the alarm again and again.
         if not is_due and not (standing and ratio > config.clear_ratio):
             return ""
-        if standing.endswith(CALIBRATE):
+        if standing in map(due, CAUSES):
             return standing
         return due(max(not_followed, key=not_followed.__getitem__))
 
@@ -239,64 +210,26 @@ class Adapter(Batches):
         return MapUpdate(0, None, 1.0, 0.0, *drift, predicted_rmse, START, reason, "")
 
     def reconnect(self, row: int = 0) -> None:
-        """Go on after an interruption of unknown length: windows and cycles start anew, the map stays.
-
-        Args:
-            row: count rows from here at least.
-        """
-        self._row = max(self._row, row)
-        # A batch never holds rows from before and after the interruption.
-        self._row += -self._row % self._method.intake.batch
+        """Go on after an interruption of unknown length: windows and cycles start anew, the map stays."""
+        super().reconnect(row)
         self._evidence = []
-        self._intake = Intake(self._sample_rate_Hz, self._use.mean, self._method.intake)
         self._cutter.restart()
         self._tracker.reconnect()
 
-    def state(self) -> dict[str, object]:
-        """Return all that a restart needs besides network, calibration and recording, as JSON values.
-
-        The method is part of it: `restore` under another method says which numbers changed.
-        """
+    def _own_state(self) -> dict[str, object]:
         return {
-            "format": STATE_FORMAT,
-            "method": self._method.to_json(),
-            "row": self._row,
-            "doubt": self._doubt,
-            "silent_batches": self._silent_batches,
             "due_batches": self._due_batches,
             "evidence": [None if pair is None else list(pair) for pair in self._evidence],
-            "current": asdict(self._current),
-            "intake": self._intake.state(),
             "cutter": self._cutter.state(),
             "tracker": self._tracker.state(),
         }
 
-    def restore(self, state: Mapping[str, Any]) -> list[str]:
-        """Go on from a `state()` taken earlier, of the same unit and calibration.
-
-        Returns:
-            The numbers of the method that have changed since, as `name: earlier value, now value`.
-
-        Raises:
-            InputError: the state was taken by a version that keeps other things in it; nothing was changed.
-        """
-        # The first states named no format.
-        if (found := state.get("format", 1)) != STATE_FORMAT:
-            raise InputError(f"its state has format {found}, this version goes on from format {STATE_FORMAT} alone")
-        if wrong := set(self.state()) ^ set(state):
-            raise InputError(f"its state does not fit this version: {min(wrong)} is missing or unknown")
-        current = restored(MapUpdate, state["current"])
-        # All of it is read before any of it counts: a state that does not fit changes nothing.
-        intake, cutter, tracker = self._parts()
-        intake.restore(state["intake"])
+    def _restore_own(self, state: Mapping[str, Any]) -> None:
+        cutter, tracker = self._parts()
         cutter.restore(state["cutter"])
         tracker.restore(state["tracker"])
-        self._intake, self._cutter, self._tracker, self._current = intake, cutter, tracker, current
-        self._row, self._doubt = int(state["row"]), float(state["doubt"])
-        self._silent_batches, self._due_batches = int(state["silent_batches"]), int(state["due_batches"])
+        self._cutter, self._tracker, self._due_batches = cutter, tracker, int(state["due_batches"])
         self._evidence = [None if pair is None else (pair[0], pair[1]) for pair in state["evidence"]]
-        self._updates.clear()
-        return self._method.changes(UseMethod.of(state["method"]))
 
 
 def _stretches(evidence: list[tuple[float, float] | None]) -> list[Array | None]:

@@ -7,20 +7,39 @@ on no later row (the estimate is causal), and single samples and whole arrays gi
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from softcal.core.errors import InputError
 from softcal.core.network.network import Network
-from softcal.core.recording import Array
-from softcal.core.unit.estimate import FLAG_TYPE, SATURATED, STUCK, Estimate, EstimateRow, Flags
-from softcal.core.use.intake import WRONG_RATE
+from softcal.core.recording import Array, OutputRecording
+from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.estimate import SATURATED, STUCK, Estimate, EstimateRow, Flags, check_fits, judge
+from softcal.core.unit.uncertainty import NORMAL_90
+from softcal.core.use.intake import WRONG_RATE, Intake, RowMask, Taken
+from softcal.core.use.kept import restored
 from softcal.core.use.method import UseMethod
+from softcal.core.use.observation import FOLLOWED, HELD, UNWATCHED
+from softcal.core.use.sensitivity import calibrated_rmse
 
 START = "start"
 NOT_EVIDENCE = (STUCK, SATURATED, WRONG_RATE)
 """Rows with these flags say nothing about drift or use."""
+
+RECALIBRATE = "recalibrate"
+"""Flag of rows that would be trusted, were the unit not due for a calibration with a reference."""
+
+UNSETTLED = "unsettled"
+"""Flag of rows that would be trusted, were it not for a sudden change that more cycles must explain."""
+
+BETWEEN = "; "
+"""Between the words of a flag: why a row is not to be trusted, and the state of its map."""
+
+FLAGS_TYPE = "<U24"
+STATES = (UNWATCHED, HELD, FOLLOWED)
+"""The state of the map, in the flag of every row of a stream that is followed."""
 
 MOST_UPDATES = 4096
 """Changes kept for a caller that does not take them."""
@@ -56,16 +75,42 @@ class MapUpdate:
     alarm: str
 
 
+def state_of_map(verdict: str) -> str:
+    """Return the state of the map that a verdict leaves."""
+    return {START: UNWATCHED, UNWATCHED: UNWATCHED, HELD: HELD}.get(verdict, FOLLOWED)
+
+
 class Batches(ABC):
-    """Takes rows, cuts them into batches and keeps what changed; how a batch is estimated is the subclass's.
+    """Takes rows, cuts them into batches and keeps what changed; which map a batch has is the subclass's.
 
     Args:
         network: the shared network f.
+        calibration: of the unit, from the registry: f∘γ₀ and its interval.
+        recording: the unit's own output at calibration.
         method: every number that decides.
+        state_format: of what `state` returns; another one whenever a state kept before could not be gone on from.
+
+    Raises:
+        InputError: the calibration belongs to another network, or the recording has another physical unit.
     """
 
-    def __init__(self, network: Network, method: UseMethod) -> None:
-        self._network, self._method, self._row = network, method, 0
+    def __init__(
+        self,
+        network: Network,
+        calibration: Calibration,
+        recording: OutputRecording,
+        method: UseMethod,
+        state_format: int | str,
+    ) -> None:
+        check_fits(network, calibration, recording.output_unit)
+        self._network, self._calibration, self._method, self._format = network, calibration, method, state_format
+        self._sample_rate_Hz, self._blank = recording.sample_rate_Hz, float(recording.output.mean())
+        self._calibrated_rmse = calibrated_rmse(calibration)
+        self._row, self._silent_batches, self._is_silent, self._doubt = 0, 0, True, 0.0
+        self._intake = self._fresh_intake()
+
+    def _fresh_intake(self) -> Intake:
+        return Intake(self._sample_rate_Hz, self._blank, self._method.intake)
 
     def _begin(self, start: MapUpdate) -> None:
         self._current = start
@@ -96,13 +141,15 @@ class Batches(ABC):
     def advance(self, t_s: Array, output: Array) -> Estimate:
         """Take (n,) further samples, one row each; the same rows as `step` one by one.
 
+        A flag holds why a row is not to be trusted, if so, and the state of its map: `unwatched`, `held` or `followed`.
+
         Args:
             t_s: time stamps in s; a time that is not finite, repeats or goes backward makes the row `invalid`.
             output: in the unit of the calibration; NaN makes the row `invalid`.
         """
         n = len(output)
         value, lower, upper = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan)
-        flag = np.empty(n, dtype=FLAG_TYPE)
+        flag = np.empty(n, dtype=FLAGS_TYPE)
         start, batch = 0, self._method.intake.batch
         while start < n:
             stop = min(n, start + batch - self._row % batch)
@@ -110,31 +157,90 @@ class Batches(ABC):
             value[piece], lower[piece], upper[piece], flag[piece] = self._estimate(t_s[piece], output[piece])
             self._row += stop - start
             if self._row % batch == 0:
+                self._silent_batches = self._silent_batches + 1 if self._is_silent else 0
+                self._is_silent = True
                 self._close_batch()
             start = stop
         return Estimate(t_s, value, lower, upper, flag, self._network.reference_unit)
 
-    @abstractmethod
     def _estimate(self, t_s: Array, output: Array) -> tuple[Array, Array, Array, Flags]:
         """Return estimate, lower, upper and flag of rows that lie in one batch."""
+        first = self._row % self._method.intake.batch
+        rows = slice(first, first + len(output))
+        taken = self._intake.take(t_s, output, first)
+        mapped = self._mapped(taken.windows)
+        value, lower, upper, flag = judge(self._network, self._calibration, mapped, taken.windows[:, -1], taken.run)
+        # Independent errors add in squares: those of the calibration's interval and of the drift.
+        half = np.sqrt((0.5 * (upper - lower)) ** 2 + (NORMAL_90 * self._doubt) ** 2)[rows]
+        # Rows without a full window went through the network with the others; their numbers mean nothing.
+        value = np.where(taken.is_full, value, np.nan)[rows]
+        flag = np.where(taken.flag != "", taken.flag, flag)[rows].astype(FLAGS_TYPE)
+        is_evidence = ~np.isin(flag, NOT_EVIDENCE)
+        self._is_silent = self._is_silent and not (taken.is_valid[rows] & is_evidence).any()
+        self._gather(t_s, output, taken, rows, is_evidence)
+        flag[flag == ""] = self._trouble()
+        return value, value - half, value + half, self._with_state(flag)
+
+    def _with_state(self, flag: Flags) -> Flags:
+        """Return the flags with the state of the map."""
+        state = state_of_map(self._current.verdict)
+        return np.where(flag == "", state, np.char.add(np.char.add(flag, BETWEEN), state))
+
+    def _trouble(self) -> str:
+        """Return why a row is not to be trusted that nothing else speaks against; empty where nothing does."""
+        return RECALIBRATE if self._current.alarm else ""
+
+    @abstractmethod
+    def _gather(self, t_s: Array, output: Array, taken: Taken, rows: slice, is_evidence: RowMask) -> None:
+        """Keep what rows of a batch say about the use.
+
+        Args:
+            rows: places of these (n,) rows in what was taken.
+            is_evidence: (n,) whether no flag speaks against it.
+        """
+
+    def _alarm(self) -> str:
+        """Return the alarm of a sensor that has been silent for long; empty where it is not."""
+        if self._silent_batches < self._method.intake.silent_batches:
+            return ""
+        return "the sensor gives no usable samples; check sensor and cable"
+
+    @abstractmethod
+    def _mapped(self, windows: Array) -> Array:
+        """Return (n, TAPS) windows in the space of the source, by the map in force."""
 
     @abstractmethod
     def _close_batch(self) -> None:
         """Learn from the batch that has ended."""
 
-    @abstractmethod
     def reconnect(self, row: int = 0) -> None:
         """Go on after an interruption of unknown length: windows start anew, the map stays.
 
         Args:
             row: count rows from here at least.
         """
+        self._row = max(self._row, row)
+        # A batch never holds rows from before and after the interruption.
+        self._row += -self._row % self._method.intake.batch
+        self._intake, self._is_silent = self._fresh_intake(), True
 
-    @abstractmethod
     def state(self) -> dict[str, object]:
-        """Return all that a restart needs besides what the constructor is given, as JSON values."""
+        """Return all that a restart needs besides what the constructor is given, as JSON values.
 
-    @abstractmethod
+        The method is part of it: `restore` under another method says which numbers changed.
+        """
+        return {
+            "format": self._format,
+            "method": self._method.to_json(),
+            "row": self._row,
+            "doubt": self._doubt,
+            "silent_batches": self._silent_batches,
+            "is_silent": self._is_silent,
+            "current": asdict(self._current),
+            "intake": self._intake.state(),
+            **self._own_state(),
+        }
+
     def restore(self, state: Mapping[str, Any]) -> list[str]:
         """Go on from a `state()` taken earlier, of the same unit and calibration.
 
@@ -144,3 +250,35 @@ class Batches(ABC):
         Raises:
             InputError: the state was taken by a version or mode that keeps other things in it; nothing was changed.
         """
+        # The first states named no format.
+        if (found := state.get("format", 1)) != self._format:
+            raise InputError(f"its state has format {found}, what goes on here has format {self._format}")
+        if wrong := set(self.state()) ^ set(state):
+            raise InputError(f"its state does not fit this version: {min(wrong)} is missing or unknown")
+        # All of it is read before any of it counts: a state that does not fit changes nothing.
+        current, intake = restored(MapUpdate, state["current"]), self._fresh_intake()
+        intake.restore(state["intake"])
+        self._restore_own(state)
+        self._current, self._intake = current, intake
+        self._row, self._doubt = int(state["row"]), float(state["doubt"])
+        self._silent_batches, self._is_silent = int(state["silent_batches"]), bool(state["is_silent"])
+        self._updates.clear()
+        return self._method.changes(UseMethod.of(state["method"]))
+
+    @abstractmethod
+    def _own_state(self) -> dict[str, object]:
+        """Return what the subclass keeps beside, as JSON values."""
+
+    @abstractmethod
+    def _restore_own(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `_own_state` returned; read all of it before any of it counts."""
+
+    def _put(self, proposed: MapUpdate) -> None:
+        """Put an update in force; it is a step of the record where the map, or what is said of it, changed."""
+        names = ("gain", "offset", "verdict", "reason", "alarm")
+        if any(getattr(proposed, name) != getattr(self._current, name) for name in names):
+            self._updates.append(proposed)
+            self._current = proposed
+        else:
+            # The map stays; only what is said about its error moves on.
+            self._current = replace(self._current, predicted_rmse=proposed.predicted_rmse)

@@ -18,11 +18,13 @@ STRAY = "a new use rests where none that is known does: sensor or use"
 OPEN = "a drift is seen that is not followed, for a change of use would look the same"
 LATE = "the drift is faster than it is followed"
 JUMP = "a sudden change is not explained"
+QUEUE = "a queue was mapped far from the calibration: a drift, or another use"
 FAR = "what was corrected is so much that the rest of it counts"
 """Why estimates may be wrong: what an alarm names."""
 
-CAUSES = (UNCOMPARED, MISSED, STRAY, JUMP, OPEN, LATE, FAR)
-CALIBRATE = "calibrate against a reference"
+CAUSES = (UNCOMPARED, MISSED, STRAY, JUMP, OPEN, LATE, FAR, QUEUE)
+CALIBRATE, COMPARE = "calibrate against a reference", "compare a known load"
+"""What to do: one known load tells use from drift; a drift that is known needs a calibration."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +45,7 @@ class Evidence:
         missed: how far level or scale moved while the first use was learnt.
         stray: how far the rest of a new use lies from all that are known.
         lag: how far the filter is behind, beyond chance.
+        away: how far the latest use that is not known rests from all that are.
     """
 
     drift: Array
@@ -59,6 +62,7 @@ class Evidence:
     missed: float
     stray: float
     lag: float
+    away: float = 0.0
 
     @property
     def left(self) -> float:
@@ -88,7 +92,7 @@ class Doubt:
 
 def due(why: str) -> str:
     """Return the words of an alarm."""
-    return f"{why}; {CALIBRATE}"
+    return f"{why}; {CALIBRATE if why in (LATE, FAR) else COMPARE}"
 
 
 def doubt(seen: Evidence, config: DoubtConfig) -> Doubt:
@@ -97,8 +101,9 @@ def doubt(seen: Evidence, config: DoubtConfig) -> Doubt:
     Interval and predicted error hold: the error of the applied correction (its variance, a share of its size, a share
     of the whole way of the rest, and that its gain may have been use), what may have come since the last cycle or in
     use that was not compared, and what was not explained. The interval adds all of the estimated drift that was not
-    applied. The predicted error adds of it only what exceeds chance, and of that the part that is as likely drift as
-    use; it leaves out use that was not compared while the first use is still being learnt.
+    applied. Of a use that is not known it adds how far that rests from those that are, and a gain as large. The
+    predicted error adds of the drift only what exceeds chance, and of that the part that is as likely drift as use; it
+    leaves out use that was not compared while the first use is still being learnt.
     """
     # What was not applied cannot be wrong by chance: the variance counts as far as the correction goes.
     share = seen.size / max(float(seen.drift @ seen.drift), 1e-24)
@@ -109,7 +114,7 @@ def doubt(seen: Evidence, config: DoubtConfig) -> Doubt:
     counted = 0.0 if seen.is_learning else unseen
     beyond = max(0.0, seen.left - seen.chance)
     return Doubt(
-        widening=float(np.sqrt(known + unseen + open_ends + seen.left)),
+        widening=float(np.sqrt(known + unseen + open_ends + seen.left + 2 * seen.away**2)),
         growth=float(np.sqrt(known + counted + open_ends + (1 - seen.use_share) * beyond)),
         not_followed={
             UNCOMPARED: counted,

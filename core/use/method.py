@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from softcal.core.settings import NumberedMethod, setting
 from softcal.core.windows import TAPS
 
-HARM = "benchmarks/adapt_harm.py --seed 0, which docs do not report"
+HARM = "streams of benchmarks/long_use.py --seed 0, which docs do not report"
 """Origin of what was chosen on simulated streams; docs/long-term.md reports other seeds."""
 
-JOINED = "benchmarks/adapt_station.py --seeds 1 4: single random presses differ too much, means over eight do not"
+JOINED = "random presses of a simulated station: single ones differ too much, means over eight do not"
 
 WINDOW = "the length of a window"
 
@@ -90,6 +90,7 @@ class ActivityConfig:
         rest_scatter: an activity returns to a known rest where its unloaded turning points scatter by less than this,
             in scales.
         covered: cycles must cover this share of a recording to stand for it.
+        uses: loads in shares of an activity's own, for which it is worked out what a change of use does to the output.
     """
 
     min_cycles: int = setting(4)
@@ -106,6 +107,7 @@ class ActivityConfig:
     outliers: int = setting(10)
     rest_scatter: float = setting(0.10)
     covered: float = setting(0.5)
+    uses: tuple[float, ...] = setting((0.4, 0.6, 0.8, 0.9, 1.1, 1.25, 1.5, 2.0), "the range of docs/long-term.md")
 
 
 @dataclass(frozen=True)
@@ -143,6 +145,7 @@ class JumpConfig:
             and by more than the floor.
         cycles: like cycles that decide between a re-seated sensor and another use.
         most: like cycles kept while they cannot decide.
+        recent: so many cycles before show at what size a machine pressed.
         largest: no jump of shift and log gain beyond these is followed.
         largest_sigmas: the largest jump in standard deviations of the prior of a re-seating.
         rest_sigmas: a rest has moved where it is off by so many times its usual scatter.
@@ -153,6 +156,7 @@ class JumpConfig:
     floor: tuple[float, float] = setting((0.08, 0.12))
     cycles: int = setting(2)
     most: int = setting(8)
+    recent: int = setting(3)
     largest: tuple[float, float] = setting((1.0, 0.35))
     largest_sigmas: float = setting(3.0)
     rest_sigmas: float = setting(4.0)
@@ -190,7 +194,7 @@ class TrustConfig:
     Args:
         shrink: soft threshold: a drift below the first number of standard deviations is not applied, above the second
             in full, in between linearly.
-        use_share: prior probability that a change of amplitude is use and not gain, where no machine times the cycles.
+        use_share: prior probability that a change of amplitude is use and not gain.
         step: hysteresis: movements of the rest count once they exceed this, in scales.
         creep: the unloaded turning point follows the mean load by up to this share, up to `step`.
         least_rest: a rest nearer to the mean than this, in scales, counts as that far.
@@ -262,9 +266,13 @@ class OnlineConfig:
 
     Args:
         queue: windows in a queue; a new map is fitted on every full one.
+        pieces: queues of the calibration recording that show what maps of such queues get wrong by chance.
+        blind: above this share of the scatter of the estimates they get too much wrong to show a drift.
     """
 
     queue: int = setting(512)
+    pieces: int = setting(3)
+    blind: float = setting(0.25)
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ FOLLOWED, HELD, TRIED, JUMPED, UNWATCHED = "followed", "held", "tried", "jumped"
 REST_MOVED = "the rest moved at once; the next cycles decide what it is"
 USE_OR_GAIN = "the cycles changed in size about a rest that stands: use or gain, which only a reference can tell"
 PRELOADED = "not watched: this use never comes to zero load; a preload that changes is taken for drift"
+QUEUE_DIFFERS = "not watched: queues of this length differ too much by chance to show a drift; give a longer --queue"
 NOT_WATCHED = "not watched yet: the first use is still being learnt, and a drift before that is not seen"
 
 
@@ -64,6 +65,8 @@ class TrackerState:
         stray: how far the rest of the latest strange cycles, or of a use learnt from them, lies from all that were
             known; 0 where that may be chance.
         stray_before: the same when these cycles began.
+        recent, recent_of: log gains of the last few cycles that were compared, and their activity.
+        away: how far the latest strange cycles rest from all that are known, be it chance or not.
         opening, opening_sd: level over the first cycles, in scales; 0 and 0 while single cycles are compared.
     """
 
@@ -88,5 +91,8 @@ class TrackerState:
     missed: float = 0.0
     stray: float = 0.0
     stray_before: float = 0.0
+    recent: list[float] = field(default_factory=list)
+    recent_of: int = -1
+    away: float = 0.0
     opening: float = 0.0
     opening_sd: float = 0.0

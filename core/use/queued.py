@@ -2,35 +2,39 @@
 
 A queue fills with the unlabelled windows of the stream. When it is full, the exact plan between its windows and those
 of the source is solved, while the next queue fills. The rule for the swap: the map fitted on queue k is in force from
-the first batch after queue k + 1 is full. So the same rows always give the same estimates, however fast a machine is.
+the first batch after queue k + 1 is full. So the same rows always give the same estimates. Only where a plan takes
+longer than a queue takes to fill does the swap come later: estimates never wait.
 """
 
 from collections.abc import Mapping
 from concurrent.futures import Executor, Future
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softcal.core.errors import InputError
+from softcal.core.maps.anchors import AnchoredMap
 from softcal.core.maps.exact import NAME, exact_map
 from softcal.core.maps.interface import UnitMap
 from softcal.core.maps.plan import TransportMap
+from softcal.core.metrics import rmse
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
-from softcal.core.unit.estimate import Flags, check_fits, judge
+from softcal.core.unit.estimate import check_fits
 from softcal.core.unit.method import Method
 from softcal.core.use.adapter import QUEUES, AdaptConfig
-from softcal.core.use.batches import NOT_EVIDENCE, START, Batches, MapUpdate
-from softcal.core.use.intake import Intake
-from softcal.core.use.kept import restored
+from softcal.core.use.batches import START, Batches, MapUpdate
+from softcal.core.use.doubt import QUEUE, due
+from softcal.core.use.intake import RowMask, Taken
 from softcal.core.use.method import UseMethod
-from softcal.core.use.observation import FOLLOWED
-from softcal.core.use.sensitivity import calibrated_rmse
+from softcal.core.use.observation import FOLLOWED, QUEUE_DIFFERS, UNWATCHED
 from softcal.core.windows import TAPS
 
-FORMAT = "queues 1"
+FORMAT = "queues 2"
 """Of what `QueuedTransport.state` returns; another name whenever a state kept before could not be gone on from."""
 
 
@@ -47,12 +51,31 @@ class SourcePairs:
     placed: Array
 
 
+@dataclass(frozen=True, eq=False)
+class _Fitted:
+    """The map of a queue.
+
+    Args:
+        map: γ.
+        moved: by how much it moves the estimates of the queue from those of the calibration (RMS).
+        chance: by how much maps of queues without drift do so.
+    """
+
+    map: TransportMap
+    moved: float
+    chance: float
+
+
 class QueuedTransport(Batches):
     """Estimates a stream as f∘γ and finds γ anew on every full queue; same interface as `adapter.Adapter`.
 
     It assumes that each queue was used under the source's distribution of loads: a change of use is taken for drift.
-    Rows that are stuck, saturated, at a wrong rate or without a full window enter no queue. The interval and the
-    predicted error stay those of the calibration.
+    Rows that are stuck, saturated, at a wrong rate or without a full window enter no queue. What the method gets wrong
+    by itself is measured on the calibration recording, cut into queues: they differ from the whole by chance alone.
+    That, and all that a swap has moved the estimates by, is in the interval.
+
+    A unit that was anchored by known loads keeps them: its first queue, as it is read by the anchored map, is the
+    source of the later ones.
 
     Args:
         network: the shared network f.
@@ -77,27 +100,41 @@ class QueuedTransport(Batches):
         config: AdaptConfig,
         pool: Executor | None = None,
     ) -> None:
-        for output in (recording, source.unlabelled):
-            check_fits(network, calibration, output.output_unit)
         if config.mode not in QUEUES:
             raise ValueError(f"mode {config.mode!r} is none of {', '.join(QUEUES)}")
-        if config.method.online.queue < TAPS:
-            raise InputError(f"a queue of {config.method.online.queue} is smaller than a window; give {TAPS} or more")
-        super().__init__(network, config.method)
-        self._calibration, self._mode, self._pool = calibration, config.mode, pool
+        super().__init__(network, calibration, recording, config.method, f"{FORMAT} {config.mode}")
+        check_fits(network, calibration, source.unlabelled.output_unit)
+        self._queue = config.method.online.queue
+        if self._queue < TAPS:
+            raise InputError(f"a queue of {self._queue} is smaller than a window; give {TAPS} or more")
+        self._mode, self._pool = config.mode, pool
         self._plan = (calibration.method or Method()).map.plan
-        self._calibrated, self._rate_Hz = recording.output, recording.sample_rate_Hz
-        self._source = SourcePairs(source.windows, source.windows)
         self._map: UnitMap = calibration.unit_map
+        is_anchored = isinstance(self._map, AnchoredMap)
+        self._given = None if is_anchored else SourcePairs(source.windows, source.windows)
+        self._source = self._given
         self._filling, self._waiting = np.empty((0, TAPS)), np.empty((0, TAPS))
-        self._fit: Future[TransportMap] | None = None
-        self._silent_batches, self._is_silent = 0, True
-        self._intake = self._fresh_intake()
-        error = calibrated_rmse(calibration)
+        self._fit: Future[_Fitted] | None = None
+        self._known, self._due = recording.windows, ""
+        error = self._calibrated_rmse
         self._begin(MapUpdate(0, None, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, error, START, "no queue is mapped yet", ""))
 
-    def _fresh_intake(self) -> Intake:
-        return Intake(self._rate_Hz, float(self._calibrated.mean()), self._method.intake)
+    @cached_property
+    def _chance(self) -> float:
+        """How far maps of single queues of the calibration recording are off the calibrated one (RMS)."""
+        last = max(0, len(self._known) - self._queue)
+        starts = sorted(set(np.linspace(0, last, self._method.online.pieces).astype(int).tolist()))
+        pieces = [self._known[start : start + self._queue] for start in starts]
+        source = self._given or self._as_calibrated(pieces[0])
+        moved = [self._moved_by(self._mapped_onto(source, piece), piece) for piece in pieces]
+        return float(np.sqrt(np.mean(np.square(moved))))
+
+    def _moved_by(self, fitted: UnitMap, windows: Array) -> float:
+        """Return by how much a map moves the estimates of windows from those of the calibration (RMS)."""
+        return rmse(*(self._network.evaluate(one.apply(windows)) for one in (fitted, self._calibration.unit_map)))
+
+    def _as_calibrated(self, windows: Array) -> SourcePairs:
+        return SourcePairs(windows, self._calibration.unit_map.apply(windows))
 
     @property
     def unit_map(self) -> UnitMap:
@@ -105,56 +142,72 @@ class QueuedTransport(Batches):
         return self._map
 
     @property
-    def source(self) -> SourcePairs:
-        """What the next queue is mapped onto."""
+    def source(self) -> SourcePairs | None:
+        """What the next queue is mapped onto; None where that is the first queue, which is not full yet."""
         return self._source
 
-    def _estimate(self, t_s: Array, output: Array) -> tuple[Array, Array, Array, Flags]:
-        first = self._row % self._method.intake.batch
-        rows = slice(first, first + len(output))
-        taken = self._intake.take(t_s, output, first)
-        mapped = self._map.apply(taken.windows)
-        value, lower, upper, flag = judge(self._network, self._calibration, mapped, taken.windows[:, -1], taken.run)
-        # Rows without a full window went through the network with the others; their numbers mean nothing.
-        value, lower, upper = (np.where(taken.is_full, column, np.nan)[rows] for column in (value, lower, upper))
-        flag = np.where(taken.flag != "", taken.flag, flag)[rows]
-        is_usable = taken.is_full[rows] & ~np.isin(flag, NOT_EVIDENCE)
-        self._filling = np.concatenate([self._filling, taken.windows[rows][is_usable]])
-        self._is_silent = self._is_silent and not is_usable.any()
-        return value, lower, upper, flag
+    def _mapped(self, windows: Array) -> Array:
+        return self._map.apply(windows)
+
+    def _gather(self, t_s: Array, output: Array, taken: Taken, rows: slice, is_evidence: RowMask) -> None:
+        self._filling = np.concatenate([self._filling, taken.windows[rows][taken.is_full[rows] & is_evidence]])
 
     def _close_batch(self) -> None:
-        self._silent_batches = self._silent_batches + 1 if self._is_silent else 0
-        self._is_silent = True
-        queue = self._method.online.queue
-        while len(self._filling) >= queue:
-            if len(self._waiting):
-                self._swap()
-            self._waiting, self._filling = self._filling[:queue], self._filling[queue:]
-            self._fit = None if self._pool is None else self._pool.submit(self._fitted, self._waiting, self._source)
-        is_out = self._silent_batches >= self._method.intake.silent_batches
-        alarm = "the sensor gives no usable samples; check sensor and cable" if is_out else ""
-        if alarm != self._current.alarm:
-            self._change(alarm=alarm)
+        # A plan takes a fraction of the time in which a queue fills: live, it is there by now. Where it is not, the
+        # windows of the queue that has filled meanwhile make room for newer ones.
+        if self._fit is not None and not self._fit.done():
+            self._filling = self._filling[-self._queue :]
+        else:
+            while len(self._filling) >= self._queue:
+                self._take_queue()
+        self._put(replace(self._current, row=self._row, alarm=self._alarm() or self._due))
 
-    def _fitted(self, queue: Array, source: SourcePairs) -> TransportMap:
+    def _take_queue(self) -> None:
+        """Put the map of the queue that waits in force, and begin that of the one that is full."""
+        full, self._filling = self._filling[: self._queue], self._filling[self._queue :]
+        if self._source is None:
+            self._source = self._as_calibrated(full)
+            return
+        if len(self._waiting):
+            self._swap(self._fitted(self._waiting, self._source) if self._fit is None else self._fit.result())
+        self._waiting = full
+        self._fit = None if self._pool is None else self._pool.submit(self._fitted, full, self._source)
+
+    def _mapped_onto(self, source: SourcePairs, queue: Array) -> TransportMap:
         return exact_map(queue, source.windows, source.placed, self._plan)
 
-    def _swap(self) -> None:
+    def _fitted(self, queue: Array, source: SourcePairs) -> "_Fitted":
+        found = self._mapped_onto(source, queue)
+        return _Fitted(found, self._moved_by(found, queue), self._chance)
+
+    def _swap(self, fitted: "_Fitted") -> None:
         """Put the map of the queue that waits in force."""
-        # A plan takes a fraction of the time in which a queue fills: live, it is there by now.
-        self._use(self._fitted(self._waiting, self._source) if self._fit is None else self._fit.result())
-        now, then = self._waiting[:, -1], self._calibrated
+        self._use(fitted.map)
+        now, then, doubt = self._waiting[:, -1], self._known[:, -1], self._method.doubt
         gain = float(then.std() / max(now.std(), 1e-12))
         shift, log_gain = float((now.mean() - then.mean()) / then.std()), -float(np.log(gain))
-        self._change(
-            t_s=self._intake.last_s,
-            gain=gain,
-            offset=float(then.mean() - gain * now.mean()),
-            shift=shift,
-            log_gain=log_gain,
-            verdict=FOLLOWED,
-            reason="",
+        # All of it may be another use: nothing in a queue tells it from drift.
+        self._doubt = max(fitted.chance, fitted.moved)
+        predicted = float(np.hypot(self._calibrated_rmse, self._doubt))
+        is_sure = fitted.moved**2 > doubt.certain * fitted.chance**2
+        is_due = is_sure and predicted > doubt.alarm_ratio * self._calibrated_rmse
+        self._due = due(QUEUE) if is_due else ""
+        usual = self._network.evaluate(self._calibration.unit_map.apply(self._known))
+        is_blind = fitted.chance > self._method.online.blind * float(usual.std())
+        self._put(
+            replace(
+                self._current,
+                row=self._row,
+                t_s=self._intake.last_s,
+                gain=gain,
+                offset=float(then.mean() - gain * now.mean()),
+                shift=shift,
+                log_gain=log_gain,
+                predicted_rmse=predicted,
+                verdict=UNWATCHED if is_blind else FOLLOWED,
+                reason=QUEUE_DIFFERS if is_blind else "",
+                alarm=self._due,
+            )
         )
 
     def _use(self, fitted: TransportMap) -> None:
@@ -162,66 +215,25 @@ class QueuedTransport(Batches):
         if self._mode == "ot-improved":
             self._source = SourcePairs(fitted.stored, fitted.stored + fitted.displacement)
 
-    def _change(self, **changed: Any) -> None:
-        self._current = MapUpdate(**{**asdict(self._current), **changed, "row": self._row})
-        self._updates.append(self._current)
-
-    def reconnect(self, row: int = 0) -> None:
-        """Go on after an interruption of unknown length: windows start anew; map, queue and source stay.
-
-        Args:
-            row: count rows from here at least.
-        """
-        self._row = max(self._row, row)
-        # A batch never holds rows from before and after the interruption.
-        self._row += -self._row % self._method.intake.batch
-        self._intake, self._is_silent = self._fresh_intake(), True
-
-    def state(self) -> dict[str, object]:
-        """Return all that a restart needs besides what the constructor is given, as JSON values.
-
-        A queue of 512 windows makes up to 0.6 MB.
-        """
-        arrays = {"filling": self._filling, "waiting": self._waiting}
+    def _own_state(self) -> dict[str, object]:
+        # A queue of 512 windows makes up to 0.6 MB.
+        arrays: dict[str, NDArray[Any]] = {"filling": self._filling, "waiting": self._waiting}
+        if isinstance(self._calibration.unit_map, AnchoredMap) and self._source is not None:
+            arrays |= {"windows": self._source.windows, "placed": self._source.placed}
         if isinstance(self._map, TransportMap) and self._map is not self._calibration.unit_map:
-            arrays |= {"stored": self._map.stored, "displacement": self._map.displacement}
-        return {
-            "format": f"{FORMAT} {self._mode}",
-            "method": self._method.to_json(),
-            "row": self._row,
-            "silent_batches": self._silent_batches,
-            "is_silent": self._is_silent,
-            "current": asdict(self._current),
-            "intake": self._intake.state(),
-            "arrays": {name: values.tolist() for name, values in arrays.items()},
-        }
+            arrays |= self._map.arrays()
+        return {"due": self._due, "arrays": {name: values.tolist() for name, values in arrays.items()}}
 
-    def restore(self, state: Mapping[str, Any]) -> list[str]:
-        """Go on from a `state()` taken earlier, of the same unit, calibration and mode.
-
-        Returns:
-            The numbers of the method that have changed since, as `name: earlier value, now value`.
-
-        Raises:
-            InputError: the state was taken by a version or mode that keeps other things in it; nothing was changed.
-        """
-        expected = f"{FORMAT} {self._mode}"
-        if (found := state.get("format", 1)) != expected:
-            raise InputError(f"its state has format {found}, this mode goes on from format {expected} alone")
-        if wrong := set(self.state()) ^ set(state):
-            raise InputError(f"its state does not fit this version: {min(wrong)} is missing or unknown")
-        current, intake = restored(MapUpdate, state["current"]), self._fresh_intake()
-        intake.restore(state["intake"])
+    def _restore_own(self, state: Mapping[str, Any]) -> None:
+        if (queue := UseMethod.of(state["method"]).online.queue) != self._queue:
+            raise InputError(f"its queues have {queue} windows, this one {self._queue}; give --queue {queue}")
         kept = {name: _rows(name, rows) for name, rows in state["arrays"].items()}
-        self._current, self._intake = current, intake
-        self._row, self._silent_batches = int(state["row"]), int(state["silent_batches"])
-        self._is_silent = bool(state["is_silent"])
-        self._filling, self._waiting = kept["filling"], kept["waiting"]
+        self._filling, self._waiting, self._fit = kept["filling"], kept["waiting"], None
+        self._due = str(state["due"])
+        if "placed" in kept:
+            self._source = SourcePairs(kept["windows"], kept["placed"])
         if "stored" in kept:
             self._use(TransportMap(kept["stored"], kept["displacement"], NAME, self._plan.neighbours))
-        self._fit = None
-        self._updates.clear()
-        return self._method.changes(UseMethod.of(state["method"]))
 
 
 def _rows(name: str, kept: Any) -> Array:

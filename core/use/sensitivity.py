@@ -8,7 +8,7 @@ from softcal.core.network.network import Network
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.uncertainty import NORMAL_90
-from softcal.core.use.activity import CalibratedUse, learn_use
+from softcal.core.use.activity import CalibratedUse, Curve, learn_use
 from softcal.core.use.method import DoubtConfig, UseMethod
 from softcal.core.windows import resting
 
@@ -24,21 +24,27 @@ def learn_sensitivity(
         return network.evaluate(calibration.unit_map.apply(moved))
 
     is_rising = np.cov(windows[:, -1], estimates(windows))[0, 1] >= 0
-    zero_output = _zero_load_output(recording, estimates, method.cycle.swing, config)
-    use = learn_use(recording, bool(is_rising), zero_output, method)
+    curve = _curve(recording, estimates, method.cycle.swing, config)
+    zero_output = _zero_load_output(curve, *np.quantile(recording.output, method.cycle.swing))
+    use = learn_use(recording, bool(is_rising), zero_output, method, curve if zero_output is not None else None)
     # A difference over a finite step, not the derivative: f is piecewise linear with kinks close together.
     step = config.slope_step * use.scale
     rise = (estimates(windows + step) - estimates(windows - step)) / (2 * config.slope_step)
     return use, float(np.sqrt(np.mean(rise**2)))
 
 
-def _zero_load_output(
+def _curve(
     recording: OutputRecording, estimates: Callable[[Array], Array], swing: tuple[float, float], config: DoubtConfig
-) -> float | None:
-    """Return the constant output that is estimated as zero, up to a swing beyond the recording; None without one."""
+) -> Curve:
+    """Return what constant outputs are estimated as, up to a swing beyond the recording."""
     low, high = np.quantile(recording.output, swing)
     levels = np.linspace(2 * low - high, 2 * high - low, config.zero_levels)
-    values = estimates(resting(levels))
+    return Curve(levels, estimates(resting(levels)))
+
+
+def _zero_load_output(curve: Curve, low: float, high: float) -> float | None:
+    """Return the constant output that is estimated as zero; None without one."""
+    levels, values = curve.output, curve.load
     crossings = np.flatnonzero(values[:-1] * values[1:] <= 0)
     if not len(crossings):
         return None

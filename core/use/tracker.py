@@ -40,7 +40,7 @@ from softcal.core.use.observation import (
     Observation,
     TrackerState,
 )
-from softcal.core.use.reseating import is_like_but_for_shape, rest_beyond, rest_step
+from softcal.core.use.reseating import RestBeyond, is_like_but_for_shape, rest_beyond, rest_step
 from softcal.core.use.trust import Trust, movement
 
 
@@ -120,7 +120,7 @@ class DriftTracker:
         if index < 0:
             return self._meet_stranger(standard)
         now.strangers.clear()
-        now.stray = now.stray_before
+        now.stray, now.away = now.stray_before, 0.0
         now.was_known = True
         return self._compare(standard, index)
 
@@ -163,7 +163,7 @@ class DriftTracker:
                 chance=float(np.trace(now.filter.doubt())),
                 walked=float(np.trace(self._walked(t_s))),
                 moved=now.trust.moved,
-                use_share=now.trust.use_share,
+                use_share=self._method.trust.use_share,
                 use_doubt=now.trust.use_doubt(drift, applied),
                 preload_doubt=now.trust.preload_doubt(drift, applied),
                 unseen=min(1.0, now.unseen_s / self._use.duration_s),
@@ -171,6 +171,7 @@ class DriftTracker:
                 unresolved=now.unresolved,
                 missed=now.missed,
                 stray=now.stray,
+                away=now.away,
                 lag=self._lag(),
             ),
             self._method.doubt,
@@ -211,7 +212,7 @@ class DriftTracker:
         candidates = [k for k, activity in enumerate(now.activities) if activity.strangeness(cycle) <= 1]
         # Use goes on as it was more often than it changes: of two activities that fit, the latest.
         candidates.sort(key=lambda k: k != now.latest)
-        fitting = [k for k in candidates if not self._is_jump(cycle, k)]
+        fitting = [k for k in candidates if not self._is_jump(cycle, k) and not self._is_programme(cycle, k)]
         return (fitting or candidates or [-1])[0]
 
     def _is_jump(self, cycle: Cycle, index: int) -> bool:
@@ -239,6 +240,18 @@ class DriftTracker:
         near, far = (float(d @ np.linalg.solve(activity.noise, d)) for d in (apart, surprise))
         return near < far
 
+    def _is_programme(self, cycle: Cycle, index: int) -> bool:
+        """Return whether the size of a cycle stepped from that of the ones before, in a use that a machine times.
+
+        A drift gets there little by little.
+        """
+        now, activity = self._now, self._now.activities[index]
+        if not activity.is_imposed or now.recent_of != index or not now.recent:
+            return False
+        step = activity.drift_of(cycle, self._use.rest_is_low)[1] - float(np.mean(now.recent))
+        sd = math.sqrt(float(activity.noise[1, 1]) * (1 + 1 / len(now.recent)))
+        return bool(abs(step) > self._method.jump.sigmas * sd)
+
     def _surprise(self, cycle: Cycle, index: int) -> tuple[Array, Array]:
         """Return the innovation: measured drift less the predicted one, and its covariance."""
         now = self._now
@@ -249,7 +262,7 @@ class DriftTracker:
     def _compare(self, cycle: Cycle, index: int) -> Observation:
         now = self._now
         activity = now.activities[index]
-        if self._is_jump(cycle, index) or self._is_like_jumps(cycle, index):
+        if self._is_jump(cycle, index) or self._is_like_jumps(cycle, index) or self._is_programme(cycle, index):
             return self._meet_jump(cycle, index)
         now.jumps.clear()
         surprise, expected = self._surprise(cycle, index)
@@ -264,13 +277,22 @@ class DriftTracker:
             now.activities[index] = activity.refreshed(cycle, self._method.learning.refresh)
         # A person who has just put the sensor on presses otherwise for a while.
         now.to_settle = max(0, now.to_settle - 1)
+        self._remember(cycle, index)
         self._accept(measured, index)
-        is_open = now.trust.is_use_as_likely(now.filter.drift, self._seen())
-        return self._observation(cycle, FOLLOWED, USE_OR_GAIN if is_open else self._preload(), index)
+        if now.trust.is_use_as_likely(now.filter.drift, self._seen()):
+            return self._observation(cycle, HELD, USE_OR_GAIN, index)
+        return self._observation(cycle, FOLLOWED, self._preload(), index)
 
     def _preload(self) -> str:
         """Return what is to be said of a correction that a change of preload would have asked for as well."""
         return PRELOADED if self._now.trust.may_be_preload and np.any(self._applied()) else ""
+
+    def _remember(self, cycle: Cycle, index: int) -> None:
+        """Keep the log gain of the last few cycles of one activity."""
+        now = self._now
+        before = now.recent if now.recent_of == index else []
+        log_gain = float(now.activities[index].drift_of(cycle, self._use.rest_is_low)[1])
+        now.recent, now.recent_of = [*before[-self._method.jump.recent + 1 :], log_gain], index
 
     def _accept(self, measured: DriftFilter, index: int) -> None:
         """Take a measurement for the drift."""
@@ -304,21 +326,21 @@ class DriftTracker:
             if self._try(cycle, index):
                 return self._observation(cycle, TRIED, REST_MOVED, index)
             return self._held(cycle, f"a sudden change; {config.cycles} like cycles decide what it is", index)
-        after = now.filter.drift + step
-        if np.any(np.abs(step) > config.largest) or np.any(np.abs(after) > self._method.drift.largest):
-            now.alarm = "a sudden change larger than is ever followed; check the sensor and its mounting"
-            return self._held(cycle, now.alarm, index)
         # Without a rest a jump of the sensor and one of the use are the same numbers.
         if not activity.has_rest:
             now.alarm = "a sudden change of sensor or use, which no known rest can tell apart"
             return self._held(cycle, now.alarm, index)
         moved = self._rest_moved(activity, step)
-        if abs(moved) > max(config.floor[0], config.rest_sigmas * activity.rest_scatter):
-            return self._follow_jump(cycle, index, level, moved)
-        now.unresolved = 0.0
-        if self._is_improved and len(now.jumps) == config.most and self._learn(now.jumps):
-            now.jumps.clear()
-        return self._held(cycle, "the rest is where it was: the use changed, not the sensor", index)
+        if abs(moved) <= max(config.floor[0], config.rest_sigmas * activity.rest_scatter):
+            now.unresolved = 0.0
+            if self._is_improved and len(now.jumps) == config.most and self._learn(now.jumps):
+                now.jumps.clear()
+            return self._held(cycle, "the rest is where it was: the use changed, not the sensor", index)
+        after = now.filter.drift + np.array([moved, 0.0])
+        if abs(moved) > config.largest[0] or abs(after[0]) > self._method.drift.largest[0]:
+            now.alarm = "a sudden change larger than is ever followed; check the sensor and its mounting"
+            return self._held(cycle, now.alarm, index)
+        return self._follow_jump(cycle, index, level, moved)
 
     def _jump_level(self, cycle: Cycle, activity: Activity) -> Array:
         """Add a cycle to the like ones since a jump; return the drift they show."""
@@ -347,10 +369,12 @@ class DriftTracker:
     def _rest_moved(self, activity: Activity, step: Array) -> float:
         """Return how far a jump moved the output at rest and at zero load alike, which no use does."""
         now = self._now
-        levels = [level for level in (activity.rest, now.trust.zero) if level is not None]
+        trust = replace(now.trust, rest=activity.rest, pivots=activity.pivots)
         drift = now.filter.drift
-        moved = [movement(drift + step, level) - movement(drift, level) for level in levels]
-        # Use moves one of the two levels at most, so the smaller movement is surely the sensor's.
+        moved = [
+            movement(drift + step, level) - movement(drift, level) for level in trust.levels(float(step[1])).tolist()
+        ]
+        # Use leaves one of the levels where it was, so the smallest movement is surely the sensor's.
         return min(moved, key=abs) if min(moved) * max(moved) > 0 else 0.0
 
     def _follow_jump(self, cycle: Cycle, index: int, level: Array, moved: float) -> Observation:
@@ -365,7 +389,7 @@ class DriftTracker:
         # Wide process noise lets the filter go to the new place at once instead of averaging over old cycles.
         free = now.filter.moved(np.diag((np.array(config.largest) / config.largest_sigmas) ** 2))
         now.trust = now.trust.reseated(now.filter.drift, self._seen(), moved, round(self._memory))
-        now.trend, now.to_settle = np.zeros_like(now.trend), 0
+        now.trend, now.to_settle, now.recent = np.zeros_like(now.trend), 0, []
         self._accept(free.measured(index, level, activity.noise / config.cycles), index)
         return self._observation(cycle, JUMPED, reason, index)
 
@@ -415,7 +439,7 @@ class DriftTracker:
         shift, gain = float(now.filter.drift[0]), float(np.exp(now.filter.drift[1]))
         # The drift known now is taken out first, or it would become part of what the activity is compared with.
         calibrated = [c.standardised(shift, gain) for c in cycles]
-        lesson = learn_activity(calibrated, self._use.rest_is_low, self._method.activity)
+        lesson = learn_activity(calibrated, self._use.rest_is_low, self._method.activity, self._use.curve)
         activity = lesson.activity
         if activity is None:
             return False
@@ -430,7 +454,7 @@ class DriftTracker:
         now.activities.append(replace(activity, is_imposed=is_imposed))
         now.stray_before = now.stray
         now.filter = now.filter.with_learnt(activity.doubt)
-        now.latest = len(now.activities) - 1
+        now.latest, now.recent = len(now.activities) - 1, []
         return True
 
     def _moved_meanwhile(self, lesson: Lesson, activity: Activity) -> float:
@@ -449,13 +473,11 @@ class DriftTracker:
         No use goes below the output of no load. One that stays above the known rests is as likely a preload as a sensor
         that has moved; of a first use nobody knows yet whether it is preloaded.
         """
-        now, use, trust = self._now, self._use, self._method.trust
+        now, trust = self._now, self._method.trust
         if len(cycles) < self._method.activity.min_cycles:
             return 0.0
-        levels = [a.rest for a in now.activities if a.has_rest] + ([] if use.zero is None else [use.zero])
-        levels.append(((use.low if use.rest_is_low else use.high) - use.mean) / use.scale)
-        expected = float(now.filter.drift[0]) + float(np.exp(now.filter.drift[1])) * np.array(levels)
-        found = rest_beyond(cycles, expected, use.rest_is_low, self._method.jump)
+        found = self._beyond(cycles)
+        now.away = abs(self._beyond(cycles[-self._method.activity.min_cycles :]).away)
         sd = math.hypot(found.sd, math.sqrt(float(now.filter.doubt()[0, 0])))
         sure = now.trust.sure_size(np.array([found.away]), np.array([sd]))
         if found.away < 0:
@@ -463,6 +485,14 @@ class DriftTracker:
         if not now.activities:
             return 0.0
         return math.sqrt(1 - trust.use_share) * max(0.0, sure - max(found.turning, trust.step))
+
+    def _beyond(self, cycles: list[Cycle]) -> RestBeyond:
+        """Return where cycles rest against zero load and wherever any known use rests, as the drift has it now."""
+        now, use = self._now, self._use
+        levels = [a.rest for a in now.activities if a.has_rest] + ([] if use.zero is None else [use.zero])
+        levels.append(((use.low if use.rest_is_low else use.high) - use.mean) / use.scale)
+        expected = float(now.filter.drift[0]) + float(np.exp(now.filter.drift[1])) * np.array(levels)
+        return rest_beyond(cycles, expected, use.rest_is_low, self._method.jump)
 
     def _held(self, cycle: Cycle, reason: str, index: int = -1) -> Observation:
         self._now.unseen_s += cycle.duration_s

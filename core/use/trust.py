@@ -1,22 +1,21 @@
 """Which part of an estimated drift is applied: what is no chance, and what no change of use explains as well.
 
-A person who presses harder and a sensor whose gain rises give the same output: its amplitude grows about the level of
-no load, which stands still. The two differ in two ways. A sensor that ages also shifts its rest; use does not. And
-where a machine times the cycles, the amplitude does not change by itself, so a change is the sensor's gain.
-The choice is argued in docs/decisions/0060-use-or-gain.md.
+A person who presses harder and a sensor whose gain rises give the same output: its amplitude grows about a level that
+stands still, that of no load. Of a bent characteristic that level is worked out (`Activity.pivots`). A sensor that ages
+also shifts its rest; use does not. The choice is argued in docs/decisions/0060-use-or-gain.md.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.core.use.activity import Activity
-from softcal.core.use.kept import not_kept
+from softcal.core.use.activity import NO_PIVOTS, Activity
+from softcal.core.use.kept import array, not_kept
 from softcal.core.use.method import TrustConfig
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Trust:
     """What is known about the sensor and its use that decides which part of a drift is applied.
 
@@ -24,6 +23,7 @@ class Trust:
         zero: output at zero load in scales of the calibrated use; None where f gives no zero.
         rest: unloaded level of the latest known activity that returns to one; None while none did.
         is_imposed: whether a machine times the latest known activity.
+        pivots: (2, u) of the latest known activity that returns to a rest.
         level: how far the rest is from its place at calibration, in scales, exponentially smoothed.
         counted: `level` when it last counted as moved (hysteresis).
         moved: the way the rest has surely gone by then: how much this sensor is known to drift.
@@ -38,6 +38,7 @@ class Trust:
     zero: float | None
     rest: float | None = None
     is_imposed: bool = False
+    pivots: Array = field(default_factory=NO_PIVOTS.copy, metadata=array(2, "u"))
     level: float = 0.0
     counted: float = 0.0
     moved: float = 0.0
@@ -82,17 +83,14 @@ class Trust:
             weight: of this cycle in the smoothed rest. A rest that moves for a few cycles only, as after a pause, does
                 not count as drift.
         """
-        rest = activity.rest if activity.has_rest else self.rest
-        known = replace(self, rest=rest, is_imposed=activity.is_imposed)
+        known = replace(self, is_imposed=activity.is_imposed)
+        if activity.has_rest:
+            known = replace(known, rest=activity.rest, pivots=activity.pivots)
         # The gain of a re-seating is what the filter has found when the last of its cycles is in.
         if self.fresh == 1:
             known = known._seated(float(known.applied(drift, covariance)[1]))
         elif self.fresh:
             known = replace(known, fresh=self.fresh - 1)
-        # A machine's gain is surely the sensor's, so it shows how much this sensor drifts as well as a rest does.
-        if activity.is_imposed:
-            gone = float(known.applied(drift, covariance)[1]) - known.seated
-            return replace(known, moved=max(self.moved, abs(gone) / self.gain_per_shift(activity.rest)))
         standing = known.standing_level(drift)
         if standing is None:
             return known
@@ -103,42 +101,48 @@ class Trust:
             return replace(known, level=level)
         return replace(known, level=level, counted=level, moved=self.moved + step)
 
-    def standing_level(self, drift: Array) -> float | None:
-        """Return the level between rest and zero load that moved least; None where neither is known.
+    def levels(self, log_gain: float) -> Array:
+        """Return the levels, one of which a change of use leaves where it was: rest, zero load, and the pivot."""
+        found = [level for level in (self.rest, self.zero) if level is not None]
+        if self.pivots.size:
+            found.append(float(np.interp(log_gain, *self.pivots)))
+        return np.array(found)
 
-        A change of use leaves one such level where it was, that of no load.
-        """
+    def standing_level(self, drift: Array) -> float | None:
+        """Return the level between rest, zero load and pivot that moved least; None where no rest is known."""
         if self.rest is None:
             return None
-        if self.zero is None:
-            return self.rest
-        first, second = movement(drift, self.rest), movement(drift, self.zero)
+        levels = self.levels(float(drift[1]))
+        moved = np.array([movement(drift, level) for level in levels])
+        first, last = int(np.argmin(moved)), int(np.argmax(moved))
         # Opposite movements: the level that stood still lies between the two.
-        if first * second <= 0:
-            return self.rest + (self.zero - self.rest) * abs(first) / max(abs(first) + abs(second), 1e-12)
-        return self.rest if abs(first) <= abs(second) else self.zero
+        if moved[first] <= 0 <= moved[last]:
+            share = -moved[first] / max(moved[last] - moved[first], 1e-12)
+            return float(levels[first] + share * (levels[last] - levels[first]))
+        return float(levels[np.argmin(np.abs(moved))])
 
     def applied(self, drift: Array, covariance: Array) -> Array:
         """Return the (2,) shift and log gain that are sure enough to be applied.
 
         A log gain turns the output about a level. Where a machine times the use, that is the level at which shift and
-        log gain are uncorrelated, and each is judged by itself. Otherwise it is the level that use cannot move, and
-        the log gain is bounded: were it use after all, it would move the mean no further than correcting the shift of
-        the rest has repaid.
+        log gain are uncorrelated, and each is judged by itself. Otherwise it is the level that use cannot move, and the
+        log gain is bounded: were it use after all, it would move the mean no further than correcting the shift of the
+        rest has repaid.
         """
         log_gain = sure = self._sure(float(drift[1]), covariance)
+        level = self.standing_level(drift)
         if self.is_imposed:
+            # A machine does not press harder little by little; a new programme comes at once, and is told before this.
             level = -float(covariance[0, 1] / covariance[1, 1])
-        elif (standing := self.standing_level(drift)) is not None:
-            level = standing
+        elif level is None:
+            return np.zeros(2)
+        else:
             most = self.gain_per_shift(level) * self.moved
             vouched = float(np.clip(log_gain, self.seated - most, self.seated + most))
             if self.fresh:
                 vouched = self._reseated_gain(drift, covariance, self.gain_per_shift(level) * self.step)
             # Never more than is estimated: gain and use that cancel are less likely than neither.
             log_gain = float(np.clip(vouched, min(0.0, log_gain), max(0.0, log_gain)))
-        else:
-            return np.zeros(2)
         shift = self._sure_movement(drift, covariance, level)
         # A rest that follows the size of the use, up to here, is the sensor's creep and no drift.
         creep = -level * float(np.expm1(sure - log_gain)) * self.config.creep
@@ -157,24 +161,21 @@ class Trust:
     @property
     def may_be_preload(self) -> bool:
         """Whether a rest that moves may be a preload that changed: the use does not come to zero load."""
-        if self.rest is None or self.is_imposed:
+        if self.rest is None:
             return False
         return self.zero is None or abs(self.rest - self.zero) > self.config.preload
-
-    @property
-    def use_share(self) -> float:
-        """Prior probability that a change of amplitude is use."""
-        return 0.0 if self.is_imposed else self.config.use_share
 
     def use_doubt(self, drift: Array, applied: Array) -> float:
         """Return the expected square, in scales, of the error of a correction whose log gain may have been use."""
         level = self.standing_level(drift)
-        return 0.0 if level is None else self.use_share * float(applied[1]) ** 2 * (1 + level**2)
+        return 0.0 if level is None else self.config.use_share * float(applied[1]) ** 2 * (1 + level**2)
 
     def preload_doubt(self, drift: Array, applied: Array) -> float:
         """Return the same of a correction whose shift may have been a preload that changed."""
         level = self.standing_level(drift)
-        return self.use_share * movement(applied, level) ** 2 if self.may_be_preload and level is not None else 0.0
+        return (
+            self.config.use_share * movement(applied, level) ** 2 if self.may_be_preload and level is not None else 0.0
+        )
 
     def is_use_as_likely(self, drift: Array, covariance: Array) -> bool:
         """Return whether part of a sure log gain is not applied because use explains it as well."""

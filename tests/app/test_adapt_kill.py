@@ -15,7 +15,8 @@ import pandas as pd
 import pytest
 
 from softcal.app.cli.main import main
-from softcal.app.use.adapt import AdaptOptions, Follower, unit_in_use
+from softcal.app.registry.unit import unit_in_use
+from softcal.app.use.adapt import AdaptOptions, Follower
 from softcal.db.connection import open_registry
 
 pytestmark = pytest.mark.long

@@ -56,7 +56,7 @@ def test_lines_from_a_pipe_become_lines_on_standard_output(
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "t_s,estimate,lower,upper,flag"
     assert len(lines) == 1 + len(piped) + 1
-    assert lines[100].endswith("invalid") and lines[-1].endswith("invalid")
+    assert "invalid" in lines[100] and "invalid" in lines[-1]
     assert float(lines[300].split(",")[1]) == pytest.approx(piped["reference"][299], abs=0.4)
 
 
@@ -216,7 +216,7 @@ def test_serial_port_is_read_over_an_unplugging(bench: Path, tmp_path: Path) -> 
     device.join(20)
     rows = pd.read_csv(target)
     assert rows["t_s"].is_monotonic_increasing
-    flags = rows["flag"].fillna("").tolist()
+    flags = rows["flag"].str.split("; ").str[0].tolist()
     assert flags[:14] == ["warm-up"] * 14
     assert flags.count("gap") >= 14
     assert rows["estimate"].notna().sum() > 100

@@ -217,7 +217,7 @@ def test_every_order_every_end_of_a_run_and_every_step_in_use_has_a_name() -> No
     assert [(language, name) for language in LANGUAGES for name in named if name not in catalogue()[language]] == []
 
 
-@pytest.mark.parametrize("module", ["tracker", "adapter", "queued"])
+@pytest.mark.parametrize("module", ["tracker", "batches"])
 def test_every_reason_to_calibrate_again_has_its_korean_text(
     module: str, english_in: Callable[[str], list[str]]
 ) -> None:

@@ -20,7 +20,8 @@ from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Decision, Judgement, Verdict
-from softcal.core.use.adapter import RECALIBRATE, STATE_FORMAT, UNSETTLED, AdaptConfig, Adapter
+from softcal.core.use.adapter import STATE_FORMAT, AdaptConfig, Adapter
+from softcal.core.use.batches import BETWEEN, RECALIBRATE, STATES, UNSETTLED
 from softcal.core.use.doubt import MISSED, UNCOMPARED
 from softcal.core.use.intake import WRONG_RATE
 from softcal.core.use.method import UseMethod
@@ -98,6 +99,16 @@ def rmse(values: Array, reference: Array) -> float:
     return float(np.sqrt(np.nanmean((values - reference) ** 2)))
 
 
+def why(flags: Array) -> list[str]:
+    """Why each row is not to be trusted; empty where it is. The last word of a flag is the state of its map."""
+    assert {flag.rpartition(BETWEEN)[2] for flag in flags} <= set(STATES)
+    return [flag.rpartition(BETWEEN)[0] for flag in flags]
+
+
+def state(flags: Array) -> list[str]:
+    return [flag.rpartition(BETWEEN)[2] for flag in flags]
+
+
 def test_one_by_one_and_in_pieces_give_the_same_rows(make_adapter: Callable[..., Adapter]) -> None:
     t_s, output_V, _ = stream(30.0)
     output_V = drifted(output_V)
@@ -161,7 +172,7 @@ def test_drift_that_is_followed_raises_no_alarm(make_adapter: Callable[..., Adap
     rows = adapter.advance(t_s, drifted(output_V, gain=1.0))
 
     assert rmse(rows.estimate, force_N) < 2 * adapter.take_updates()[0].predicted_rmse
-    assert RECALIBRATE not in rows.flag
+    assert RECALIBRATE not in why(rows.flag)
 
 
 def test_interval_holds_the_truth_under_drift(make_adapter: Callable[..., Adapter]) -> None:
@@ -186,8 +197,8 @@ def test_faulty_rows_are_flagged_and_move_nothing(make_adapter: Callable[..., Ad
 
     rows = adapter.advance(faulty_t_s, faulty_V)
 
-    assert rows.flag[[1000, 2000, 3000, 4000]].tolist() == [INVALID] * 4
-    assert set(rows.flag[1001 : 1000 + TAPS]) == {GAP}
+    assert why(rows.flag[[1000, 2000, 3000, 4000]]) == [INVALID] * 4
+    assert set(why(rows.flag[1001 : 1000 + TAPS])) == {GAP}
     assert np.isnan(rows.estimate[[1000, 1001, 2000, 3000, 4000]]).all()
     assert adapter.current.gain == pytest.approx(clean.current.gain, abs=0.01)
     assert adapter.current.offset == pytest.approx(clean.current.offset, abs=0.01)
@@ -225,7 +236,7 @@ def test_first_use_of_a_unit_without_drift_raises_no_alarm(make_irregular: Calla
     rows = adapter.advance(t_s, output_V)
 
     assert {update.alarm for update in adapter.take_updates()} == {""}
-    assert RECALIBRATE not in rows.flag
+    assert RECALIBRATE not in why(rows.flag)
     assert rmse(rows.estimate, force_N) <= 1.02 * rmse(make_irregular("none").advance(t_s, output_V).estimate, force_N)
 
 
@@ -242,6 +253,20 @@ def test_first_use_is_said_to_be_unwatched_and_what_moved_in_it_is_alarmed(
     assert verdicts[:2] == ["start", "unwatched"]
     assert verdicts[-1] != "unwatched"
     assert adapter.current.alarm.startswith(MISSED)
+
+
+def test_interval_holds_the_truth_while_the_first_use_is_learnt_and_the_sensor_drifts(
+    make_irregular: Callable[..., Adapter],
+) -> None:
+    force_N = irregular_N(600.0, 7)
+    t_s, output_V = np.arange(len(force_N)) / RATE_HZ, read_V(force_N, 8)
+
+    rows = make_irregular().advance(t_s, output_V + 0.3 * np.minimum(1.0, t_s / 300.0))
+
+    inside = (rows.lower <= force_N) & (force_N <= rows.upper)
+    assert set(state(rows.flag)) == {"unwatched", "held"}
+    assert rmse(rows.estimate, force_N) > 0.5
+    assert inside[TAPS:].mean() > 0.85
 
 
 def test_use_that_stays_unknown_is_alarmed_after_the_first_day(make_irregular: Callable[..., Adapter]) -> None:
@@ -267,10 +292,10 @@ def test_dropped_samples_and_long_gaps_leave_estimates_out_until_a_window_is_ful
 
     rows = make_adapter().advance(t_s[kept], output_V[kept])
 
-    assert set(rows.flag[: TAPS - 1]) == {WARM_UP}
-    assert set(rows.flag[500 : 500 + TAPS - 1]) == {GAP}
-    assert set(rows.flag[999 : 999 + TAPS - 1]) == {GAP}
-    assert rows.flag[999 + TAPS - 1] == ""
+    assert set(why(rows.flag[: TAPS - 1])) == {WARM_UP}
+    assert set(why(rows.flag[500 : 500 + TAPS - 1])) == {GAP}
+    assert set(why(rows.flag[999 : 999 + TAPS - 1])) == {GAP}
+    assert why(rows.flag[999 + TAPS - 1 :])[0] == ""
 
 
 def test_change_of_rate_is_flagged(make_adapter: Callable[..., Adapter]) -> None:
@@ -280,7 +305,7 @@ def test_change_of_rate_is_flagged(make_adapter: Callable[..., Adapter]) -> None
 
     rows = adapter.advance(t_s, output_V)
 
-    assert set(rows.flag[1000 + TAPS :]) == {WRONG_RATE}
+    assert set(why(rows.flag[1000 + TAPS :])) == {WRONG_RATE}
     assert adapter.current.gain == 1.0
 
 
@@ -290,8 +315,19 @@ def test_clock_that_restarts_goes_on_after_a_stated_number_of_rows(make_adapter:
 
     rows = make_adapter().advance(t_s, output_V)
 
-    assert set(rows.flag[1500 : 1500 + UseMethod().intake.clock_rows - 1]) == {INVALID}
-    assert rows.flag[1500 + UseMethod().intake.clock_rows + TAPS] == ""
+    assert set(why(rows.flag[1500 : 1500 + UseMethod().intake.clock_rows - 1])) == {INVALID}
+    assert why(rows.flag[1500 + UseMethod().intake.clock_rows + TAPS :])[0] == ""
+
+
+def test_every_row_says_whether_its_map_is_unwatched_held_or_followed(make_adapter: Callable[..., Adapter]) -> None:
+    t_s, output_V, _ = stream(240.0)
+    harder_V = np.where(t_s > 120.0, REST_V + 1.5 * (output_V - REST_V), output_V)
+
+    usual, harder = (make_adapter().advance(t_s, values).flag for values in (output_V, harder_V))
+
+    assert set(state(usual[:50])) == {"unwatched"} and set(state(usual[200:])) == {"followed"}
+    assert "held" in state(harder[6100:])
+    assert set(make_adapter("none").advance(t_s, output_V).flag[TAPS:]) == {""}
 
 
 def test_stuck_sensor_is_held_and_alarmed(make_adapter: Callable[..., Adapter]) -> None:
@@ -301,7 +337,7 @@ def test_stuck_sensor_is_held_and_alarmed(make_adapter: Callable[..., Adapter]) 
 
     rows = adapter.advance(t_s, output_V)
 
-    assert rows.flag[-1] == STUCK
+    assert why(rows.flag)[-1] == STUCK
     assert adapter.current.alarm
     assert (adapter.current.gain, adapter.current.offset) == (1.0, 0.0)
 
@@ -312,7 +348,7 @@ def test_rows_after_a_sudden_change_are_flagged_until_it_is_followed(make_adapte
 
     rows = make_adapter().advance(t_s, seated)
 
-    wrong = np.flatnonzero(rows.flag == UNSETTLED)
+    wrong = np.flatnonzero(np.array(why(rows.flag)) == UNSETTLED)
     after = 3000
     assert len(wrong) > 0 and wrong[0] >= after
     assert wrong[-1] < after + 400
@@ -328,7 +364,7 @@ def test_unsafe_drift_flags_the_rows_as_due_for_recalibration(make_adapter: Call
 
     assert adapter.current.alarm
     assert adapter.current.predicted_rmse > 0.1
-    assert RECALIBRATE in rows.flag[-200:] or "out of range" in rows.flag[-200:]
+    assert {RECALIBRATE, "out of range"} & set(why(rows.flag[-200:]))
 
 
 def test_restart_from_the_kept_state_gives_the_same_rows(make_adapter: Callable[..., Adapter]) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softcal.core.recording import Array, OutputRecording
-from softcal.core.use.activity import CalibratedUse, learn_use
+from softcal.core.use.activity import CalibratedUse, Curve, learn_use
 from softcal.core.use.cycles import Cycle, CycleCutter
 from softcal.core.use.doubt import STRAY
 from softcal.core.use.method import UseMethod
@@ -34,7 +34,11 @@ def presses(
 
 def calibrated_use(output: Array | None = None, zero_output: float | None = None) -> CalibratedUse:
     output = presses(120.0) if output is None else output
-    return learn_use(OutputRecording("A1", np.arange(len(output)) / RATE_HZ, output, RATE_HZ), True, zero_output)
+    return learn_use(recorded(output), True, zero_output)
+
+
+def recorded(output: Array) -> OutputRecording:
+    return OutputRecording("A1", np.arange(len(output)) / RATE_HZ, output, RATE_HZ)
 
 
 def cycles_of(output: Array, use: CalibratedUse, start_s: float = 0.0) -> list[Cycle]:
@@ -159,6 +163,42 @@ def test_presses_of_a_machine_that_slowly_grow_larger_are_gain() -> None:
     observe(tracker, 1 + (output - 1) * gain, use)
 
     assert error_of(tracker, 1.15, 1 - 1.15) < 0.03
+
+
+@pytest.mark.parametrize("share", [0.9, 1.1])
+def test_presses_of_a_machine_that_grow_at_once_about_a_standing_rest_are_another_programme(share: float) -> None:
+    """A tenth is less than what any jump of a person's use must be; the filter followed it as a gain."""
+    use, tracker = begun(presses(400.0, scatter=0.004), used_s=0.0)
+    output = presses(1200.0, seed=4, scatter=0.004)
+    load = np.where(np.arange(len(output)) > len(output) // 2, share, 1.0)
+
+    seen = observe(tracker, 1 + (output - 1) * load, use)
+
+    assert error_of(tracker, 1.0, 0.0) < 0.02
+    assert HELD in {one.verdict for one in seen}
+
+
+@pytest.mark.parametrize("bend", [-0.5, 0.5])
+@pytest.mark.parametrize("share", [0.6, 1.3, 1.6])
+@pytest.mark.parametrize("rest", [0.0, 0.15])
+def test_another_load_of_a_bent_sensor_that_turns_above_zero_load_is_use(
+    bend: float, share: float, rest: float
+) -> None:
+    """Lag and creep keep it from zero load: its rest moves with the load, though the sensor does not."""
+
+    def sensed(load: Array) -> Array:
+        return 1.0 + (1 + 0.3 * bend) * load - 0.5 * bend * load**2 * 0.5
+
+    levels = np.linspace(-0.5, 2.5, 300)
+    curve = Curve(sensed(levels), levels)
+    load = rest + (1 - rest) * (presses(400.0, timing=0.04) - 1.0)
+    use = learn_use(recorded(sensed(load)), True, 1.0, curve=curve)
+    tracker = DriftTracker(use, is_improved=True)
+    used = rest + (1 - rest) * (presses(1600.0, seed=2, timing=0.04) - 1.0)
+
+    observe(tracker, sensed(used * np.where(np.arange(len(used)) > len(used) // 2, share, 1.0)), use)
+
+    assert error_of(tracker, 1.0, 0.0) < 0.03
 
 
 def test_pause_keeps_the_swing_that_cycles_are_cut_with() -> None:

@@ -55,10 +55,9 @@ def test_rest_that_follows_the_size_of_the_use_is_its_creep(shift: float, applie
     assert left == pytest.approx(applied)
 
 
-def test_gain_of_a_person_is_doubted_and_that_of_a_machine_is_not() -> None:
+def test_gain_that_may_be_use_is_doubted() -> None:
     applied = np.array([0.0, 0.2])
 
-    assert Trust(zero=REST, rest=REST, is_imposed=True).use_doubt(applied, applied) == 0
     # Half the mean square of a wrong gain of 0.2 about the rest, over a use of mean 0 and scale 1.
     assert Trust(zero=REST, rest=REST).use_doubt(applied, applied) == pytest.approx(0.5 * 0.2**2 * (1 + REST**2))
 

@@ -1,0 +1,390 @@
+"""Long use: is following better where a sensor drifts, harmless where it does not, and does every row say which?
+
+    python benchmarks/long_use.py [--streams N] [--beside N] [--seed SEED | --fresh] [--cache FOLDER] [--nylon SEEDS]
+
+Streams of many kinds, drawn at random by simulated_streams.py, and the measured nylon runs (SOFTCAL_DATA). The exit
+code is 1 where a goal is missed. The first `--beside` streams are also estimated by the paper's online method, a
+quantile re-map, CORAL and, where river is installed, its ADWIN with a refit. An alarm is due where, over ten cycles,
+the estimates err by more than the alarm's ratio times the error at calibration.
+"""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from adapt_common import DATA, Unit, calibrate, follow, part_rmse, print_markdown
+from numpy.typing import NDArray
+from simulated_streams import KINDS, Stream, draw
+
+from softcal.core.metrics import rmse
+from softcal.core.network.config import NetworkConfig
+from softcal.core.recording import Array
+from softcal.core.unit.estimate import estimate
+from softcal.core.use.adapter import Adapter
+from softcal.core.use.batches import BETWEEN, STATES
+from softcal.core.use.method import UseMethod
+from softcal.core.windows import TAPS, windows
+
+try:
+    from river.drift import ADWIN
+except ImportError:
+    ADWIN = None
+
+HARM, FALSE_A_DAY, MISSED, COVERED, MIXED, MOST_US = 1.05, 0.1, 0.05, 0.85, 0.85, 1000.0
+BLOCK = 10
+"""Cycles over which an error is looked at."""
+
+DAY_S = 86_400.0
+SHOWN = 15
+LEVELS = np.linspace(0.005, 0.995, 100)
+RATE_HZ = 10.0
+"""Of the nylon runs."""
+
+Remap = Callable[[Array, Array], Callable[[Array], Array]]
+"""From output at calibration and output now to a map of windows."""
+
+
+def quantiles(then: Array, now: Array) -> Callable[[Array], Array]:
+    before, after = np.quantile(then, LEVELS), np.quantile(now, LEVELS)
+    return lambda rows: np.interp(rows, after, before)
+
+
+def coral(then: Array, now: Array) -> Callable[[Array], Array]:
+    """Sun et al. 2016: whiten the windows now, colour them as at calibration."""
+    before, after = windows(then), windows(now)
+
+    def root(values: Array, power: float) -> Array:
+        size, axes = np.linalg.eigh(np.cov(values.T) + 1e-6 * np.var(then) * np.eye(TAPS))
+        return np.asarray((axes * size**power) @ axes.T)
+
+    turned = root(after, -0.5) @ root(before, 0.5)
+    return lambda rows: (rows - after.mean(axis=0)) @ turned + before.mean(axis=0)
+
+
+def remapped(unit: Unit, then: Array, output: Array, remap: Remap) -> Array:
+    """Estimate a stream with a map of its last calibration length, found anew ten times per length."""
+    length = len(then)
+    history = np.concatenate([then, output])
+    found = np.full(len(output), np.nan)
+    for start in range(0, len(output), length // 10):
+        stop = min(len(output), start + length // 10)
+        carried = remap(then, history[start : start + length])(
+            windows(history[start + length - TAPS + 1 : stop + length])
+        )
+        found[start:stop] = unit.network.evaluate(unit.calibration.unit_map.apply(carried))
+    return found
+
+
+def detected(unit: Unit, then: Array, output: Array, cycle: int) -> Array:
+    """Estimate a stream with mean and scale fitted anew on the calibration length after each change ADWIN finds."""
+    detector, carried, begun = ADWIN(), np.concatenate([then[-TAPS + 1 :], output]), None
+    gain, offset, starts = 1.0, 0.0, [(0, 1.0, 0.0)]
+    for end in range(cycle, len(output), cycle):
+        detector.update(float(output[end - cycle : end].mean()))
+        begun = end if detector.drift_detected else begun
+        if begun is not None and end - begun >= len(then) // 4:
+            seen, begun = output[begun:end], None
+            gain = float(then.std() / seen.std())
+            offset = float(then.mean() - gain * seen.mean())
+            starts.append((end, gain, offset))
+    rows = windows(carried)
+    for start, gain, offset in starts:
+        rows[start:] = gain * windows(carried)[start:] + offset
+    return unit.network.evaluate(unit.calibration.unit_map.apply(rows))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one stream.
+
+    Args:
+        kind, unit: of the stream.
+        still, followed: error over the stream without and with following.
+        ratio, last_ratio: followed over still, over the stream and over its last third.
+        is_alarmed: whether an alarm stood anywhere.
+        watched_s: its length.
+        false_alarms: alarms that stood while nothing was due.
+        due, missed: times at which a recalibration was due for two blocks at least; those without an alarm, of which no
+            state but `followed` was said.
+        delays: of those with an alarm, cycles until it stood.
+        said: the last alarm.
+        rows, held: rows with an estimate by state, and those of them whose interval holds the truth.
+        still_held: share of the rows without adaptation whose interval does so.
+        us: mean time of a sample, in microseconds.
+        beside: errors over the stream of what is compared with, over still.
+    """
+
+    kind: str
+    unit: str
+    still: float
+    followed: float
+    ratio: float
+    last_ratio: float
+    is_alarmed: bool
+    watched_s: float
+    false_alarms: int
+    due: int
+    missed: int
+    delays: list[float]
+    said: str
+    rows: dict[str, int]
+    held: dict[str, int]
+    still_held: float
+    us: float
+    beside: dict[str, float] = field(default_factory=dict)
+
+
+def outcome(stream: Stream, has_beside: bool) -> Outcome:
+    """Follow one stream and judge every alarm of it."""
+    bench, used = stream.bench, stream.used
+    adapter = Adapter(bench.network, bench.calibration, stream.calibrated)
+    promised = adapter.current.predicted_rmse
+    began = time.perf_counter()
+    rows = adapter.advance(used.t_s, used.output)
+    us = (time.perf_counter() - began) / len(used) * 1e6
+    updates = adapter.take_updates()
+    state = np.array([flag.rpartition(BETWEEN)[2] for flag in rows.flag])
+    alarms = spans([(u.row, u.alarm) for u in updates], len(used))
+    plain = estimate(bench.network, bench.calibration, used)
+    still = plain.estimate
+    wrong = np.nan_to_num(rows.estimate - stream.load), np.nan_to_num(still - stream.load)
+    whole = [float(np.sqrt(np.mean(e**2))) for e in wrong]
+    last = [float(np.sqrt(np.mean(e[-len(e) // 3 :] ** 2))) for e in wrong]
+    limit = UseMethod().doubt.alarm_ratio * promised
+    due = due_spans(wrong[0], BLOCK * stream.cycle, limit)
+    long = [(a, b) for a, b in due if b - a >= 2 * BLOCK * stream.cycle]
+    is_due = marked(due, len(used))
+    begins = [min((max(a, start) for start, end in alarms if start < b and end > a), default=None) for a, b in long]
+    silent = [span for span, begin in zip(long, begins, strict=True) if begin is None]
+    is_inside = (rows.lower <= stream.load) & (stream.load <= rows.upper)
+    is_known = np.isfinite(rows.estimate)
+    return Outcome(
+        kind=stream.kind,
+        unit=f"{stream.activity}, {stream.curve}{', calibrated on the station' if stream.is_on_station else ''}",
+        still=whole[1],
+        followed=whole[0],
+        ratio=whole[0] / whole[1],
+        last_ratio=last[0] / last[1],
+        is_alarmed=bool(alarms),
+        watched_s=float(np.ptp(used.t_s)),
+        false_alarms=sum(not bool(is_due[a:b].any()) for a, b in alarms),
+        due=len(long),
+        missed=sum(bool(np.mean(state[a:b] == "followed") > 0.5) for a, b in silent),
+        delays=[(begin - a) / stream.cycle for (a, _), begin in zip(long, begins, strict=True) if begin is not None],
+        said=next((u.alarm for u in reversed(updates) if u.alarm), ""),
+        rows={name: int(np.sum(is_known & (state == name))) for name in STATES},
+        held={name: int(np.sum(is_known & is_inside & (state == name))) for name in STATES},
+        still_held=float(np.mean(((plain.lower <= stream.load) & (stream.load <= plain.upper))[TAPS:])),
+        us=us,
+        beside=beside(stream, whole[1]) if has_beside else {},
+    )
+
+
+def beside(stream: Stream, still: float) -> dict[str, float]:
+    """Return the error of every other method over that without adaptation."""
+    bench, then, output = stream.bench, stream.calibrated.output, stream.used.output
+    unit = Unit(bench.source, bench.network, bench.calibration)
+    found = {mode: follow(unit, mode, stream.used.t_s, output, stream.calibrated)[0] for mode in ("ot", "ot-improved")}
+    found["quantile re-map"] = remapped(unit, then, output, quantiles)
+    found["CORAL"] = remapped(unit, then, output, coral)
+    if ADWIN is not None:
+        found["ADWIN + refit"] = detected(unit, then, output, stream.cycle)
+    return {name: rmse(values, stream.load) / still for name, values in found.items()}
+
+
+def spans(said: Sequence[tuple[int, str]], rows: int) -> list[tuple[int, int]]:
+    """Return from which row to which something was said, of (row, words) with empty words where it ended."""
+    found: list[tuple[int, int]] = []
+    start = None
+    for row, words in [*said, (rows, "")]:
+        if words and start is None:
+            start = row
+        elif not words and start is not None:
+            found.append((start, min(row, rows)))
+            start = None
+    return found
+
+
+def due_spans(wrong: Array, block: int, limit: float) -> list[tuple[int, int]]:
+    """Return the runs of blocks whose root mean square is above a limit."""
+    ends = range(block, len(wrong) + 1, block)
+    return spans(
+        [(end - block, "due" if rmse(wrong[end - block : end], np.zeros(block)) > limit else "") for end in ends],
+        len(wrong),
+    )
+
+
+def marked(found: list[tuple[int, int]], rows: int) -> NDArray[np.bool_]:
+    """Return (rows,) whether a row is in one of the spans."""
+    mask = np.zeros(rows, dtype=bool)
+    for a, b in found:
+        mask[a:b] = True
+    return mask
+
+
+def outcomes(count: int, with_beside: int, seed: int, cache: Path | None) -> Iterator[Outcome]:
+    """Judge streams, those of an earlier run from its file."""
+    path = None
+    if cache is not None:
+        cache.mkdir(parents=True, exist_ok=True)
+        # Numbers of another method are not these.
+        path = cache / f"long-use-{seed}-{UseMethod().id[:12]}.jsonl"
+    known: dict[int, Outcome] = {}
+    if path is not None and path.exists():
+        known = {row.pop("number"): Outcome(**row) for row in map(json.loads, path.read_text().splitlines())}
+    for number in range(count):
+        if number not in known:
+            known[number] = outcome(draw(number, seed), number < with_beside)
+            if path is not None:
+                with path.open("a") as file:
+                    file.write(json.dumps({"number": number, **asdict(known[number])}) + "\n")
+        yield known[number]
+
+
+def is_silent(one: Outcome) -> bool:
+    return one.ratio > HARM and not one.is_alarmed
+
+
+def covered(found: list[Outcome], state: str) -> float:
+    rows = sum(one.rows[state] for one in found)
+    return sum(one.held[state] for one in found) / rows if rows else float("nan")
+
+
+def false_a_day(found: list[Outcome]) -> float:
+    return sum(one.false_alarms for one in found) / (sum(one.watched_s for one in found) / DAY_S)
+
+
+def row_of(name: str, found: list[Outcome]) -> list[object]:
+    ratios, delays = np.array([one.ratio for one in found]), [delay for one in found for delay in one.delays]
+    return [
+        name,
+        len(found),
+        float(np.median(ratios)),
+        float(ratios.max()),
+        int(np.sum(ratios > HARM)),
+        sum(map(is_silent, found)),
+        float(np.median([one.last_ratio for one in found])),
+        sum(one.false_alarms for one in found),
+        sum(one.due for one in found),
+        sum(one.missed for one in found),
+        float(np.median(delays)) if delays else "–",
+        *(covered(found, state) for state in STATES),
+        float(np.mean([one.still_held for one in found])),
+        *(
+            100 * sum(one.rows[state] for one in found) / sum(sum(one.rows.values()) for one in found)
+            for state in STATES
+        ),
+    ]
+
+
+def print_tables(found: list[Outcome]) -> None:
+    header = ["kind", "streams", "median ratio", "worst", f"above {HARM:g}", "of these without an alarm"]
+    header += ["median, last third", "false alarms", "due", "missed", "median delay [cycles]"]
+    header += [f"coverage, {state}" for state in STATES] + ["of none"] + [f"{state} [%]" for state in STATES]
+    kinds = {kind: [one for one in found if one.kind == kind] for kind in KINDS}
+    print_markdown(header, [*(row_of(kind, some) for kind, some in kinds.items() if some), row_of("all", found)])
+    print()
+    header = ["worst streams", "unit", "ratio", "last third", "no adaptation", "followed", "alarm"]
+    worst = sorted(found, key=lambda one: -one.ratio)[:SHOWN]
+    print_markdown(
+        header, [[o.kind, o.unit, o.ratio, o.last_ratio, o.still, o.followed, o.said or "none"] for o in worst]
+    )
+    print()
+    if some := [one for one in found if one.beside]:
+        names = ["filter", *some[0].beside]
+        ratios = [{"filter": one.ratio, **one.beside} for one in some]
+        rows = []
+        for kind in KINDS:
+            of_kind = [one for one, outcome in zip(ratios, some, strict=True) if outcome.kind == kind]
+            if of_kind:
+                rows.append([kind, *(float(np.median([one[name] for one in of_kind])) for name in names)])
+        rows.append(["worst of all", *(max(one[name] for one in ratios) for name in names)])
+        rows.append(
+            [f"share above {HARM:g}", *(float(np.mean([one[name] > HARM for one in ratios])) for name in names)]
+        )
+        print_markdown(["median error over none", *names], rows)
+        print()
+
+
+def nylon(seeds: int) -> dict[str, dict[str, float]]:
+    """Print the errors of the nylon runs by quarter; return the later ones over none, by run and mode."""
+    modes = ["none", "improved", "ot 512", "ot-improved 512", "ot 1500"]
+    ratios: dict[str, dict[str, float]] = {}
+    rows = []
+    for path in sorted((DATA / "nylon_drift").glob("*.parquet")):
+        t_s, output, reference = pd.read_parquet(path).to_numpy().T
+        first, later = slice(0, len(t_s) // 4), slice(len(t_s) // 4, None)
+        errors: dict[str, list[list[float]]] = {}
+        for seed in range(seeds):
+            unit = calibrate(t_s[first], output[first], reference[first], RATE_HZ, NetworkConfig(seed=seed))
+            found = {mode: follow(unit, mode, t_s[later], output[later])[0] for mode in modes}
+            found["quantile re-map"] = remapped(unit, output[first], output[later], quantiles)
+            found["CORAL"] = remapped(unit, output[first], output[later], coral)
+            for name, values in found.items():
+                errors.setdefault(name, []).append(
+                    [*part_rmse(values, reference[later], 3), rmse(values, reference[later])]
+                )
+        median = {name: np.median(values, axis=0) for name, values in errors.items()}
+        rows += [[path.stem, part, *(float(m[k]) for m in median.values())] for k, part in enumerate((2, 3, 4, "all"))]
+        ratios[path.stem] = {name: float(m[3] / median["none"][3]) for name, m in median.items()}
+    if rows:
+        print_markdown(["nylon run", "quarter", *ratios[rows[0][0]]], rows)
+        print()
+    return ratios
+
+
+def times_us(samples: int = 4000) -> Array:
+    """Return (samples,) times of single samples on the wall clock, in microseconds."""
+    stream = draw(0, 0)
+    adapter = Adapter(stream.bench.network, stream.bench.calibration, stream.calibrated)
+    found = []
+    for t_s, output in zip(stream.used.t_s[:samples].tolist(), stream.used.output[:samples].tolist(), strict=True):
+        began = time.perf_counter()
+        adapter.step(t_s, output)
+        found.append((time.perf_counter() - began) * 1e6)
+    return np.array(found)
+
+
+def goals(found: list[Outcome], runs: dict[str, dict[str, float]]) -> Iterator[tuple[str, float, float]]:
+    """Yield each goal with what was found and the largest number that meets it."""
+    unmoved = [one.ratio for one in found if one.kind.startswith("no drift")]
+    due = sum(one.due for one in found)
+    yield "worst error over none, without drift", max(unmoved), HARM
+    yield f"streams above {HARM:g} without an alarm", sum(map(is_silent, found)), 0
+    yield "false alarms a day", false_a_day(found), FALSE_A_DAY
+    yield "due alarms missed", sum(one.missed for one in found) / max(1, due), MISSED
+    for state in STATES:
+        yield f"not covered, {state}", 1 - covered(found, state), 1 - COVERED
+    single = times_us()
+    yield "time of a sample, median [µs]", float(np.median(single)), MOST_US
+    yield "time of a sample, 99th percentile [µs]", float(np.quantile(single, 0.99)), MOST_US
+    for run, ratios in runs.items():
+        yield f"{run}: error over none", ratios["improved"], MIXED if run.startswith("mixed") else 1.0
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--streams", type=int, default=528, metavar="N")
+    parser.add_argument("--beside", type=int, default=44, metavar="N")
+    parser.add_argument("--seed", type=int, default=400)
+    parser.add_argument("--fresh", action="store_true", help="a seed nobody has seen")
+    parser.add_argument("--cache", type=Path, help="go on with a run that was cut off")
+    parser.add_argument(
+        "--nylon", type=int, default=1, metavar="SEEDS", help="networks of a nylon run; 0 leaves them out"
+    )
+    options = parser.parse_args()
+    seed = int(np.random.SeedSequence().entropy % 10**9) if options.fresh else options.seed
+    print(f"seed {seed}, {options.streams} streams\n")
+    found = list(outcomes(options.streams, options.beside, seed, options.cache))
+    print_tables(found)
+    reached = list(goals(found, nylon(options.nylon)))
+    print_markdown(
+        ["goal", "found", "at most", "met"], [[n, float(v), float(m), "yes" if v <= m else "no"] for n, v, m in reached]
+    )
+    sys.exit(any(value > most or value != value for _, value, most in reached))
