@@ -132,6 +132,10 @@ def _diagnose_simulator(options: argparse.Namespace) -> int:
         write_json(options.json, diagnosis.report())
     if options.json != "-":
         _show_result(diagnosis)
+        _show_partial(diagnosis)
+    if diagnosis.failures.count:
+        failed = diagnosis.failures
+        say(f"{failed.first}; so at {failed.count} of {failed.of} places, which were avoided")
     return 0
 
 
@@ -189,9 +193,7 @@ def _show(diagnosis: "Diagnosis", target: str | None) -> None:
         print("verdict     data: repair the recordings and diagnose again; nothing else was judged")
         return
     _show_result(diagnosis)
-    if diagnosis.partial is not None:
-        effects = " + ".join(diagnosis.partial.effects)
-        print(f"partly      {effects}: {diagnosis.partial.share:.0%} of the gap on these runs; the rest has no name")
+    _show_partial(diagnosis)
     for cause in (c for c in diagnosis.causes if c.form and c.probability >= 0.5):
         print(f"form        {cause.effect}: the twin has it as {cause.form}; the values above are the catalogue's")
     if diagnosis.residual is not None:
@@ -204,6 +206,12 @@ def _show(diagnosis: "Diagnosis", target: str | None) -> None:
         print(f"missing     {', '.join(diagnosis.case.missing_channels)}")
     if diagnosis.case.unseen_stages:
         print(f"not judged  {', '.join(diagnosis.case.unseen_stages)}: these recordings cannot show them")
+
+
+def _show_partial(diagnosis: "Diagnosis | SimulatorDiagnosis") -> None:
+    if diagnosis.partial is not None:
+        effects = " + ".join(diagnosis.partial.effects)
+        print(f"partly      {effects}: {diagnosis.partial.share:.0%} of the gap on these runs; the rest has no name")
 
 
 def _show_residual(found: "LearnedResidual") -> None:

@@ -23,7 +23,12 @@ def load_simulator(reference: str) -> Simulator:
     if not module_name or not name:
         raise InputError(f"--simulator {reference}: module:name was expected, such as my_rig:SIMULATOR")
     found = getattr(_imported(module_name, reference), name, None)
-    made = found() if callable(found) and not isinstance(found, Simulator) else found
+    try:
+        made = found() if callable(found) and not isinstance(found, Simulator) else found
+    except Exception as error:
+        raise InputError(
+            f"--simulator {reference}: {name}() raises {type(error).__name__}: {error}; it must return a Simulator"
+        ) from error
     if not isinstance(made, Simulator):
         raise InputError(
             f"--simulator {reference}: {name} is {type(made).__name__}; a softcal.core.gap.simulator.Simulator, or a "
@@ -37,10 +42,10 @@ def _imported(module_name: str, reference: str) -> object:
     sys.path.insert(0, here)
     try:
         return importlib.import_module(module_name)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise InputError(
-            f"--simulator {reference}: {module_name} cannot be imported ({error}); it is looked for in {here} "
-            "and among installed packages"
+            f"--simulator {reference}: {module_name} cannot be imported ({type(error).__name__}: {error}); "
+            f"it is looked for in {here} and among installed packages"
         ) from error
     finally:
         sys.path.remove(here)

@@ -12,6 +12,7 @@ from typing import TypeAlias
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from softcal.core.gap.case import Mask
 from softcal.core.gap.colour import Colour, Stretch, log_likelihood, read_noise
 from softcal.core.gap.fit import Block, Fit, Problem
 from softcal.core.gap.library import variables
@@ -81,19 +82,17 @@ def _stretch(found: Fit, block: Block, use: Array | None = None) -> Stretch:
     return Stretch(error, step_s, np.ones(len(error)) if use is None else use)
 
 
-Halves: TypeAlias = Callable[[Fit, Block], Array | None]
+Halves: TypeAlias = Callable[[Fit, Block], Mask | None]
 """Which samples of a channel of a run, (n,), lie in one of two conditions; None where nothing tells."""
 
 Variables: TypeAlias = Callable[[Fit, str], Iterable[Mapping[str, Array]]]
 """What the residual of a channel may follow: (samples,) columns by name, in groups that are tested one by one."""
 
 
-def under_load(found: Fit, block: Block) -> Array | None:
+def under_load(found: Fit, block: Block) -> Mask | None:
     """Return where the sensor of the twin is pressed."""
     run = found.problem.case.runs[block.run]
-    if run.kind != "press" or run.stage_mm is None:
-        return None
-    return np.asarray(run.stage_mm > found.base.u0_mm, dtype=np.float64)
+    return None if run.kind != "press" or run.stage_mm is None else run.stage_mm > found.base.u0_mm
 
 
 def of_chain(found: Fit, channel: str) -> list[Mapping[str, Array]]:
@@ -119,8 +118,9 @@ def _is_even(found: Fit, channel: str, half: Halves) -> bool:
     parts: dict[bool, list[Stretch]] = {False: [], True: []}
     for block in _blocks(found, channel):
         is_inside = half(found, block)
-        for side in (False, True) if is_inside is not None else ():
-            parts[side].append(_stretch(found, block, np.asarray(is_inside == side, dtype=np.float64)))
+        if is_inside is not None:
+            parts[True].append(_stretch(found, block, is_inside.astype(np.float64)))
+            parts[False].append(_stretch(found, block, (~is_inside).astype(np.float64)))
     if any(sum(float(s.use.sum()) for s in part) < CONFIG.fewest for part in parts.values()):
         return True
     white, colour = problem.sigma[channel], problem.colour[channel]

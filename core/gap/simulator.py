@@ -415,13 +415,13 @@ def followed(found: Fit, channel: str) -> list[Mapping[str, Array]]:
     return list(problem.followed(found.predicted, channel).values()) if isinstance(problem, SimulatorProblem) else []
 
 
-def is_high(found: Fit, block: Block) -> Array:
+def is_high(found: Fit, block: Block) -> Mask:
     """Return where a channel of a run lies above its median, (n,)."""
     level = found.predicted[block.place]
-    return np.asarray(level > np.median(level))
+    return np.asarray(level > np.median(level), dtype=np.bool_)
 
 
-def is_quick(found: Fit, block: Block) -> Array:
+def is_quick(found: Fit, block: Block) -> Mask:
     """Return where a channel of a run changes faster than usual, (n,)."""
     rate = np.abs(np.gradient(found.predicted[block.place], found.problem.case.runs[block.run].t_s))
-    return np.asarray(rate > np.median(rate))
+    return np.asarray(rate > np.median(rate), dtype=np.bool_)

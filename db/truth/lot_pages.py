@@ -130,7 +130,7 @@ class LotPages(RegistryBase):
         """
         with self.database.reading() as connection:
             self._lot_row(connection, lot_id)
-            standing = LotStanding.of(connection, lot_id)
+            standing = StandingQuery.of(connection, lot_id)
             table = standing.table(role="target")
             condition: ColumnElement[bool] = and_(True, *wanted.conditions(table))
             order = wanted.order(table)
@@ -188,7 +188,7 @@ class LotPages(RegistryBase):
         """Return a lot's target units by the verdict of their newest result; `none` counts those without."""
         with self.database.reading() as connection:
             self._lot_row(connection, lot_id)
-            table = LotStanding.of(connection, lot_id).table(role="target")
+            table = StandingQuery.of(connection, lot_id).table(role="target")
             verdict = func.coalesce(table.c.verdict, "none")
             found = {str(v): int(n) for v, n in connection.execute(select(verdict, func.count()).group_by(verdict))}
         return {name: found.get(name, 0) for name in (*_severities(), "none")}
@@ -197,7 +197,7 @@ class LotPages(RegistryBase):
         """Return the errors of every target unit with a map, by serial."""
         with self.database.reading() as connection:
             self._lot_row(connection, lot_id)
-            table = LotStanding.of(connection, lot_id).table(role="target")
+            table = StandingQuery.of(connection, lot_id).table(role="target")
             measured = {name: case((table.c.is_doubted, None), else_=table.c[name]) for name in ERRORS[1:]}
             query = select(table.c.revision, table.c.serial, table.c.verdict, table.c[ERRORS[0]], *measured.values())
             # Asked for in SQL, "with a map" makes PostgreSQL read the calibrations of all lots.
@@ -214,7 +214,7 @@ class LotPages(RegistryBase):
 
 
 @dataclass(frozen=True)
-class LotStanding:
+class StandingQuery:
     """How the units of a lot are asked for.
 
     Args:
@@ -227,7 +227,7 @@ class LotStanding:
     limit: LimitInForce
 
     @classmethod
-    def of(cls, connection: Connection, lot_id: str, serials: Sequence[str] | None = None) -> LotStanding:
+    def of(cls, connection: Connection, lot_id: str, serials: Sequence[str] | None = None) -> StandingQuery:
         """Return how a lot, or some of its units, are asked for now."""
         undecided = [serial for _, serial in conflicts_of(connection, lot_id, serials)]
         return cls(lot_id, undecided, limit_in_force(connection, lot_id))
@@ -288,7 +288,7 @@ def standing_units(
     connection: Connection, lot_id: str, serials: Sequence[str] | None = None
 ) -> list[tuple[UnitEntry, bool]]:
     """Return units of a lot by serial, each with whether its verdict is that of its calibration in use."""
-    standing = LotStanding.of(connection, lot_id, serials)
+    standing = StandingQuery.of(connection, lot_id, serials)
     rows = connection.execute(select(table := standing.table(serials)).order_by(table.c.serial)).mappings().all()
     known = {row["serial"] for row in rows}
     # A damaged index hides rows without a word.

@@ -1,4 +1,4 @@
-"""Simulators of many kinds: the search reaches what SciPy's least squares does, and what is left is not explained."""
+"""Simulators of many kinds: no plain least squares comes closer, and what no candidate explains is not explained."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -7,6 +7,7 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
@@ -264,3 +265,92 @@ def test_causes_are_named_and_no_plain_fit_is_closer(name: str) -> None:
     assert rms(found.base) <= 1.002 * plain(rig, runs, ())
     assert rms(found.best) <= 1.002 * plain(rig, runs, rig.causes)
     assert found.shrink.held_out > 0.9
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_without_its_cause_a_rig_is_unknown(name: str) -> None:
+    rig = RIGS[name]
+    found = diagnose_simulator(blind(rig.simulator, rig.causes[:1]), rig.recorded())
+    assert found.verdict == "unknown" and all(cause.probability < 0.5 for cause in found.causes)
+
+
+def sound(rig: Rig, **changes: Any) -> Rig:
+    return replace(rig, truth={k: v for k, v in rig.truth.items() if "." not in k}, **changes)
+
+
+@pytest.mark.parametrize("name", [SPRING.simulator.name, OVEN.simulator.name, RINGING.simulator.name])
+@pytest.mark.parametrize("has_cause", [False, True])
+def test_noise_that_fades_is_a_floor(name: str, has_cause: bool) -> None:
+    rig, keep = RIGS[name], np.exp(-1.0 / 8.0)
+
+    def spoil(rng: np.random.Generator, values: np.ndarray) -> np.ndarray:
+        quick = rng.normal(0.0, 3.0 * rig.noise, len(values))
+        return np.asarray(values + lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], quick))
+
+    made = replace(rig if has_cause else sound(rig), spoil=spoil, runs=4)
+    found = diagnose_simulator(rig.simulator, made.recorded())
+    assert found.verdict == ("explained" if has_cause else "no_gap")
+    assert found.best.hypothesis.ids == (rig.causes if has_cause else ())
+
+
+@pytest.mark.parametrize("name", [SPRING.simulator.name, ENZYME.simulator.name, RINGING.simulator.name])
+@pytest.mark.parametrize("has_cause", [False, True])
+def test_what_a_run_may_have_of_its_own_needs_no_cause(name: str, has_cause: bool) -> None:
+    rig, channel = RIGS[name], RIGS[name].simulator.channels[0]
+
+    def spoil(rng: np.random.Generator, values: np.ndarray) -> np.ndarray:
+        late = CubicSpline(T, values)(np.maximum(T - rng.uniform(0.0, 0.1), 0.0))
+        return np.asarray(late * (1.0 + rng.normal(0.0, 0.01)) + rng.normal(0.0, 20.0 * rig.noise))
+
+    allowed = {channel: {"zero": 100.0 * rig.noise, "delay": 0.2, "gain": 0.05}}
+    made = replace(rig if has_cause else sound(rig), spoil=spoil, runs=4)
+    runs = made.recorded()
+    found = diagnose_simulator(replace(rig.simulator, per_run=allowed), runs)
+    assert found.verdict == ("explained" if has_cause else "no_gap")
+    assert found.best.hypothesis.ids == (rig.causes if has_cause else ())
+    assert diagnose_simulator(rig.simulator, runs).verdict == "unknown"
+
+
+def test_a_coarse_step_is_not_explained_by_what_does_not_shrink_the_gap() -> None:
+    def coarse(i: Columns, p: Values) -> Columns:
+        return pendulum(i, p, steps=1)
+
+    simulator = blind(replace(PENDULUM.simulator, run=coarse), ("dry", "air"))
+    found = diagnose_simulator(simulator, sound(PENDULUM).recorded())
+    assert found.verdict != "explained" or found.shrink.held_out > 0.85
+    if found.verdict == "unknown":
+        assert all(cause.probability < 0.5 for cause in found.causes)
+
+
+def failing(i: Columns, p: Values) -> Columns:
+    if p["slope"] > 3.0:
+        return {"y": np.full(len(T), np.nan)}
+    if p["even.a"] > 5.0:
+        raise KeyError("no such table")
+    return spring(i, p) if p["cubic.a"] > -6.0 else {"y": np.zeros(3)}
+
+
+def test_corners_where_a_simulator_fails_are_avoided_and_told() -> None:
+    found = diagnose_simulator(replace(SPRING.simulator, run=failing), SPRING.recorded())
+    assert (found.verdict, found.best.hypothesis.ids) == ("explained", ("cubic",))
+    failed = found.report()["failed"]
+    assert isinstance(failed, dict) and 0 < failed["evaluations"] < failed["of"]
+
+
+def raising(i: Columns, p: Values) -> Columns:
+    return {"y": p["slop"] * i["x"]}
+
+
+@pytest.mark.parametrize(
+    ("run", "told"),
+    [
+        (raising, "KeyError: 'slop'"),
+        (lambda i, p: {"y": np.zeros(3)}, r"\(3,\)"),
+        (lambda i, p: {"y": i["x"] * np.nan}, "nan"),
+        (lambda i, p: {"z": i["x"]}, "gives no y"),
+        (lambda i, p: i["x"], "gives no y"),
+    ],
+)
+def test_a_simulator_that_fails_everywhere_is_told_by_file_and_parameters(run: Any, told: str) -> None:
+    with pytest.raises(InputError, match=rf"test_gap_simulators\.py.*{told}.*slope = "):
+        diagnose_simulator(replace(SPRING.simulator, run=run), SPRING.recorded())
