@@ -44,8 +44,8 @@ def _imported(module_name: str, reference: str) -> object:
         return importlib.import_module(module_name)
     except (Exception, SystemExit) as error:
         raise InputError(
-            f"--simulator {reference}: {module_name} cannot be imported ({type(error).__name__}: {error}); it is looked for in {here} "
-            "and among installed packages"
+            f"--simulator {reference}: {module_name} cannot be imported ({type(error).__name__}: {error}); "
+            f"it is looked for in {here} and among installed packages"
         ) from error
     finally:
         sys.path.remove(here)

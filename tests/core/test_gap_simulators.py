@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
+from softcal.core.errors import InputError
 from softcal.core.gap.simulator import Columns, Simulator, SimulatorRun, candidate, recorded
 from softcal.core.gap.simulator_diagnosis import diagnose_simulator
 from softcal.core.twin.effects import Parameter
