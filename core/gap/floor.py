@@ -33,7 +33,7 @@ class FloorConfig:
     """
 
     uneven: float = 14.0
-    coherent: float = 6.0
+    coherent: float = 4.5
     fewest: int = 100
 
 
@@ -148,8 +148,11 @@ def _is_free(found: Fit, channel: str, follows: Variables) -> bool:
 def _is_followed(found: Fit, columns: Sequence[Array]) -> bool:
     seen = projected([found.problem.whitened(column) for column in columns], found.jacobian)
     by_chance = len(seen)
-    gain = float(np.sum(dots(seen, found.residual) ** 2)) if by_chance else 0.0
-    return bool(gain > by_chance + CONFIG.coherent * np.sqrt(2.0 * by_chance))
+    if not by_chance:
+        return False
+    # The cube root of χ² over its degrees of freedom is nearly normal, for few of them too (Wilson and Hilferty 1931).
+    gain, wide = float(np.sum(dots(seen, found.residual) ** 2)) / by_chance, 2.0 / (9.0 * by_chance)
+    return bool(np.cbrt(gain) > 1.0 - wide + CONFIG.coherent * np.sqrt(wide))
 
 
 def _elsewhere(found: Fit, channel: str) -> list[Array]:
