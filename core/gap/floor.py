@@ -1,8 +1,8 @@
 """The noise floor: is what a hypothesis leaves noise, and is it the same noise everywhere?
 
 Noise that fades looks like a gap, and a gap that nothing explains could be called noise. What is left counts as noise
-only where it passes three tests. What fades of it is as strong at rest as under load. It follows nothing that the chain knows: depth,
-speed, load, time, temperature, what came before. And nothing of it is seen in two channels at once.
+only where it passes three tests. What fades of it is as strong at rest as under load. It follows nothing that the chain
+knows: depth, speed, load, time, temperature, what came before. And nothing of it is seen in two channels at once.
 """
 
 from collections.abc import Sequence
