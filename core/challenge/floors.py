@@ -26,7 +26,7 @@ FLOORS: Mapping[str, float] = MappingProxyType(
 """Least share of cases of a line that are right: exactly the true causes, `no_gap`, `unknown` or `data`."""
 
 CASES_OF_FLOOR = 4
-"""Cases that a mixed draw has of each of these lines, where it has as many in all: fewer could miss one by chance."""
+"""Cases that a mixed draw has of each of these lines, where it has as many: fewer could miss a floor by chance."""
 
 POOLED = 0.6
 """Least share over all these lines together."""

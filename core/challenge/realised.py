@@ -69,8 +69,8 @@ def realised_shrink(case: SealedCase, report: Mapping[str, Any]) -> float:
         report: a record of schema `softcal.gap/1` with the fitted `base`; its named causes are the twin's effects.
 
     Returns:
-        NaN where the report names no twin, a cause belongs to one recording only, or the bare base leaves no gap; 0
-        where its numbers make no twin.
+        NaN where the report names no twin, a cause belongs to one recording only, or the bare base leaves no gap;
+        0 where its numbers make no twin.
     """
     named = {c["effect"]: c.get("parameters") for c in report["causes"] if c["probability"] >= NAMED}
     if "base" not in report or not named or any(effect in PER_RUN for effect in named):

@@ -1,8 +1,8 @@
 """Mistakes in the recordings that stand in the way of any diagnosis: units, signs, columns, rates, mixed-up runs.
 
-Evidence lies inside the case: the steps of the ADC, Vref, time stamps, two channels that contradict each other, one run
-against the others, what the lot states. A pad of an unusual size is none: it is asked about, and diagnosed. No effect
-of the catalogue is fitted before this has found nothing.
+Evidence lies inside the case: the steps of the ADC, Vref, time stamps, two channels that contradict each other, one
+run against the others, what the lot states. A pad of an unusual size is none: it is asked about, and diagnosed. No
+effect of the catalogue is fitted before this has found nothing.
 """
 
 from collections.abc import Iterable, Mapping
