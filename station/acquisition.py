@@ -13,9 +13,11 @@ from softcal.station.bench import Bench
 from softcal.station.config import LATEST_S
 from softcal.station.contact import AGAIN_MM, SURE_MM, ContactSearch, Touch, slower_mm_s, stiffest_N_mm
 from softcal.station.interfaces import Move, OnWait, Step, ignore_wait
+from softcal.station.interlock import Phase
 from softcal.station.motion import RETRACT_MM_S
 from softcal.station.proof import check_lag, lag_s
 from softcal.station.recording import Raw, RunFacts, StationRecording, assemble, device_times_s
+from softcal.station.safety import STUCK_MM
 from softcal.station.spool import Spool
 from softcal.station.steps import check_profile, steps_of
 from softcal.station.trajectory import DrivenMove, reconstruct
@@ -116,6 +118,8 @@ class _Run:
         if not self._stage.is_position_known:
             self._enter(HOMING)
             self.watched.home()
+        else:
+            self.watched.enter(Phase.LISTENING)
         self._approach()
         zero_N = self._take_zero()
         touch, fixture = self._find_contact(), self._bench.config.fixture
@@ -279,7 +283,8 @@ class _Run:
         self._go(deepest_mm, slow_mm_s)
         down = len(self._readings.force)
         self._motion.wait(0.3)
-        self._go(zero_mm, self._retract_mm_s)
+        # So slowly that a late cell does not seem to hang when the stage turns round.
+        self._go(zero_mm, min(self._retract_mm_s, STUCK_MM / (2.0 * self.watched.latest_s + 0.2)))
         self._motion.wait(max(0.3, self.watched.bounds.reaction.delay_s))
         at = reconstruct(self._readings.polls, self._moves).at
         host_s = np.array([sample.host_s for sample in self._readings.force[began:]]) - self.watched.late_s

@@ -69,13 +69,13 @@ class Phase(StrEnum):
 
     WAKING = "waking"
     HOMING = "homing"
+    LISTENING = "listening"
+    """To the unloaded channels, above everything."""
     APPROACHING = "approaching"
     """Through where nothing should be."""
     SEARCHING = "searching"
     FEELING = "feeling"
     """The first, slow press of a unit."""
-    FEELING_LATE = "feeling late"
-    """The same with a load cell of which nobody knows how late it is: while the stage turns round it seems to hang."""
     PRESSING = "pressing"
 
 
@@ -95,11 +95,9 @@ class Watch(StrEnum):
     """There is a force where nothing should be."""
     FOLLOW = "follow"
     """There is no force where the stage presses."""
-    FROZEN = "frozen"
-    """A channel's value does not change while the stage moves on the unit."""
     STUCK_CELL = "stuck cell"
     STUCK_OUTPUT = "stuck output"
-    """The mean of a channel stays within its noise while the stage moves on the unit."""
+    """A channel does not change, or no more than its noise, while the stage moves on the unit."""
 
 
 class Speed(StrEnum):
@@ -131,20 +129,19 @@ class Row(NamedTuple):
 
 
 _ALWAYS = frozenset({Watch.STREAM, Watch.FORCE, Watch.DEPTH, Watch.JUMP})
-_ON_UNIT = _ALWAYS | {Watch.FOLLOW, Watch.FROZEN, Watch.STUCK_OUTPUT}
-_ALL = _ON_UNIT | {Watch.STUCK_CELL}
+_ON_UNIT = _ALWAYS | {Watch.FOLLOW, Watch.STUCK_CELL, Watch.STUCK_OUTPUT}
 
 ARRIVAL_S, HOMING_S = 2.0, 90.0
 """A move that takes so much longer than planned has failed; so has a homing that takes so long."""
 
 PHASES: Mapping[Phase, Row] = {
-    Phase.WAKING: Row(_ALWAYS, Speed.NONE, (), ARRIVAL_S, (Phase.HOMING, Phase.APPROACHING)),
-    Phase.HOMING: Row(frozenset({Watch.RISE}), Speed.NONE, (), HOMING_S, (Phase.APPROACHING,)),
+    Phase.WAKING: Row(_ALWAYS, Speed.NONE, (), ARRIVAL_S, (Phase.HOMING, Phase.LISTENING)),
+    Phase.HOMING: Row(frozenset({Watch.RISE}), Speed.NONE, (), HOMING_S, (Phase.LISTENING,)),
+    Phase.LISTENING: Row(_ALWAYS, Speed.NONE, (), ARRIVAL_S, (Phase.APPROACHING,)),
     Phase.APPROACHING: Row(_ALWAYS | {Watch.FREE}, Speed.FREE, ("free_N",), ARRIVAL_S, (Phase.SEARCHING,)),
-    Phase.SEARCHING: Row(_ALWAYS, Speed.FREE, ("zero_N",), ARRIVAL_S, (Phase.FEELING, Phase.FEELING_LATE)),
-    Phase.FEELING: Row(_ALL, Speed.UNKNOWN, ("zero_N", "contact_mm"), ARRIVAL_S, (Phase.PRESSING,)),
-    Phase.FEELING_LATE: Row(_ON_UNIT, Speed.UNKNOWN, ("zero_N", "contact_mm"), ARRIVAL_S, (Phase.PRESSING,)),
-    Phase.PRESSING: Row(_ALL, Speed.KNOWN, ("zero_N", "contact_mm", "felt_mm"), ARRIVAL_S, ()),
+    Phase.SEARCHING: Row(_ALWAYS, Speed.FREE, ("zero_N",), ARRIVAL_S, (Phase.FEELING,)),
+    Phase.FEELING: Row(_ON_UNIT, Speed.UNKNOWN, ("zero_N", "contact_mm"), ARRIVAL_S, (Phase.PRESSING,)),
+    Phase.PRESSING: Row(_ON_UNIT, Speed.KNOWN, ("zero_N", "contact_mm", "felt_mm"), ARRIVAL_S, ()),
 }
 
 

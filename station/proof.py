@@ -20,9 +20,9 @@ from softcal.core.words.reason import reason
 ALPHA = 0.001
 """How often noise alone makes one story refuse a run, at most: shared by all instants and kinds (Bonferroni)."""
 
-WRONG, LOST = 0.0075, 0.01
+WRONG, LOST, LOST_MM = 0.0075, 0.01, 0.03
 """A change is refused that surely moves what its law gives by more than this share of its range (RMS over the profile):
-output by force, and force by depth. Good rigs show 0.0066 and 0.0086, but one of a hundred with 0.0099."""
+output by force, and force by depth; there the stage must also surely be off by so much: stiff units show every µm."""
 
 MOMENTS, ROWS = 120, 1500
 """Instants at which a change may begin, half of them spread over time, half over the way of the channel; and means of
@@ -32,8 +32,13 @@ POWERS = (1, 2, 3, 4)
 CREEP_POWERS, CREEP_S = (1, 2, 3), (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """What an output remembers of the force: it creeps, and its filter lags."""
 
+<<<<<<< HEAD
 RELAXED_POWERS, RELAXATION_S = (1, 3), (0.1, 0.5, 3.0)
 """What a unit's force remembers of the depth. Faster than that, relaxation would look like an early load cell."""
+=======
+KNOTS, RELAXED_POWERS, RELAXATION_S = 16, (1, 3), (0.1, 0.5, 3.0)
+"""What a unit's force remembers of the depth. Faster than that, relaxation would be taken for a load cell that is early."""
+>>>>>>> s34/main
 
 LOOP, SOFTENS = 0.1, (0.7, 3.0)
 """Share of the depth over which a loop closes (Duhem), and compressions after which a unit has softened (Mullins)."""
@@ -107,7 +112,10 @@ def unit_law(grid_s: Array, depth_mm: Array) -> Law:
     done = np.cumsum(np.diff((value > SHALLOW).astype(int), prepend=0) == -1)
     factors = [_loop(value), *(np.exp(-done / presses) for presses in SOFTENS)]
     bent = [Term(f * value**p, p * f * value ** (p - 1)) for f in factors for p in RELAXED_POWERS]
-    terms = [*_powers(value), *_remembered(value, RELAXED_POWERS, RELAXATION_S), *bent]
+    # Straight from knot to knot: a soft layer may lie on a hard one.
+    knots = np.arange(KNOTS) / KNOTS
+    elastic = [Term(np.maximum(0.0, value - knot), (value > knot).astype(np.float64)) for knot in knots]
+    terms = [*elastic, *_remembered(value, RELAXED_POWERS, RELAXATION_S), *bent]
     # Above the unit nothing changes with the depth.
     return Law(grid_s, value, [term._replace(slope=term.slope * (value > 0.0)) for term in terms])
 
@@ -200,18 +208,21 @@ def check_story(
     """
     begun_s, profile_s, ended_s = pressed_s
     grid_s = np.arange(begun_s, ended_s + GRID_S, GRID_S)
-    unit = unit_law(grid_s, stage_mm_at(grid_s) - contact_mm)
+    depth_mm = stage_mm_at(grid_s) - contact_mm
+    unit = unit_law(grid_s, depth_mm)
     if force is None:
-        return _refuse("rig.story.stage", find_change(*_between(output, pressed_s), unit, SLIPS, profile_s), LOST)
+        return _refuse_slip(find_change(*_between(output, pressed_s), unit, SLIPS, profile_s), depth_mm)
     # The output remembers what the force was before, too.
     before_s = np.arange(max(begun_s - 3.0 * CREEP_S[-1], force[0][0]), ended_s + GRID_S, GRID_S)
     law = output_law(before_s, np.interp(before_s, *force))
     slower_s = min(output, force, key=lambda channel: len(channel[0]))[0]
     seen = _between((slower_s, np.interp(slower_s, *output)), pressed_s)
-    _refuse("rig.story.force", find_change(*seen, law, ANY, profile_s), WRONG)
+    change = find_change(*seen, law, ANY, profile_s)
+    if change is not None and change.sure > WRONG:
+        raise BadReply(reason("rig.story.force", at_s=change.at_s, percent=100 * change.share))
     t_s, force_N = _between(force, pressed_s)
     is_felt = force_N > FREE * np.max(force_N, initial=0.0)
-    _refuse("rig.story.stage", find_change(t_s[is_felt], force_N[is_felt], unit, SLIPS, profile_s), LOST)
+    _refuse_slip(find_change(t_s[is_felt], force_N[is_felt], unit, SLIPS, profile_s), depth_mm)
 
 
 def _between(channel: tuple[Array, Array], pressed_s: tuple[float, float, float]) -> tuple[Array, Array]:
@@ -219,9 +230,12 @@ def _between(channel: tuple[Array, Array], pressed_s: tuple[float, float, float]
     return channel[0][inside], channel[1][inside]
 
 
-def _refuse(code: str, change: Change | None, most: float) -> None:
-    if change is not None and change.sure > most:
-        raise BadReply(reason(code, at_s=change.at_s, percent=100 * change.share))
+def _refuse_slip(change: Change | None, depth_mm: Array) -> None:
+    if change is None or change.sure <= LOST:
+        return
+    lost_mm = abs(change.size) * float(np.max(depth_mm))
+    if lost_mm * change.sure / change.share > LOST_MM:
+        raise BadReply(reason("rig.story.stage", at_s=change.at_s, percent=100 * change.share, lost_mm=lost_mm))
 
 
 def _columns(kind: str, t_s: Array, moments: Array, law: Law, weights: Array, fitted: Array) -> Array:

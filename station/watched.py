@@ -15,7 +15,6 @@ from softcal.station.interfaces import Sample, StagePosition
 from softcal.station.interlock import Phase, Speed, Watch
 from softcal.station.motion import TICK_S, Motion
 from softcal.station.safety import (
-    FROZEN_OUTPUT_MM,
     STUCK_MM,
     STUCK_OUTPUT_MM,
     FollowWatch,
@@ -117,9 +116,7 @@ class WatchedBench:
         """Begin to read, and to watch."""
         bench, now_s = self.bench, self.bench.clock.now_s()
         bench.readout.start()
-        self._streams["readout"] = StreamWatch(
-            bench.readout, bench.config.safety, now_s, bench.readout.range, FROZEN_OUTPUT_MM
-        )
+        self._streams["readout"] = StreamWatch(bench.readout, bench.config.safety, now_s, bench.readout.range)
         if bench.force is not None:
             bench.force.start()
             self._streams["force"] = StreamWatch(bench.force, bench.config.safety, now_s)
@@ -155,6 +152,7 @@ class WatchedBench:
         self._lowest_N = float("inf")
         self.motion.home(self._look_while_homing)
         self.start()  # A reset of the controller may have taken longer than any silence that is allowed.
+        self.enter(Phase.LISTENING)
 
     def expect_nothing(self) -> None:
         """Take the present force as that of an empty path: whatever adds the touch force to it is in the way."""
@@ -176,7 +174,7 @@ class WatchedBench:
         ):
             if reader is not None:
                 self._stuck[watch] = StuckWatch(reader.name, noise_of(samples), reader.rate_Hz, stuck_mm)
-        self.enter(Phase.FEELING if self.known.late_s is not None else Phase.FEELING_LATE)
+        self.enter(Phase.FEELING)
 
     def learn_latency(self, late_s: float | None) -> None:
         """Take how late the load cell was found to be, where the station file does not say it; None where unclear."""
@@ -268,7 +266,7 @@ class WatchedBench:
             pressed_mm = self.pressed_mm(late_s)
             for sample in samples:
                 if Watch.STREAM in on:
-                    self._streams[name].check(sample, pressed_mm if Watch.FROZEN in on else 0.0)
+                    self._streams[name].check(sample)
                 if stuck in on:
                     self._stuck[stuck].check(sample.values[0], pressed_mm)
         if Watch.STREAM in on:

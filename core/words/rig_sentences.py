@@ -69,7 +69,8 @@ SENTENCES: Mapping[str, str] = {
     ),
     "rig.story.stage": (
         "stage: from one moment on what the unit shows does not fit the depth; check the motor for lost steps and the "
-        "unit's seat, then press again (by {percent:.1f} % of the range, {at_s:.1f} s after the first press began)"
+        "unit's seat, then press again (by {lost_mm:.2f} mm, {percent:.1f} % of the range, {at_s:.1f} s after the first "
+        "press began)"
     ),
     "rig.contact_at_once": (
         "contact was found before the stage had moved; check the load cell's readings, and ask the engineer whether "
@@ -105,10 +106,6 @@ SENTENCES: Mapping[str, str] = {
     "rig.old": (
         "{device}: its readings have become {age_s:.2f} s old; check hub, cable and what else the computer does, then "
         "start the run again"
-    ),
-    "rig.frozen": (
-        "{device}: its reading stands still while the stage moves; it is frozen, or not connected to the unit; check "
-        "its cable ({level:.4g} {unit} over {frozen_mm:g} mm)"
     ),
     "rig.rail": (
         "{device}: at the end of its range for {rail_s:g} s; check the unit's connector (open or short circuit)"

@@ -261,6 +261,7 @@ def _watch(answer: int, stage: ModelStage) -> None:
 def _program(motion: Motion, stage: ModelStage) -> None:
     """A run in short: home, approach, search until the touch, touch again, press, wait, go back."""
     motion.home(lambda: None)
+    motion.enter(Phase.LISTENING, KNOWN)
     motion.enter(Phase.APPROACHING, KNOWN)
     motion.go(APPROACH_MM, 5.0)
     motion.enter(Phase.SEARCHING, KNOWN)

@@ -161,7 +161,7 @@ def test_no_way_through_the_phases_presses_before_everything_it_needs_was_found(
         watched = [PHASES[phase].watches for phase in way if PHASES[phase].speed is not Speed.NONE]
         assert all({Watch.FORCE, Watch.DEPTH, Watch.STREAM} <= on for on in watched)
         on_unit = [PHASES[phase] for phase in way if "contact_mm" in PHASES[phase].needs]
-        assert all({Watch.FOLLOW, Watch.FROZEN, Watch.STUCK_OUTPUT} <= row.watches for row in on_unit)
+        assert all({Watch.FOLLOW, Watch.STUCK_CELL, Watch.STUCK_OUTPUT} <= row.watches for row in on_unit)
 
 
 @pytest.mark.parametrize("phase", Phase)
@@ -193,7 +193,6 @@ CHECKS = {
     Watch.JUMP: (JumpWatch, "check"),
     Watch.FREE: (WatchedBench, "_check_free"),
     Watch.FOLLOW: (FollowWatch, "check"),
-    Watch.FROZEN: (StreamWatch, "_check_frozen"),
     Watch.STUCK_CELL: (StuckWatch, "check"),
     Watch.STUCK_OUTPUT: (StuckWatch, "check"),
     Watch.RISE: (WatchedBench, "_check_rise"),
@@ -215,7 +214,7 @@ def test_a_watch_is_on_where_the_table_names_it_and_nowhere_else(watch, monkeypa
         mine = watched._stuck.get(watch)
 
         def stop(self, *shown):
-            if (mine is None or self is mine) and (watch is not Watch.FROZEN or shown[-1] > 0.0):
+            if mine is None or self is mine:
                 raise Stopped
 
         monkeypatch.setattr(owner, method, stop)
