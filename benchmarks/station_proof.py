@@ -118,7 +118,6 @@ def _assembled(raw: Raw, facts: RunFacts) -> StationRecording | None:
 
 def _off_percent(good: StationRecording, found: StationRecording) -> float:
     """Return how far the labels, or the outputs beside them, are off, RMS in % of their range."""
-    assert good.force_N is not None and found.force_N is not None
     pairs = ((good.force_N, found.force_N), (good.output[:, 0], found.output[:, 0]))
     return max(100.0 * float(np.sqrt(np.mean((a - b) ** 2)) / np.ptp(a)) for a, b in pairs)
 
@@ -130,7 +129,14 @@ def _slipped(rig: GoodRig, rng: np.random.Generator, count: int) -> Iterator[Row
         after = int(rng.integers(1, 60))
         seen = [0]
 
-        def lose(progress: RunProgress, station: SimulatedStation) -> None:
+        def lose(
+            progress: RunProgress,
+            station: SimulatedStation,
+            seen: list[int] = seen,
+            from_N: float = from_N,
+            after: int = after,
+            lost_mm: float = lost_mm,
+        ) -> None:
             seen[0] += progress.force_N is not None and progress.force_N > from_N
             if seen[0] == after:
                 seen[0] += 1

@@ -32,13 +32,8 @@ POWERS = (1, 2, 3, 4)
 CREEP_POWERS, CREEP_S = (1, 2, 3), (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """What an output remembers of the force: it creeps, and its filter lags."""
 
-<<<<<<< HEAD
-RELAXED_POWERS, RELAXATION_S = (1, 3), (0.1, 0.5, 3.0)
-"""What a unit's force remembers of the depth. Faster than that, relaxation would look like an early load cell."""
-=======
 KNOTS, RELAXED_POWERS, RELAXATION_S = 16, (1, 3), (0.1, 0.5, 3.0)
-"""What a unit's force remembers of the depth. Faster than that, relaxation would be taken for a load cell that is early."""
->>>>>>> s34/main
+"""What a unit's force remembers of the depth. Faster than that, relaxation would look like an early load cell."""
 
 LOOP, SOFTENS = 0.1, (0.7, 3.0)
 """Share of the depth over which a loop closes (Duhem), and compressions after which a unit has softened (Mullins)."""

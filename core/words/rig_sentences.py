@@ -69,8 +69,8 @@ SENTENCES: Mapping[str, str] = {
     ),
     "rig.story.stage": (
         "stage: from one moment on what the unit shows does not fit the depth; check the motor for lost steps and the "
-        "unit's seat, then press again (by {lost_mm:.2f} mm, {percent:.1f} % of the range, {at_s:.1f} s after the first "
-        "press began)"
+        "unit's seat, then press again "
+        "(by {lost_mm:.2f} mm, {percent:.1f} % of the range, {at_s:.1f} s after the first press began)"
     ),
     "rig.contact_at_once": (
         "contact was found before the stage had moved; check the load cell's readings, and ask the engineer whether "
