@@ -4,20 +4,23 @@ Nothing else in softcal calls `home`, `begin` or `stop` of a stage; `tests/stati
 """
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from typing import TypeVar
 
 from softcal.core.errors import BadReply, DeviceError, NoReply, SafetyStop
 from softcal.core.words.reason import Reason, reason
 from softcal.station.bench import Bench
-from softcal.station.config import LATEST_S
 from softcal.station.interfaces import Held, Move, RoughLift, RunsOn
-from softcal.station.interlock import ARRIVAL_S, Event, Interlock, Phase, Row, State
+from softcal.station.interlock import Event, Interlock, State
 from softcal.station.trajectory import DrivenMove, Trapezoid
 
 TICK_S = 0.005
 """How often the devices are read while something may move; far below every latency that is promised."""
 
+ARRIVAL_S = 2.0
+"""A move that takes this much longer than planned has failed."""
+
+HOMING_S = 90.0
 RETRACT_MM_S = 5.0
 READ_S = 0.3
 """How long the load cell is read to say what stands on the unit."""
@@ -25,8 +28,8 @@ READ_S = 0.3
 LIFT_MM = 1.0
 """A stage is lifted at least so far, wherever it stood."""
 
-REST = 0.5
-"""A load cell within this share of the contact force is at rest: no unit relaxes from the one to the other."""
+AT_MM = 0.05
+"""A stage this near to where it was to be lifted is lifted."""
 
 _T = TypeVar("_T")
 
@@ -58,22 +61,13 @@ class Motion:
         self._ahead_mm = ahead_mm
         self._interlock = Interlock()
         self._path: Trapezoid | None = None
-        self._after_stop: list[tuple[float, float]] = []  # (arrival, N) of every reading since the stop
-        self.zero_N: float | None = None
+        self._force_N: float | None = None
+        self.zero_N = 0.0
 
     @property
     def state(self) -> State:
         """What the stage is doing."""
         return self._interlock.state
-
-    @property
-    def row(self) -> Row:
-        """What holds in the present phase of the run."""
-        return self._interlock.row
-
-    def enter(self, phase: Phase, known: Collection[str] = ()) -> None:
-        """Go on to a later phase of the run; what is known decides whether it may begin."""
-        self._interlock.enter(phase, known)
 
     @property
     def speed_mm_s(self) -> float:
@@ -118,13 +112,12 @@ class Motion:
         Raises:
             DeviceError: as the stage, or it took too long.
         """
-        self.enter(Phase.HOMING)
-        end_s = self._clock.now_s() + self.row.late_s
+        end_s = self._clock.now_s() + HOMING_S
 
         def watch() -> None:
             on_wait()
             if self._clock.now_s() > end_s:
-                raise NoReply(reason("rig.not_home", seconds=self.row.late_s))
+                raise NoReply(reason("rig.not_home", seconds=HOMING_S))
 
         self._interlock.take(Event.HOME)
         self._stage.home(watch)
@@ -149,8 +142,8 @@ class Motion:
             self._tick()
             if is_over is not None and is_over():
                 return self._brake(path, began_s)
-            if self._clock.now_s() - began_s > path.duration_s + self.row.late_s:
-                raise NoReply(reason("rig.late", seconds=self.row.late_s, to_mm=to_mm))
+            if self._clock.now_s() - began_s > path.duration_s + ARRIVAL_S:
+                raise NoReply(reason("rig.late", seconds=ARRIVAL_S, to_mm=to_mm))
         self._arrive()
         return DrivenMove(path, began_s, self._clock.now_s())
 
@@ -169,7 +162,7 @@ class Motion:
         if self.state in (State.STOPPED, State.OVER):
             return self._left(Reason("left.stopped"))
         self._interlock.take(Event.FAULT)
-        self._path, self._after_stop = None, []
+        self._path = None
         try:
             return self._stop_and_lift(cause)
         except KeyboardInterrupt:
@@ -205,20 +198,19 @@ class Motion:
             return self._left(Reason("left.held"))
         if not isinstance(cause, (Exception, KeyboardInterrupt)):
             return self._left(Reason("left.stopped"))
-        can_lift_roughly = isinstance(self._stage, RoughLift) and self._stage.can_lift_roughly
-        if not self._stage.is_position_known and not can_lift_roughly:
-            return self._left(Reason("left.must_home"))
-        # What is wrong with a reading may be wrong with the cell: then only a force that falls says that it lives.
-        return self._lift(is_cell_sound=not isinstance(cause, (BadReply, NoReply)))
+        if self._stage.is_position_known:
+            return self._lift()
+        if isinstance(self._stage, RoughLift) and self._stage.can_lift_roughly:
+            return self._lift()
+        return self._left(Reason("left.must_home"))
 
-    def _lift(self, is_cell_sound: bool) -> Reason:
+    def _lift(self) -> Reason:
         stage = self._stage
         # Never deeper; what is in the way above the approach is let go as well.
         to_mm = max(0.0, min(self._bench.config.fixture.approach_mm, stage.position_mm - LIFT_MM))
         speed_mm_s = min(RETRACT_MM_S, stage.max_speed_mm_s)
         path = Trapezoid(stage.position_mm, to_mm, speed_mm_s, stage.acceleration_mm_s2)
         self._interlock.take(Event.LIFT)
-        self._read_cell()
         try:
             if path.start_mm > path.end_mm:
                 self._begin_lift(path)
@@ -226,9 +218,11 @@ class Motion:
         except Held:
             return self._left(Reason("left.held"))
         except DeviceError:
-            self._stop_quietly()
-            return self._left(Reason("left.not_lifted"))
-        return self._confirmed(is_cell_sound)
+            return self._not_lifted(to_mm)
+        self._interlock.take(Event.ARRIVED)
+        if stage.is_position_known:
+            return Reason("left.lifted")
+        return Reason("left.lifted_roughly")
 
     def _begin_lift(self, path: Trapezoid) -> None:
         if not self._stage.is_position_known and isinstance(self._stage, RoughLift):
@@ -243,33 +237,28 @@ class Motion:
                 self._stage.poll()
             except BadReply:
                 pass  # A line with noise says nothing about the lift; silence and alarms do.
-            self._read_cell()
+            self._read_force()
             if self._clock.now_s() > end_s:
                 raise NoReply(Reason("rig.late.lifting"))
 
-    def _confirmed(self, is_cell_sound: bool) -> Reason:
-        """Say that the stage is lifted where the load cell has fallen to rest; a controller's count proves nothing."""
-        contact_N, force_N = self._bench.config.fixture.contact_N, self._standing_N()
-        if force_N is None:
-            return self._left(Reason("left.told"))
-        if abs(force_N) > contact_N:
-            return self._left(Reason("left.stays"))
-        has_fallen = max(newton for _, newton in self._after_stop) > contact_N
-        if abs(force_N) > REST * contact_N or not (has_fallen or is_cell_sound):
-            return self._left(Reason("left.told"))
-        self._interlock.take(Event.ARRIVED)
-        return Reason("left.lifted" if self._stage.is_position_known else "left.lifted_roughly")
+    def _not_lifted(self, to_mm: float) -> Reason:
+        is_up = self._stage.is_position_known and self._stage.position_mm <= to_mm + AT_MM
+        try:
+            self._stage.stop()
+        except DeviceError:
+            pass  # It was told to stop; what it says is of no use any more.
+        if is_up:
+            self._interlock.take(Event.LEAVE)
+            return Reason("left.lifted")
+        return self._left(Reason("left.not_lifted"))
 
     def _stop_again(self) -> Reason:
         """A second interruption: stand, wherever it is."""
-        self._stop_quietly()
-        return self._left(Reason("left.there"))
-
-    def _stop_quietly(self) -> None:
         try:
             self._stage.stop()
         except DeviceError:
             pass  # It was told to stop all the same.
+        return self._left(Reason("left.there"))
 
     def _unreachable(self) -> Reason:
         if isinstance(self._stage, RunsOn):
@@ -281,31 +270,21 @@ class Motion:
         """Return what became of a stage that stays where it is, with what stands on the unit."""
         if self.state in (State.STOPPING, State.LIFTING):
             self._interlock.take(Event.LEAVE)
-        force_N = self._standing_N()
-        if force_N is None:
-            return reason("left.may_stand", state=state)
-        if not self._stage.is_position_known:
-            return reason("left.stands", state=state, force_N=force_N)
-        return reason("left.stands_at", state=state, force_N=force_N, at_mm=self._stage.position_mm)
-
-    def _standing_N(self) -> float | None:
-        """Read the load cell until it tells of now, however late it is; None where it says nothing, or has no zero."""
-        force = self._bench.config.force
-        if self._bench.force is None or force is None or self.zero_N is None:
-            return None
-        late_s = force.latency_s if force.is_latency_stated else LATEST_S
-        end_s = self._clock.now_s() + late_s + READ_S
-        while self._clock.now_s() < end_s:
+        end_s = self._clock.now_s() + READ_S
+        self._force_N = None
+        while self._bench.force is not None and self._clock.now_s() < end_s:
             self._clock.sleep_s(TICK_S)
-            self._read_cell()
-        newest_N = [newton for arrival_s, newton in self._after_stop if arrival_s > end_s - READ_S]
-        return sum(newest_N) / len(newest_N) if newest_N else None
+            self._read_force()
+        if self._force_N is None:
+            return reason("left.may_stand", state=state)
+        return reason("left.stands", state=state, force_N=self._force_N)
 
-    def _read_cell(self) -> None:
-        if self._bench.force is None or self.zero_N is None:
+    def _read_force(self) -> None:
+        force = self._bench.force
+        if force is None:
             return
         try:
-            for sample in self._bench.force.poll():
-                self._after_stop.append((self._clock.now_s(), sample.values[0] - self.zero_N))
+            for sample in force.poll():
+                self._force_N = sample.values[0] - self.zero_N
         except DeviceError:
-            self._after_stop.clear()  # It is no witness.
+            self._force_N = None

@@ -11,7 +11,16 @@ from softcal.core.words.reason import reason
 from softcal.station.clock import ClockFit, fit_clock, residual_offset_s
 from softcal.station.interfaces import Sample, StagePosition
 from softcal.station.named import named
-from softcal.station.proof import LATE_S, check_bits, check_follows, check_lag, check_story, lag_s
+from softcal.station.proof import (
+    LATE_S,
+    check_bits,
+    check_follows,
+    check_gain,
+    check_lag,
+    check_law,
+    check_output_gain,
+    lag_s,
+)
 from softcal.station.spool import SpooledRun
 from softcal.station.trajectory import DrivenMove, StageTrack, Trapezoid, reconstruct
 
@@ -157,11 +166,11 @@ def assemble(raw: Raw, facts: RunFacts) -> StationRecording:
         BadReply: too many samples were lost, a device clock is far off, or the load cell does not tell the stage's
             story (late, another gain from press to press).
     """
-    all_s, all_output = _columns(raw.output)
-    sensor = _fitted(all_s, raw.output, facts.sensor)
+    sensor_s, output = _columns(raw.output)
+    sensor = _fitted(sensor_s, raw.output, facts.sensor)
     begun_s, ended_s = facts.span_s
-    chosen = (sensor.to_host(all_s) >= begun_s) & (sensor.to_host(all_s) <= ended_s)
-    sensor_s, output = all_s[chosen], all_output[chosen]
+    chosen = (sensor.to_host(sensor_s) >= begun_s) & (sensor.to_host(sensor_s) <= ended_s)
+    sensor_s, output = sensor_s[chosen], output[chosen]
     lost = _count_lost(sensor_s, facts)
     host_s = sensor.to_host(sensor_s)
     moves = [DrivenMove(Trapezoid(*row[:4]), *row[4:]) for row in facts.moves]
@@ -171,17 +180,14 @@ def assemble(raw: Raw, facts: RunFacts) -> StationRecording:
     check_follows(host_s, output, track.at, facts.contact_mm)
     cell = _fitted(_columns(raw.force)[0], raw.force, "load cell") if raw.force else None
     force_N, behind_s = None, float("nan")
-    told = (sensor.to_host(all_s), all_output[:, 0])
     if cell is None:
-        check_story(told, None, track.at, facts.contact_mm, _pressed_s(facts))
+        check_output_gain(stage_mm, output[:, 0])
     else:
         behind_s = _behind_s(raw.force, cell, track, facts)
         late_s = facts.force_late_s
         if not facts.is_latency_stated and abs(behind_s - late_s) > LATE_S:
             late_s = behind_s
-        device_s, newton = _columns(raw.force)
-        felt = (cell.to_host(device_s) - late_s, newton[:, 0] - facts.zero_N)
-        check_story(told, felt, track.at, facts.contact_mm, _pressed_s(facts))
+        _check_gain(raw.force, cell, track, facts, late_s)
         force_N = _force_at(host_s, raw.force, cell, facts, late_s)
     return StationRecording(
         facts.serial,
@@ -272,9 +278,16 @@ def _enough(samples: Indices) -> Indices:
     return samples[:: max(1, len(samples) // FIT_SAMPLES)]
 
 
-def _pressed_s(facts: RunFacts) -> tuple[float, float, float]:
-    """Return when the slow press before the profile, the profile itself, and its end were, host clock."""
-    return facts.moves[0][4], *facts.span_s
+def _check_gain(samples: Sequence[Sample], cell: ClockFit, track: StageTrack, facts: RunFacts, late_s: float) -> None:
+    """Compare all presses, the slow one before the profile too: a gain may change while the first one begins."""
+    device_s, force_N = _columns(samples)
+    force_s = cell.to_host(device_s) - late_s
+    inside = _in_presses(force_s, facts)
+    if not len(inside):
+        return
+    check_gain(track.at(force_s[inside]) - facts.zero_mm, force_N[inside, 0] - facts.zero_N)
+    inside = _enough(inside)
+    check_law(force_s[inside], force_N[inside, 0] - facts.zero_N, track.at, facts.contact_mm, facts.zero_mm)
 
 
 def _force_at(host_s: Array, samples: Sequence[Sample], cell: ClockFit, facts: RunFacts, late_s: float) -> Array:

@@ -12,6 +12,11 @@ from softcal.station.config import SafetyConfig
 from softcal.station.interfaces import ForceReader, Readout, Sample
 from softcal.station.named import named
 
+FROZEN_MM, FROZEN_OUTPUT_MM, FROZEN_SAMPLES = 0.6, 1.0, 5
+"""A channel whose value does not change over so many samples while the stage moves so far is frozen: a load cell, and a
+sensor's output, which may be flat where the unit is hardly touched. Lines that a stall held back are older than the
+stage's position: a single one says nothing."""
+
 PRESSED_MM, MISSING_S, RISEN_MM = 0.8, 0.15, 0.1
 """A unit pressed this deep for so long must show a force; but not where the stage has risen this far since it did: a
 unit that relaxes comes back slowly."""
@@ -113,7 +118,7 @@ class JumpWatch:
 
 
 class StuckWatch:
-    """Whether a channel still follows the stage: one that is frozen, a cell that hangs, a motor without supply.
+    """Whether a channel that is noisy still follows the stage: a cell that hangs, a motor without supply.
 
     Args:
         name: of the device, as messages call it.
@@ -159,13 +164,14 @@ class StuckWatch:
 
 
 class StreamWatch:
-    """Whether a stream still comes, and at its rate.
+    """Whether a stream still comes, at its rate, and still follows the stage.
 
     Args:
         reader: the device that is watched.
         bounds: the station's safety bounds.
         now_s: host time at which watching begins.
         rails: lowest and highest possible value of a readout, where staying there means a broken wire.
+        frozen_mm: how far the stage may move on the unit before the channel must change.
     """
 
     def __init__(
@@ -174,20 +180,25 @@ class StreamWatch:
         bounds: SafetyConfig,
         now_s: float,
         rails: tuple[float, float] | None = None,
+        frozen_mm: float = FROZEN_MM,
     ) -> None:
+        self._frozen_mm = frozen_mm
         self._reader, self._bounds, self._rails = reader, bounds, rails
         self._seen_s = now_s
         self._times: deque[float] = deque(maxlen=LOSS_SAMPLES)
+        self._value: tuple[float, ...] | None = None
+        self._changed_at_mm, self._same = 0.0, 0
         self._on_rail_since_s: float | None = None
         self._earliest_s, self._old_since_s = float("inf"), float("inf")
 
-    def check(self, sample: Sample) -> None:
-        """Take one sample.
+    def check(self, sample: Sample, pressed_mm: float) -> None:
+        """Take one sample; `pressed_mm` is how far the stage is below the contact, 0 above it.
 
         Raises:
-            BadReply: the channel is at its rail, or comes at another rate than declared.
+            BadReply: the channel is frozen, at its rail, or comes at another rate than declared.
         """
         self._seen_s = sample.host_s
+        self._check_frozen(sample, pressed_mm)
         if self._rails:
             self._check_rails(sample, self._rails)
         if sample.device_s is not None:
@@ -209,6 +220,22 @@ class StreamWatch:
         self._old_since_s = min(self._old_since_s, device_s)
         if age_s > AGE_S and device_s - self._old_since_s > AGE_S:
             raise NoReply(reason("rig.old", device=named(self._reader.name), age_s=age_s))
+
+    def _check_frozen(self, sample: Sample, pressed_mm: float) -> None:
+        if sample.values != self._value or pressed_mm <= 0.0:
+            self._value, self._changed_at_mm, self._same = sample.values, pressed_mm, 1
+            return
+        self._same += 1
+        if self._same >= FROZEN_SAMPLES and abs(pressed_mm - self._changed_at_mm) > self._frozen_mm:
+            raise BadReply(
+                reason(
+                    "rig.frozen",
+                    device=named(self._reader.name),
+                    level=sample.values[0],
+                    unit=self._reader.unit,
+                    frozen_mm=self._frozen_mm,
+                )
+            )
 
     def _check_rails(self, sample: Sample, rails: tuple[float, float]) -> None:
         low, high = rails

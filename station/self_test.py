@@ -193,7 +193,7 @@ def _go_out_and_back(watched: WatchedBench) -> _Way:
     watched.home()
     watched.motion.wait(0.3)
     watched.expect_nothing()
-    began_mm, began_s, speed_mm_s = stage.position_mm, bench.clock.now_s(), min(5.0, watched.fastest_mm_s)
+    began_mm, began_s, speed_mm_s = stage.position_mm, bench.clock.now_s(), min(5.0, watched.fastest_free_mm_s)
     room_mm = max(0.0, bench.config.fixture.approach_mm - began_mm)
     down_mm, ran_on_mm = min(STEP_MM, speed_mm_s * STEP_S, room_mm), float("nan")
     if down_mm > 0.0:
@@ -264,7 +264,7 @@ def _gone_findings(watched: WatchedBench, stage: RunsOn, way: _Way) -> list[Self
         )
     ]
     if np.isfinite(way.ran_on_mm):
-        speed_mm_s = min(5.0, watched.fastest_mm_s)
+        speed_mm_s = min(5.0, watched.fastest_free_mm_s)
         most_mm = stage.runs_on_mm(Move(0.0, speed_mm_s, bounds.ahead_mm(speed_mm_s, bounds.touch_N)))
         found = reason("found.ran_on", way_mm=way.ran_on_mm, speed_mm_s=speed_mm_s, most_mm=most_mm)
         is_right = way.ran_on_mm <= most_mm + POSITION_MM

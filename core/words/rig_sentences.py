@@ -58,19 +58,21 @@ SENTENCES: Mapping[str, str] = {
     "rig.too_deep": "the profile would reach {to_mm:.2f} mm, the limit is {deepest_mm:g} mm; check the fixture",
     "rig.late.lifting": "stage: late while it was lifted",
     "rig.behind": (
-        "load cell: its readings are not as late as the station file states; look for a slow line or a filter, or ask "
-        "the engineer to correct the delay there (found {found_s:.3f} s, stated {declared_s:.3f} s, latency_s = "
-        "{latency_s:.2f})"
+        "load cell: its readings come later than the stage moves; look for a slow line or a filter, or ask the "
+        "engineer to state the delay in the station file (found {found_s:.3f} s, stated {declared_s:.3f} s, latency_s "
+        "= {latency_s:.2f})"
     ),
-    "rig.story.force": (
-        "sensor and load cell: from one moment on they no longer show the same force; check both plugs, the amplifier "
-        "and the unit's seat, then press again "
-        "(by {percent:.1f} % of the range, {at_s:.1f} s after the first press began)"
+    "rig.gain": (
+        "load cell: one press shows another force than the next at equal depth; check the cell's amplifier, its "
+        "mounting and the unit's seat, then press again ({ratio:.2f} x)"
     ),
-    "rig.story.stage": (
-        "stage: from one moment on what the unit shows does not fit the depth; check the motor for lost steps and the "
-        "unit's seat, then press again "
-        "(by {lost_mm:.2f} mm, {percent:.1f} % of the range, {at_s:.1f} s after the first press began)"
+    "rig.odd_force": (
+        "load cell: its force does not fit the depth during a press; check the cell's plug and amplifier, and whether "
+        "something touches unit or stage; then press again ({off_N:+.2f} N, {at_s:.1f} s after the first press began)"
+    ),
+    "rig.output_gain": (
+        "sensor readout: one press changes the output more than the next at equal depth; check the motor for lost "
+        "steps, the unit's seat and its connector; then press again ({ratio:.2f} x)"
     ),
     "rig.contact_at_once": (
         "contact was found before the stage had moved; check the load cell's readings, and ask the engineer whether "
@@ -106,6 +108,10 @@ SENTENCES: Mapping[str, str] = {
     "rig.old": (
         "{device}: its readings have become {age_s:.2f} s old; check hub, cable and what else the computer does, then "
         "start the run again"
+    ),
+    "rig.frozen": (
+        "{device}: its reading stands still while the stage moves; it is frozen, or not connected to the unit; check "
+        "its cable ({level:.4g} {unit} over {frozen_mm:g} mm)"
     ),
     "rig.rail": (
         "{device}: at the end of its range for {rail_s:g} s; check the unit's connector (open or short circuit)"
@@ -166,8 +172,6 @@ SENTENCES: Mapping[str, str] = {
     "left.lifted": "the stage is stopped and lifted",
     "left.lifted_roughly": "the stage is stopped and lifted, it must be homed",
     "left.not_lifted": "the stage is stopped but could not be lifted: lift it by hand and home it",
-    "left.told": "the stage is stopped and told to lift, which is not confirmed",
-    "left.stays": "the stage was told to lift but the force stays: lift it by hand and home it",
     "left.there": "the stage is stopped and not lifted",
     "left.runs_on": (
         "the stage does not answer any more, it stops within {seconds:.1f} s: switch it off before you reach in"
@@ -177,7 +181,6 @@ SENTENCES: Mapping[str, str] = {
     ),
     "left.may_stand": "{state}, it may stand on the unit",
     "left.stands": "{state}, with {force_N:.1f} N on the load cell",
-    "left.stands_at": "{state}, with {force_N:.1f} N on the load cell, at {at_mm:.2f} mm by its controller's count",
     # A port that cannot be opened.
     "port.unreached": "cannot be reached: {error}; check address, power and network cable",
     "port.visa": "cannot be opened: {error}; `pyvisa-shell` lists the resources there are",
@@ -363,6 +366,7 @@ SENTENCES: Mapping[str, str] = {
     "scpi.overloaded": "overload",
     "scpi.status.other": "status {status}",
     # The station file.
+    "station_file.no_port": "[{section}] port is empty; write the port of that device there",
     "station_file.unknown_kind": "{section}.kind is {kind}; known are {known}",
     "station_file.kind_twice": "{section}.kind {kind} is offered by {packages}; uninstall all but one",
     "station_file.broken_package": "{section}.kind {kind}: {fault}; mend or uninstall {package}",
@@ -381,7 +385,6 @@ SENTENCES: Mapping[str, str] = {
     "station_file.no_table": "{name} must be a section: write [{name}] and its keys below",
     "station_file.wrong_wire": "[{section}] port {port} is a {wire} port; kind {kind} speaks over {wires}",
     "station_file.unknown_key": "[{section}] unknown key {key}; known are {known}{similar}",
-    "station_file.no_port": "[{section}] port is empty; write the port of that device there",
     "station_file.no_key": "[{section}] {key} is missing",
     "station_file.wrong_type": "{name} is {value}; {expected} was expected",
     "station_file.outside": "{name} is {value:g}; a value in [{low:g}, {high:g}] was expected",

@@ -11,20 +11,16 @@ from types import SimpleNamespace
 from typing import Any
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply, SafetyStop
-from softcal.core.words.reason import Reason
-from softcal.station.config import FixtureConfig, ForceConfig, SafetyConfig
-from softcal.station.interfaces import Held, Move, OnWait, Sample, StagePosition
-from softcal.station.interlock import PHASES, Event, Interlock, Phase, State
+from softcal.station.config import FixtureConfig, SafetyConfig
+from softcal.station.interfaces import Held, Move, OnWait, StagePosition
+from softcal.station.interlock import Event, Interlock, State
 from softcal.station.motion import Cancelled, Motion
-from softcal.station.simulated.rig import is_true
 
 MOST_FAULTS = 3
 LONGEST_S = 120.0
 """No run of the program below may take longer, whatever happens."""
 
-TOUCH_MM, APPROACH_MM, POLLS, STEP_S = 5.0, 4.0, 3, 0.05
-
-KNOWN = frozenset(name for row in PHASES.values() for name in row.needs)
+TOUCH_MM, APPROACH_MM, POLLS = 5.0, 4.0, 3
 
 
 class Choices:
@@ -58,8 +54,8 @@ class Told:
     held_at: int | None = None
     states: set[tuple[State, bool, bool, bool]] = field(default_factory=set)
     ways: set[tuple[State, Event]] = field(default_factory=set)
-    left: Reason | None = None
-    is_true: bool = True
+    is_up: bool = True
+    answers: bool = True
     seconds: float = 0.0
     message: str = ""
     ended: State = State.STANDING
@@ -75,14 +71,7 @@ class ModelStage:
         self.position_mm = self._target_mm = APPROACH_MM
         self.is_position_known = self.is_moving = self.can_lift_roughly = False
         self._polls, self._is_blocked = 0, False
-        self.stands_at_mm: float | None = None
-        """Where the carriage stays, once its motor has no supply: the controller counts on."""
         self.look: Callable[[], None] = lambda: None
-
-    @property
-    def carriage_mm(self) -> float:
-        """Where the carriage is, whatever the controller counts."""
-        return self.position_mm if self.stands_at_mm is None else self.stands_at_mm
 
     def home(self, on_wait: OnWait = lambda: None) -> None:
         """Home, or fail."""
@@ -120,8 +109,6 @@ class ModelStage:
         self._told.commands.append("stop")
         self.look()
         answer = self._choices.pick(5)
-        if self.is_moving:
-            self.position_mm = (self.position_mm + self._target_mm) / 2
         self.is_moving, self.can_lift_roughly = False, answer == 1
         if answer:
             self.is_position_known = False
@@ -129,10 +116,11 @@ class ModelStage:
             self.is_position_known = True
             self._hold()
         if answer == 4:
+            self._told.answers = False
             self._fault(NoReply("stage: no answer"))
 
     def _step(self) -> None:
-        answer = self._choices.pick(6)
+        answer = self._choices.pick(5)
         if answer == 1:
             self._fault(NoReply("stage: no status"))
         if answer == 2:
@@ -143,8 +131,6 @@ class ModelStage:
             self._hold()
         if answer == 4:
             self._fault(BadReply("stage: noise"))
-        if answer == 5:
-            self.stands_at_mm = self.carriage_mm
         if self._polls >= POLLS and not self._is_blocked:
             self.position_mm, self.is_moving = self._target_mm, False
 
@@ -162,27 +148,6 @@ class ModelStage:
             self._told.faulted_at = len(self._told.commands)
 
 
-class ModelCell:
-    """A load cell that shows the force of the carriage, wherever the controller says it is; or falls silent."""
-
-    def __init__(self, stage: ModelStage, choices: Choices, clock: "_Clock") -> None:
-        self._stage, self._choices, self._clock = stage, choices, clock
-        self._is_silent: bool | None = None
-
-    @property
-    def force_N(self) -> float:
-        """The force on the unit, 1 N/mm."""
-        return max(0.0, self._stage.carriage_mm - TOUCH_MM)
-
-    def poll(self) -> list[Sample]:
-        """Return one reading, or fail."""
-        if self._is_silent is None:
-            self._is_silent = bool(self._choices.pick(2))
-        if self._is_silent:
-            raise NoReply("load cell: silent")
-        return [Sample(self._clock.now_s(), None, (self.force_N,))]
-
-
 class _Endless(BaseException):
     """A run that would go on for ever."""
 
@@ -195,7 +160,7 @@ class _Clock:
         return self.t_s
 
     def sleep_s(self, seconds: float) -> None:
-        self.t_s += max(seconds, STEP_S)
+        self.t_s += seconds
         if self.t_s > LONGEST_S:
             raise _Endless
 
@@ -216,10 +181,8 @@ def run_once(given: Sequence[int]) -> tuple[Told, list[tuple[int, int]]]:
     """Run the program once with these answers; return what was told, and the answers with their alternatives."""
     choices, told, clock = Choices(given), Told(), _Clock()
     stage = ModelStage(choices, told)
-    force, fixture = ForceConfig("", latency_s=0.0), FixtureConfig(approach_mm=APPROACH_MM)
-    config = SimpleNamespace(safety=SafetyConfig(), fixture=fixture, force=force)
-    cell = ModelCell(stage, choices, clock)
-    bench: Any = SimpleNamespace(config=config, clock=clock, stage=stage, readout=None, force=cell)
+    config = SimpleNamespace(safety=SafetyConfig(), fixture=FixtureConfig(approach_mm=APPROACH_MM))
+    bench: Any = SimpleNamespace(config=config, clock=clock, stage=stage, readout=None, force=None)
     looks = 0
 
     def tick() -> None:
@@ -231,7 +194,7 @@ def run_once(given: Sequence[int]) -> tuple[Told, list[tuple[int, int]]]:
             _watch(choices.pick(4), stage)
 
     motion = Motion(bench, tick)
-    motion._interlock, motion.zero_N = _SeenInterlock(told), 0.0
+    motion._interlock = _SeenInterlock(told)
 
     def look() -> None:
         told.states.add((motion.state, stage.is_moving, stage.is_position_known, told.held_at is not None))
@@ -240,14 +203,12 @@ def run_once(given: Sequence[int]) -> tuple[Told, list[tuple[int, int]]]:
     try:
         motion.supervise(lambda: _program(motion, stage))
     except DeviceError as error:
-        told.message, left = str(error), error.reason.values.get("state")
-        if isinstance(left, Reason):
-            depth_mm = stage.carriage_mm - TOUCH_MM
-            told.left, told.is_true = left, is_true(left, depth_mm, (cell.force_N,), stage.position_mm)
+        told.message = str(error)
     except _Endless:
         pass  # Its time tells.
     look()
     told.ended, told.seconds = motion.state, clock.t_s
+    told.is_up = not stage.is_moving and stage.position_mm <= APPROACH_MM
     return told, choices.made
 
 
@@ -261,17 +222,12 @@ def _watch(answer: int, stage: ModelStage) -> None:
 def _program(motion: Motion, stage: ModelStage) -> None:
     """A run in short: home, approach, search until the touch, touch again, press, wait, go back."""
     motion.home(lambda: None)
-    motion.enter(Phase.LISTENING, KNOWN)
-    motion.enter(Phase.APPROACHING, KNOWN)
     motion.go(APPROACH_MM, 5.0)
-    motion.enter(Phase.SEARCHING, KNOWN)
     for _ in range(2):
         motion.go(8.0, 1.0, lambda: stage.is_moving and stage._polls >= POLLS - 1)
         motion.go(APPROACH_MM, 5.0)
-    motion.enter(Phase.FEELING, KNOWN)
-    motion.enter(Phase.PRESSING, KNOWN)
     motion.go(9.0, 5.0)
-    motion.wait(5 * STEP_S)
+    motion.wait(0.05)
     motion.go(APPROACH_MM, 5.0)
 
 
@@ -320,8 +276,13 @@ def broken_property(told: Told) -> str:
         return "a state has no deadline"
     if told.held_at is not None and "up" in told.commands[told.held_at :]:
         return "moves by itself while somebody holds it"
-    if told.faulted_at is not None and told.left is None:
+    if told.faulted_at is not None and not _says_where(told):
         return "does not say what stands on the unit"
-    if not told.is_true:
-        return "says of the stage what is not so"
     return ""
+
+
+def _says_where(told: Told) -> bool:
+    if "is stopped and lifted" in told.message:
+        return told.is_up
+    parts = ("may stand on the unit", "does not answer any more", "could not be lifted", "must be homed")
+    return any(part in told.message for part in parts)

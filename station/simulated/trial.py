@@ -43,7 +43,6 @@ class FaultOutcome:
         record: "none" (nothing was recorded as good), "good" otherwise.
         spool: how the spool says the run ended.
         reason: the message as a code, for a screen in another language; None where the run went through.
-        is_true: whether what it says of the stage is so.
     """
 
     fault: str
@@ -56,7 +55,6 @@ class FaultOutcome:
     record: str
     spool: str
     reason: Reason | None = None
-    is_true: bool = True
 
 
 def run_with_fault(fault: Fault, folder: Path, seed: int = 0) -> FaultOutcome:
@@ -90,8 +88,6 @@ def _tried(fault: Fault, folder: Path, seed: int, make_spool: Callable[[Path], S
         except _Hangs:
             is_hanging = True
         ended_s = station.world.now_s()
-        left = None if error is None else error.reason.values.get("state")
-        is_true = not isinstance(left, Reason) or station.rig.tells_truth(left, ended_s)
         station.world.sleep_s(COAST_S)
         return FaultOutcome(
             fault.name,
@@ -104,7 +100,6 @@ def _tried(fault: Fault, folder: Path, seed: int, make_spool: Callable[[Path], S
             record_state,
             str(read_spool(path).end) if path.exists() else "no spool",
             error.reason if error else None,
-            is_true,
         )
 
 
