@@ -98,6 +98,7 @@ def test_a_swing_without_an_effect_has_no_gap(tmp_path: Path) -> None:
     assert all(cause["probability"] < 0.5 for cause in report["causes"])
 
 
+@pytest.mark.long
 def test_an_effect_that_no_candidate_describes_is_unknown(tmp_path: Path) -> None:
     """Play in the spring: no candidate has it, and the report says where it stands out."""
     report = diagnosed(write_rig(tmp_path / "rig", play_mm=1.0), MASS, tmp_path / "r.json")

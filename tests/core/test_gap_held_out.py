@@ -10,6 +10,7 @@ from softcal.core.gap.case import Case
 from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.diagnosis import diagnose
 from softcal.core.gap.fit import Fit, fit
+from softcal.core.gap.posterior import log_evidences
 from softcal.core.gap.search import EffectSearch
 from softcal.core.gap.shrink import unsupported
 from softcal.core.gap.start import base_fit
@@ -22,17 +23,23 @@ def faint(drawn_case: Callable[..., Case]) -> Case:
     return drawn_case(1300002, "faint", "tenth")
 
 
-def _chosen_without(case: Case, run: int) -> tuple[str, ...]:
-    """The causes that a search finds to which the run was never shown."""
+TIE = 0.3
+"""Log evidence within which two hypotheses are chosen by rounding."""
+
+
+def _chosen_without(case: Case, run: int) -> list[tuple[str, ...]]:
+    """The causes that a search finds to which the run was never shown; several only where they tie."""
     search = EffectSearch(replace(case, runs=tuple(r for k, r in enumerate(case.runs) if k != run)))
     search.run()
-    return search.best.hypothesis.ids
+    logs = log_evidences(search.fits)
+    return [ids for ids, log in logs.items() if log > max(logs.values()) - TIE]
 
 
 def test_causes_are_chosen_as_by_who_has_never_seen_the_part(faint: Case) -> None:
     diagnosis = diagnose(faint)
     assert len(diagnosis.chosen) == len(faint.runs)
-    assert diagnosis.chosen[:2] == tuple(_chosen_without(faint, run) for run in (0, 1))
+    for run in (0, 1):
+        assert diagnosis.chosen[run] in _chosen_without(faint, run)
     assert len(set(diagnosis.chosen)) > 1  # Else the test shows nothing.
 
 

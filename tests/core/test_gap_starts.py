@@ -44,8 +44,8 @@ def test_a_start_that_leads_nowhere_is_tried_more_gently() -> None:
     base = base_fit(case)
     extent = extent_of(case, 1.0, float(np.max(case.runs[0].force_N)))
     lead = next(one for one in screen(base, probes(case, extent)) if one.effect.id == "wiring_resistance")
-    # Forty times too large a promise, as a bent surface makes it.
-    far = replace(lead, values=(40.0 * lead.values[0],), shift=40.0 * lead.shift)
+    # Four hundred times too large a promise, as a bent surface makes it.
+    far = replace(lead, values=(400.0 * lead.values[0],), shift=400.0 * lead.shift)
     lost = fit(base.problem, base.hypothesis.adding(lead.effect), far.start(base))
     found = joined(base, far)
     assert found.chi2 < min(lost.chi2, 0.5 * base.chi2)
