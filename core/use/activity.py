@@ -105,7 +105,7 @@ class Lesson:
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
+class RestCurve:
     """The characteristic of a sensor at rest, as f∘γ₀ knows it.
 
     Args:
@@ -124,11 +124,13 @@ class Curve:
         return np.asarray(np.interp(share * np.interp(output, self.output, load), load, self.output))
 
 
-NO_PIVOTS = np.empty((2, 0))
+def no_pivots() -> Array:
+    """Return those of a sensor whose characteristic is not known."""
+    return np.zeros((2, 0))
 
 
 def learn_activity(
-    cycles: Sequence[Cycle], rest_is_low: bool, config: ActivityConfig, curve: Curve | None = None
+    cycles: Sequence[Cycle], rest_is_low: bool, config: ActivityConfig, curve: RestCurve | None = None
 ) -> Lesson:
     """Describe the activity of consecutive complete cycles.
 
@@ -173,14 +175,14 @@ def learn_activity(
         tolerance=tolerance,
         doubt=np.zeros((2, 2)),
         is_imposed=_core_scatter(duration, config.outliers) < config.machine_timing,
-        pivots=NO_PIVOTS,
+        pivots=no_pivots(),
         least_gain=config.least_gain,
     )
     # The estimator is not linear in the gain: what it finds in the activity's own cycles is its bias, and how much
     # that scatters is the measurement noise of the filter.
     drifts = np.array([blank.drift_of(cycle, rest_is_low) for cycle in cycles])
     noise = _covariance(drifts, config.few) + np.diag(floor[:2] ** 2)
-    pivots = NO_PIVOTS if curve is None else _pivots(blank, rest_is_low, curve, config.uses)
+    pivots = no_pivots() if curve is None else _pivots(blank, rest_is_low, curve, config.uses)
     activity = replace(blank, bias=drifts.mean(axis=0), noise=noise, doubt=noise / len(cycles), pivots=pivots)
     # Of a least squares slope over an index from -1/2 to 1/2.
     return Lesson(activity, "", trend, scatter * np.sqrt(12 / len(cycles)))
@@ -195,7 +197,7 @@ def _covariance(values: Array, few: float) -> Array:
     return np.asarray(left.T @ left / (len(values) - 2) * (1 + few / (len(values) - 2)))
 
 
-def _pivots(activity: Activity, rest_is_low: bool, curve: Curve, shares: tuple[float, ...]) -> Array:
+def _pivots(activity: Activity, rest_is_low: bool, curve: RestCurve, shares: tuple[float, ...]) -> Array:
     """Return the log gains that a change of the loads shows, rising, and the level each leaves where it was."""
     usual = activity.level + np.exp(activity.log_scale) * activity.shape
 
@@ -252,7 +254,7 @@ class CalibratedUse:
     rest_is_low: bool
     zero: float | None
     lesson: Lesson
-    curve: Curve | None = None
+    curve: RestCurve | None = None
 
 
 def learn_use(
@@ -260,7 +262,7 @@ def learn_use(
     rest_is_low: bool,
     zero_output: float | None = None,
     method: UseMethod = UseMethod(),  # noqa: B008 - frozen
-    curve: Curve | None = None,
+    curve: RestCurve | None = None,
 ) -> CalibratedUse:
     """Learn from the recording a unit was calibrated with.
 
@@ -288,7 +290,7 @@ def learn_use(
         mean = float(np.mean([c.level for c in cycles]))
         scale = float(np.exp(np.mean([np.log(c.scale) for c in cycles])))
     if curve is not None:
-        curve = Curve((curve.output - mean) / scale, curve.load)
+        curve = RestCurve((curve.output - mean) / scale, curve.load)
     lesson = learn_activity([c.standardised(mean, scale) for c in cycles], rest_is_low, method.activity, curve)
     if not is_covered:
         lesson = Lesson(None, "the calibration recording is no sequence of cycles", np.zeros(2))

@@ -8,7 +8,7 @@ from softcal.core.network.network import Network
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.uncertainty import NORMAL_90
-from softcal.core.use.activity import CalibratedUse, Curve, learn_use
+from softcal.core.use.activity import CalibratedUse, RestCurve, learn_use
 from softcal.core.use.method import DoubtConfig, UseMethod
 from softcal.core.windows import resting
 
@@ -35,14 +35,14 @@ def learn_sensitivity(
 
 def _curve(
     recording: OutputRecording, estimates: Callable[[Array], Array], swing: tuple[float, float], config: DoubtConfig
-) -> Curve:
+) -> RestCurve:
     """Return what constant outputs are estimated as, up to a swing beyond the recording."""
     low, high = np.quantile(recording.output, swing)
     levels = np.linspace(2 * low - high, 2 * high - low, config.zero_levels)
-    return Curve(levels, estimates(resting(levels)))
+    return RestCurve(levels, estimates(resting(levels)))
 
 
-def _zero_load_output(curve: Curve, low: float, high: float) -> float | None:
+def _zero_load_output(curve: RestCurve, low: float, high: float) -> float | None:
     """Return the constant output that is estimated as zero; None without one."""
     levels, values = curve.output, curve.load
     crossings = np.flatnonzero(values[:-1] * values[1:] <= 0)

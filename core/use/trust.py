@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.core.use.activity import NO_PIVOTS, Activity
+from softcal.core.use.activity import Activity, no_pivots
 from softcal.core.use.kept import array, not_kept
 from softcal.core.use.method import TrustConfig
 
@@ -38,7 +38,7 @@ class Trust:
     zero: float | None
     rest: float | None = None
     is_imposed: bool = False
-    pivots: Array = field(default_factory=NO_PIVOTS.copy, metadata=array(2, "u"))
+    pivots: Array = field(default_factory=no_pivots, metadata=array(2, "u"))
     level: float = 0.0
     counted: float = 0.0
     moved: float = 0.0

@@ -244,7 +244,10 @@ def test_queues_are_mapped_and_their_maps_are_in_the_registry(
     assert len(known) == len(given) - 14
     assert ((known["lower"] <= known["estimate"]) & (known["estimate"] <= known["upper"])).all()
     said = json.loads(report.read_text())
-    assert said["mode"] == mode and said["verdicts"]["followed"] == (len(given) - 14) // QUEUE - 1
+    assert said["mode"] == mode
+    # Queues of 200 windows of random presses differ by chance: each swap is a step, and says so.
+    swaps = sum(said["verdicts"].get(name, 0) for name in ("followed", "unwatched"))
+    assert swaps == (len(given) - 14) // QUEUE - 1
     assert said["method"]["numbers"]["online"]["queue"] == QUEUE
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softcal.core.recording import Array, OutputRecording
-from softcal.core.use.activity import CalibratedUse, Curve, learn_use
+from softcal.core.use.activity import CalibratedUse, RestCurve, learn_use
 from softcal.core.use.cycles import Cycle, CycleCutter
 from softcal.core.use.doubt import STRAY
 from softcal.core.use.method import UseMethod
@@ -190,7 +190,7 @@ def test_another_load_of_a_bent_sensor_that_turns_above_zero_load_is_use(
         return 1.0 + (1 + 0.3 * bend) * load - 0.5 * bend * load**2 * 0.5
 
     levels = np.linspace(-0.5, 2.5, 300)
-    curve = Curve(sensed(levels), levels)
+    curve = RestCurve(sensed(levels), levels)
     load = rest + (1 - rest) * (presses(400.0, timing=0.04) - 1.0)
     use = learn_use(recorded(sensed(load)), True, 1.0, curve=curve)
     tracker = DriftTracker(use, is_improved=True)

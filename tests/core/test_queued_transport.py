@@ -131,8 +131,8 @@ def test_pieces_a_pool_and_a_restart_give_the_same_rows(bench: Bench, mode: str)
     whole = make(bench, mode).advance(t_s, output_V).estimate
     with ThreadPoolExecutor(1) as pool:
         follower, parts = make(bench, mode, pool=pool), []
-        for k in range(0, len(t_s), 177):
-            parts.append(follower.advance(t_s[k : k + 177], output_V[k : k + 177]).estimate)
+        for k in range(0, len(t_s), 777):
+            parts.append(follower.advance(t_s[k : k + 777], output_V[k : k + 777]).estimate)
             state = json.loads(json.dumps(follower.state()))
             follower = make(bench, mode, pool=pool)
             assert follower.restore(state) == []
