@@ -12,7 +12,7 @@ import numpy as np
 
 from softcal.app.api.recording import Recording, expect, recording_of
 from softcal.app.api.registry import open_registry
-from softcal.app.batch.calibrating import LotFacts, UnitFacts
+from softcal.app.batch.calibrating import LotFacts, UnitInputs
 from softcal.app.files.atomic import write_bytes
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.lot import Lot
@@ -327,7 +327,7 @@ def fit_map(
     recording = recording_of(target, "target", **facts).unlabelled
     limit = stated_limit(network.reference_unit, limit_rmse)
     measured = None if audit is None else recording_of(audit, "audit", **facts).labelled
-    (problem,) = LotFacts((model,), limit).problems(recording, UnitFacts(_anchors(anchors), audit=measured))
+    (problem,) = LotFacts((model,), limit).problems(recording, UnitInputs(_anchors(anchors), audit=measured))
     return Unit(model.network, calibrate(problem), model.source, recording)
 
 

@@ -25,14 +25,14 @@ from softcal.core.words.reason import Reason, reason
 
 
 @dataclass(frozen=True, eq=False)
-class UnitFacts:
+class UnitInputs:
     """What is known of a unit beside its recording.
 
     Args:
         anchors: known loads, where someone brought them with the recording.
         kept: known loads by the hash of the recording they belong to; asked where `anchors` is None.
         golden: hash of the golden run by the hash of the recording it belongs to.
-        audit: its labelled recording, which only measures.
+        audit: its labelled recording, which decides and fits nothing.
         unread_audit: why a file that was brought as its audit cannot be read; "" where none was or it can.
     """
 
@@ -74,7 +74,7 @@ class LotFacts:
         """The lot's own source."""
         return self.sources[0]
 
-    def problems(self, recording: OutputRecording, known: UnitFacts) -> list[UnitProblem]:
+    def problems(self, recording: OutputRecording, known: UnitInputs) -> list[UnitProblem]:
         """Return the unit with each source, in the order of the lot.
 
         Raises:
@@ -131,7 +131,7 @@ Result = CalibrationRecord | Refusal | Known
 def calibrate_unit(
     lot: LotFacts,
     recording: OutputRecording,
-    unit: UnitFacts = UnitFacts(),
+    unit: UnitInputs = UnitInputs(),
     known: Collection[str] = (),  # noqa: B008
 ) -> Result:
     """Calibrate a unit with the source that suits it best.

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from softcal.app.batch.calibrating import LotFacts, UnitFacts, calibrate_unit
+from softcal.app.batch.calibrating import LotFacts, UnitInputs, calibrate_unit
 from softcal.app.batch.known import KeptFacts, lot_facts
 from softcal.app.registry.golden import bridges_over
 from softcal.app.registry.source import source_model, unlabelled
@@ -19,7 +19,7 @@ from softcal.core.unit.verdict import Verdict
 from softcal.db.registry import Registry
 
 Tell = Callable[[float, str], None]
-Unit = tuple[OutputRecording, UnitFacts]
+Unit = tuple[OutputRecording, UnitInputs]
 
 
 def compare_on_lot(registry: Registry, request: Mapping[str, Any], tell: Tell) -> list[dict[str, object]]:

@@ -4,7 +4,7 @@ import json
 from collections.abc import Collection, Sequence
 from typing import Any
 
-from softcal.app.batch.calibrating import Known, LotFacts, Refusal, Result, UnitFacts
+from softcal.app.batch.calibrating import Known, LotFacts, Refusal, Result, UnitInputs
 from softcal.app.registry.audits import audit_of, newest_audits
 from softcal.app.registry.golden import golden_of
 from softcal.app.registry.known_loads import known_loads
@@ -96,14 +96,14 @@ class KeptFacts:
         """Hashes of the golden runs that recordings of these units belong to."""
         return [sha256 for of in self.golden.values() for sha256 in of.values()]
 
-    def of(self, serial: str, anchors: Anchors | None = None) -> UnitFacts:
+    def of(self, serial: str, anchors: Anchors | None = None) -> UnitInputs:
         """Return what is known of a unit; its audit is read.
 
         Args:
             anchors: known loads that somebody brought with its recording.
         """
         audit = audit_of(self._registry, self.audits.get(serial))
-        return UnitFacts(anchors, self.loads.get(serial, {}), self.golden.get(serial, {}), audit)
+        return UnitInputs(anchors, self.loads.get(serial, {}), self.golden.get(serial, {}), audit)
 
 
 def keep_result(

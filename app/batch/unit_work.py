@@ -4,7 +4,7 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from softcal.app.batch.calibrating import LotFacts, Refusal, Result, UnitFacts, calibrate_unit
+from softcal.app.batch.calibrating import LotFacts, Refusal, Result, UnitInputs, calibrate_unit
 from softcal.app.files.recording_file import read_labelled, read_recording
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
@@ -38,7 +38,7 @@ class UnitTask:
     serial: str
     recording: FileContent | None
     audit: FileContent | None = None
-    facts: UnitFacts = UnitFacts()
+    facts: UnitInputs = UnitInputs()
     known: frozenset[str] = frozenset()
     problem: str = ""
 

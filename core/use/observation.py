@@ -13,7 +13,7 @@ FOLLOWED, HELD, TRIED, JUMPED, UNWATCHED = "followed", "held", "tried", "jumped"
 REST_MOVED = "the rest moved at once; the next cycles decide what it is"
 USE_OR_GAIN = "the cycles changed in size about a rest that stands: use or gain, which only a reference can tell"
 PRELOADED = "not watched: this use never comes to zero load; a preload that changes is taken for drift"
-QUEUE_DIFFERS = "not watched: queues of this length differ too much by chance to show a drift; give a longer --queue"
+QUEUE_DIFFERS = "not watched: queues of this length differ too much by chance to show a drift; a longer queue is needed"
 NOT_WATCHED = "not watched yet: the first use is still being learnt, and a drift before that is not seen"
 
 

@@ -226,7 +226,7 @@ class QueuedTransport(Batches):
 
     def _restore_own(self, state: Mapping[str, Any]) -> None:
         if (queue := UseMethod.of(state["method"]).online.queue) != self._queue:
-            raise InputError(f"its queues have {queue} windows, this one {self._queue}; give --queue {queue}")
+            raise InputError(f"its queues have {queue} windows, this one {self._queue}; {queue} was expected")
         kept = {name: _rows(name, rows) for name, rows in state["arrays"].items()}
         self._filling, self._waiting, self._fit = kept["filling"], kept["waiting"], None
         self._due = str(state["due"])

@@ -28,7 +28,7 @@ def forbid_changes(table: str) -> None:
 
 
 def triggers_of(table: str, dialect: str) -> dict[str, str]:
-    """Return the triggers of a table by name, as `db.checks` reads them back.
+    """Return the triggers of a table by name, as the checks of the registry read them back.
 
     Args:
         dialect: `sqlite`, where it is the whole statement, or `postgresql`, where it is table, function, kind, state

@@ -261,7 +261,7 @@ def open_database(url: str, *, create: bool = True) -> Database:
     except (ArgumentError, ValueError) as error:
         raise RegistryError(
             f"the registry URL {_bare(url)!r} cannot be read; sqlite:///FILE or postgresql://USER@HOST/DATABASE was "
-            f"expected{'' if '://' in url else f', for a file sqlite:///{url}'}"
+            f"expected{f', for a file sqlite:///{url}' if _bare(url) == url and '://' not in url else ''}"
         ) from error
     if parsed.drivername in ("sqlite", "sqlite+pysqlite"):
         database = Database(_sqlite_engine(parsed, create))
@@ -307,8 +307,10 @@ def check_schema(database: Database, schema: str) -> None:
 
 
 def _bare(url: str) -> str:
-    """Return a text that is no URL without what may be its password: all from its scheme to the last `@`."""
+    """Return a text that is no URL without what may be a password: all up to its last `@`, or a bare word."""
     scheme, _, rest = url.rpartition("://")
+    if not scheme and not set("/.\\") & set(url):
+        return "..."
     return f"{scheme}://...@{rest.rpartition('@')[2]}" if "@" in rest else url
 
 

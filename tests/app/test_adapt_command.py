@@ -320,7 +320,7 @@ def test_queues_of_another_length_are_not_gone_on_with(
 
     assert adapt(bench, stream, tmp_path / "more.csv", *more, "--queue", "300", "--resume") == 2
 
-    assert "--queue 200" in capsys.readouterr().err
+    assert "200 windows" in capsys.readouterr().err
 
 
 def test_the_state_of_another_mode_is_refused(

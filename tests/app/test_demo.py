@@ -24,7 +24,7 @@ def test_a_pressed_unit_comes_out_better_than_it_went_in(tmp_path: Path) -> None
     folder = press_demo_lot(SMALL, tmp_path / "lot", said.append)
     source = pd.read_csv(folder.source_path)
     unit = pd.read_csv(folder.unit_paths["DEMO-01"])
-    assert list(source.columns) == ["t_s", "output", "stage_mm", "reference"]
+    assert list(source.columns) == ["t_s", "output", "reference", "stage_mm"]
     assert list(unit.columns) == ["t_s", "output", "stage_mm"]
     with open_registry(f"sqlite:///{tmp_path / 'registry.db'}") as registry:
         (result,) = run_demo(SMALL, folder, registry, Watch()).units

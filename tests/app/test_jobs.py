@@ -143,7 +143,7 @@ REPORT = {
 def test_a_report_is_read_in_words_with_its_intervals() -> None:
     assert named_causes(REPORT, ENGLISH) == ["thermal drift (97.0 %)"]
     (cause,) = cause_rows(REPORT, ENGLISH)
-    assert cause["values"] == "alpha = 0.001 (0.0009 … 0.0011) 1/K"
+    assert cause["values"] == "alpha = 0.001 (0.0009 to 0.0011) 1/K"
     assert [row["stage"] for row in place_rows(REPORT, ENGLISH)] == [
         ENGLISH(f"gap.stage.{stage}") for stage in ("transduction", "load_cell")
     ]
