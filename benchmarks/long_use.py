@@ -10,6 +10,7 @@ the estimates err by more than the alarm's ratio times the error at calibration.
 
 import argparse
 import json
+import secrets
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -334,7 +335,7 @@ def nylon(seeds: int) -> dict[str, dict[str, float]]:
         rows += [[path.stem, part, *(float(m[k]) for m in median.values())] for k, part in enumerate((2, 3, 4, "all"))]
         ratios[path.stem] = {name: float(m[3] / median["none"][3]) for name, m in median.items()}
     if rows:
-        print_markdown(["nylon run", "quarter", *ratios[rows[0][0]]], rows)
+        print_markdown(["nylon run", "quarter", *ratios[str(rows[0][0])]], rows)
         print()
     return ratios
 
@@ -379,7 +380,7 @@ if __name__ == "__main__":
         "--nylon", type=int, default=1, metavar="SEEDS", help="networks of a nylon run; 0 leaves them out"
     )
     options = parser.parse_args()
-    seed = int(np.random.SeedSequence().entropy % 10**9) if options.fresh else options.seed
+    seed = secrets.randbelow(10**9) if options.fresh else options.seed
     print(f"seed {seed}, {options.streams} streams\n")
     found = list(outcomes(options.streams, options.beside, seed, options.cache))
     print_tables(found)

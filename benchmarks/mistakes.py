@@ -77,13 +77,13 @@ def egain(data: Path, rng: Rng) -> Iterator[Unit]:
 
 def insole(data: Path, rng: Rng) -> Iterator[Unit]:
     day, other_day = (table(data / f"insole_lot/{name}.parquet") for name in ("calibration", "validation_1"))
-    taxels = [name for name in day if name.startswith("taxel")]
+    taxels = [str(name) for name in day if str(name).startswith("taxel")]
     for one in rng.choice(taxels, 2, replace=False):
         source = trained(labelled(one, day[one], day["pressure_bar"], 48.9))
         for name in taxels:
             if name != one:
                 yield Unit("insole", source, labelled(name, day[name], day["pressure_bar"], 48.9))
-        for name in rng.choice(taxels, 10, replace=False):
+        for name in rng.choice(np.array(taxels), 10, replace=False):
             yield Unit("insole", source, labelled(name, other_day[name], other_day["pressure_bar"], 48.9))
 
 
