@@ -48,6 +48,16 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     items.sort(key=lambda item: item.path not in long)
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
+    """Turn every skip into a failure in CI: there nothing passes by a part that is missing."""
+    report = yield
+    if report.skipped and os.environ.get("CI"):
+        report.outcome = "failed"
+        report.longrepr = f"{item.nodeid} was skipped: {report.longrepr[2]}; in CI a missing part is a failure"
+    return report
+
+
 @pytest.fixture(autouse=True)
 def main_module() -> None:
     """Streamlit's page tests leave their page as `__main__`; a process spawned later would run it as its own."""
@@ -115,20 +125,13 @@ def english_in() -> Callable[[str], list[str]]:
     return lambda text: re.findall(r"\b[a-z]{3,}\b", NAMES.sub(" ", text))
 
 
-def missing(reason: str) -> None:
-    """Skip on a developer's machine, fail in CI: there nothing may pass by skipping."""
-    if os.environ.get("CI"):
-        pytest.fail(f"{reason}; in CI a missing part is a failure")
-    pytest.skip(reason)
-
-
 @pytest.fixture(scope="session")
-def require():  # type: ignore[no-untyped-def]
+def require() -> Callable[[object, str], None]:
     """`require(condition, reason)`: go on only where an optional part (PostgreSQL, a browser, QEMU) is there."""
 
     def check(condition: object, reason: str) -> None:
         if not condition:
-            missing(reason)
+            pytest.skip(reason)
 
     return check
 
@@ -139,7 +142,7 @@ def measured_data() -> Path:
     root = Path(__file__).parents[1]
     folder = Path(os.environ.get("SOFTCAL_DATA", root.parent / "shared" / "data"))
     if not folder.is_dir():
-        missing(f"no measured data in {folder}; set SOFTCAL_DATA")
+        pytest.skip(f"no measured data in {folder}; set SOFTCAL_DATA")
     return folder
 
 

@@ -10,7 +10,6 @@ import pytest
 
 from softcal.core.gap.simulator import Simulator, SimulatorRun, recorded
 from softcal.core.gap.simulator_diagnosis import diagnose_simulator
-from tests.conftest import missing
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "simulators"
 RIGS = Path(os.environ.get("SOFTCAL_DATA", Path(__file__).parents[3] / "shared" / "data")) / "rigs"
@@ -24,7 +23,7 @@ def of_rig(name: str, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def runs_of(rig: str, simulator: Simulator, numbers: str) -> list[SimulatorRun]:
     if not RIGS.is_dir():
-        missing(f"no measured rigs in {RIGS}; name their folder by SOFTCAL_DATA")
+        pytest.skip(f"no measured rigs in {RIGS}; name their folder by SOFTCAL_DATA")
     out = []
     for number in numbers:
         table = np.genfromtxt(RIGS / rig / "runs" / number / "recording.csv", delimiter=",", names=True)
