@@ -42,7 +42,7 @@ check-benchmarks: $(STAMP)
 	mkdir -p .links && ln -sfn .. .links/softcal
 	MYPYPATH=.links:benchmarks $(BIN)/mypy --config-file= --explicit-package-bases --check-untyped-defs \
 	  --no-strict-optional --ignore-missing-imports --follow-imports=silent --cache-dir=.mypy_cache/benchmarks \
-	  benchmarks/*.py
+	  benchmarks/*.py benchmarks/common/*.py
 
 # tests/README.md, which test proves which promise, and the picture of the architecture.
 proof:

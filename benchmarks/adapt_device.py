@@ -14,9 +14,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from adapt_common import print_markdown
+from common.simulated_streams import KINDS, Stream, draw
+from common.tables import print_table
 from long_use import HARM
-from simulated_streams import KINDS, Stream, draw
 
 from softcal.core.errors import UnitRefused
 from softcal.core.export.device import DeviceOptions, UnitFacts, build_network_file, build_unit_file
@@ -121,4 +121,4 @@ if __name__ == "__main__":
     options = parser.parse_args()
     allowed = DeviceOptions(adapt_offset=options.offset, adapt_gain=options.gain)
     header = ["kind", "streams", "median ratio", "worst", f"above {HARM:g}", "of these not told"]
-    print_markdown(header, table(list(outcomes(range(*options.streams), options.seed, allowed))))
+    print_table(header, table(list(outcomes(range(*options.streams), options.seed, allowed))))

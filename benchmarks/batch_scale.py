@@ -23,8 +23,9 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from batch_lot import make_lot
-from registry_common import fresh_url, print_markdown
+from common.lots import make_lot
+from common.registries import fresh_url
+from common.tables import print_table
 
 DATABASES, ENGINES, WORKERS = ("SQLite", "PostgreSQL"), ("local", "dask"), (1, 2)
 CASES = tuple(f"{database}:{engine}:{jobs}" for database in DATABASES for engine in ENGINES for jobs in WORKERS)
@@ -201,7 +202,7 @@ def main() -> None:
             if not (root / f"lot-{units}").exists():
                 make_lot(root / f"lot-{units}", units)
         rows = (row for case in cases for row in measure(case, sizes, root, options.kept, options.part))
-        print_markdown(HEADER, rows)
+        print_table(HEADER, rows)
 
 
 if __name__ == "__main__":

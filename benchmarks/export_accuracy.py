@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 import pandas as pd
-from map_methods import egain, insole, taxels
+from common.map_methods import egain, insole, taxels
 
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 from softcal.app.files.onnx_file import onnx_bytes

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from map_methods import egain
+from common.map_methods import egain
 
 from softcal.core.export.c_text import network_header, unit_header
 from softcal.core.export.compile_map import InputScale

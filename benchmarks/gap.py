@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gap_twin import twin_table
+from common.gap_twin import twin_table
 
 from softcal.core.challenge.cases import EXPERIMENTS, RunPlan, SealedCase, distance_sigma
 from softcal.core.challenge.draw import LINES, draw_case

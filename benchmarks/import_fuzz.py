@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from registry_common import print_markdown
+from common.tables import print_table
 
 from softcal.app.files.importing import Columns, ImportPlan, import_lot
 from softcal.app.files.lot_folder import open_lot_folder
@@ -221,7 +221,7 @@ def main() -> None:
                 examples.extend(fuzz.examples)
                 yield kind, count, *found, time.perf_counter() - start_s
 
-    print_markdown(HEADER, rows())
+    print_table(HEADER, rows())
     for example in examples:
         print(example)
 

@@ -8,7 +8,7 @@ import argparse
 from dataclasses import replace
 
 import numpy as np
-from simulated_cases import Case, cases, coverage
+from common.simulated_cases import Case, cases, coverage
 
 from softcal.core.simulated_lot import GOOD
 from softcal.core.unit.estimate import estimate

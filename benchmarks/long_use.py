@@ -2,7 +2,7 @@
 
     python benchmarks/long_use.py [--streams N] [--beside N] [--seed SEED | --fresh] [--cache FOLDER] [--nylon SEEDS]
 
-Streams of many kinds, drawn at random by simulated_streams.py, and the measured nylon runs (SOFTCAL_DATA). The exit
+Streams of many kinds, drawn at random by common/simulated_streams.py, and the measured nylon runs (SOFTCAL_DATA). The exit
 code is 1 where a goal is missed. The first `--beside` streams are also estimated by the paper's online method, a
 quantile re-map, CORAL and, where river is installed, its ADWIN with a refit. An alarm is due where, over ten cycles,
 the estimates err by more than the alarm's ratio times the error at calibration.
@@ -19,9 +19,10 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from adapt_common import DATA, Unit, calibrate, follow, part_rmse, print_markdown
+from common.followed import DATA, Unit, calibrate, follow, part_rmse
+from common.simulated_streams import KINDS, Stream, draw
+from common.tables import print_table
 from numpy.typing import NDArray
-from simulated_streams import KINDS, Stream, draw
 
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
@@ -289,13 +290,11 @@ def print_tables(found: list[Outcome]) -> None:
     header += ["median, last third", "false alarms", "due", "missed", "median delay [cycles]"]
     header += [f"coverage, {state}" for state in STATES] + ["of none"] + [f"{state} [%]" for state in STATES]
     kinds = {kind: [one for one in found if one.kind == kind] for kind in KINDS}
-    print_markdown(header, [*(row_of(kind, some) for kind, some in kinds.items() if some), row_of("all", found)])
+    print_table(header, [*(row_of(kind, some) for kind, some in kinds.items() if some), row_of("all", found)])
     print()
     header = ["worst streams", "unit", "ratio", "last third", "no adaptation", "followed", "alarm"]
     worst = sorted(found, key=lambda one: -one.ratio)[:SHOWN]
-    print_markdown(
-        header, [[o.kind, o.unit, o.ratio, o.last_ratio, o.still, o.followed, o.said or "none"] for o in worst]
-    )
+    print_table(header, [[o.kind, o.unit, o.ratio, o.last_ratio, o.still, o.followed, o.said or "none"] for o in worst])
     print()
     if some := [one for one in found if one.beside]:
         names = ["filter", *some[0].beside]
@@ -309,7 +308,7 @@ def print_tables(found: list[Outcome]) -> None:
         rows.append(
             [f"share above {HARM:g}", *(float(np.mean([one[name] > HARM for one in ratios])) for name in names)]
         )
-        print_markdown(["median error over none", *names], rows)
+        print_table(["median error over none", *names], rows)
         print()
 
 
@@ -335,7 +334,7 @@ def nylon(seeds: int) -> dict[str, dict[str, float]]:
         rows += [[path.stem, part, *(float(m[k]) for m in median.values())] for k, part in enumerate((2, 3, 4, "all"))]
         ratios[path.stem] = {name: float(m[3] / median["none"][3]) for name, m in median.items()}
     if rows:
-        print_markdown(["nylon run", "quarter", *ratios[str(rows[0][0])]], rows)
+        print_table(["nylon run", "quarter", *ratios[str(rows[0][0])]], rows)
         print()
     return ratios
 
@@ -385,7 +384,7 @@ if __name__ == "__main__":
     found = list(outcomes(options.streams, options.beside, seed, options.cache))
     print_tables(found)
     reached = list(goals(found, nylon(options.nylon)))
-    print_markdown(
+    print_table(
         ["goal", "found", "at most", "met"], [[n, float(v), float(m), "yes" if v <= m else "no"] for n, v, m in reached]
     )
     sys.exit(any(value > most or value != value for _, value, most in reached))

@@ -6,7 +6,8 @@ python benchmarks/maps_egain.py [--quick]
 import argparse
 
 import numpy as np
-from map_methods import METHODS, egain, own_error, print_table
+from common.map_methods import METHODS, egain, own_error
+from common.tables import print_table
 from scipy.optimize import minimize
 
 from softcal.core.maps.affine_map import AffineMap

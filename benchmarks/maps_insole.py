@@ -13,7 +13,8 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 
 import numpy as np
-from map_methods import METHODS, insole, own_error, print_table, summary, taxel, taxels
+from common.map_methods import METHODS, insole, own_error, summary, taxel, taxels
+from common.tables import print_table
 
 from softcal.core.errors import UnitRefused
 from softcal.core.maps.interface import FitProblem

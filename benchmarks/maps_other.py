@@ -19,8 +19,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
-from map_methods import DATA, METHODS, egain, insole, print_table, score, summary, taxel, taxels
-from maps_anchors import known_loads
+from common.map_methods import DATA, METHODS, egain, insole, score, summary, taxel, taxels
+from common.tables import print_table
 from maps_insole import SOURCES, split
 
 from softcal.core.identity import content_sha256
@@ -240,6 +240,22 @@ def skin(place: str) -> LabelledRecording:
 
 
 SETS: dict[str, Callable[[int], Iterator[Case]]] = {"egain": egain_cases, "skin": skin_cases, "insole": insole_cases}
+
+
+def known_loads(audit: LabelledRecording, count: int) -> Anchors | None:
+    """Output and load where the unit rested: the slowest samples near evenly spaced loads, the zero first."""
+    if not count:
+        return None
+    loads = np.concatenate([[0.0], np.linspace(0.0, 0.9 * float(np.quantile(audit.reference, 0.98)), count)[1:]])
+    speed = np.abs(np.convolve(np.gradient(audit.reference), np.ones(15) / 15, mode="same"))
+    picked = []
+    for load in loads:
+        near = np.argsort(np.abs(audit.reference - load))[:60]
+        picked.append(near[np.argsort(speed[near])[:20]])
+    return Anchors(
+        np.array([audit.unlabelled.output[rows].mean() for rows in picked]),
+        np.array([audit.reference[rows].mean() for rows in picked]),
+    )
 
 
 if __name__ == "__main__":

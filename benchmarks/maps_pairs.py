@@ -11,7 +11,8 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from map_methods import insole, print_table, taxel, taxels
+from common.map_methods import insole, taxel, taxels
+from common.tables import print_table
 
 from softcal.core.maps.config import MapConfig, PairConfig
 from softcal.core.maps.interface import FitProblem

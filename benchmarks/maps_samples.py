@@ -11,7 +11,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from map_methods import egain, insole, own_error, print_table, taxel
+from common.map_methods import egain, insole, own_error, taxel
+from common.tables import print_table
 from maps_insole import split
 
 from softcal.core.errors import SoftcalError

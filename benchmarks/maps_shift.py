@@ -6,7 +6,8 @@ python benchmarks/maps_shift.py [--quick] [--units N]
 import argparse
 from collections import Counter
 
-from map_methods import METHODS, own_error, print_table, summary
+from common.map_methods import METHODS, own_error, summary
+from common.tables import print_table
 
 from softcal.core.errors import UnitRefused
 from softcal.core.maps.choose import choose_map

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import plotly.graph_objects as go
+from common.screens import chromium
 from playwright.sync_api import ViewportSize
 from plotly.subplots import make_subplots
-from screens_common import chromium
 
 from softcal.core.maps.catalogue import family
 from softcal.core.maps.interface import FitProblem, UnitMap

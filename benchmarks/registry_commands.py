@@ -15,8 +15,8 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from batch_lot import RATE_HZ, make_lot
-from registry_common import print_markdown
+from common.lots import RATE_HZ, make_lot
+from common.tables import print_table
 
 from softcal.app.files.lot_folder import write_lot_toml
 from softcal.core.lot import Lot
@@ -79,7 +79,7 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="softcal-bench-") as folder:
         units, runs = (3, 2) if options.quick else (options.units, options.runs)
-        print_markdown(HEADER, rows(Path(folder), units, runs))
+        print_table(HEADER, rows(Path(folder), units, runs))
 
 
 if __name__ == "__main__":

@@ -21,7 +21,8 @@ from pathlib import Path
 from unittest import mock
 
 import numpy as np
-from registry_common import begin_lot, print_markdown, record
+from common.registries import begin_lot, record
+from common.tables import print_table
 from sqlalchemy import Connection
 
 from softcal.core.errors import InputError, SoftcalError
@@ -285,10 +286,10 @@ def main() -> None:
         make(path)
         with blind() if options.blind else contextlib.nullcontext():
             if count_flips:
-                print_markdown(FLIPS, flips(path, folder, count_flips, options.seed))
+                print_table(FLIPS, flips(path, folder, count_flips, options.seed))
             print()
             if count_edits:
-                print_markdown(EDITS, edits(path, folder, count_edits, options.seed))
+                print_table(EDITS, edits(path, folder, count_edits, options.seed))
 
 
 if __name__ == "__main__":

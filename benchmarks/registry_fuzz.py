@@ -24,8 +24,9 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+from common.registries import begin_lot, record
+from common.tables import print_table
 from import_fuzz import Fuzz, damaged, good_rows
-from registry_common import begin_lot, print_markdown, record
 
 from softcal.app.files.lot_folder import open_lot_folder, write_lot_toml
 from softcal.core.errors import InputError, RegistryError
@@ -198,7 +199,7 @@ def main() -> None:
     counts = {kind: 20 if options.quick else round(share * options.files) for kind, share in SHARES.items()}
     examples: list[str] = []
     rows = (measure(kind, counts[kind], options.seed, options.kept, examples) for kind in options.kinds)
-    print_markdown(HEADER, rows)
+    print_table(HEADER, rows)
     for example in examples[:24]:
         print(example)
 

@@ -18,8 +18,9 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
-from batch_lot import make_lot
-from registry_common import DATABASES, begin_lot, fresh_url, print_markdown, record
+from common.lots import make_lot
+from common.registries import DATABASES, begin_lot, fresh_url, record
+from common.tables import print_table
 
 from softcal.app.batch.batch import run_batch
 from softcal.app.batch.lot_work import BatchConfig, Watch
@@ -178,7 +179,7 @@ def main() -> None:
                         default=["writer", "batch", "station"])  # fmt: skip
     options = parser.parse_args()
     kills = 3 if options.quick else options.kills
-    print_markdown(HEADER, measured(options.what, kills, options.seed))
+    print_table(HEADER, measured(options.what, kills, options.seed))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from registry_common import DATABASES, begin_lot, fresh_url, print_markdown, record
+from common.registries import DATABASES, begin_lot, fresh_url, record
+from common.tables import print_table
 
 from softcal.db.care.backup import back_up
 from softcal.db.care.sync import synchronise
@@ -69,7 +70,7 @@ def main() -> None:
     header = ("database", "units", "registered/s", "list ms", "one unit ms", "verify --quick s",
               "verify s", "backup s", "backup MB", "first sync to PostgreSQL s")  # fmt: skip
     sizes = [500] if options.quick else sorted(options.units)
-    print_markdown(header, (measure(kind, units) for kind in options.databases for units in sizes))
+    print_table(header, (measure(kind, units) for kind in options.databases for units in sizes))
 
 
 if __name__ == "__main__":

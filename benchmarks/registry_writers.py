@@ -12,7 +12,8 @@ import time
 from multiprocessing.synchronize import Barrier
 
 import numpy as np
-from registry_common import DATABASES, begin_lot, database_of, fresh_url, print_markdown, record
+from common.registries import DATABASES, begin_lot, database_of, fresh_url, record
+from common.tables import print_table
 
 from softcal.db.connection import open_registry
 
@@ -91,7 +92,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0)
     options = parser.parse_args()
     seconds = 3.0 if options.quick else options.seconds
-    print_markdown(HEADER, (measure(kind, options.writers, seconds) for kind in DATABASES))
+    print_table(HEADER, (measure(kind, options.writers, seconds) for kind in DATABASES))
 
 
 if __name__ == "__main__":

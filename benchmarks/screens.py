@@ -21,10 +21,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+from common.desk_pictures import NAME, PIN, QUALITY, QUALITY_PIN, sign_in
+from common.screens import chromium, served, served_by, stated
+from common.tables import print_table
 from playwright.sync_api import Browser, Page
-from registry_common import print_markdown
-from screens_common import chromium, served, served_by, stated
-from screenshots_desk import NAME, PIN, QUALITY, QUALITY_PIN, sign_in
 
 from softcal.app.views.lot import lot_view
 from softcal.core.identity import content_sha256
@@ -188,13 +188,13 @@ def main() -> None:
         with open_registry(url) as registry:
             fill(registry, options.units)
             rows = ((name, median_ms(query, options.rounds)) for name, query in queries(registry))
-            print_markdown((f"query, {options.units} units, SQLite", "ms"), rows)
+            print_table((f"query, {options.units} units, SQLite", "ms"), rows)
             registry.order_queue.beat(Heartbeat("line-1", StationState.READY, datetime.now(UTC), process="rig:1"))
         print(flush=True)
         os.environ["XDG_DATA_HOME"] = folder
         with empty_page(Path(folder)) as empty, served(url) as (address, _), chromium() as browser:
             header = ("page", "to", "new browser s", "browser CPU s", "known browser s")
-            print_markdown(header, table(browser, empty, address, options.rounds))
+            print_table(header, table(browser, empty, address, options.rounds))
 
 
 def table(browser: Browser, empty: str, address: str, rounds: int) -> Iterator[tuple]:

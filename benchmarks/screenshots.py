@@ -8,12 +8,11 @@ NAME is `line` for the operator's screen, or a page. Needs Chromium, Playwright 
 import argparse
 from pathlib import Path
 
-import screenshots_desk
-import screenshots_line
-from screens_common import chromium
+from common import desk_pictures, line_pictures
+from common.screens import chromium
 
 LINE = "line"
-DESK = (*screenshots_desk.PAGES, *screenshots_desk.PAGES_OF_QUALITY, screenshots_desk.SIGN_IN)
+DESK = (*desk_pictures.PAGES, *desk_pictures.PAGES_OF_QUALITY, desk_pictures.SIGN_IN)
 
 
 def main() -> None:
@@ -26,9 +25,9 @@ def main() -> None:
     names = options.only or (LINE, *DESK)
     with chromium() as browser:
         if LINE in names:
-            screenshots_line.take_all(browser, options.out, options.language)
+            line_pictures.take_all(browser, options.out, options.language)
         if set(names) & set(DESK):
-            screenshots_desk.take_all(browser, options.out, names)
+            desk_pictures.take_all(browser, options.out, names)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import warnings
 
 import numpy as np
 import ot
-from map_methods import print_table
+from common.tables import print_table
 
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.interface import FitProblem

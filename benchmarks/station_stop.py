@@ -21,7 +21,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from screens_common import chromium, served
+from common.screens import chromium, served
 
 from softcal.app.line.host import StationHost
 from softcal.app.line.pressed_run import RunKeeper

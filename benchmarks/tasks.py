@@ -20,11 +20,11 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from common.desk_pictures import columns
+from common.screens import chromium, served_by
+from common.tables import print_table
 from playwright.sync_api import Browser, Locator, Page
 from playwright.sync_api import Error as PlaywrightError
-from registry_common import print_markdown
-from screens_common import chromium, served_by
-from screenshots_desk import columns
 
 from softcal.app.files.recording_file import write_columns
 from softcal.core.simulated_lot import LotDesign, simulate_lot
@@ -364,7 +364,7 @@ def main() -> None:
                 clicks, seconds, end = done(browser, address, who, job, picture)
                 rows.append((number, role, what, clicks, f"{seconds:.0f}", end))
                 print(rows[-1], file=sys.stderr, flush=True)
-            print_markdown(("", "who", "job", "clicks", "s", "end"), rows)
+            print_table(("", "who", "job", "clicks", "s", "end"), rows)
 
 
 if __name__ == "__main__":

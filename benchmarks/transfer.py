@@ -26,7 +26,8 @@ import numpy as np
 import ot
 import plotly.graph_objects as go
 import sklearn.utils.validation
-from map_methods import METHODS, Method, own_error, pot, print_table, summary, thinned
+from common.map_methods import METHODS, Method, own_error, pot, summary, thinned
+from common.tables import print_table
 
 from softcal.app.files.lot_folder import open_lot_folder
 from softcal.core.errors import UnitRefused

@@ -14,11 +14,11 @@ from pathlib import Path
 from tempfile import gettempdir
 
 import numpy as np
-from map_methods import print_table
+from common.screens import write_figure
+from common.tables import print_table
+from common.trust_lots import GOOD, FittedUnit, covered, day_lots, drawn_lots, fitted, measured_lots
 from plotly.subplots import make_subplots
 from scipy.stats import beta
-from screens_common import write_figure
-from trust_lots import GOOD, FittedUnit, covered, day_lots, drawn_lots, fitted, measured_lots
 
 from softcal.core.quality.acceptance import Promise
 from softcal.core.quality.conformal import least_risk

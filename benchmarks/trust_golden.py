@@ -15,9 +15,10 @@ from pathlib import Path
 from tempfile import gettempdir
 
 import numpy as np
-from map_methods import METHODS, insole, own_error, print_table, taxel, taxels
+from common.map_methods import METHODS, insole, own_error, taxel, taxels
+from common.simulated_cases import NETWORK
+from common.tables import print_table
 from maps_insole import SOURCES, split
-from simulated_cases import NETWORK
 
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse

@@ -9,9 +9,9 @@ from collections import Counter
 from collections.abc import Iterable
 
 import numpy as np
+from common.simulated_cases import Case, cases, coverage, roc_auc
 from scipy.optimize import minimize
 from scipy.stats import spearmanr
-from simulated_cases import Case, cases, coverage, roc_auc
 
 from softcal.core.simulated_lot import GOOD, OPPOSITE_DIRECTION
 from softcal.core.unit.knowledge import KnowledgeTable

@@ -51,7 +51,7 @@ from softcal.db.queues.work_queue import WorkItem, WorkSet
 from softcal.db.registry import Registry
 
 CHUNK_S = 1.0
-"""Seconds of CPU a chunk should hold. By `benchmarks/batch_chunks.py` a chunk of one unit costs the command twice as
+"""Seconds of CPU a chunk should hold. Measured: a chunk of one unit costs the command twice as
 much as one of four or more, and a batch that is killed repeats no more than the chunks under way."""
 
 NO_RESULT = "the registry has no result of it; have the registry verified"

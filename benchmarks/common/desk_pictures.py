@@ -13,8 +13,8 @@ from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
+from common.screens import THEMES, Theme, keep_picture, served
 from playwright.sync_api import Browser, Page, ViewportSize
-from screens_common import THEMES, Theme, keep_picture, served
 
 from softcal.app.cli.main import main as softcal
 from softcal.app.files.recording_file import write_columns

@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import IO, Literal
 
 import numpy as np
+from common.registries import record
 from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 from plotly.graph_objects import Figure
-from registry_common import record
 
 from softcal.core.lot import Lot
 from softcal.core.network.network import Network

@@ -7,8 +7,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from playwright.sync_api import Browser, Page, ViewportSize
-from screens_common import (
+from common.screens import (
     GOOD,
     LOT,
     STATION,
@@ -21,6 +20,7 @@ from screens_common import (
     served,
     stated,
 )
+from playwright.sync_api import Browser, Page, ViewportSize
 
 from softcal.core.orders import Progress, RunState, StationState
 from softcal.core.words.reason import reason

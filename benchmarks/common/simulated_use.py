@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import lfilter
-from simulated_gait import stance
 
 from softcal.core.recording import Array
 
@@ -31,6 +30,14 @@ class Style:
     load: float = 1.0
     pace: float = 1.0
     scatter: float | None = None
+
+
+def stance(phase: Array) -> Array:
+    """Return the double-humped force of one stride, 1 at its top; stance takes 62 % of it."""
+    inside = phase < 0.62
+    x = np.where(inside, phase / 0.62, 0.0)
+    shape = np.sin(np.pi * x) * (1.0 - 0.45 * np.sin(np.pi * x) ** 8) / 0.86
+    return np.where(inside, np.maximum(shape, 0.0), 0.0)
 
 
 def gait(phase: Array, height: Array) -> Array:

@@ -20,7 +20,7 @@ from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 
-DATA = Path(os.environ.get("SOFTCAL_DATA", Path(__file__).parents[2] / "shared" / "data"))
+DATA = Path(os.environ.get("SOFTCAL_DATA", Path(__file__).parents[3] / "shared" / "data"))
 EXACT_ROWS = 1200
 """Windows per side for POT's exact solver where all of them would take hours."""
 
@@ -133,16 +133,6 @@ def _spread(count: int, most: int) -> np.ndarray:
 def own_error(train: LabelledRecording, test: LabelledRecording, config: NetworkConfig) -> float:
     """RMSE of a network trained on the unit's own labels."""
     return score(fit_network(train, config).network, np.asarray(test.windows), test)
-
-
-def print_table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
-    """Print a Markdown table; numbers with three digits."""
-    head = list(head)
-    print("| " + " | ".join(head) + " |")
-    print("|" + "---|" * len(head))
-    for row in rows:
-        print("| " + " | ".join(f"{x:.3f}" if isinstance(x, float) else str(x) for x in row) + " |", flush=True)
-    print()
 
 
 def summary(ratios: Iterable[float]) -> tuple[float, float, float]:

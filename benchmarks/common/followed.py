@@ -1,7 +1,6 @@
 """What the long-term benchmarks share: a unit that is its own source, a stream followed, a table."""
 
 import os
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from softcal.core.use.batches import Batches, MapUpdate
 from softcal.core.use.method import OnlineConfig, UseMethod
 from softcal.core.use.queued import QueuedTransport
 
-DATA = Path(os.environ.get("SOFTCAL_DATA", Path(__file__).parents[2] / "shared" / "data"))
+DATA = Path(os.environ.get("SOFTCAL_DATA", Path(__file__).parents[3] / "shared" / "data"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,11 +62,3 @@ def part_rmse(estimate: Array, reference: Array, parts: int) -> list[float]:
     """Return the RMSE of equal parts of a stream."""
     edges = np.linspace(0, len(reference), parts + 1).astype(int)
     return [rmse(estimate[a:b], reference[a:b]) for a, b in zip(edges[:-1], edges[1:], strict=True)]
-
-
-def print_markdown(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Print a Markdown table."""
-    print("| " + " | ".join(header) + " |")
-    print("|" + "---|" * len(header))
-    for row in rows:
-        print("| " + " | ".join(f"{v:.4g}" if isinstance(v, float) else str(v) for v in row) + " |", flush=True)

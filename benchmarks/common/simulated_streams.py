@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from simulated_use import ACTIVITIES, CURVES, Activity, Style, cycles, read, station
+from common.simulated_use import ACTIVITIES, CURVES, Activity, Style, cycles, read, station
 
 from softcal.app.registry.unit import source_calibration
 from softcal.core.network.config import NetworkConfig

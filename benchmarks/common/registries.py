@@ -3,7 +3,7 @@
 import os
 import tempfile
 import uuid
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -75,11 +75,3 @@ def database_of(kind: str) -> str:
     with fresh_url(kind) as url, open_registry(url) as registry, registry.database.reading() as connection:
         query = "SELECT sqlite_version()" if kind == "SQLite" else "SHOW server_version"
         return f"{kind} {str(connection.execute(text(query)).scalar_one()).split()[0]}"
-
-
-def print_markdown(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Print a Markdown table, each row as soon as it is known."""
-    print("| " + " | ".join(header) + " |")
-    print("|" + "---|" * len(header), flush=True)
-    for row in rows:
-        print("| " + " | ".join(f"{v:.3g}" if isinstance(v, float) else str(v) for v in row) + " |", flush=True)

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from map_methods import DATA, egain, insole, taxel, taxels
+from common.map_methods import DATA, egain, insole, taxel, taxels
+from common.simulated_cases import NETWORK
 from numpy.typing import NDArray
-from simulated_cases import NETWORK
 
 from softcal.core.challenge.draw import draw_case
 from softcal.core.challenge.rig import Measured
