@@ -9,6 +9,7 @@ gcc-arm-none-eabi, qemu-system-arm, gcc-riscv64-unknown-elf, qemu-system-misc, g
 
 import argparse
 import subprocess
+import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,13 +21,16 @@ from softcal.core.export.c_text import network_header, unit_header
 from softcal.core.export.compile_map import InputScale
 from softcal.core.export.device import DeviceOptions, DeviceUnit, UnitFacts, build_network_file, build_unit_file
 from softcal.core.export.loader import open_sensor
-from softcal.core.export.stream import DeviceStream
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.interface import FitProblem
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
 
 ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+from tests.firmware.device_stream import DeviceStream  # noqa: E402
+
 HIDDEN = ((120, 70, 35), (48, 24), (32, 16), (16, 8))
 CYCLES_PER_INSTRUCTION = 1.36
 """Of a Cortex-M0+ with one flash wait state on a loop of this kind, from a cycle model; a board may differ by 10 %."""

@@ -97,19 +97,19 @@ def open_sink(target: str, append: bool) -> Iterator[Sink]:
             yield file
 
 
+class _File(Protocol):
+    def write(self, text: str, /) -> int: ...
+
+    def flush(self) -> None: ...
+
+
 class _Flushed:
-    def __init__(self, file: "_File") -> None:
+    def __init__(self, file: _File) -> None:
         self._file = file
 
     def write(self, lines: str) -> None:
         self._file.write(lines)
         self._file.flush()
-
-
-class _File(Protocol):
-    def write(self, text: str, /) -> int: ...
-
-    def flush(self) -> None: ...
 
 
 @contextmanager

@@ -1,6 +1,6 @@
 """Trim a calibrated unit at its place of use: two or more known loads re-anchor its map. No file, no registry here.
 
-The device trims by the same rule (docs/format.md; `core/export/stream.py`).
+The device trims by the same rule (docs/format.md; tests/firmware/device_stream.py).
 """
 
 from dataclasses import dataclass, replace

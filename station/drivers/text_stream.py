@@ -33,13 +33,13 @@ class TextStream:
         self._last_ms: int | None = None
         self._is_synchronised = False
         self._bad_in_a_row = 0
-        self.unreadable = self.repeated = 0
+        self.unreadable = 0
 
     def start(self) -> None:
         """Throw away what lies in the buffers and begin to count."""
         self._link.discard()
         self._last_ms, self._is_synchronised = None, False
-        self.unreadable = self.repeated = self._bad_in_a_row = 0
+        self.unreadable = self._bad_in_a_row = 0
 
     def poll(self) -> list[Sample]:
         """Return the samples that arrived since the last call, oldest first, in counts.
@@ -74,7 +74,6 @@ class TextStream:
         last_ms = self._last_ms
         device_ms = line.device_ms if last_ms is None else unwrap_ms(last_ms, line.device_ms)
         if last_ms is not None and device_ms == last_ms:
-            self.repeated += 1
             return None
         if last_ms is not None and not 0 < device_ms - last_ms <= LONGEST_STEP_MS:
             raise BadReply(reason("rig.clock.back", device=named(self.name), before_ms=last_ms, after_ms=device_ms))

@@ -11,7 +11,7 @@ import pytest
 
 from softcal.core.export.blob import FileRefused
 from softcal.core.export.loader import open_sensor
-from softcal.core.export.stream import DeviceStream
+from tests.firmware.device_stream import DeviceStream
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 VECTORS = FIRMWARE / "conformance"

@@ -17,7 +17,7 @@ from softcal.core.export.c_text import network_header, unit_header
 from softcal.core.export.cost import device_cost
 from softcal.core.export.integer_network import IntegerMix
 from softcal.core.export.loader import open_sensor, run_self_test
-from softcal.core.export.stream import DeviceStream, Trim, TrimResult, find_trim
+from tests.firmware.device_stream import DeviceStream, Trim, TrimResult, find_trim
 
 SAMPLES = 250
 TOOLS = {

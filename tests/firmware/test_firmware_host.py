@@ -11,7 +11,7 @@ import pytest
 from softcal.core.export.c_text import network_header, unit_header
 from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE, STUCK, WARM_UP, WRONG_RATE, open_sensor
 from softcal.core.export.quantise import evaluate_float64
-from softcal.core.export.stream import DeviceStream
+from tests.firmware.device_stream import DeviceStream
 
 Build = Callable[..., Path]
 

@@ -9,7 +9,7 @@ import pytest
 
 from softcal.core.export.blob import UnitFile
 from softcal.core.export.loader import DeviceSensor, open_sensor
-from softcal.core.export.stream import DeviceStream, Shift, Trim, TrimResult, find_trim, joined
+from tests.firmware.device_stream import DeviceStream, Shift, Trim, TrimResult, find_trim, joined
 
 WATCHING, ADAPTED, AT_BOUND, NOT_ADAPTABLE = range(4)
 SLOT_BYTES = 256

@@ -14,7 +14,7 @@ from softcal.core.export.device import UnitFacts, build_network_file, build_unit
 from softcal.core.export.integer_network import DeviceMap, IntegerMix
 from softcal.core.export.loader import OUT_OF_RANGE, open_sensor, run_self_test
 from softcal.core.export.quantise import quantise_layer
-from softcal.core.export.stream import Shift, Trim, TrimResult, find_trim
+from tests.firmware.device_stream import Shift, Trim, TrimResult, find_trim
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.interface import Anchors, FitProblem
 from softcal.core.network.config import NetworkConfig

@@ -57,7 +57,6 @@ def test_the_first_line_is_dropped_because_it_may_be_cut():
 def test_repeated_lines_are_counted_once():
     device = stream(b"", b"20,1", b"20,1", b"40,2")
     assert [s.values for s in device.poll()] == [(1.0,), (2.0,)]
-    assert device.repeated == 1
 
 
 def test_lost_lines_leave_a_step_in_the_device_clock():
