@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.core.use.activity import Activity, CalibratedUse, Lesson, learn_activity
+from softcal.core.use.activity import Activity, CalibratedUse, Lesson, is_timed, learn_activity
 from softcal.core.use.cycles import Cycle
 from softcal.core.use.doubt import Doubt, Evidence, doubt
 from softcal.core.use.filter import DriftFilter
@@ -110,6 +110,8 @@ class DriftTracker:
         now.first_s = cycle.end_s if now.first_s is None else now.first_s
         now.filter = now.filter.moved(self._walked(cycle.end_s))
         now.last_s, now.trial = cycle.end_s, 0.0
+        if cycle.is_complete:
+            now.timing = [*now.timing[-self._method.activity.machine_cycles + 1 :], math.log(cycle.duration_s)]
         # Free motion without return is no cycle; what it shows of the level says nothing about the sensor.
         if not cycle.is_complete:
             now.strangers.clear()
@@ -301,9 +303,18 @@ class DriftTracker:
         # A use that was known before the latest was learnt shows where the sensor is.
         if index < len(now.activities) - 1:
             now.stray = now.stray_before = 0.0
-        now.trust = now.trust.after(now.activities[index], measured.drift, self._seen(), 1 / self._settling)
+        activity = now.activities[index]
+        # A person may go on with what a machine was calibrated with.
+        is_imposed = activity.is_imposed and self._is_timed()
+        known = replace(activity, is_imposed=is_imposed)
+        now.trust = now.trust.after(known, measured.drift, self._seen(), 1 / self._settling)
         now.jumps.clear()
         now.alarm, now.unresolved = "", 0.0
+
+    def _is_timed(self) -> bool:
+        """Return whether a machine times the use now."""
+        timing, config = self._now.timing, self._method.activity
+        return len(timing) >= config.min_cycles and is_timed(np.array(timing), config)
 
     def _pace(self, surprise: Array, expected: Array) -> float:
         """Return the factor on the process noise: above 1 while innovations keep one sign beyond chance."""

@@ -18,7 +18,7 @@ LONGEST_STEP_MS = 5000
 class TextStream:
     """Lines of one device as samples in whole counts.
 
-    Repeated lines are dropped and counted, lost ones leave a step in the device clock, unreadable ones are counted.
+    Repeated lines are dropped, lost ones leave a step in the device clock, unreadable ones are counted.
 
     Args:
         name: how messages call the device.
