@@ -174,7 +174,7 @@ def learn_activity(
         noise=np.zeros((2, 2)),
         tolerance=tolerance,
         doubt=np.zeros((2, 2)),
-        is_imposed=is_timed(duration, config),
+        is_imposed=timing_scatter(duration, config) < config.machine_timing,
         pivots=no_pivots(),
         least_gain=config.least_gain,
     )
@@ -212,11 +212,11 @@ def _pivots(activity: Activity, rest_is_low: bool, curve: RestCurve, shares: tup
     return np.array([log_gains, -shifts / np.expm1(log_gains)])
 
 
-def is_timed(log_durations: Array, config: ActivityConfig) -> bool:
-    """Return whether a machine times cycles: (n,) log durations are equal, but for the few furthest from the median."""
+def timing_scatter(log_durations: Array, config: ActivityConfig) -> float:
+    """Return the standard deviation of (n,) log durations without the few that are furthest from the median."""
     distance = np.abs(log_durations - np.median(log_durations))
     kept = np.argsort(distance, kind="stable")[: len(distance) - max(1, len(distance) // config.outliers)]
-    return float(log_durations[kept].std()) < config.machine_timing
+    return float(log_durations[kept].std())
 
 
 def _trend(values: Array) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ row (the estimate is causal), single samples and whole arrays give the same rows
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,10 +19,11 @@ from softcal.core.unit.estimate import Flags
 from softcal.core.use.activity import CalibratedUse
 from softcal.core.use.batches import START, UNSETTLED, Batches, MapUpdate
 from softcal.core.use.cycles import CycleCutter
-from softcal.core.use.doubt import CAUSES, Doubt, due
+from softcal.core.use.doubt import Doubt, due
 from softcal.core.use.intake import RowMask, Taken
+from softcal.core.use.kept import restored
 from softcal.core.use.method import UseMethod
-from softcal.core.use.observation import NOT_WATCHED, UNWATCHED, Observation
+from softcal.core.use.observation import FOLLOWED, HELD, NOT_WATCHED, UNWATCHED, Observation
 from softcal.core.use.sensitivity import learn_sensitivity
 from softcal.core.use.tracker import DriftTracker
 
@@ -31,6 +32,19 @@ QUEUES = ("ot", "ot-improved")
 MODES = (*FILTERS, *QUEUES)
 STATE_FORMAT = 7
 """Of what `Adapter.state` returns; raised whenever a state kept before could not be gone on from."""
+
+
+@dataclass(frozen=True)
+class Overdue:
+    """What has been in doubt for too long.
+
+    Args:
+        batches: so many in a row with too much in doubt.
+        why: and what to do; empty while nothing is overdue.
+    """
+
+    batches: int = 0
+    why: str = ""
 
 
 @dataclass(frozen=True)
@@ -85,7 +99,9 @@ class Adapter(Batches):
         self._use, self._error_per_scale = learn_sensitivity(network, calibration, recording, config.method)
         self._cutter, self._tracker = self._parts()
         self._evidence: list[tuple[float, float] | None] = []
-        self._due_batches = 0
+        self._of_use, self._of_map = Overdue(), Overdue()
+        reason = "" if self._use.lesson.activity else self._use.lesson.reason
+        self._last = replace(self._tracker.start(), verdict=START, reason=reason)
         self._begin(self._start())
 
     def _parts(self) -> tuple[CycleCutter, DriftTracker]:
@@ -154,8 +170,14 @@ class Adapter(Batches):
         # Below this size a new correction is not worth a row of the record.
         if np.max(np.abs(moved)) < self._method.doubt.swap * self._use.scale:
             gain, offset = self._current.gain, self._current.offset
-        seen = self._current if last is None else last
+        # An open jump makes the predicted error large for two cycles: that alone decides nothing.
+        if not self._tracker.is_unsettled:
+            self._of_use = self._overdue(self._of_use, found.of_use)
+            self._of_map = self._overdue(self._of_map, found.of_map)
+        seen = self._last = last or self._last
         verdict, reason = seen.verdict, seen.reason
+        if self._of_use.why and verdict == FOLLOWED:
+            verdict, reason = HELD, self._of_use.why
         # Not even a cycle was seen: that must not read as if nothing had drifted.
         if verdict == START and self._tracker.is_learning:
             verdict, reason = UNWATCHED, NOT_WATCHED
@@ -171,43 +193,33 @@ class Adapter(Batches):
             predicted_rmse=self._predicted_rmse(found.growth),
             verdict=verdict,
             reason=reason,
-            alarm=self._alarm_of(found.not_followed),
+            alarm=self._alarm() or self._tracker.alarm or self._of_map.why,
         )
 
     def _drift_doubt(self, now_s: float | None) -> Doubt:
         """Return what is in doubt about the drift."""
         if self._config.mode == "none" or now_s is None:
-            return Doubt(0.0, 0.0, {})
+            return Doubt(0.0, 0.0, {}, {})
         return self._tracker.doubt_at(now_s)
 
     def _predicted_rmse(self, doubt: float) -> float:
         return float(np.hypot(self._calibrated_rmse, self._error_per_scale * doubt))
 
-    def _alarm_of(self, not_followed: Mapping[str, float]) -> str:
-        if silence := self._alarm():
-            return silence
-        if self._tracker.alarm:
-            return self._tracker.alarm
-        # An open jump makes the predicted error large for two cycles; that alone is no reason to calibrate.
-        if self._tracker.is_unsettled:
-            return self._current.alarm
-        config, standing = self._method.doubt, self._current.alarm
-        ratio = self._predicted_rmse(sum(not_followed.values()) ** 0.5) / self._calibrated_rmse
-        self._due_batches = self._due_batches + 1 if ratio > config.alarm_ratio else 0
-        is_due = self._due_batches * self._method.intake.batch > config.alarm_cycles * self._use.usual
+    def _overdue(self, before: Overdue, squares: Mapping[str, float]) -> Overdue:
+        """Return whether what is in doubt has been too much for long, and why."""
+        config = self._method.doubt
+        ratio = self._predicted_rmse(sum(squares.values()) ** 0.5) / self._calibrated_rmse
+        batches = before.batches + 1 if ratio > config.alarm_ratio else 0
+        is_due = batches * self._method.intake.batch > config.alarm_cycles * self._use.usual
         # Two thresholds: what hovers about one would call and take back the alarm again and again.
-        if not is_due and not (standing and ratio > config.clear_ratio):
-            return ""
-        if standing in map(due, CAUSES):
-            return standing
-        return due(max(not_followed, key=not_followed.__getitem__))
+        if not is_due and not (before.why and ratio > config.clear_ratio):
+            return Overdue(batches)
+        return Overdue(batches, before.why or due(max(squares, key=squares.__getitem__)))
 
     def _start(self) -> MapUpdate:
-        start = self._tracker.start()
-        predicted_rmse = self._predicted_rmse(0.0)
-        reason = "" if self._use.lesson.activity else self._use.lesson.reason
+        start = self._last
         drift = (start.shift, start.log_gain, start.shift_sd, start.log_gain_sd)
-        return MapUpdate(0, None, 1.0, 0.0, *drift, predicted_rmse, START, reason, "")
+        return MapUpdate(0, None, 1.0, 0.0, *drift, self._predicted_rmse(0.0), START, start.reason, "")
 
     def reconnect(self, row: int = 0) -> None:
         """Go on after an interruption of unknown length: windows and cycles start anew, the map stays."""
@@ -218,7 +230,9 @@ class Adapter(Batches):
 
     def _own_state(self) -> dict[str, object]:
         return {
-            "due_batches": self._due_batches,
+            "of_use": asdict(self._of_use),
+            "of_map": asdict(self._of_map),
+            "last": asdict(self._last),
             "evidence": [None if pair is None else list(pair) for pair in self._evidence],
             "cutter": self._cutter.state(),
             "tracker": self._tracker.state(),
@@ -228,7 +242,9 @@ class Adapter(Batches):
         cutter, tracker = self._parts()
         cutter.restore(state["cutter"])
         tracker.restore(state["tracker"])
-        self._cutter, self._tracker, self._due_batches = cutter, tracker, int(state["due_batches"])
+        of_use, of_map = restored(Overdue, state["of_use"]), restored(Overdue, state["of_map"])
+        self._last = restored(Observation, state["last"])
+        self._cutter, self._tracker, self._of_use, self._of_map = cutter, tracker, of_use, of_map
         self._evidence = [None if pair is None else (pair[0], pair[1]) for pair in state["evidence"]]
 
 

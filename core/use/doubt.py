@@ -1,7 +1,8 @@
-"""How wrong the estimates of a unit in use may be: for its interval, its predicted error, and its alarm.
+"""How wrong the estimates of a unit in use may be: for its interval, its predicted error, its state and its alarm.
 
 All numbers are standard deviations or their squares in scales of the calibrated use, and independent: squares add up.
-The alarm counts something else than the predicted error: not how far a drift has gone, but what of it is not followed.
+What may be use as well as drift is no alarm: nothing of it is applied, and the state of the rows says so. An alarm counts
+what is wrong with the map that is applied.
 """
 
 from collections.abc import Mapping
@@ -20,7 +21,7 @@ LATE = "the drift is faster than it is followed"
 JUMP = "a sudden change is not explained"
 QUEUE = "a queue was mapped far from the calibration: a drift, or another use"
 FAR = "what was corrected is so much that the rest of it counts"
-"""Why estimates may be wrong: what an alarm names."""
+"""Why estimates may be wrong."""
 
 CAUSES = (UNCOMPARED, MISSED, STRAY, JUMP, OPEN, LATE, FAR, QUEUE)
 CALIBRATE, COMPARE = "calibrate against a reference", "compare a known load"
@@ -82,16 +83,18 @@ class Doubt:
     Args:
         widening: for intervals.
         growth: for the predicted error.
-        not_followed: squares of what an alarm counts, by why.
+        of_use: squares of what may be use as well as drift, by why: it holds the map.
+        of_map: squares of what is in doubt about the correction that is applied, by why: it raises the alarm.
     """
 
     widening: float
     growth: float
-    not_followed: Mapping[str, float]
+    of_use: Mapping[str, float]
+    of_map: Mapping[str, float]
 
 
 def due(why: str) -> str:
-    """Return the words of an alarm."""
+    """Return why, and what to do."""
     return f"{why}; {CALIBRATE if why in (LATE, FAR) else COMPARE}"
 
 
@@ -106,7 +109,7 @@ def doubt(seen: Evidence, config: DoubtConfig) -> Doubt:
     leaves out use that was not compared while the first use is still being learnt.
     """
     # What was not applied cannot be wrong by chance: the variance counts as far as the correction goes.
-    share = seen.size / max(float(seen.drift @ seen.drift), 1e-24)
+    share = min(1.0, seen.size / max(float(seen.drift @ seen.drift), 1e-24))
     known = share * seen.chance + config.correction**2 * seen.size
     known += (config.way * seen.moved) ** 2 + seen.use_doubt + seen.preload_doubt + seen.walked
     open_ends = seen.unresolved**2 + seen.missed**2 + seen.stray**2
@@ -116,13 +119,12 @@ def doubt(seen: Evidence, config: DoubtConfig) -> Doubt:
     return Doubt(
         widening=float(np.sqrt(known + unseen + open_ends + seen.left + 2 * seen.away**2)),
         growth=float(np.sqrt(known + counted + open_ends + (1 - seen.use_share) * beyond)),
-        not_followed={
+        of_use={
             UNCOMPARED: counted,
             MISSED: seen.missed**2,
             STRAY: seen.stray**2,
             JUMP: seen.unresolved**2,
-            OPEN: max(0.0, seen.left - config.certain * seen.chance),
-            LATE: seen.lag**2,
-            FAR: config.far**2 * seen.size + config.vouched * seen.use_doubt,
+            OPEN: max(0.0, seen.left - config.certain * seen.chance) + (1 - share) * seen.lag**2,
         },
+        of_map={LATE: share * seen.lag**2, FAR: config.far**2 * seen.size + config.vouched * seen.use_doubt},
     )

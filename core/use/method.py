@@ -86,6 +86,7 @@ class ActivityConfig:
         machine_timing: cycles whose log durations scatter by less than this are timed by a machine.
         machine_cycles: of a use learnt in use, so many cycles at least show that; of six cycles of a person whose times
             scatter by 4 %, one set in a hundred does by chance.
+        still_timed: the latest `machine_cycles` are no longer timed by one where they scatter by so many times as much.
         outliers: one of so many durations, the furthest from the median, is left out of that scatter.
         rest_scatter: an activity returns to a known rest where its unloaded turning points scatter by less than this,
             in scales.
@@ -104,6 +105,7 @@ class ActivityConfig:
     least_gain: float = setting(1e-3)
     machine_timing: float = setting(0.01)
     machine_cycles: int = setting(10, "chance, of a chi-square with 8 degrees of freedom: one in ten thousand")
+    still_timed: float = setting(2.0, "chance, of a chi-square with 8 degrees of freedom: one in a thousand")
     outliers: int = setting(10)
     rest_scatter: float = setting(0.10)
     covered: float = setting(0.5)
@@ -219,13 +221,14 @@ class DoubtConfig:
         correction: share of an applied correction that stays in doubt: drift is neither affine nor all of it seen.
         way: the same for the whole way the rest has gone: a moving sensor is followed late.
         unseen: drift in scales that may have come in use as long as the calibration recording that was not compared.
-        far: of an applied correction this share counts as not followed.
-        vouched: of the square of a gain that was applied and may have been use, this share.
+        far: of an applied correction this share counts for the alarm.
+        vouched: of the square of a gain that was applied and may have been use, this share does.
         certain: a drift that is seen and not applied, and a mean innovation, count where their squares exceed so many
             times what chance makes of them.
-        alarm_ratio, clear_ratio: recalibration is due when what is not followed brings the error to the first number of
-            times that of the calibration, until it is below the second.
-        alarm_cycles: for so many usual cycles on end, so that one odd cycle raises no alarm.
+        alarm_ratio, clear_ratio: the map is held, or a calibration due, when what may be use, or what is wrong with the
+            correction, brings the error to the first number of times that of the calibration, until it is below the
+            second.
+        alarm_cycles: for so many usual cycles on end, so that one odd cycle decides nothing.
         swap: a new correction replaces the old one when it moves an extreme of the output by this share of its scale.
         slope_rows, slope_step: windows, and step in scales, over which the mean slope of the estimate is taken.
         zero_levels: constant outputs at which the level of zero load is searched.

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.core.use.activity import Activity, CalibratedUse, Lesson, is_timed, learn_activity
+from softcal.core.use.activity import Activity, CalibratedUse, Lesson, learn_activity, timing_scatter
 from softcal.core.use.cycles import Cycle
 from softcal.core.use.doubt import Doubt, Evidence, doubt
 from softcal.core.use.filter import DriftFilter
@@ -314,7 +314,9 @@ class DriftTracker:
     def _is_timed(self) -> bool:
         """Return whether a machine times the use now."""
         timing, config = self._now.timing, self._method.activity
-        return len(timing) >= config.min_cycles and is_timed(np.array(timing), config)
+        if len(timing) < config.min_cycles:
+            return False
+        return timing_scatter(np.array(timing), config) < config.still_timed * config.machine_timing
 
     def _pace(self, surprise: Array, expected: Array) -> float:
         """Return the factor on the process noise: above 1 while innovations keep one sign beyond chance."""
@@ -339,8 +341,7 @@ class DriftTracker:
             return self._held(cycle, f"a sudden change; {config.cycles} like cycles decide what it is", index)
         # Without a rest a jump of the sensor and one of the use are the same numbers.
         if not activity.has_rest:
-            now.alarm = "a sudden change of sensor or use, which no known rest can tell apart"
-            return self._held(cycle, now.alarm, index)
+            return self._held(cycle, "a sudden change of sensor or use, which no known rest can tell apart", index)
         moved = self._rest_moved(activity, step)
         if abs(moved) <= max(config.floor[0], config.rest_sigmas * activity.rest_scatter):
             now.unresolved = 0.0

@@ -414,9 +414,9 @@ def test_new_use_that_rests_elsewhere_counts_until_a_known_one_is_seen(lifted: f
     # A re-seating in the moment in which the use changes: taken for a part of the new use, it was never told.
     observe(tracker, presses(400.0, seed=8, power=6.0) + lifted, use, 200.0)
 
-    assert (tracker.doubt_at(600.0).not_followed[STRAY] > 0) == is_told
+    assert (tracker.doubt_at(600.0).of_use[STRAY] > 0) == is_told
     observe(tracker, presses(200.0, seed=9), use, 600.0)
-    assert tracker.doubt_at(800.0).not_followed[STRAY] == 0.0
+    assert tracker.doubt_at(800.0).of_use[STRAY] == 0.0
 
 
 @pytest.mark.parametrize(("zero_output", "is_said"), [(1.0, False), (0.8, True), (None, True)])

@@ -1,11 +1,11 @@
-"""What an alarm counts: not how far a drift has gone, but what of it is not followed."""
+"""What holds a map and what raises an alarm: not how far a drift has gone, but what of it is open or wrong."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from softcal.core.use.doubt import JUMP, LATE, MISSED, OPEN, STRAY, UNCOMPARED, Evidence, doubt
+from softcal.core.use.doubt import JUMP, LATE, MISSED, OPEN, STRAY, UNCOMPARED, Doubt, Evidence, doubt
 from softcal.core.use.method import DoubtConfig
 
 CONFIG = DoubtConfig()
@@ -27,8 +27,12 @@ NOTHING = Evidence(
 )
 
 
+def all_of(found: Doubt) -> dict[str, float]:
+    return {**found.of_use, **found.of_map}
+
+
 def counted(seen: Evidence) -> float:
-    return float(np.sqrt(sum(doubt(seen, CONFIG).not_followed.values())))
+    return float(np.sqrt(sum(all_of(doubt(seen, CONFIG)).values())))
 
 
 def test_a_drift_that_is_applied_in_full_counts_a_small_share_of_its_size() -> None:
@@ -41,21 +45,24 @@ def test_a_drift_that_is_applied_in_full_counts_a_small_share_of_its_size() -> N
 
 
 @pytest.mark.parametrize(
-    ("why", "change"),
+    ("why", "is_of_use", "change"),
     [
-        (UNCOMPARED, {"unseen": 1.0}),
-        (MISSED, {"missed": 0.3}),
-        (STRAY, {"stray": 0.3}),
-        (JUMP, {"unresolved": 0.3}),
-        (OPEN, {"drift": np.array([0.0, 0.3])}),
-        (LATE, {"lag": 0.3}),
+        (UNCOMPARED, True, {"unseen": 1.0}),
+        (MISSED, True, {"missed": 0.3}),
+        (STRAY, True, {"stray": 0.3}),
+        (JUMP, True, {"unresolved": 0.3}),
+        (OPEN, True, {"drift": np.array([0.0, 0.3])}),
+        (OPEN, True, {"lag": 0.3}),
+        (LATE, False, {"lag": 0.5, "drift": np.array([0.3, 0.0]), "applied": np.array([0.3, 0.0])}),
     ],
 )
-def test_what_is_not_followed_counts_and_is_named(why: str, change: dict[str, object]) -> None:
-    found = doubt(replace(NOTHING, **change), CONFIG).not_followed  # type: ignore[arg-type]
+def test_what_may_be_use_holds_and_what_is_wrong_alarms(why: str, is_of_use: bool, change: dict[str, object]) -> None:
+    found = doubt(replace(NOTHING, **change), CONFIG)  # type: ignore[arg-type]
 
-    assert max(found, key=found.__getitem__) == why
-    assert sum(found.values()) == found[why] > 0.01
+    squares = all_of(found)
+    assert max(squares, key=squares.__getitem__) == why
+    assert squares[why] > max(0.01, 0.99 * sum(squares.values()))
+    assert (why in found.of_use) == is_of_use
 
 
 def test_a_drift_within_chance_counts_nothing() -> None:
@@ -67,5 +74,5 @@ def test_use_not_compared_widens_the_interval_but_counts_only_once_the_first_use
     later = doubt(replace(NOTHING, unseen=1.0), CONFIG)
 
     assert learning.widening == later.widening >= CONFIG.unseen
-    assert (learning.growth, sum(learning.not_followed.values())) == (0.0, 0.0)
+    assert (learning.growth, sum(all_of(learning).values())) == (0.0, 0.0)
     assert later.growth == pytest.approx(CONFIG.unseen)
