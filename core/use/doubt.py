@@ -1,8 +1,8 @@
 """How wrong the estimates of a unit in use may be: for its interval, its predicted error, its state and its alarm.
 
 All numbers are standard deviations or their squares in scales of the calibrated use, and independent: squares add up.
-What may be use as well as drift is no alarm: nothing of it is applied, and the state of the rows says so. An alarm counts
-what is wrong with the map that is applied.
+What may be use as well as drift is no alarm: nothing of it is applied, and the state of the rows says so. An alarm
+counts what is wrong with the map that is applied.
 """
 
 from collections.abc import Mapping

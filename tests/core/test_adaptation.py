@@ -22,7 +22,7 @@ from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Decision, Judgement, Verdict
 from softcal.core.use.adapter import STATE_FORMAT, AdaptConfig, Adapter
 from softcal.core.use.batches import BETWEEN, RECALIBRATE, STATES, UNSETTLED
-from softcal.core.use.doubt import MISSED, UNCOMPARED
+from softcal.core.use.doubt import MISSED
 from softcal.core.use.intake import WRONG_RATE
 from softcal.core.use.method import UseMethod
 from softcal.core.windows import TAPS

@@ -14,7 +14,6 @@ from softcal.core.export.device import UnitFacts, build_network_file, build_unit
 from softcal.core.export.integer_network import DeviceMap, IntegerMix
 from softcal.core.export.loader import OUT_OF_RANGE, open_sensor, run_self_test
 from softcal.core.export.quantise import quantise_layer
-from tests.firmware.device_stream import Shift, Trim, TrimResult, find_trim
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.interface import Anchors, FitProblem
 from softcal.core.network.config import NetworkConfig
@@ -24,6 +23,7 @@ from softcal.core.unit.method import LEVELS
 from softcal.core.unit.uncertainty import NORMAL_90, Interval
 from softcal.core.use.trim import Trimmed, trim
 from softcal.core.windows import TAPS
+from tests.firmware.device_stream import Shift, Trim, TrimResult, find_trim
 
 BAND_N, RANGE_N = 0.08, 3.0
 LOAD_ERROR_N = 0.003 * RANGE_N
