@@ -13,6 +13,7 @@ from softcal.station.bench import Bench
 from softcal.station.config import LATEST_S
 from softcal.station.contact import AGAIN_MM, SURE_MM, ContactSearch, Touch, slower_mm_s, stiffest_N_mm
 from softcal.station.interfaces import Move, OnWait, Step, ignore_wait
+from softcal.station.interlock import State
 from softcal.station.motion import RETRACT_MM_S
 from softcal.station.proof import check_lag, lag_s
 from softcal.station.recording import Raw, RunFacts, StationRecording, assemble, device_times_s
@@ -116,16 +117,20 @@ class _Run:
         if not self._stage.is_position_known:
             self._enter(HOMING)
             self.watched.home()
+        else:
+            self.watched.enter(State.LISTENING)
         self._approach()
         zero_N = self._take_zero()
         touch, fixture = self._find_contact(), self._bench.config.fixture
         contact_mm = touch.foot(self.watched.late_s).at_mm
         self.watched.expect_contact(contact_mm)
-        self._feel(contact_mm - fixture.clearance_mm, contact_mm)
+        felt_mm, safe_mm_s = self._feel(contact_mm - fixture.clearance_mm, contact_mm, zero_N)
         # A late cell shows the contact too deep, and how late it is may be known only now.
         contact_mm = touch.foot(self.watched.late_s).at_mm
-        self.watched.contact_mm, zero_mm = contact_mm, contact_mm - fixture.clearance_mm
-        self._go(zero_mm, fixture.search_mm_s)
+        zero_mm = contact_mm - fixture.clearance_mm
+        # Up: where a clearance is 0, rounding alone may make it a move down.
+        self._go(min(zero_mm, self._stage.position_mm), fixture.search_mm_s)
+        self.watched.expect_press(contact_mm, felt_mm, safe_mm_s)
         self._motion.wait(SETTLE_S)
         span_s = self._press(zero_mm)
         facts = self._facts(span_s, zero_mm, contact_mm, zero_N, self._return(zero_N), with_reference)
@@ -139,7 +144,7 @@ class _Run:
         self._enter("reading the unloaded channels")
         self._motion.wait(0.3)
         self.watched.expect_nothing()
-        self._go(self._bench.config.fixture.approach_mm, self.watched.fastest_free_mm_s)
+        self._go(self._bench.config.fixture.approach_mm, self.watched.fastest_mm_s)
 
     def _press(self, zero_mm: float) -> tuple[float, float]:
         began_s = self._clock.now_s()
@@ -203,6 +208,7 @@ class _Run:
         self._motion.wait(0.3)
         if self._bench.force is None:
             self._motion.wait(SETTLE_S)
+            self.watched.take_zero(0.0)
             return 0.0
         count = len(self._readings.force)
         self._motion.wait(SETTLE_S)
@@ -232,7 +238,7 @@ class _Run:
         bench, fixture = self._bench, self._bench.config.fixture
         read, latest_s = self._readings, self.watched.latest_s
         search = ContactSearch(fixture, bench.force is not None, read.force, read.output, latest_s)
-        speed_mm_s = min(fixture.search_mm_s, self.watched.fastest_free_mm_s)
+        speed_mm_s = min(fixture.search_mm_s, self.watched.fastest_mm_s)
         touch = self._touch(search, speed_mm_s)
         contact = touch.foot(self.watched.late_s)
         slow_mm_s = slower_mm_s(speed_mm_s, contact.doubt_mm)
@@ -257,25 +263,28 @@ class _Run:
         polls = [poll for poll in self._readings.polls if poll.host_s >= began_s]
         return search.touch(reconstruct(polls, [move]).at)
 
-    def _feel(self, zero_mm: float, contact_mm: float) -> None:
+    def _feel(self, zero_mm: float, contact_mm: float, zero_N: float) -> tuple[float, float]:
         """Press once, slowly, as deep as the profile will: only where the unit was felt may the stage go fast.
+
+        Returns:
+            How deep that was (0 where the profile itself is slow enough, or no load cell reads), and the fastest speed
+            down to there that a stop can hold.
 
         Raises:
             CommandRefused: the profile is faster than a stop holds on this unit; it was only felt.
             SafetyStop: the force limit is met above the profile's deepest point.
         """
-        safety, bounds = self._bench.config.safety, self.watched.bounds
-        slow_mm_s = min(bounds.unknown_mm_s, safety.speed_mm_s)
+        slow_mm_s = self.watched.fastest_mm_s
         if self._bench.force is None or self._profile.fastest_mm_s <= slow_mm_s:
-            self.watched.learn_latency(None)
-            return
+            self.watched.enter(State.RELEASING)
+            return 0.0, slow_mm_s
         deepest_mm, began = zero_mm + self._profile.deepest_mm, len(self._readings.force)
         self._total_s += (deepest_mm - self._stage.position_mm) / slow_mm_s
         self._enter(FEELING)
         self._go(deepest_mm, slow_mm_s)
-        self.watched.felt_mm = deepest_mm + ROUNDING_MM
         down = len(self._readings.force)
         self._motion.wait(0.3)
+        self.watched.enter(State.RELEASING)
         self._go(zero_mm, self._retract_mm_s)
         self._motion.wait(max(0.3, self.watched.bounds.reaction.delay_s))
         at = reconstruct(self._readings.polls, self._moves).at
@@ -284,7 +293,7 @@ class _Run:
         self._measure_latency(began, force_N, at, contact_mm)
         seen = slice(None, down - began)
         stiffness_N_mm = stiffest_N_mm(at(host_s[seen]), force_N[seen])
-        self._check_speed(float(np.max(force_N)) - self._motion.zero_N, stiffness_N_mm)
+        return deepest_mm + ROUNDING_MM, self._safe_mm_s(float(np.max(force_N)) - zero_N, stiffness_N_mm)
 
     def _measure_latency(self, began: int, force_N: Array, at: Callable[[Array], Array], contact_mm: float) -> None:
         """See how late the load cell is in the slow press, by its own clock: lines arrive late by chance, too."""
@@ -296,10 +305,10 @@ class _Run:
         possible_s = force.latency_s if is_stated else min(max(0.0, found_s), LATEST_S)
         if np.isfinite(found_s):
             check_lag(found_s, possible_s, period_s)
-        if not is_stated:
-            self.watched.learn_latency(possible_s if np.isfinite(found_s) else None)
+        if not is_stated and np.isfinite(found_s):
+            self.watched.learn_latency(possible_s)
 
-    def _check_speed(self, force_N: float, stiffness_N_mm: float) -> None:
+    def _safe_mm_s(self, force_N: float, stiffness_N_mm: float) -> float:
         bounds, fastest_mm_s = self.watched.bounds, self._profile.fastest_mm_s
         known_mm_s = bounds.known_mm_s(force_N, stiffness_N_mm)
         if fastest_mm_s > known_mm_s:
@@ -315,6 +324,7 @@ class _Run:
                     slower_mm_s=known_mm_s,
                 )
             )
+        return known_mm_s
 
     def _tell(self, fraction: float, remaining_s: float) -> None:
         if self._on_progress is None:

@@ -178,9 +178,10 @@ def _stage_findings(bench: Bench, on_wait: Callable[[], None]) -> list[SelfTestI
 
 @dataclass(frozen=True)
 class _Way:
-    """How long the stage took down and up, how far down it went, by how much it came back elsewhere, and how far it ran
-    on when it was left alone (NaN where it was not)."""
+    """How fast the stage went, how long down and up took, how far down it went, by how much it came back elsewhere, and
+    how far it ran on when it was left alone (NaN where it was not)."""
 
+    speed_mm_s: float
     took_s: float
     down_mm: float
     error_mm: float
@@ -193,7 +194,7 @@ def _go_out_and_back(watched: WatchedBench) -> _Way:
     watched.home()
     watched.motion.wait(0.3)
     watched.expect_nothing()
-    began_mm, began_s, speed_mm_s = stage.position_mm, bench.clock.now_s(), min(5.0, watched.fastest_free_mm_s)
+    began_mm, began_s, speed_mm_s = stage.position_mm, bench.clock.now_s(), min(5.0, watched.fastest_mm_s)
     room_mm = max(0.0, bench.config.fixture.approach_mm - began_mm)
     down_mm, ran_on_mm = min(STEP_MM, speed_mm_s * STEP_S, room_mm), float("nan")
     if down_mm > 0.0:
@@ -204,7 +205,7 @@ def _go_out_and_back(watched: WatchedBench) -> _Way:
     if len(watched.readings.polls) == count:
         raise DeviceError(Reason("rig.no_position.known"))
     gone_s = GONE_S if np.isfinite(ran_on_mm) else 0.0
-    return _Way(took_s - gone_s, down_mm, watched.readings.polls[-1].position_mm - began_mm, ran_on_mm)
+    return _Way(speed_mm_s, took_s - gone_s, down_mm, watched.readings.polls[-1].position_mm - began_mm, ran_on_mm)
 
 
 def _ran_on_mm(watched: WatchedBench, to_mm: float, speed_mm_s: float) -> float:
@@ -264,7 +265,7 @@ def _gone_findings(watched: WatchedBench, stage: RunsOn, way: _Way) -> list[Self
         )
     ]
     if np.isfinite(way.ran_on_mm):
-        speed_mm_s = min(5.0, watched.fastest_free_mm_s)
+        speed_mm_s = way.speed_mm_s
         most_mm = stage.runs_on_mm(Move(0.0, speed_mm_s, bounds.ahead_mm(speed_mm_s, bounds.touch_N)))
         found = reason("found.ran_on", way_mm=way.ran_on_mm, speed_mm_s=speed_mm_s, most_mm=most_mm)
         is_right = way.ran_on_mm <= most_mm + POSITION_MM

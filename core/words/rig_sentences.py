@@ -172,6 +172,8 @@ SENTENCES: Mapping[str, str] = {
     "left.lifted": "the stage is stopped and lifted",
     "left.lifted_roughly": "the stage is stopped and lifted, it must be homed",
     "left.not_lifted": "the stage is stopped but could not be lifted: lift it by hand and home it",
+    "left.told": "the stage is stopped and told to lift, which is not confirmed",
+    "left.stays": "the stage was told to lift but the force stays: lift it by hand and home it",
     "left.there": "the stage is stopped and not lifted",
     "left.runs_on": (
         "the stage does not answer any more, it stops within {seconds:.1f} s: switch it off before you reach in"
@@ -180,7 +182,8 @@ SENTENCES: Mapping[str, str] = {
         "the stage does not answer any more, it ends the move it has: switch it off before you reach in"
     ),
     "left.may_stand": "{state}, it may stand on the unit",
-    "left.stands": "{state}, with {force_N:.1f} N on the load cell",
+    "left.stands": "{state}, with {force_N:.1f} N on the load cell; the controller counts {at_mm:.2f} mm",
+    "left.stands_lost": "{state}, with {force_N:.1f} N on the load cell; the position is not known",
     # A port that cannot be opened.
     "port.unreached": "cannot be reached: {error}; check address, power and network cable",
     "port.visa": "cannot be opened: {error}; `pyvisa-shell` lists the resources there are",
