@@ -1,5 +1,6 @@
 """A profile pressed on the bench, with everything that was read on the way. A broken run is never a recording."""
 
+import math
 from collections.abc import Callable
 from dataclasses import asdict, astuple, dataclass
 
@@ -17,6 +18,7 @@ from softcal.station.interlock import State
 from softcal.station.motion import RETRACT_MM_S
 from softcal.station.proof import check_lag, lag_s
 from softcal.station.recording import Raw, RunFacts, StationRecording, assemble, device_times_s
+from softcal.station.safety import STUCK_MM
 from softcal.station.spool import Spool
 from softcal.station.steps import check_profile, steps_of
 from softcal.station.trajectory import DrivenMove, reconstruct
@@ -28,6 +30,10 @@ SEARCH_WAY_MM = 0.05
 """A contact that is there after less than this cannot be located: nothing was read above it."""
 
 ROUNDING_MM = 1e-6
+
+STEP_MM, FEEL_S = 0.4, 10.0
+"""A slow press that would take longer than this goes in steps: how fast the next one may be is known when the force of
+the last one is. A shorter one would not tell how late the load cell is."""
 
 HOMING, FEELING, PRESSING = "homing", "feeling the unit", "pressing"
 RETURN_S = 3.5
@@ -274,14 +280,21 @@ class _Run:
             CommandRefused: the profile is faster than a stop holds on this unit; it was only felt.
             SafetyStop: the force limit is met above the profile's deepest point.
         """
+        bounds = self.watched.bounds
         slow_mm_s = self.watched.fastest_mm_s
         if self._bench.force is None or self._profile.fastest_mm_s <= slow_mm_s:
             self.watched.enter(State.RELEASING)
             return 0.0, slow_mm_s
         deepest_mm, began = zero_mm + self._profile.deepest_mm, len(self._readings.force)
-        self._total_s += (deepest_mm - self._stage.position_mm) / slow_mm_s
         self._enter(FEELING)
-        self._go(deepest_mm, slow_mm_s)
+        if not self._feel_down(deepest_mm):
+            # Something hard: slowly from the top, and any force up to the limit is borne. Up so slowly that a late cell
+            # does not seem to hang when the stage turns round.
+            self._go(zero_mm, min(self._retract_mm_s, STUCK_MM / (2.0 * self.watched.latest_s + 0.2)))
+            self._moves.clear()
+            began = len(self._readings.force)
+            self.watched.expect_rise(math.inf)
+            self._go(deepest_mm, self.watched.fastest_mm_s)
         down = len(self._readings.force)
         self._motion.wait(0.3)
         self.watched.enter(State.RELEASING)
@@ -294,6 +307,27 @@ class _Run:
         seen = slice(None, down - began)
         stiffness_N_mm = stiffest_N_mm(at(host_s[seen]), force_N[seen])
         return deepest_mm + ROUNDING_MM, self._safe_mm_s(float(np.max(force_N)) - zero_N, stiffness_N_mm)
+
+    def _feel_down(self, deepest_mm: float) -> bool:
+        """Press in steps, each as fast as a stop holds that notices more force than the step before lets expect.
+
+        Returns:
+            Whether it came to the end; no more force than that was met.
+        """
+        last_N, before_N, from_mm = 0.0, 0.0, self._stage.position_mm
+        slow_mm_s, enough_mm_s = self.watched.fastest_mm_s, (deepest_mm - from_mm) / FEEL_S
+        if slow_mm_s >= enough_mm_s:
+            self._go(deepest_mm, slow_mm_s)
+            return True
+        steps = max(1, math.ceil((deepest_mm - from_mm) / STEP_MM))
+        for to_mm in np.linspace(from_mm, deepest_mm, steps + 1)[1:].tolist():
+            force_N = self.watched.expect_rise(last_N)
+            last_N, before_N = force_N - before_N, force_N
+            speed_mm_s = min(enough_mm_s, self.watched.fastest_mm_s)
+            self._moves.append(self._motion.go(to_mm, speed_mm_s, self.watched.has_risen))
+            if self.watched.has_risen():
+                return False
+        return True
 
     def _measure_latency(self, began: int, force_N: Array, at: Callable[[Array], Array], contact_mm: float) -> None:
         """See how late the load cell is in the slow press, by its own clock: lines arrive late by chance, too."""

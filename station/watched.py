@@ -87,7 +87,7 @@ class WatchedBench:
         self._jump_watch = JumpWatch()
         self._streams: dict[str, StreamWatch] = {}
         self._stuck: dict[StageWatch, StuckWatch] = {}
-        self._lowest_N = float("inf")
+        self._lowest_N, self._expected_N = float("inf"), self.bounds.limit_N
         force = bench.config.force
         if force is None or force.is_latency_stated:
             self.known.late_s = 0.0 if force is None else force.latency_s
@@ -106,8 +106,10 @@ class WatchedBench:
     def fastest_mm_s(self) -> float:
         """Fastest speed down in this state."""
         bounds, moves = self.bounds, self.motion.row.moves
-        by_force = {Moves.FREE: bounds.free_mm_s, Moves.UNKNOWN: bounds.unknown_mm_s, Moves.KNOWN: self.known.safe_mm_s}
-        fastest_mm_s = by_force.get(moves) if self.bench.force is not None else math.inf
+        by_force = {Moves.KNOWN: self.known.safe_mm_s, Moves.NONE: 0.0, Moves.HOME: 0.0, Moves.UP: 0.0}
+        fastest_mm_s = by_force.get(moves, bounds.noticed_mm_s(self.noticed_N))
+        if self.bench.force is None:
+            fastest_mm_s = math.inf
         return min(fastest_mm_s or 0.0, self.bench.config.safety.speed_mm_s, self.bench.stage.max_speed_mm_s)
 
     def enter(self, state: State) -> None:
@@ -189,6 +191,7 @@ class WatchedBench:
     def expect_press(self, contact_mm: float, felt_mm: float, safe_mm_s: float) -> None:
         """Take the surface as a cell shows it whose lateness is known, and how deep and how fast it may be pressed."""
         self.known.contact_mm, self.known.felt_mm, self.known.safe_mm_s = contact_mm, felt_mm, safe_mm_s
+        self._expected_N = self.bounds.limit_N
         self.enter(State.PRESSING)
 
     def tick(self) -> None:
@@ -243,8 +246,22 @@ class WatchedBench:
 
     @property
     def noticed_N(self) -> float:
-        """The force at which whatever is met stops the stage: the touch, or the limit once the unit was found."""
-        return self.bounds.touch_N if self.motion.row.moves is Moves.FREE else self.bounds.limit_N
+        """The force at which whatever is met stops the stage: the touch; the limit, or what a step lets expect."""
+        return self.bounds.touch_N if self.motion.row.moves is Moves.FREE else self._expected_N
+
+    def expect_rise(self, last_N: float) -> float:
+        """Take what the force may grow to over the next step of a slow press; return the present force.
+
+        Args:
+            last_N: by how much it grew over the step before; inf for any force up to the limit.
+        """
+        force_N = self.readings.force[-1].values[0] - self._force_watch.zero_N
+        self._expected_N = min(self.bounds.limit_N, force_N + self.bounds.rise_N(last_N))
+        return force_N
+
+    def has_risen(self) -> bool:
+        """Whether the force has grown beyond that."""
+        return self.readings.force[-1].values[0] - self._force_watch.zero_N > self._expected_N
 
     def _look_ahead(self) -> None:
         """How long the force may still grow: until a stop holds, or until the move ends by itself."""
