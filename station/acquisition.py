@@ -19,25 +19,28 @@ from softcal.station.motion import RETRACT_MM_S
 from softcal.station.proof import check_lag, lag_s
 from softcal.station.recording import Raw, RunFacts, StationRecording, assemble, device_times_s
 from softcal.station.safety import STUCK_MM
+from softcal.station.seconds import (
+    FEEL_S,
+    FEELING,
+    HOMING,
+    PRESSING,
+    READING,
+    RETURNING,
+    SEARCHING,
+    SETTLE_S,
+    STEP_MM,
+    seconds_of,
+)
 from softcal.station.spool import Spool
 from softcal.station.steps import check_profile, steps_of
 from softcal.station.trajectory import DrivenMove, reconstruct
 from softcal.station.watched import WatchedBench
 
-SETTLE_S = 1.0
-
 SEARCH_WAY_MM = 0.05
 """A contact that is there after less than this cannot be located: nothing was read above it."""
 
-ROUNDING_MM = 1e-6
-
-STEP_MM, FEEL_S = 0.4, 10.0
-"""A slow press that would take longer than this goes in steps: how fast the next one may be is known when the force of
-the last one is. A shorter one would not tell how late the load cell is."""
-
-HOMING, FEELING, PRESSING = "homing", "feeling the unit", "pressing"
-RETURN_S = 3.5
-"""Lifting and reading the zero return, about."""
+ROUNDING_MM, REST_S = 1e-6, 0.3
+"""Positions that differ by less are one. After a move the channels are read at rest for so long, at least."""
 
 
 class ZeroMoved(BadReply):
@@ -115,7 +118,9 @@ class _Run:
         self._motion, self._readings = self.watched.motion, self.watched.readings
         self._moves: list[DrivenMove] = []
         self._phase, self._began_s, self._shown_s = "starting", bench.clock.now_s(), -1.0
-        self._total_s = profile.duration_s + 15.0
+        from_mm = bench.stage.position_mm if bench.stage.is_position_known else None
+        self._plan = seconds_of(bench.config, self.watched.bounds, profile, from_mm)
+        self._total_s, self._done = sum(self._plan.values()), 0.0
 
     def perform(self, with_reference: bool) -> StationRecording:
         self.watched.start()
@@ -137,7 +142,8 @@ class _Run:
         # Up: where a clearance is 0, rounding alone may make it a move down.
         self._go(min(zero_mm, self._stage.position_mm), fixture.search_mm_s)
         self.watched.expect_press(contact_mm, felt_mm, safe_mm_s)
-        self._motion.wait(SETTLE_S)
+        # A slow press ended in a rest already.
+        self._motion.wait(SETTLE_S - REST_S if felt_mm else SETTLE_S)
         span_s = self._press(zero_mm)
         facts = self._facts(span_s, zero_mm, contact_mm, zero_N, self._return(zero_N), with_reference)
         if self._spool is not None:
@@ -147,21 +153,23 @@ class _Run:
 
     def _approach(self) -> None:
         """Go to where no unit reaches, so slowly that a hand or a part that is in the way anyhow takes no harm."""
-        self._enter("reading the unloaded channels")
-        self._motion.wait(0.3)
+        self._enter(READING)
+        self._motion.wait(REST_S)
         self.watched.expect_nothing()
-        self._go(self._bench.config.fixture.approach_mm, self.watched.fastest_mm_s)
+        approach_mm = self._bench.config.fixture.approach_mm
+        if abs(approach_mm - self._stage.position_mm) > ROUNDING_MM:
+            self._go(approach_mm, self.watched.fastest_mm_s)
+            self._motion.wait(REST_S)
 
     def _press(self, zero_mm: float) -> tuple[float, float]:
         began_s = self._clock.now_s()
-        self._total_s = began_s - self._began_s + self._profile.duration_s + RETURN_S
         self._enter(PRESSING)
         for step in steps_of(self._profile):
             self._do(step, zero_mm)
         return began_s, self._clock.now_s()
 
     def _return(self, zero_N: float) -> float:
-        self._enter("reading the zero return")
+        self._enter(RETURNING)
         self._go(self._bench.config.fixture.approach_mm, self._retract_mm_s)
         self._motion.wait(SETTLE_S)
         return self._zero_return_N(zero_N)
@@ -193,13 +201,17 @@ class _Run:
             self._show()
 
     def _enter(self, phase: str) -> None:
-        self._phase = phase
+        phases = list(self._plan)
+        left_s = sum(self._plan[later] for later in phases[phases.index(phase) :])
+        self._phase, self._total_s = phase, self._clock.now_s() - self._began_s + left_s
         self._show()
 
     def _show(self) -> None:
         self._shown_s = self._clock.now_s()
         gone_s = self._shown_s - self._began_s
-        self._tell(min(0.99, gone_s / self._total_s), max(0.0, self._total_s - gone_s))
+        # A phase may take longer than planned: what is done stays done.
+        self._done = max(self._done, min(0.99, gone_s / self._total_s))
+        self._tell(self._done, max(0.0, self._total_s - gone_s))
 
     def _go(self, to_mm: float, speed_mm_s: float) -> None:
         self._moves.append(self._motion.go(to_mm, speed_mm_s))
@@ -211,7 +223,6 @@ class _Run:
             self._motion.wait(step.seconds)
 
     def _take_zero(self) -> float:
-        self._motion.wait(0.3)
         if self._bench.force is None:
             self._motion.wait(SETTLE_S)
             self.watched.take_zero(0.0)
@@ -240,7 +251,7 @@ class _Run:
 
         Where the noise leaves doubt (soft units, round tips) the unit is touched a second time, more slowly.
         """
-        self._enter("searching for contact")
+        self._enter(SEARCHING)
         bench, fixture = self._bench, self._bench.config.fixture
         read, latest_s = self._readings, self.watched.latest_s
         search = ContactSearch(fixture, bench.force is not None, read.force, read.output, latest_s)
@@ -251,9 +262,8 @@ class _Run:
         if contact.doubt_mm <= SURE_MM or slow_mm_s >= speed_mm_s:
             return touch
         above_mm = contact.at_mm - AGAIN_MM
-        self._total_s += (self._stage.position_mm - above_mm) / slow_mm_s
         self._go(above_mm, self._retract_mm_s)
-        self._motion.wait(max(0.3, self.watched.bounds.reaction.delay_s))
+        self._motion.wait(max(REST_S, self.watched.bounds.reaction.delay_s))
         search.begin()
         return self._touch(search, slow_mm_s)
 
@@ -280,7 +290,6 @@ class _Run:
             CommandRefused: the profile is faster than a stop holds on this unit; it was only felt.
             SafetyStop: the force limit is met above the profile's deepest point.
         """
-        bounds = self.watched.bounds
         slow_mm_s = self.watched.fastest_mm_s
         if self._bench.force is None or self._profile.fastest_mm_s <= slow_mm_s:
             self.watched.enter(State.RELEASING)
@@ -296,10 +305,10 @@ class _Run:
             self.watched.expect_rise(math.inf)
             self._go(deepest_mm, self.watched.fastest_mm_s)
         down = len(self._readings.force)
-        self._motion.wait(0.3)
+        self._motion.wait(REST_S)
         self.watched.enter(State.RELEASING)
         self._go(zero_mm, self._retract_mm_s)
-        self._motion.wait(max(0.3, self.watched.bounds.reaction.delay_s))
+        self._motion.wait(max(REST_S, self.watched.bounds.reaction.delay_s))
         at = reconstruct(self._readings.polls, self._moves).at
         host_s = np.array([sample.host_s for sample in self._readings.force[began:]]) - self.watched.late_s
         force_N = np.array([sample.values[0] for sample in self._readings.force[began:]])

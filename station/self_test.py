@@ -1,11 +1,12 @@
 """Is this station fit to press: every device at its rate, the load cell at zero, the stage homed and where it says."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from softcal.core.errors import DeviceError
+from softcal.core.profiles import Profile
 from softcal.core.words.reason import Reason, plain, reason
 from softcal.station.bench import Bench
 from softcal.station.clock import fit_clock, seen_rate_Hz
@@ -13,7 +14,8 @@ from softcal.station.interfaces import Advises, ForceReader, Move, Readout, Runs
 from softcal.station.motion import Cancelled
 from softcal.station.named import named
 from softcal.station.recording import LARGEST_DRIFT
-from softcal.station.watched import WatchedBench
+from softcal.station.seconds import FEELING, seconds_of, shorter
+from softcal.station.watched import WatchedBench, bounds_of
 
 LISTEN_S = 5.0
 LOOK_S = 0.001
@@ -52,7 +54,12 @@ class SelfTestItem:
         return self.cure is None
 
 
-def self_test(bench: Bench, may_move: bool = True, on_wait: Callable[[], None] = lambda: None) -> list[SelfTestItem]:
+def self_test(
+    bench: Bench,
+    may_move: bool = True,
+    on_wait: Callable[[], None] = lambda: None,
+    profile: Profile | None = None,
+) -> list[SelfTestItem]:
     """Home the stage and move it a little, watched as any other move, then read every channel for some seconds.
 
     A device that fails is a finding, so that all faults are seen at once.
@@ -61,6 +68,7 @@ def self_test(bench: Bench, may_move: bool = True, on_wait: Callable[[], None] =
         bench: open devices.
         may_move: home the stage and move it by up to 2 mm, never deeper than the approach.
         on_wait: called all the time; what it raises stops the stage and ends the self-test.
+        profile: of the units; then it is said how long one takes.
 
     Raises:
         Cancelled: somebody asked for a stop, or pressed Ctrl-C; the stage was made safe.
@@ -87,7 +95,27 @@ def self_test(bench: Bench, may_move: bool = True, on_wait: Callable[[], None] =
         findings += _stream_findings(reader, samples[reader.name])
     if bench.force is not None:
         findings += _zero_findings(bench, samples[bench.force.name])
-    return findings
+    return findings if profile is None else [*findings, *_seconds_findings(bench, profile)]
+
+
+def _seconds_findings(bench: Bench, profile: Profile) -> Iterator[SelfTestItem]:
+    """How long a unit takes, and what would shorten it."""
+    config, bounds = bench.config, bounds_of(bench)
+    phases = seconds_of(config, bounds, profile, config.fixture.approach_mm)
+    all_s = sum(phases.values())
+    found = reason(
+        "found.unit_seconds",
+        all_s=all_s,
+        press_s=profile.duration_s,
+        feel_s=phases[FEELING],
+        stiffest_N_mm=bounds.stiffest_N_mm,
+        profile=profile.name,
+    )
+    yield SelfTestItem(STAGE, Reason("check.unit_seconds"), found)
+    for key, value, shorter_s in shorter(config, bounds, profile):
+        if shorter_s < all_s - 1.0:
+            found = reason("found.shorter", key=key, value=value, all_s=shorter_s)
+            yield SelfTestItem(STAGE, Reason("check.shorter"), found)
 
 
 def _stream_findings(reader: ForceReader | Readout, samples: Sequence[Sample]) -> list[SelfTestItem]:

@@ -423,6 +423,8 @@ SENTENCES: Mapping[str, str] = {
     "check.return": "out and back",
     "check.setting": "setting",
     "check.safe_speed": "safe speed",
+    "check.unit_seconds": "seconds a unit",
+    "check.shorter": "would be shorter",
     "check.runs_on": "runs on when the host dies",
     "check.ran_on": "ran on when left alone",
     "found.samples": "samples: {count}",
@@ -437,6 +439,11 @@ SENTENCES: Mapping[str, str] = {
         "a stop ends below {ceiling_N:g} N (up to {free_mm_s:.2g} mm/s where nothing was felt, {unknown_mm_s:.2g} mm/s "
         "where the unit was not pressed yet)"
     ),
+    "found.unit_seconds": (
+        "at most {all_s:.0f} s after the first one, {press_s:.0f} s of pressing and {feel_s:.0f} s of the slow press "
+        "before it ({profile}, stiffest_N_mm = {stiffest_N_mm:g})"
+    ),
+    "found.shorter": "{all_s:.0f} s with {key} = {value:g}, where that is true",
     "found.runs_on": (
         "it runs on for {on_s:.2f} s at most (at {speed_mm_s:g} mm/s {way_mm:.2g} mm, no deeper than felt; where "
         "nothing was felt, at {slow_mm_s:.2g} mm/s {slow_mm:.2g} mm and {worst_N:.1f} N)"

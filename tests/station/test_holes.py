@@ -11,13 +11,14 @@ from softcal.app.line.rig import station_of
 from softcal.core.errors import DeviceError, InputError, NoReply
 from softcal.core.profiles import ramps
 from softcal.core.words.reason import plain
-from softcal.station.acquisition import FEELING, PRESSING, record
+from softcal.station.acquisition import record
 from softcal.station.config import station_from_table
 from softcal.station.drivers.grbl import GrblStage
 from softcal.station.identify import DeviceIdentity, identify
 from softcal.station.interfaces import Held, Move
 from softcal.station.link import Link
 from softcal.station.motion import StoppedByHand
+from softcal.station.seconds import FEELING, PRESSING
 from softcal.station.self_test import self_test
 from softcal.station.simulated.grbl import SimulatedGrbl
 from softcal.station.simulated.law_unit import ForceLaw, LawUnit
