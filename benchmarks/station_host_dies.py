@@ -7,8 +7,8 @@ import argparse
 import itertools
 
 from softcal.core.profiles import ramps
-from softcal.station.acquisition import FEELING
 from softcal.station.config import UNKNOWN_S
+from softcal.station.seconds import FEELING
 from softcal.station.simulated.law_unit import ForceLaw
 from softcal.station.simulated.rig_trial import RigCase, press_until_gone
 

@@ -6,7 +6,7 @@ python benchmarks/station_model.py [--faults N]
 import argparse
 import time
 
-from softcal.station.interlock import NEXT
+from softcal.station.interlock import TABLE
 from softcal.station.simulated.explore import MOST_FAULTS, broken_property, explore
 
 
@@ -14,7 +14,7 @@ def main() -> None:
     """Explore with one fault a run, with two, and so on, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--faults", type=int, default=MOST_FAULTS, help=f"in one run (default {MOST_FAULTS})")
-    most, transitions = parser.parse_args().faults, sum(map(len, NEXT.values()))
+    most, transitions = parser.parse_args().faults, sum(len(row.exits) for row in TABLE.values())
     print("| faults in one run | runs | states | transitions | runs that break a property | s |")
     print("|---|---|---|---|---|---|")
     for faults in range(most + 1):

@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 
 from softcal.core.errors import SoftcalError
-from softcal.station.acquisition import PRESSING, RunProgress
+from softcal.station.acquisition import RunProgress
 from softcal.station.interfaces import Sample
 from softcal.station.recording import Raw, RunFacts, assemble
+from softcal.station.seconds import PRESSING
 from softcal.station.simulated.faults import hang
 from softcal.station.simulated.proof_trial import GoodRig, draw_good_rig, press_good_rig
 from softcal.station.simulated.station import SimulatedStation

@@ -1,5 +1,6 @@
 """A profile pressed on the bench, with everything that was read on the way. A broken run is never a recording."""
 
+import math
 from collections.abc import Callable
 from dataclasses import asdict, astuple, dataclass
 
@@ -13,24 +14,33 @@ from softcal.station.bench import Bench
 from softcal.station.config import LATEST_S
 from softcal.station.contact import AGAIN_MM, SURE_MM, ContactSearch, Touch, slower_mm_s, stiffest_N_mm
 from softcal.station.interfaces import Move, OnWait, Step, ignore_wait
+from softcal.station.interlock import State
 from softcal.station.motion import RETRACT_MM_S
 from softcal.station.proof import check_lag, lag_s
 from softcal.station.recording import Raw, RunFacts, StationRecording, assemble, device_times_s
+from softcal.station.safety import STUCK_MM
+from softcal.station.seconds import (
+    FEEL_S,
+    FEELING,
+    HOMING,
+    PRESSING,
+    READING,
+    RETURNING,
+    SEARCHING,
+    SETTLE_S,
+    STEP_MM,
+    seconds_of,
+)
 from softcal.station.spool import Spool
 from softcal.station.steps import check_profile, steps_of
 from softcal.station.trajectory import DrivenMove, reconstruct
 from softcal.station.watched import WatchedBench
 
-SETTLE_S = 1.0
-
 SEARCH_WAY_MM = 0.05
 """A contact that is there after less than this cannot be located: nothing was read above it."""
 
-ROUNDING_MM = 1e-6
-
-HOMING, FEELING, PRESSING = "homing", "feeling the unit", "pressing"
-RETURN_S = 3.5
-"""Lifting and reading the zero return, about."""
+ROUNDING_MM, REST_S = 1e-6, 0.3
+"""Positions that differ by less are one. After a move the channels are read at rest for so long, at least."""
 
 
 class ZeroMoved(BadReply):
@@ -108,7 +118,9 @@ class _Run:
         self._motion, self._readings = self.watched.motion, self.watched.readings
         self._moves: list[DrivenMove] = []
         self._phase, self._began_s, self._shown_s = "starting", bench.clock.now_s(), -1.0
-        self._total_s = profile.duration_s + 15.0
+        from_mm = bench.stage.position_mm if bench.stage.is_position_known else None
+        self._plan = seconds_of(bench.config, self.watched.bounds, profile, from_mm)
+        self._total_s, self._done = sum(self._plan.values()), 0.0
 
     def perform(self, with_reference: bool) -> StationRecording:
         self.watched.start()
@@ -116,17 +128,22 @@ class _Run:
         if not self._stage.is_position_known:
             self._enter(HOMING)
             self.watched.home()
+        else:
+            self.watched.enter(State.LISTENING)
         self._approach()
         zero_N = self._take_zero()
         touch, fixture = self._find_contact(), self._bench.config.fixture
         contact_mm = touch.foot(self.watched.late_s).at_mm
         self.watched.expect_contact(contact_mm)
-        self._feel(contact_mm - fixture.clearance_mm, contact_mm)
+        felt_mm, safe_mm_s = self._feel(contact_mm - fixture.clearance_mm, contact_mm, zero_N)
         # A late cell shows the contact too deep, and how late it is may be known only now.
         contact_mm = touch.foot(self.watched.late_s).at_mm
-        self.watched.contact_mm, zero_mm = contact_mm, contact_mm - fixture.clearance_mm
-        self._go(zero_mm, fixture.search_mm_s)
-        self._motion.wait(SETTLE_S)
+        zero_mm = contact_mm - fixture.clearance_mm
+        # Up: where a clearance is 0, rounding alone may make it a move down.
+        self._go(min(zero_mm, self._stage.position_mm), fixture.search_mm_s)
+        self.watched.expect_press(contact_mm, felt_mm, safe_mm_s)
+        # A slow press ended in a rest already.
+        self._motion.wait(SETTLE_S - REST_S if felt_mm else SETTLE_S)
         span_s = self._press(zero_mm)
         facts = self._facts(span_s, zero_mm, contact_mm, zero_N, self._return(zero_N), with_reference)
         if self._spool is not None:
@@ -136,21 +153,23 @@ class _Run:
 
     def _approach(self) -> None:
         """Go to where no unit reaches, so slowly that a hand or a part that is in the way anyhow takes no harm."""
-        self._enter("reading the unloaded channels")
-        self._motion.wait(0.3)
+        self._enter(READING)
+        self._motion.wait(REST_S)
         self.watched.expect_nothing()
-        self._go(self._bench.config.fixture.approach_mm, self.watched.fastest_free_mm_s)
+        approach_mm = self._bench.config.fixture.approach_mm
+        if abs(approach_mm - self._stage.position_mm) > ROUNDING_MM:
+            self._go(approach_mm, self.watched.fastest_mm_s)
+            self._motion.wait(REST_S)
 
     def _press(self, zero_mm: float) -> tuple[float, float]:
         began_s = self._clock.now_s()
-        self._total_s = began_s - self._began_s + self._profile.duration_s + RETURN_S
         self._enter(PRESSING)
         for step in steps_of(self._profile):
             self._do(step, zero_mm)
         return began_s, self._clock.now_s()
 
     def _return(self, zero_N: float) -> float:
-        self._enter("reading the zero return")
+        self._enter(RETURNING)
         self._go(self._bench.config.fixture.approach_mm, self._retract_mm_s)
         self._motion.wait(SETTLE_S)
         return self._zero_return_N(zero_N)
@@ -182,13 +201,17 @@ class _Run:
             self._show()
 
     def _enter(self, phase: str) -> None:
-        self._phase = phase
+        phases = list(self._plan)
+        left_s = sum(self._plan[later] for later in phases[phases.index(phase) :])
+        self._phase, self._total_s = phase, self._clock.now_s() - self._began_s + left_s
         self._show()
 
     def _show(self) -> None:
         self._shown_s = self._clock.now_s()
         gone_s = self._shown_s - self._began_s
-        self._tell(min(0.99, gone_s / self._total_s), max(0.0, self._total_s - gone_s))
+        # A phase may take longer than planned: what is done stays done.
+        self._done = max(self._done, min(0.99, gone_s / self._total_s))
+        self._tell(self._done, max(0.0, self._total_s - gone_s))
 
     def _go(self, to_mm: float, speed_mm_s: float) -> None:
         self._moves.append(self._motion.go(to_mm, speed_mm_s))
@@ -200,9 +223,9 @@ class _Run:
             self._motion.wait(step.seconds)
 
     def _take_zero(self) -> float:
-        self._motion.wait(0.3)
         if self._bench.force is None:
             self._motion.wait(SETTLE_S)
+            self.watched.take_zero(0.0)
             return 0.0
         count = len(self._readings.force)
         self._motion.wait(SETTLE_S)
@@ -228,20 +251,19 @@ class _Run:
 
         Where the noise leaves doubt (soft units, round tips) the unit is touched a second time, more slowly.
         """
-        self._enter("searching for contact")
+        self._enter(SEARCHING)
         bench, fixture = self._bench, self._bench.config.fixture
         read, latest_s = self._readings, self.watched.latest_s
         search = ContactSearch(fixture, bench.force is not None, read.force, read.output, latest_s)
-        speed_mm_s = min(fixture.search_mm_s, self.watched.fastest_free_mm_s)
+        speed_mm_s = min(fixture.search_mm_s, self.watched.fastest_mm_s)
         touch = self._touch(search, speed_mm_s)
         contact = touch.foot(self.watched.late_s)
         slow_mm_s = slower_mm_s(speed_mm_s, contact.doubt_mm)
         if contact.doubt_mm <= SURE_MM or slow_mm_s >= speed_mm_s:
             return touch
         above_mm = contact.at_mm - AGAIN_MM
-        self._total_s += (self._stage.position_mm - above_mm) / slow_mm_s
         self._go(above_mm, self._retract_mm_s)
-        self._motion.wait(max(0.3, self.watched.bounds.reaction.delay_s))
+        self._motion.wait(max(REST_S, self.watched.bounds.reaction.delay_s))
         search.begin()
         return self._touch(search, slow_mm_s)
 
@@ -257,34 +279,64 @@ class _Run:
         polls = [poll for poll in self._readings.polls if poll.host_s >= began_s]
         return search.touch(reconstruct(polls, [move]).at)
 
-    def _feel(self, zero_mm: float, contact_mm: float) -> None:
+    def _feel(self, zero_mm: float, contact_mm: float, zero_N: float) -> tuple[float, float]:
         """Press once, slowly, as deep as the profile will: only where the unit was felt may the stage go fast.
+
+        Returns:
+            How deep that was (0 where the profile itself is slow enough, or no load cell reads), and the fastest speed
+            down to there that a stop can hold.
 
         Raises:
             CommandRefused: the profile is faster than a stop holds on this unit; it was only felt.
             SafetyStop: the force limit is met above the profile's deepest point.
         """
-        safety, bounds = self._bench.config.safety, self.watched.bounds
-        slow_mm_s = min(bounds.unknown_mm_s, safety.speed_mm_s)
+        slow_mm_s = self.watched.fastest_mm_s
         if self._bench.force is None or self._profile.fastest_mm_s <= slow_mm_s:
-            self.watched.learn_latency(None)
-            return
+            self.watched.enter(State.RELEASING)
+            return 0.0, slow_mm_s
         deepest_mm, began = zero_mm + self._profile.deepest_mm, len(self._readings.force)
-        self._total_s += (deepest_mm - self._stage.position_mm) / slow_mm_s
         self._enter(FEELING)
-        self._go(deepest_mm, slow_mm_s)
-        self.watched.felt_mm = deepest_mm + ROUNDING_MM
+        if not self._feel_down(deepest_mm):
+            # Something hard: slowly from the top, and any force up to the limit is borne. Up so slowly that a late cell
+            # does not seem to hang when the stage turns round.
+            self._go(zero_mm, min(self._retract_mm_s, STUCK_MM / (2.0 * self.watched.latest_s + 0.2)))
+            self._moves.clear()
+            began = len(self._readings.force)
+            self.watched.expect_rise(math.inf)
+            self._go(deepest_mm, self.watched.fastest_mm_s)
         down = len(self._readings.force)
-        self._motion.wait(0.3)
+        self._motion.wait(REST_S)
+        self.watched.enter(State.RELEASING)
         self._go(zero_mm, self._retract_mm_s)
-        self._motion.wait(max(0.3, self.watched.bounds.reaction.delay_s))
+        self._motion.wait(max(REST_S, self.watched.bounds.reaction.delay_s))
         at = reconstruct(self._readings.polls, self._moves).at
         host_s = np.array([sample.host_s for sample in self._readings.force[began:]]) - self.watched.late_s
         force_N = np.array([sample.values[0] for sample in self._readings.force[began:]])
         self._measure_latency(began, force_N, at, contact_mm)
         seen = slice(None, down - began)
         stiffness_N_mm = stiffest_N_mm(at(host_s[seen]), force_N[seen])
-        self._check_speed(float(np.max(force_N)) - self._motion.zero_N, stiffness_N_mm)
+        return deepest_mm + ROUNDING_MM, self._safe_mm_s(float(np.max(force_N)) - zero_N, stiffness_N_mm)
+
+    def _feel_down(self, deepest_mm: float) -> bool:
+        """Press in steps, each as fast as a stop holds that notices more force than the step before lets expect.
+
+        Returns:
+            Whether it came to the end; no more force than that was met.
+        """
+        last_N, before_N, from_mm = 0.0, 0.0, self._stage.position_mm
+        slow_mm_s, enough_mm_s = self.watched.fastest_mm_s, (deepest_mm - from_mm) / FEEL_S
+        if slow_mm_s >= enough_mm_s:
+            self._go(deepest_mm, slow_mm_s)
+            return True
+        steps = max(1, math.ceil((deepest_mm - from_mm) / STEP_MM))
+        for to_mm in np.linspace(from_mm, deepest_mm, steps + 1)[1:].tolist():
+            force_N = self.watched.expect_rise(last_N)
+            last_N, before_N = force_N - before_N, force_N
+            speed_mm_s = min(enough_mm_s, self.watched.fastest_mm_s)
+            self._moves.append(self._motion.go(to_mm, speed_mm_s, self.watched.has_risen))
+            if self.watched.has_risen():
+                return False
+        return True
 
     def _measure_latency(self, began: int, force_N: Array, at: Callable[[Array], Array], contact_mm: float) -> None:
         """See how late the load cell is in the slow press, by its own clock: lines arrive late by chance, too."""
@@ -296,10 +348,10 @@ class _Run:
         possible_s = force.latency_s if is_stated else min(max(0.0, found_s), LATEST_S)
         if np.isfinite(found_s):
             check_lag(found_s, possible_s, period_s)
-        if not is_stated:
-            self.watched.learn_latency(possible_s if np.isfinite(found_s) else None)
+        if not is_stated and np.isfinite(found_s):
+            self.watched.learn_latency(possible_s)
 
-    def _check_speed(self, force_N: float, stiffness_N_mm: float) -> None:
+    def _safe_mm_s(self, force_N: float, stiffness_N_mm: float) -> float:
         bounds, fastest_mm_s = self.watched.bounds, self._profile.fastest_mm_s
         known_mm_s = bounds.known_mm_s(force_N, stiffness_N_mm)
         if fastest_mm_s > known_mm_s:
@@ -315,6 +367,7 @@ class _Run:
                     slower_mm_s=known_mm_s,
                 )
             )
+        return known_mm_s
 
     def _tell(self, fraction: float, remaining_s: float) -> None:
         if self._on_progress is None:

@@ -7,6 +7,10 @@ REACTION_S = 0.12
 """From a reading that has arrived to a stage that begins to brake: look at the devices, line, stop byte, and motion
 that the controller has already cut into steps (0.06 s in GRBL)."""
 
+RISE, RISES = 0.1, 2.0
+"""Over a step of a slow press the force may grow by this share of its limit, or so many times what it grew over the
+step before. What grows more is a hard thing."""
+
 FULL = 0.9
 """No stop may end above this share of the load cell's capacity."""
 
@@ -55,12 +59,20 @@ class ForceBounds:
     @property
     def free_mm_s(self) -> float:
         """Fastest speed where nothing should be: what is met there stops the stage at `touch_N`."""
-        return self.reaction.fastest_mm_s((self.ceiling_N - self.touch_N) / self.stiffest_N_mm)
+        return self.noticed_mm_s(self.touch_N)
 
     @property
     def unknown_mm_s(self) -> float:
-        """Fastest speed at a depth where this unit was not pressed yet: a hard stop may lie there."""
-        return self.reaction.fastest_mm_s((self.ceiling_N - self.limit_N) / self.stiffest_N_mm)
+        """Fastest speed at a depth where this unit was not pressed yet, whatever force it may show there."""
+        return self.noticed_mm_s(self.limit_N)
+
+    def noticed_mm_s(self, force_N: float) -> float:
+        """Fastest speed where a hard stop may lie that is noticed at this force."""
+        return self.reaction.fastest_mm_s((self.ceiling_N - force_N) / self.stiffest_N_mm)
+
+    def rise_N(self, last_N: float) -> float:
+        """Return by how much the force may grow over the next step of a slow press, `last_N` over the one before."""
+        return max(RISE * self.limit_N, RISES * last_N)
 
     def known_mm_s(self, force_N: float, stiffness_N_mm: float) -> float:
         """Fastest speed where this unit showed at most this force and this stiffness."""

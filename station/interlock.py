@@ -1,23 +1,30 @@
-"""What may follow what while a stage moves: the states of one run, and nothing else. No device and no clock here.
+"""What may follow what in one run, what may move then and what is watched: one table. No device and no clock here.
 
-A run is one deliberate start. It ends in OVER or in STOPPED; neither leads anywhere, so whatever moves next begins with
-a start of its own. From STOPPING on only LIFTING is left, and that goes away from the unit.
+Nothing else switches a watch, and nothing else lets a stage move. A run is one deliberate start. It ends in OVER or in
+STOPPED; neither leads anywhere, so whatever moves next begins with a start of its own. From STOPPING on only LIFTING is
+left, and that goes away from the unit.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from enum import StrEnum
+from typing import NamedTuple
 
 
 class State(StrEnum):
-    """What the stage of a run is doing."""
+    """How far a run is; it never goes back."""
 
-    STANDING = "standing"
+    WAKING = "waking"
     HOMING = "homing"
-    LOWERING = "lowering"
-    """Towards the unit: every watch is on."""
-    RAISING = "raising"
-    BRAKING = "braking"
-    """The touch that was looked for is there; the run goes on once the stage stands."""
+    LISTENING = "listening"
+    """To the unloaded channels, above everything."""
+    APPROACHING = "approaching"
+    """Through where nothing should be."""
+    SEARCHING = "searching"
+    FEELING = "feeling"
+    """The first, slow press of a unit, down."""
+    RELEASING = "releasing"
+    """Up again from it; then it is known how late the load cell is."""
+    PRESSING = "pressing"
     STOPPING = "stopping"
     LIFTING = "lifting"
     """Away from the unit after a stop; nothing else may follow a stop."""
@@ -25,38 +32,86 @@ class State(StrEnum):
     OVER = "over"
 
 
-class Event(StrEnum):
-    """What happens to it."""
+class StageWatch(StrEnum):
+    """What can stop a run."""
 
+    RISE = "rise"
+    """The force grows while the stage homes."""
+    STREAM = "stream"
+    """A channel is silent, old, frozen, at its rail, or at another rate than declared."""
+    FORCE = "force"
+    """The force is above its limit, or will be before the stage has braked."""
+    DEPTH = "depth"
+    JUMP = "jump"
+    """The force jumps while the stage stands."""
+    FREE = "free"
+    """There is a force where nothing should be."""
+    FOLLOW = "follow"
+    """There is no force where the stage presses."""
+    STUCK_CELL = "stuck cell"
+    STUCK_OUTPUT = "stuck output"
+    """A channel changes by no more than its noise while the stage moves on the unit."""
+
+
+class Moves(StrEnum):
+    """What the stage may do: stand, home, go up; or go down as well, so fast that a stop on the stiffest thing holds
+    when it is noticed by its touch (FREE) or by the force limit (UNKNOWN), or a stop on what was felt (KNOWN)."""
+
+    NONE = "none"
     HOME = "home"
-    LOWER = "lower"
-    RAISE = "raise"
-    BRAKE = "brake"
-    ARRIVED = "arrived"
-    FAULT = "fault"
-    """A watch, a device, a deadline or a person."""
-    LIFT = "lift"
-    LEAVE = "leave"
-    """It stays where it is, and what stands on the unit is said."""
-    END = "end"
+    UP = "up"
+    FREE = "free"
+    UNKNOWN = "unknown"
+    KNOWN = "known"
+
+    @property
+    def are_down(self) -> bool:
+        """Whether the stage may go towards the unit."""
+        return self in (Moves.FREE, Moves.UNKNOWN, Moves.KNOWN)
 
 
-NEXT: Mapping[State, Mapping[Event, State]] = {
-    State.STANDING: {
-        Event.HOME: State.HOMING,
-        Event.LOWER: State.LOWERING,
-        Event.RAISE: State.RAISING,
-        Event.FAULT: State.STOPPING,
-        Event.END: State.OVER,
-    },
-    State.HOMING: {Event.ARRIVED: State.STANDING, Event.FAULT: State.STOPPING},
-    State.LOWERING: {Event.ARRIVED: State.STANDING, Event.BRAKE: State.BRAKING, Event.FAULT: State.STOPPING},
-    State.RAISING: {Event.ARRIVED: State.STANDING, Event.FAULT: State.STOPPING},
-    State.BRAKING: {Event.ARRIVED: State.STANDING, Event.FAULT: State.STOPPING},
-    State.STOPPING: {Event.LIFT: State.LIFTING, Event.LEAVE: State.STOPPED},
-    State.LIFTING: {Event.ARRIVED: State.STOPPED, Event.LEAVE: State.STOPPED},
-    State.STOPPED: {},
-    State.OVER: {},
+class StateRow(NamedTuple):
+    """One state.
+
+    Args:
+        moves: what the stage may do.
+        watches: those that are on.
+        needs: what must have been found before (attributes of `station.watched.Learned`).
+        late_s: how much longer than planned a move may take; for homing, how long it may take.
+        exits: states that may follow.
+    """
+
+    moves: Moves
+    watches: frozenset[StageWatch]
+    needs: tuple[str, ...]
+    late_s: float
+    exits: tuple[State, ...]
+
+
+ARRIVAL_S, HOMING_S = 2.0, 90.0
+"""A move that takes so much longer than planned has failed; so has a homing that takes so long."""
+
+_S, _M = State, Moves
+_NONE: frozenset[StageWatch] = frozenset()
+_ALWAYS = frozenset({StageWatch.STREAM, StageWatch.FORCE, StageWatch.DEPTH, StageWatch.JUMP})
+_ON_UNIT = _ALWAYS | {StageWatch.FOLLOW, StageWatch.STUCK_CELL, StageWatch.STUCK_OUTPUT}
+_END = (_S.STOPPING, _S.OVER)
+_FELT = ("zero_N", "contact_mm", "felt_mm", "safe_mm_s")
+
+TABLE: Mapping[State, StateRow] = {
+    _S.WAKING: StateRow(_M.NONE, _ALWAYS, (), 0.0, (_S.HOMING, _S.LISTENING, *_END)),
+    _S.HOMING: StateRow(_M.HOME, frozenset({StageWatch.RISE}), (), HOMING_S, (_S.LISTENING, *_END)),
+    _S.LISTENING: StateRow(_M.NONE, _ALWAYS, (), 0.0, (_S.APPROACHING, *_END)),
+    _S.APPROACHING: StateRow(_M.FREE, _ALWAYS | {StageWatch.FREE}, ("free_N",), ARRIVAL_S, (_S.SEARCHING, *_END)),
+    _S.SEARCHING: StateRow(_M.FREE, _ALWAYS, ("zero_N",), ARRIVAL_S, (_S.FEELING, *_END)),
+    _S.FEELING: StateRow(_M.UNKNOWN, _ON_UNIT, ("zero_N", "contact_mm"), ARRIVAL_S, (_S.RELEASING, *_END)),
+    # A cell of which nobody knows yet how late it is seems to hang while the stage turns round.
+    _S.RELEASING: StateRow(_M.UP, _ON_UNIT - {StageWatch.STUCK_CELL}, ("contact_mm",), ARRIVAL_S, (_S.PRESSING, *_END)),
+    _S.PRESSING: StateRow(_M.KNOWN, _ON_UNIT, _FELT, ARRIVAL_S, _END),
+    _S.STOPPING: StateRow(_M.NONE, _NONE, (), 0.0, (_S.LIFTING, _S.STOPPED)),
+    _S.LIFTING: StateRow(_M.UP, _NONE, (), ARRIVAL_S, (_S.STOPPED,)),
+    _S.STOPPED: StateRow(_M.NONE, _NONE, (), 0.0, ()),
+    _S.OVER: StateRow(_M.NONE, _NONE, (), 0.0, ()),
 }
 
 
@@ -64,15 +119,28 @@ class Interlock:
     """The state of one run."""
 
     def __init__(self) -> None:
-        self.state = State.STANDING
+        self.state = State.WAKING
 
-    def take(self, event: Event) -> None:
-        """Go on to the next state.
+    @property
+    def row(self) -> StateRow:
+        """What holds in the present state."""
+        return TABLE[self.state]
+
+    def enter(self, state: State, known: Collection[str] = ()) -> None:
+        """Go on to a later state.
+
+        Args:
+            known: what has been found.
 
         Raises:
-            ValueError: this may not follow; a defect of softcal, nothing was sent.
+            ValueError: it may not follow, or what it needs is not known; a defect of softcal, nothing was sent.
         """
-        following = NEXT[self.state]
-        if event not in following:
-            raise ValueError(f"{event} while {self.state}")
-        self.state = following[event]
+        missing = sorted(set(TABLE[state].needs) - set(known))
+        if state not in self.row.exits or missing:
+            raise ValueError(f"{state} after {self.state}, without {missing}")
+        self.state = state
+
+    def check_move(self, is_down: bool) -> None:
+        """Raise `ValueError` where the stage may not go down, or up; a defect of softcal, nothing was sent."""
+        if not (self.row.moves.are_down or (self.row.moves is Moves.UP and not is_down)):
+            raise ValueError(f"a move {'down' if is_down else 'up'} while {self.state}")

@@ -4,32 +4,30 @@ Nothing else in softcal calls `home`, `begin` or `stop` of a stage; `tests/stati
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import TypeVar
 
 from softcal.core.errors import BadReply, DeviceError, NoReply, SafetyStop
 from softcal.core.words.reason import Reason, reason
 from softcal.station.bench import Bench
+from softcal.station.config import LATEST_S
 from softcal.station.interfaces import Held, Move, RoughLift, RunsOn
-from softcal.station.interlock import Event, Interlock, State
+from softcal.station.interlock import Interlock, State, StateRow
 from softcal.station.trajectory import DrivenMove, Trapezoid
 
 TICK_S = 0.005
 """How often the devices are read while something may move; far below every latency that is promised."""
 
-ARRIVAL_S = 2.0
-"""A move that takes this much longer than planned has failed."""
-
-HOMING_S = 90.0
 RETRACT_MM_S = 5.0
-READ_S = 0.3
-"""How long the load cell is read to say what stands on the unit."""
+READ_S, PATIENCE_S = 0.3, 1.5
+"""How long the load cell is read to say what stands on the unit, and how long it is waited for to fall to rest: its
+readings may have become old."""
 
 LIFT_MM = 1.0
 """A stage is lifted at least so far, wherever it stood."""
 
-AT_MM = 0.05
-"""A stage this near to where it was to be lifted is lifted."""
+REST = 0.5
+"""A load cell within this share of the contact force is at rest."""
 
 _T = TypeVar("_T")
 
@@ -61,13 +59,22 @@ class Motion:
         self._ahead_mm = ahead_mm
         self._interlock = Interlock()
         self._path: Trapezoid | None = None
-        self._force_N: float | None = None
-        self.zero_N = 0.0
+        self._after_stop: list[tuple[float, float]] = []  # (arrival, N) of every reading since the stop
+        self.zero_N: float | None = None
 
     @property
     def state(self) -> State:
-        """What the stage is doing."""
+        """How far the run is."""
         return self._interlock.state
+
+    @property
+    def row(self) -> StateRow:
+        """What holds in this state."""
+        return self._interlock.row
+
+    def enter(self, state: State, known: Collection[str] = ()) -> None:
+        """Go on to a later state of the run; what is known decides whether it may begin."""
+        self._interlock.enter(state, known)
 
     @property
     def speed_mm_s(self) -> float:
@@ -82,7 +89,7 @@ class Motion:
     @property
     def is_lowering(self) -> bool:
         """Whether the stage goes towards the unit."""
-        return self.state is State.LOWERING
+        return self._path is not None and self._path.end_mm > self._path.start_mm
 
     def supervise(self, action: Callable[[], _T]) -> _T:
         """Return what an action gives; whatever it raises, the stage is made safe first and the message says how.
@@ -93,7 +100,7 @@ class Motion:
         """
         try:
             result = action()
-            self._interlock.take(Event.END)
+            self.enter(State.OVER)
             return result
         except KeyboardInterrupt as stop:
             raise StoppedByHand(reason("rig.keyboard", state=self.make_safe(stop))) from stop
@@ -112,16 +119,15 @@ class Motion:
         Raises:
             DeviceError: as the stage, or it took too long.
         """
-        end_s = self._clock.now_s() + HOMING_S
+        self.enter(State.HOMING)
+        end_s = self._clock.now_s() + self.row.late_s
 
         def watch() -> None:
             on_wait()
             if self._clock.now_s() > end_s:
-                raise NoReply(reason("rig.not_home", seconds=HOMING_S))
+                raise NoReply(reason("rig.not_home", seconds=self.row.late_s))
 
-        self._interlock.take(Event.HOME)
         self._stage.home(watch)
-        self._interlock.take(Event.ARRIVED)
 
     def go(self, to_mm: float, speed_mm_s: float, is_over: Callable[[], bool] | None = None) -> DrivenMove:
         """Go to a position, or until `is_over`, and stand there.
@@ -135,16 +141,16 @@ class Motion:
         path = Trapezoid(self._stage.position_mm, to_mm, speed_mm_s, self._stage.acceleration_mm_s2)
         began_s = self._clock.now_s()
         is_down = to_mm > self._stage.position_mm
-        self._interlock.take(Event.LOWER if is_down else Event.RAISE)
+        self._interlock.check_move(is_down)
         self._path = path
         self._stage.begin(Move(to_mm, speed_mm_s, self._ahead_mm(to_mm, speed_mm_s) if is_down else math.inf))
         while self._stage.is_moving:
             self._tick()
             if is_over is not None and is_over():
                 return self._brake(path, began_s)
-            if self._clock.now_s() - began_s > path.duration_s + ARRIVAL_S:
-                raise NoReply(reason("rig.late", seconds=ARRIVAL_S, to_mm=to_mm))
-        self._arrive()
+            if self._clock.now_s() - began_s > path.duration_s + self.row.late_s:
+                raise NoReply(reason("rig.late", seconds=self.row.late_s, to_mm=to_mm))
+        self._path = None
         return DrivenMove(path, began_s, self._clock.now_s())
 
     def wait(self, seconds: float) -> None:
@@ -161,8 +167,8 @@ class Motion:
         """
         if self.state in (State.STOPPED, State.OVER):
             return self._left(Reason("left.stopped"))
-        self._interlock.take(Event.FAULT)
-        self._path = None
+        self.enter(State.STOPPING)
+        self._path, self._after_stop = None, []
         try:
             return self._stop_and_lift(cause)
         except KeyboardInterrupt:
@@ -170,16 +176,11 @@ class Motion:
 
     def _brake(self, path: Trapezoid, began_s: float) -> DrivenMove:
         move = DrivenMove(path, began_s, self._clock.now_s())
-        self._interlock.take(Event.BRAKE)
         self._stage.stop()
         if not self._stage.is_position_known:
             raise DeviceError(Reason("rig.lost.at_touch"))
-        self._arrive()
-        return move
-
-    def _arrive(self) -> None:
         self._path = None
-        self._interlock.take(Event.ARRIVED)
+        return move
 
     def _check_depth(self, to_mm: float) -> None:
         deepest_mm = self._bench.config.safety.deepest_mm
@@ -192,39 +193,39 @@ class Motion:
         except Held:
             return self._left(Reason("left.held"))
         except DeviceError:
-            self._interlock.take(Event.LEAVE)
+            self.enter(State.STOPPED)
             return self._unreachable()
         if isinstance(cause, Held):
             return self._left(Reason("left.held"))
         if not isinstance(cause, (Exception, KeyboardInterrupt)):
             return self._left(Reason("left.stopped"))
-        if self._stage.is_position_known:
-            return self._lift()
-        if isinstance(self._stage, RoughLift) and self._stage.can_lift_roughly:
-            return self._lift()
-        return self._left(Reason("left.must_home"))
+        can_lift_roughly = isinstance(self._stage, RoughLift) and self._stage.can_lift_roughly
+        if not self._stage.is_position_known and not can_lift_roughly:
+            return self._left(Reason("left.must_home"))
+        # What is wrong with a reading may be wrong with the cell: then only a force that falls says that it lives.
+        return self._lift(is_cell_sound=not isinstance(cause, (BadReply, NoReply)))
 
-    def _lift(self) -> Reason:
+    def _lift(self, is_cell_sound: bool) -> Reason:
         stage = self._stage
         # Never deeper; what is in the way above the approach is let go as well.
         to_mm = max(0.0, min(self._bench.config.fixture.approach_mm, stage.position_mm - LIFT_MM))
         speed_mm_s = min(RETRACT_MM_S, stage.max_speed_mm_s)
         path = Trapezoid(stage.position_mm, to_mm, speed_mm_s, stage.acceleration_mm_s2)
-        self._interlock.take(Event.LIFT)
+        self.enter(State.LIFTING)
+        self._read_cell()
         try:
             if path.start_mm > path.end_mm:
                 self._begin_lift(path)
-                self._follow_lift(self._clock.now_s() + path.duration_s + ARRIVAL_S)
+                self._follow_lift(self._clock.now_s() + path.duration_s + self.row.late_s)
         except Held:
             return self._left(Reason("left.held"))
         except DeviceError:
-            return self._not_lifted(to_mm)
-        self._interlock.take(Event.ARRIVED)
-        if stage.is_position_known:
-            return Reason("left.lifted")
-        return Reason("left.lifted_roughly")
+            self._stop_quietly()
+            return self._left(Reason("left.not_lifted"))
+        return self._confirmed(is_cell_sound)
 
     def _begin_lift(self, path: Trapezoid) -> None:
+        self._interlock.check_move(path.end_mm > path.start_mm)
         if not self._stage.is_position_known and isinstance(self._stage, RoughLift):
             self._stage.lift_roughly(path.start_mm - path.end_mm, path.speed_mm_s)
         else:
@@ -237,28 +238,34 @@ class Motion:
                 self._stage.poll()
             except BadReply:
                 pass  # A line with noise says nothing about the lift; silence and alarms do.
-            self._read_force()
+            self._read_cell()
             if self._clock.now_s() > end_s:
                 raise NoReply(Reason("rig.late.lifting"))
 
-    def _not_lifted(self, to_mm: float) -> Reason:
-        is_up = self._stage.is_position_known and self._stage.position_mm <= to_mm + AT_MM
-        try:
-            self._stage.stop()
-        except DeviceError:
-            pass  # It was told to stop; what it says is of no use any more.
-        if is_up:
-            self._interlock.take(Event.LEAVE)
-            return Reason("left.lifted")
-        return self._left(Reason("left.not_lifted"))
+    def _confirmed(self, is_cell_sound: bool) -> Reason:
+        """Say that the stage is lifted where the load cell has fallen to rest; a controller's count proves nothing."""
+        contact_N, force_N = self._bench.config.fixture.contact_N, self._standing_N()
+        if force_N is None:
+            return self._said(Reason("left.told"), None)
+        if abs(force_N) > contact_N:
+            return self._said(Reason("left.stays"), force_N)
+        has_fallen = max(newton for _, newton in self._after_stop) > contact_N
+        if not self._is_at_rest(force_N) or not (has_fallen or is_cell_sound):
+            return self._said(Reason("left.told"), force_N)
+        self.enter(State.STOPPED)
+        return Reason("left.lifted" if self._stage.is_position_known else "left.lifted_roughly")
 
     def _stop_again(self) -> Reason:
         """A second interruption: stand, wherever it is."""
+        is_told = self.state is not State.STOPPING
+        self._stop_quietly()
+        return self._left(Reason("left.told" if is_told else "left.there"))
+
+    def _stop_quietly(self) -> None:
         try:
             self._stage.stop()
         except DeviceError:
             pass  # It was told to stop all the same.
-        return self._left(Reason("left.there"))
 
     def _unreachable(self) -> Reason:
         if isinstance(self._stage, RunsOn):
@@ -268,23 +275,42 @@ class Motion:
 
     def _left(self, state: Reason) -> Reason:
         """Return what became of a stage that stays where it is, with what stands on the unit."""
-        if self.state in (State.STOPPING, State.LIFTING):
-            self._interlock.take(Event.LEAVE)
-        end_s = self._clock.now_s() + READ_S
-        self._force_N = None
-        while self._bench.force is not None and self._clock.now_s() < end_s:
-            self._clock.sleep_s(TICK_S)
-            self._read_force()
-        if self._force_N is None:
-            return reason("left.may_stand", state=state)
-        return reason("left.stands", state=state, force_N=self._force_N)
+        return self._said(state, self._standing_N())
 
-    def _read_force(self) -> None:
-        force = self._bench.force
-        if force is None:
+    def _said(self, state: Reason, force_N: float | None) -> Reason:
+        if self.state in (State.STOPPING, State.LIFTING):
+            self.enter(State.STOPPED)
+        if force_N is None:
+            return reason("left.may_stand", state=state)
+        if not self._stage.is_position_known:
+            return reason("left.stands_lost", state=state, force_N=force_N)
+        return reason("left.stands", state=state, force_N=force_N, at_mm=self._stage.position_mm)
+
+    def _standing_N(self) -> float | None:
+        """Read the load cell until it is at rest, or is not going to be; None where it says nothing, or has no zero."""
+        force = self._bench.config.force
+        if self._bench.force is None or force is None or self.zero_N is None:
+            return None
+        began_s, mean_N = self._clock.now_s(), None
+        # Before this it may tell of a time before the lift.
+        least_s = READ_S + (force.latency_s if force.is_latency_stated else LATEST_S)
+        while (gone_s := self._clock.now_s() - began_s) < PATIENCE_S:
+            self._clock.sleep_s(TICK_S)
+            self._read_cell()
+            newest_N = [newton for arrival_s, newton in self._after_stop if arrival_s > began_s + gone_s - READ_S]
+            mean_N = sum(newest_N) / len(newest_N) if newest_N else None
+            if gone_s >= least_s and (mean_N is None or self._is_at_rest(mean_N)):
+                break
+        return mean_N
+
+    def _is_at_rest(self, force_N: float) -> bool:
+        return abs(force_N) <= REST * self._bench.config.fixture.contact_N
+
+    def _read_cell(self) -> None:
+        if self._bench.force is None or self.zero_N is None:
             return
         try:
-            for sample in force.poll():
-                self._force_N = sample.values[0] - self.zero_N
+            for sample in self._bench.force.poll():
+                self._after_stop.append((self._clock.now_s(), sample.values[0] - self.zero_N))
         except DeviceError:
-            self._force_N = None
+            self._after_stop.clear()  # It is no witness.

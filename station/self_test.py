@@ -1,11 +1,12 @@
 """Is this station fit to press: every device at its rate, the load cell at zero, the stage homed and where it says."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from softcal.core.errors import DeviceError
+from softcal.core.profiles import Profile
 from softcal.core.words.reason import Reason, plain, reason
 from softcal.station.bench import Bench
 from softcal.station.clock import fit_clock, seen_rate_Hz
@@ -13,7 +14,8 @@ from softcal.station.interfaces import Advises, ForceReader, Move, Readout, Runs
 from softcal.station.motion import Cancelled
 from softcal.station.named import named
 from softcal.station.recording import LARGEST_DRIFT
-from softcal.station.watched import WatchedBench
+from softcal.station.seconds import FEELING, seconds_of, shorter
+from softcal.station.watched import WatchedBench, bounds_of
 
 LISTEN_S = 5.0
 LOOK_S = 0.001
@@ -52,7 +54,12 @@ class SelfTestItem:
         return self.cure is None
 
 
-def self_test(bench: Bench, may_move: bool = True, on_wait: Callable[[], None] = lambda: None) -> list[SelfTestItem]:
+def self_test(
+    bench: Bench,
+    may_move: bool = True,
+    on_wait: Callable[[], None] = lambda: None,
+    profile: Profile | None = None,
+) -> list[SelfTestItem]:
     """Home the stage and move it a little, watched as any other move, then read every channel for some seconds.
 
     A device that fails is a finding, so that all faults are seen at once.
@@ -61,6 +68,7 @@ def self_test(bench: Bench, may_move: bool = True, on_wait: Callable[[], None] =
         bench: open devices.
         may_move: home the stage and move it by up to 2 mm, never deeper than the approach.
         on_wait: called all the time; what it raises stops the stage and ends the self-test.
+        profile: of the units; then it is said how long one takes.
 
     Raises:
         Cancelled: somebody asked for a stop, or pressed Ctrl-C; the stage was made safe.
@@ -87,7 +95,27 @@ def self_test(bench: Bench, may_move: bool = True, on_wait: Callable[[], None] =
         findings += _stream_findings(reader, samples[reader.name])
     if bench.force is not None:
         findings += _zero_findings(bench, samples[bench.force.name])
-    return findings
+    return findings if profile is None else [*findings, *_seconds_findings(bench, profile)]
+
+
+def _seconds_findings(bench: Bench, profile: Profile) -> Iterator[SelfTestItem]:
+    """How long a unit takes, and what would shorten it."""
+    config, bounds = bench.config, bounds_of(bench)
+    phases = seconds_of(config, bounds, profile, config.fixture.approach_mm)
+    all_s = sum(phases.values())
+    found = reason(
+        "found.unit_seconds",
+        all_s=all_s,
+        press_s=profile.duration_s,
+        feel_s=phases[FEELING],
+        stiffest_N_mm=bounds.stiffest_N_mm,
+        profile=profile.name,
+    )
+    yield SelfTestItem(STAGE, Reason("check.unit_seconds"), found)
+    for key, value, shorter_s in shorter(config, bounds, profile):
+        if shorter_s < all_s - 1.0:
+            found = reason("found.shorter", key=key, value=value, all_s=shorter_s)
+            yield SelfTestItem(STAGE, Reason("check.shorter"), found)
 
 
 def _stream_findings(reader: ForceReader | Readout, samples: Sequence[Sample]) -> list[SelfTestItem]:
@@ -178,9 +206,10 @@ def _stage_findings(bench: Bench, on_wait: Callable[[], None]) -> list[SelfTestI
 
 @dataclass(frozen=True)
 class _Way:
-    """How long the stage took down and up, how far down it went, by how much it came back elsewhere, and how far it ran
-    on when it was left alone (NaN where it was not)."""
+    """How fast the stage went, how long down and up took, how far down it went, by how much it came back elsewhere, and
+    how far it ran on when it was left alone (NaN where it was not)."""
 
+    speed_mm_s: float
     took_s: float
     down_mm: float
     error_mm: float
@@ -193,7 +222,7 @@ def _go_out_and_back(watched: WatchedBench) -> _Way:
     watched.home()
     watched.motion.wait(0.3)
     watched.expect_nothing()
-    began_mm, began_s, speed_mm_s = stage.position_mm, bench.clock.now_s(), min(5.0, watched.fastest_free_mm_s)
+    began_mm, began_s, speed_mm_s = stage.position_mm, bench.clock.now_s(), min(5.0, watched.fastest_mm_s)
     room_mm = max(0.0, bench.config.fixture.approach_mm - began_mm)
     down_mm, ran_on_mm = min(STEP_MM, speed_mm_s * STEP_S, room_mm), float("nan")
     if down_mm > 0.0:
@@ -204,7 +233,7 @@ def _go_out_and_back(watched: WatchedBench) -> _Way:
     if len(watched.readings.polls) == count:
         raise DeviceError(Reason("rig.no_position.known"))
     gone_s = GONE_S if np.isfinite(ran_on_mm) else 0.0
-    return _Way(took_s - gone_s, down_mm, watched.readings.polls[-1].position_mm - began_mm, ran_on_mm)
+    return _Way(speed_mm_s, took_s - gone_s, down_mm, watched.readings.polls[-1].position_mm - began_mm, ran_on_mm)
 
 
 def _ran_on_mm(watched: WatchedBench, to_mm: float, speed_mm_s: float) -> float:
@@ -264,7 +293,7 @@ def _gone_findings(watched: WatchedBench, stage: RunsOn, way: _Way) -> list[Self
         )
     ]
     if np.isfinite(way.ran_on_mm):
-        speed_mm_s = min(5.0, watched.fastest_free_mm_s)
+        speed_mm_s = way.speed_mm_s
         most_mm = stage.runs_on_mm(Move(0.0, speed_mm_s, bounds.ahead_mm(speed_mm_s, bounds.touch_N)))
         found = reason("found.ran_on", way_mm=way.ran_on_mm, speed_mm_s=speed_mm_s, most_mm=most_mm)
         is_right = way.ran_on_mm <= most_mm + POSITION_MM

@@ -12,6 +12,7 @@ from softcal.station.bench import Bench
 from softcal.station.bounds import FULL, REACTION_S, ForceBounds, Reaction
 from softcal.station.config import LATEST_S
 from softcal.station.interfaces import Sample, StagePosition
+from softcal.station.interlock import Moves, StageWatch, State
 from softcal.station.motion import TICK_S, Motion
 from softcal.station.safety import (
     FROZEN_OUTPUT_MM,
@@ -41,8 +42,33 @@ class Readings:
     polls: list[StagePosition] = field(default_factory=list)
 
 
+@dataclass
+class Learned:
+    """What a run has found so far; None for not yet. A state that needs something does not begin without it.
+
+    Args:
+        free_N, zero_N: the force in an empty path, and of the unloaded cell.
+        contact_mm: where the unit's surface is.
+        felt_mm: so deep the unit was pressed slowly: what lies above holds no surprise.
+        safe_mm_s: fastest speed down to there that a stop can hold.
+        late_s: how late the load cell is.
+    """
+
+    free_N: float | None = None
+    zero_N: float | None = None
+    contact_mm: float | None = None
+    felt_mm: float | None = None
+    safe_mm_s: float | None = None
+    late_s: float | None = None
+
+    @property
+    def names(self) -> list[str]:
+        """What is known."""
+        return [name for name, value in vars(self).items() if value is not None]
+
+
 class WatchedBench:
-    """The devices of a station with all watches on.
+    """The devices of a station with the watches on that `interlock.TABLE` names.
 
     Args:
         bench: open devices.
@@ -55,36 +81,40 @@ class WatchedBench:
         self.readings = Readings()
         self.motion = Motion(bench, self.tick, self._ahead_mm)
         self.bounds = bounds_of(bench)
-        self.contact_mm: float | None = None
-        self.felt_mm = 0.0
-        """So deep the unit was pressed slowly: what lies above holds no surprise."""
+        self.known = Learned()
         self._force_watch = ForceWatch(bench.config.safety)
         self._follow_watch = FollowWatch(bench.config.fixture.contact_N)
         self._jump_watch = JumpWatch()
         self._streams: dict[str, StreamWatch] = {}
-        self._stuck: dict[str, StuckWatch] = {}
-        self._free_N: float | None = None
-        self._lowest_N = float("inf")
-        self._learned_s: float | None = None
+        self._stuck: dict[StageWatch, StuckWatch] = {}
+        self._lowest_N, self._expected_N = float("inf"), self.bounds.limit_N
         force = bench.config.force
-        self._is_lateness_open = force is not None and not force.is_latency_stated
+        if force is None or force.is_latency_stated:
+            self.known.late_s = 0.0 if force is None else force.latency_s
 
     @property
     def late_s(self) -> float:
         """How late the load cell is, as far as that is known."""
-        force = self.bench.config.force
-        return force.latency_s if force is not None and force.is_latency_stated else self._learned_s or 0.0
+        return self.known.late_s or 0.0
 
     @property
     def latest_s(self) -> float:
         """How late the load cell may be: the latest that is allowed while nobody knows."""
-        return LATEST_S if self._is_lateness_open else self.late_s
+        return LATEST_S if self.known.late_s is None else self.known.late_s
 
     @property
-    def fastest_free_mm_s(self) -> float:
-        """Fastest speed towards where nothing should be."""
-        fastest_mm_s = min(self.bench.config.safety.speed_mm_s, self.bench.stage.max_speed_mm_s)
-        return fastest_mm_s if self.bench.force is None else min(fastest_mm_s, self.bounds.free_mm_s)
+    def fastest_mm_s(self) -> float:
+        """Fastest speed down in this state."""
+        bounds, moves = self.bounds, self.motion.row.moves
+        by_force = {Moves.KNOWN: self.known.safe_mm_s, Moves.NONE: 0.0, Moves.HOME: 0.0, Moves.UP: 0.0}
+        fastest_mm_s = by_force.get(moves, bounds.noticed_mm_s(self.noticed_N))
+        if self.bench.force is None:
+            fastest_mm_s = math.inf
+        return min(fastest_mm_s or 0.0, self.bench.config.safety.speed_mm_s, self.bench.stage.max_speed_mm_s)
+
+    def enter(self, state: State) -> None:
+        """Go on to a later state: with it the watches of its row are on, and no others."""
+        self.motion.enter(state, self.known.names)
 
     def start(self) -> None:
         """Begin to read, and to watch."""
@@ -128,35 +158,41 @@ class WatchedBench:
         self._lowest_N = float("inf")
         self.motion.home(self._look_while_homing)
         self.start()  # A reset of the controller may have taken longer than any silence that is allowed.
+        self.enter(State.LISTENING)
 
     def expect_nothing(self) -> None:
         """Take the present force as that of an empty path: whatever adds the touch force to it is in the way."""
         recent = [sample.values[0] for sample in self.readings.force[-10:]]
-        self._free_N = float(np.mean(recent)) if recent else None
+        self.known.free_N = self.motion.zero_N = float(np.mean(recent)) if recent else 0.0
+        self.enter(State.APPROACHING)
 
     def take_zero(self, zero_N: float) -> None:
         """Take the reading of the unloaded load cell, from now on subtracted."""
-        self._force_watch.zero_N = self.motion.zero_N = zero_N
-        self._free_N = None
+        self.known.zero_N = self._force_watch.zero_N = self.motion.zero_N = zero_N
+        self.enter(State.SEARCHING)
 
     def expect_contact(self, contact_mm: float) -> None:
         """Take where the unit's surface is: from here on every channel must follow the stage."""
-        self.contact_mm = contact_mm
-        for name, reader, samples, stuck_mm in (
-            ("readout", self.bench.readout, self.readings.output, STUCK_OUTPUT_MM),
-            ("force", self.bench.force, self.readings.force, STUCK_MM),
+        self.known.contact_mm = contact_mm
+        for watch, reader, samples, stuck_mm in (
+            (StageWatch.STUCK_OUTPUT, self.bench.readout, self.readings.output, STUCK_OUTPUT_MM),
+            (StageWatch.STUCK_CELL, self.bench.force, self.readings.force, STUCK_MM),
         ):
             if reader is not None:
-                self._stuck[name] = StuckWatch(reader.name, noise_of(samples), reader.rate_Hz, stuck_mm)
+                self._stuck[watch] = StuckWatch(reader.name, noise_of(samples), reader.rate_Hz, stuck_mm)
+        self.enter(State.FEELING)
 
-    def learn_latency(self, late_s: float | None) -> None:
-        """Take how late the load cell was found to be, where the station file does not say it; None where unclear."""
-        self._is_lateness_open = False
-        if late_s is None:
-            return
-        self._learned_s = late_s
+    def learn_latency(self, late_s: float) -> None:
+        """Take how late the load cell was found to be, where the station file does not say it."""
+        self.known.late_s = late_s
         delay_s = self.bounds.reaction.delay_s - LATEST_S + late_s
         self.bounds = replace(self.bounds, reaction=replace(self.bounds.reaction, delay_s=delay_s))
+
+    def expect_press(self, contact_mm: float, felt_mm: float, safe_mm_s: float) -> None:
+        """Take the surface as a cell shows it whose lateness is known, and how deep and how fast it may be pressed."""
+        self.known.contact_mm, self.known.felt_mm, self.known.safe_mm_s = contact_mm, felt_mm, safe_mm_s
+        self._expected_N = self.bounds.limit_N
+        self.enter(State.PRESSING)
 
     def tick(self) -> None:
         """Let a little time pass, read every device, and check everything that was read."""
@@ -164,7 +200,7 @@ class WatchedBench:
         self._take(self.bench.stage.poll())
 
     def leave_stage_alone(self, seconds: float) -> None:
-        """Watch the channels and tell the stage nothing, as if its host had died."""
+        """StageWatch the channels and tell the stage nothing, as if its host had died."""
         end_s = self.bench.clock.now_s() + seconds
         while self.bench.clock.now_s() < end_s:
             self.bench.clock.sleep_s(TICK_S)
@@ -191,21 +227,41 @@ class WatchedBench:
             _, cell = self._read(())
         except BadReply:
             return self._on_tick()  # Homing may begin under an overload: it is what takes it off.
-        for sample in cell:
-            self._lowest_N = min(self._lowest_N, sample.values[0])
-            if sample.values[0] > self._lowest_N + HOMING_RISE_N:
-                raise SafetyStop(reason("rig.homing.rises", force_N=sample.values[0] - self._lowest_N))
+        if StageWatch.RISE in self.motion.row.watches:
+            for sample in cell:
+                self._check_rise(sample.values[0])
         self._on_tick()
 
+    def _check_rise(self, force_N: float) -> None:
+        self._lowest_N = min(self._lowest_N, force_N)
+        if force_N > self._lowest_N + HOMING_RISE_N:
+            raise SafetyStop(reason("rig.homing.rises", force_N=force_N - self._lowest_N))
+
     def _ahead_mm(self, to_mm: float, speed_mm_s: float) -> float:
-        if self.bench.force is None or to_mm <= self.felt_mm:
+        if speed_mm_s > self.fastest_mm_s * (1.0 + 1e-9):
+            raise ValueError(f"down with {speed_mm_s} mm/s, at most {self.fastest_mm_s} mm/s; nothing was sent")
+        if self.bench.force is None or to_mm <= (self.known.felt_mm or 0.0):
             return math.inf
         return self.bounds.ahead_mm(speed_mm_s, self.noticed_N)
 
     @property
     def noticed_N(self) -> float:
-        """The force at which whatever is met stops the stage: the touch, or the limit once the unit was found."""
-        return self.bounds.touch_N if self.contact_mm is None else self.bounds.limit_N
+        """The force at which whatever is met stops the stage: the touch; the limit, or what a step lets expect."""
+        return self.bounds.touch_N if self.motion.row.moves is Moves.FREE else self._expected_N
+
+    def expect_rise(self, last_N: float) -> float:
+        """Take what the force may grow to over the next step of a slow press; return the present force.
+
+        Args:
+            last_N: by how much it grew over the step before; inf for any force up to the limit.
+        """
+        force_N = self.readings.force[-1].values[0] - self._force_watch.zero_N
+        self._expected_N = min(self.bounds.limit_N, force_N + self.bounds.rise_N(last_N))
+        return force_N
+
+    def has_risen(self) -> bool:
+        """Whether the force has grown beyond that."""
+        return self.readings.force[-1].values[0] - self._force_watch.zero_N > self._expected_N
 
     def _look_ahead(self) -> None:
         """How long the force may still grow: until a stop holds, or until the move ends by itself."""
@@ -218,41 +274,52 @@ class WatchedBench:
         self._force_watch.ahead_s = min(stop_s, self.late_s + self.motion.left_mm / speed_mm_s)
 
     def _check(self, output: Sequence[Sample], cell: Sequence[Sample]) -> None:
+        on, now_s = self.motion.row.watches, self.bench.clock.now_s()
+        for sample in cell:
+            self._check_force(sample)
         # A cell that is late tells of where the stage was.
-        for name, samples, late_s in (("force", cell, self.late_s), ("readout", output, 0.0)):
+        for name, samples, stuck, late_s in (
+            ("force", cell, StageWatch.STUCK_CELL, self.late_s),
+            ("readout", output, StageWatch.STUCK_OUTPUT, 0.0),
+        ):
             pressed_mm = self.pressed_mm(late_s)
             for sample in samples:
-                if name == "force":
-                    self._check_force(sample, pressed_mm)
-                self._streams[name].check(sample, pressed_mm)
-                # A cell of which nobody knows how late it is seems to hang while the stage turns round.
-                if name in self._stuck and not (name == "force" and self._is_lateness_open):
-                    self._stuck[name].check(sample.values[0], pressed_mm)
-        for watch in self._streams.values():
-            watch.check_silence(self.bench.clock.now_s())
-        self._check_depth()
+                if StageWatch.STREAM in on:
+                    self._streams[name].check(sample, pressed_mm)
+                if stuck in on:
+                    self._stuck[stuck].check(sample.values[0], pressed_mm)
+            if StageWatch.STREAM in on and name in self._streams:
+                self._streams[name].check_silence(now_s)
+        if StageWatch.DEPTH in on:
+            self._check_depth()
 
-    def _check_force(self, sample: Sample, pressed_mm: float) -> None:
-        self._force_watch.check(sample)
-        self._check_free(sample.values[0])
-        self._follow_watch.check(sample.values[0] - self._force_watch.zero_N, pressed_mm, sample.host_s)
-        self._jump_watch.check(sample.values[0], self.bench.stage.is_moving, sample.host_s)
+    def _check_force(self, sample: Sample) -> None:
+        on, newton = self.motion.row.watches, sample.values[0]
+        if StageWatch.FORCE in on:
+            self._force_watch.check(sample)
+        if StageWatch.FREE in on:
+            self._check_free(newton)
+        if StageWatch.FOLLOW in on:
+            self._follow_watch.check(newton - self._force_watch.zero_N, self.pressed_mm(self.late_s), sample.host_s)
+        if StageWatch.JUMP in on:
+            self._jump_watch.check(newton, self.bench.stage.is_moving, sample.host_s)
 
     def _check_free(self, force_N: float) -> None:
-        touch_N = self.bench.config.fixture.touch_N
-        if self._free_N is not None and self.motion.is_lowering and force_N - self._free_N > touch_N:
+        touch_N, free_N = self.bench.config.fixture.touch_N, self.known.free_N or 0.0
+        if self.motion.is_lowering and force_N - free_N > touch_N:
             raise SafetyStop(
-                reason("rig.in_the_way", position_mm=self.bench.stage.position_mm, force_N=force_N - self._free_N)
+                reason("rig.in_the_way", position_mm=self.bench.stage.position_mm, force_N=force_N - free_N)
             )
 
     def pressed_mm(self, ago_s: float = 0.0) -> float:
         """How far the stage was below the contact so long ago; 0 above it, or before it was found."""
-        if self.contact_mm is None or not self.readings.polls:
+        contact_mm = self.known.contact_mm
+        if contact_mm is None or not self.readings.polls:
             return 0.0
         then_s = self.bench.clock.now_s() - ago_s
         newest = self.readings.polls[-1]
         poll = next((p for p in reversed(self.readings.polls) if p.host_s <= then_s), newest) if ago_s else newest
-        return max(0.0, poll.position_mm - self.contact_mm)
+        return max(0.0, poll.position_mm - contact_mm)
 
     def _check_depth(self) -> None:
         deepest_mm = self.bench.config.safety.deepest_mm

@@ -211,9 +211,13 @@ def check_station(
         if not all(device.port for device in (config.stage, config.readout, config.force) if device is not None):
             return StationCheck(config, tuple(devices), ())
         with open_bench(config) as bench:
-            return StationCheck(bench.config, tuple(devices), tuple(self_test(bench, may_move)))
+            return StationCheck(bench.config, tuple(devices), _tested(bench, may_move))
     with chosen_bench(station_file, simulated_seed) as bench:
-        return StationCheck(bench.config, tuple(devices), tuple(self_test(bench, may_move)))
+        return StationCheck(bench.config, tuple(devices), _tested(bench, may_move))
+
+
+def _tested(bench: Bench, may_move: bool) -> tuple[SelfTestItem, ...]:
+    return tuple(self_test(bench, may_move, profile=unit_profile(np.random.default_rng(0), 25.0)))
 
 
 @dataclass(frozen=True)

@@ -172,6 +172,8 @@ SENTENCES: Mapping[str, str] = {
     "left.lifted": "the stage is stopped and lifted",
     "left.lifted_roughly": "the stage is stopped and lifted, it must be homed",
     "left.not_lifted": "the stage is stopped but could not be lifted: lift it by hand and home it",
+    "left.told": "the stage is stopped and told to lift, which is not confirmed",
+    "left.stays": "the stage was told to lift but the force stays: lift it by hand and home it",
     "left.there": "the stage is stopped and not lifted",
     "left.runs_on": (
         "the stage does not answer any more, it stops within {seconds:.1f} s: switch it off before you reach in"
@@ -180,7 +182,8 @@ SENTENCES: Mapping[str, str] = {
         "the stage does not answer any more, it ends the move it has: switch it off before you reach in"
     ),
     "left.may_stand": "{state}, it may stand on the unit",
-    "left.stands": "{state}, with {force_N:.1f} N on the load cell",
+    "left.stands": "{state}, with {force_N:.1f} N on the load cell; the controller counts {at_mm:.2f} mm",
+    "left.stands_lost": "{state}, with {force_N:.1f} N on the load cell; the position is not known",
     # A port that cannot be opened.
     "port.unreached": "cannot be reached: {error}; check address, power and network cable",
     "port.visa": "cannot be opened: {error}; `pyvisa-shell` lists the resources there are",
@@ -420,6 +423,8 @@ SENTENCES: Mapping[str, str] = {
     "check.return": "out and back",
     "check.setting": "setting",
     "check.safe_speed": "safe speed",
+    "check.unit_seconds": "seconds a unit",
+    "check.shorter": "would be shorter",
     "check.runs_on": "runs on when the host dies",
     "check.ran_on": "ran on when left alone",
     "found.samples": "samples: {count}",
@@ -434,6 +439,11 @@ SENTENCES: Mapping[str, str] = {
         "a stop ends below {ceiling_N:g} N (up to {free_mm_s:.2g} mm/s where nothing was felt, {unknown_mm_s:.2g} mm/s "
         "where the unit was not pressed yet)"
     ),
+    "found.unit_seconds": (
+        "at most {all_s:.0f} s after the first one, {press_s:.0f} s of pressing and {feel_s:.0f} s of the slow press "
+        "before it ({profile}, stiffest_N_mm = {stiffest_N_mm:g})"
+    ),
+    "found.shorter": "{all_s:.0f} s with {key} = {value:g}, where that is true",
     "found.runs_on": (
         "it runs on for {on_s:.2f} s at most (at {speed_mm_s:g} mm/s {way_mm:.2g} mm, no deeper than felt; where "
         "nothing was felt, at {slow_mm_s:.2g} mm/s {slow_mm:.2g} mm and {worst_N:.1f} N)"

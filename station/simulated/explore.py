@@ -5,22 +5,26 @@ with up to MOST_FAULTS answers in one run that are not "all is well". What the s
 properties of docs/hazards.md.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply, SafetyStop
-from softcal.station.config import FixtureConfig, SafetyConfig
-from softcal.station.interfaces import Held, Move, OnWait, StagePosition
-from softcal.station.interlock import Event, Interlock, State
+from softcal.core.words.reason import Reason, plain
+from softcal.station.config import FixtureConfig, ForceConfig, SafetyConfig
+from softcal.station.interfaces import Held, Move, OnWait, Sample, StagePosition
+from softcal.station.interlock import TABLE, Interlock, Moves, StageWatch, State
 from softcal.station.motion import Cancelled, Motion
+from softcal.station.simulated.rig import is_true
 
 MOST_FAULTS = 3
 LONGEST_S = 120.0
 """No run of the program below may take longer, whatever happens."""
 
-TOUCH_MM, APPROACH_MM, POLLS = 5.0, 4.0, 3
+TOUCH_MM, APPROACH_MM, POLLS, STEP_S = 5.0, 4.0, 3, 0.05
+
+KNOWN = frozenset(name for row in TABLE.values() for name in row.needs)
 
 
 class Choices:
@@ -46,19 +50,21 @@ class Told:
         faulted_at: how many commands there had been when the first fault came; None without one.
         held_at: the same for the hold button.
         states: (state of the run, is moving, position known, held) that were met.
-        ways: (state of the run, what happened in it).
+        ways: (state of the run, the one that followed).
+        left: what was said of the stage after a fault.
+        is_true: whether that is so.
     """
 
     commands: list[str] = field(default_factory=list)
     faulted_at: int | None = None
     held_at: int | None = None
     states: set[tuple[State, bool, bool, bool]] = field(default_factory=set)
-    ways: set[tuple[State, Event]] = field(default_factory=set)
-    is_up: bool = True
-    answers: bool = True
+    ways: set[tuple[State, State]] = field(default_factory=set)
+    left: Reason | None = None
+    is_true: bool = True
     seconds: float = 0.0
     message: str = ""
-    ended: State = State.STANDING
+    ended: State = State.WAKING
 
 
 class ModelStage:
@@ -71,7 +77,15 @@ class ModelStage:
         self.position_mm = self._target_mm = APPROACH_MM
         self.is_position_known = self.is_moving = self.can_lift_roughly = False
         self._polls, self._is_blocked = 0, False
+        self._stands_at_mm: float | None = None
+        """Where the carriage stays, once its motor has no supply: the controller counts on."""
+        self._slipped_mm = 0.0
         self.look: Callable[[], None] = lambda: None
+
+    @property
+    def carriage_mm(self) -> float:
+        """Where the carriage is, whatever the controller counts."""
+        return self.position_mm + self._slipped_mm if self._stands_at_mm is None else self._stands_at_mm
 
     def home(self, on_wait: OnWait = lambda: None) -> None:
         """Home, or fail."""
@@ -109,6 +123,8 @@ class ModelStage:
         self._told.commands.append("stop")
         self.look()
         answer = self._choices.pick(5)
+        if self.is_moving:
+            self.position_mm = (self.position_mm + self._target_mm) / 2
         self.is_moving, self.can_lift_roughly = False, answer == 1
         if answer:
             self.is_position_known = False
@@ -116,11 +132,10 @@ class ModelStage:
             self.is_position_known = True
             self._hold()
         if answer == 4:
-            self._told.answers = False
             self._fault(NoReply("stage: no answer"))
 
     def _step(self) -> None:
-        answer = self._choices.pick(5)
+        answer = self._choices.pick(8)
         if answer == 1:
             self._fault(NoReply("stage: no status"))
         if answer == 2:
@@ -131,6 +146,13 @@ class ModelStage:
             self._hold()
         if answer == 4:
             self._fault(BadReply("stage: noise"))
+        if answer == 5:
+            self._stands_at_mm = self.carriage_mm
+        if answer == 6:  # The motor loses steps: the carriage does not come as far as it is counted.
+            self._slipped_mm += (self.position_mm - self._target_mm) / POLLS
+        if answer == 7:
+            self._mark()
+            raise KeyboardInterrupt
         if self._polls >= POLLS and not self._is_blocked:
             self.position_mm, self.is_moving = self._target_mm, False
 
@@ -148,6 +170,33 @@ class ModelStage:
             self._told.faulted_at = len(self._told.commands)
 
 
+class ModelCell:
+    """A load cell: it shows the force of the carriage, wherever the controller says it is; or is silent, or hangs."""
+
+    def __init__(self, stage: ModelStage, choices: Choices, clock: "_Clock") -> None:
+        self._stage, self._choices, self._clock = stage, choices, clock
+        self._state: int | None = None
+        self._hangs_at_N = 0.0
+
+    @property
+    def force_N(self) -> float:
+        """The force on the unit, 1 N/mm."""
+        return max(0.0, self._stage.carriage_mm - TOUCH_MM)
+
+    @property
+    def shown_N(self) -> float:
+        """What the cell shows of it."""
+        return self._hangs_at_N if self._state == 2 else self.force_N
+
+    def poll(self) -> list[Sample]:
+        """Return one reading, or fail."""
+        if self._state is None:
+            self._state, self._hangs_at_N = self._choices.pick(3), self.force_N
+        if self._state == 1:
+            raise NoReply(plain("load cell: silent"))
+        return [Sample(self._clock.now_s(), None, (self.shown_N,))]
+
+
 class _Endless(BaseException):
     """A run that would go on for ever."""
 
@@ -160,7 +209,7 @@ class _Clock:
         return self.t_s
 
     def sleep_s(self, seconds: float) -> None:
-        self.t_s += seconds
+        self.t_s += max(seconds, STEP_S)
         if self.t_s > LONGEST_S:
             raise _Endless
 
@@ -172,17 +221,20 @@ class _SeenInterlock(Interlock):
         super().__init__()
         self._told = told
 
-    def take(self, event: Event) -> None:
-        self._told.ways.add((self.state, event))
-        super().take(event)
+    def enter(self, state: State, known: Collection[str] = ()) -> None:
+        before = self.state
+        super().enter(state, known)
+        self._told.ways.add((before, state))
 
 
 def run_once(given: Sequence[int]) -> tuple[Told, list[tuple[int, int]]]:
     """Run the program once with these answers; return what was told, and the answers with their alternatives."""
     choices, told, clock = Choices(given), Told(), _Clock()
     stage = ModelStage(choices, told)
-    config = SimpleNamespace(safety=SafetyConfig(), fixture=FixtureConfig(approach_mm=APPROACH_MM))
-    bench: Any = SimpleNamespace(config=config, clock=clock, stage=stage, readout=None, force=None)
+    force, fixture = ForceConfig("", latency_s=0.0), FixtureConfig(approach_mm=APPROACH_MM)
+    config = SimpleNamespace(safety=SafetyConfig(), fixture=fixture, force=force)
+    cell = ModelCell(stage, choices, clock)
+    bench: Any = SimpleNamespace(config=config, clock=clock, stage=stage, readout=None, force=cell)
     looks = 0
 
     def tick() -> None:
@@ -190,45 +242,63 @@ def run_once(given: Sequence[int]) -> tuple[Told, list[tuple[int, int]]]:
         clock.sleep_s(0.02)
         stage.poll()
         looks += 1
-        if looks % POLLS == 1 and looks < 12 * POLLS:
-            _watch(choices.pick(4), stage)
+        if looks % POLLS == 1 and looks < 16 * POLLS:
+            _watch(choices.pick(5), stage, motion.row.watches)
 
     motion = Motion(bench, tick)
-    motion._interlock = _SeenInterlock(told)
+    motion._interlock, motion.zero_N = _SeenInterlock(told), 0.0
 
     def look() -> None:
         told.states.add((motion.state, stage.is_moving, stage.is_position_known, told.held_at is not None))
 
     stage.look = look
     try:
-        motion.supervise(lambda: _program(motion, stage))
+        motion.supervise(lambda: _program(motion, stage, choices))
     except DeviceError as error:
-        told.message = str(error)
+        told.message, left = str(error), error.reason.values.get("state")
+        if isinstance(left, Reason):
+            told.left, told.is_true = left, is_true(left, (cell.force_N, cell.shown_N), stage.position_mm)
     except _Endless:
         pass  # Its time tells.
     look()
     told.ended, told.seconds = motion.state, clock.t_s
-    told.is_up = not stage.is_moving and stage.position_mm <= APPROACH_MM
     return told, choices.made
 
 
-def _watch(answer: int, stage: ModelStage) -> None:
-    if answer:
+def _watch(answer: int, stage: ModelStage, on: frozenset[StageWatch]) -> None:
+    """A person, or something that a watch sees, where the table has it on."""
+    seen: tuple[tuple[bool, BaseException], ...] = (
+        (True, Cancelled("stopped by a person")),
+        (True, KeyboardInterrupt()),
+        (StageWatch.FORCE in on, SafetyStop("force")),
+        (StageWatch.STREAM in on, BadReply("load cell: noise")),
+    )
+    if answer and seen[answer - 1][0]:
         stage._mark()
-        errors: tuple[BaseException, ...] = (SafetyStop("force"), Cancelled("stopped by a person"), KeyboardInterrupt())
-        raise errors[answer - 1]
+        raise seen[answer - 1][1]
 
 
-def _program(motion: Motion, stage: ModelStage) -> None:
-    """A run in short: home, approach, search until the touch, touch again, press, wait, go back."""
-    motion.home(lambda: None)
-    motion.go(APPROACH_MM, 5.0)
-    for _ in range(2):
-        motion.go(8.0, 1.0, lambda: stage.is_moving and stage._polls >= POLLS - 1)
-        motion.go(APPROACH_MM, 5.0)
-    motion.go(9.0, 5.0)
-    motion.wait(0.05)
-    motion.go(APPROACH_MM, 5.0)
+def _program(motion: Motion, stage: ModelStage, choices: Choices) -> None:
+    """Go through the table: in each state everything that may move moves, then one of its exits is taken."""
+    while True:
+        row = motion.row
+        motion.wait(POLLS * STEP_S)
+        if row.moves.are_down:
+            motion.go(8.0, 1.0, lambda: stage.is_moving and stage._polls >= POLLS - 1)
+            motion.go(APPROACH_MM if motion.state is not State.FEELING else 9.0, 5.0)
+        elif row.moves is Moves.UP:
+            motion.go(APPROACH_MM, 5.0)
+        exits = [state for state in row.exits if state is not State.STOPPING]
+        following = exits[choices.pick(len(exits))]
+        if following is State.OVER:
+            return
+        if following is State.HOMING:
+            motion.home(lambda: None)
+            following = State.LISTENING
+            if choices.pick(2):
+                return
+        stage.is_position_known = True
+        motion.enter(following, KNOWN)
 
 
 @dataclass(frozen=True)
@@ -237,22 +307,23 @@ class Explored:
 
     runs: int
     states: int
-    ways: frozenset[tuple[State, Event]]
+    ways: frozenset[tuple[State, State]]
     broken: tuple[str, ...]
 
 
-def explore(judge: Callable[[Told], str], most_faults: int = MOST_FAULTS) -> Explored:
+def explore(judge: Callable[[Told], str], most_faults: int = MOST_FAULTS, stops_early: bool = False) -> Explored:
     """Try every run.
 
     Args:
         judge: the property a run breaks, "" for none.
         most_faults: answers other than "all is well" in one run.
+        stops_early: at the first run that breaks a property.
     """
     waiting: list[list[int]] = [[]]
-    runs, broken = 0, []
+    runs, broken = 0, list[str]()
     states: set[tuple[State, bool, bool, bool]] = set()
-    ways: set[tuple[State, Event]] = set()
-    while waiting:
+    ways: set[tuple[State, State]] = set()
+    while waiting and not (broken and stops_early):
         given = waiting.pop()
         told, made = run_once(given)
         runs, states, ways = runs + 1, states | told.states, ways | told.ways
@@ -270,19 +341,14 @@ def broken_property(told: Told) -> str:
     after = [] if told.faulted_at is None else told.commands[told.faulted_at :]
     if any(command in ("down", "home") for command in after):
         return "moves down after a stop without a fresh start"
-    if told.ended not in (State.STOPPED, State.OVER):
-        return "a run does not end"
     if told.seconds > LONGEST_S:
         return "a state has no deadline"
+    if told.ended not in (State.STOPPED, State.OVER):
+        return "a run does not end"
     if told.held_at is not None and "up" in told.commands[told.held_at :]:
         return "moves by itself while somebody holds it"
-    if told.faulted_at is not None and not _says_where(told):
+    if told.faulted_at is not None and told.left is None:
         return "does not say what stands on the unit"
+    if not told.is_true:
+        return "says of the stage what is not so"
     return ""
-
-
-def _says_where(told: Told) -> bool:
-    if "is stopped and lifted" in told.message:
-        return told.is_up
-    parts = ("may stand on the unit", "does not answer any more", "could not be lifted", "must be homed")
-    return any(part in told.message for part in parts)

@@ -1,6 +1,5 @@
 """Trials of safety: a rig of any drive, cell and unit, pressed by the real code, and the largest force it truly saw."""
 
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -15,10 +14,7 @@ from softcal.station.bench import Bench, open_bench, simulated_config
 from softcal.station.config import UNKNOWN_S
 from softcal.station.simulated.law_unit import ForceLaw, LawUnit
 from softcal.station.simulated.station import SimulatedStation
-
-LIFTED = "the stage is stopped and lifted"
-SAID_N = 0.3
-"""A force that is said may be off by so much: its zero, its noise."""
+from softcal.station.simulated.trial import tells_truth
 
 GONE_S = 10.0
 """Longer than anything that was sent ahead takes."""
@@ -87,14 +83,14 @@ class RigOutcome:
         largest_N: true force at the deepest point the stage reached.
         message: "" where the run went through, else what the operator reads.
         is_up: whether the stage stands above the unit at the end.
-        stands_N: true force on the unit at the end.
+        is_true: whether what the operator reads of the stage is so.
         station_s: how long it took.
     """
 
     largest_N: float
     message: str
     is_up: bool
-    stands_N: float
+    is_true: bool
     station_s: float
 
     @property
@@ -104,30 +100,20 @@ class RigOutcome:
             return "went through"
         return "stopped and lifted" if self.is_up else "stopped on the unit"
 
-    @property
-    def is_true(self) -> bool:
-        """Whether what the operator reads of the stage is so: lifted, or what stands on the unit within SAID_N."""
-        if not self.message:
-            return self.is_up
-        if LIFTED in self.message or "nothing moved" in self.message:
-            return self.is_up
-        said = re.search(r"with (-?[\d.]+) N on the load cell", self.message)
-        return said is not None and abs(float(said[1]) - self.stands_N) <= SAID_N
-
 
 def press(case: RigCase, profile: Profile) -> RigOutcome:
     """Press a case with a profile."""
     with open_rig(case) as (bench, station):
-        message = ""
+        why: DeviceError | None = None
         try:
             record(bench, "S1", profile, with_reference=True)
         except DeviceError as error:
-            message = str(error)
+            why = error
         depth_mm = station.axis.deepest_mm - case.surface_mm
-        is_up = station.axis.position_mm <= case.surface_mm
-        stands_N = float(case.law.force_N(station.axis.position_mm - case.surface_mm))
+        is_up = station.rig.carriage_mm <= case.surface_mm
+        is_true = is_up if why is None else tells_truth(why, bench, station)
         largest_N = float(case.law.force_N(depth_mm))
-        return RigOutcome(largest_N, message, is_up, stands_N, station.world.now_s())
+        return RigOutcome(largest_N, str(why or ""), is_up, is_true, station.world.now_s())
 
 
 class _HostGone(BaseException):

@@ -11,6 +11,7 @@ from softcal.core.profiles import Profile, moves
 from softcal.core.words.reason import Reason
 from softcal.station.acquisition import RunProgress, record
 from softcal.station.bench import Bench, open_simulated_bench
+from softcal.station.motion import TICK_S
 from softcal.station.simulated.faults import MOMENTS, PRESS, RETURN, Fault
 from softcal.station.simulated.station import SimulatedStation
 from softcal.station.spool import Spool, read_spool
@@ -23,6 +24,9 @@ HANGS_S = 900.0
 AT_THE_END = "when the run is closed"
 DISK_MOMENTS = (*MOMENTS, AT_THE_END)
 """When a disk can fill up."""
+
+LOOK_S = 0.5
+"""How long the load cell is read to compare what it shows with what was said."""
 
 COAST_S = 1.0
 """How long the rig is watched after the run gave up: a stage nobody can reach runs out of queued pieces."""
@@ -43,6 +47,7 @@ class FaultOutcome:
         record: "none" (nothing was recorded as good), "good" otherwise.
         spool: how the spool says the run ended.
         reason: the message as a code, for a screen in another language; None where the run went through.
+        is_true: whether what it says of the stage is so.
     """
 
     fault: str
@@ -55,6 +60,7 @@ class FaultOutcome:
     record: str
     spool: str
     reason: Reason | None = None
+    is_true: bool = True
 
 
 def run_with_fault(fault: Fault, folder: Path, seed: int = 0) -> FaultOutcome:
@@ -88,6 +94,7 @@ def _tried(fault: Fault, folder: Path, seed: int, make_spool: Callable[[Path], S
         except _Hangs:
             is_hanging = True
         ended_s = station.world.now_s()
+        is_true = error is None or tells_truth(error, bench, station)
         station.world.sleep_s(COAST_S)
         return FaultOutcome(
             fault.name,
@@ -100,7 +107,26 @@ def _tried(fault: Fault, folder: Path, seed: int, make_spool: Callable[[Path], S
             record_state,
             str(read_spool(path).end) if path.exists() else "no spool",
             error.reason if error else None,
+            is_true,
         )
+
+
+def tells_truth(error: DeviceError, bench: Bench, station: SimulatedStation, zero_N: float = 0.0) -> bool:
+    """Whether what a run that was stopped says of its stage is so, by the rig and by what its load cell shows.
+
+    Args:
+        zero_N: what the run has taken for the unloaded cell.
+    """
+    left, shown_N, now_s = error.reason.values.get("state"), list[float](), station.world.now_s()
+    if not isinstance(left, Reason):
+        return station.rig.carriage_mm <= station.rig.clearance_mm  # Nothing moved.
+    try:
+        while bench.force is not None and station.world.now_s() < now_s + LOOK_S:
+            station.world.sleep_s(TICK_S)
+            shown_N += [sample.values[0] - zero_N for sample in bench.force.poll()]
+    except DeviceError:
+        pass  # Then it must be the truth.
+    return station.rig.tells_truth(left, [sum(shown_N) / len(shown_N)] if shown_N else [], station.world.now_s())
 
 
 def _without_cell(bench: Bench) -> Bench:

@@ -4,27 +4,31 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from softcal.app.line.rig import station_of
 from softcal.core.errors import DeviceError, InputError, NoReply
 from softcal.core.profiles import ramps
 from softcal.core.words.reason import plain
-from softcal.station.acquisition import FEELING, PRESSING, record
+from softcal.station.acquisition import record
 from softcal.station.config import station_from_table
 from softcal.station.drivers.grbl import GrblStage
 from softcal.station.identify import DeviceIdentity, identify
 from softcal.station.interfaces import Held, Move
 from softcal.station.link import Link
 from softcal.station.motion import StoppedByHand
+from softcal.station.seconds import FEELING, PRESSING
 from softcal.station.self_test import self_test
 from softcal.station.simulated.grbl import SimulatedGrbl
-from softcal.station.simulated.law_unit import ForceLaw
+from softcal.station.simulated.law_unit import ForceLaw, LawUnit
 from softcal.station.simulated.motion import Axis
 from softcal.station.simulated.rig_trial import RigCase, open_rig, press, press_until_gone
 from softcal.station.simulated.text_stream import SimulatedTextStream
+from softcal.station.simulated.trial import tells_truth
 from softcal.station.simulated.wire import Wire
 from softcal.station.simulated.world import World
+from softcal.station.watched import bounds_of
 
 QUICK = RigCase(latency_s=0.0, stiffest_N_mm=100.0)
 PROFILE = ramps([2.0, 2.0], 4.0, rest_s=0.5)
@@ -280,6 +284,23 @@ def test_the_self_test_measures_how_far_the_stage_runs_on_and_says_the_most_in_m
     assert QUICK.limit_N < most["worst_N"] <= 0.9 * QUICK.capacity_N + 0.05
     way = measured.value.values
     assert 0.5 * way["most_mm"] < way["way_mm"] <= way["most_mm"] and measured.is_good
+
+
+def test_what_appears_after_the_slow_press_ends_within_the_stated_bound():
+    """No software holds it below the cell's capacity: the bound is what docs/hazards.md states first."""
+    case, stop_N_mm, speed_mm_s = replace(QUICK, law=ForceLaw(1.0, 1.0)), 100.0, 10.0
+    with open_rig(case) as (bench, station):
+        bound_N = bounds_of(bench).worst_N(speed_mm_s, case.limit_N, stop_N_mm)
+        unit = LawUnit(replace(case.law, stop_mm=1.0, stop_N_mm=stop_N_mm), np.random.default_rng(1))
+
+        def appear(progress):
+            if progress.phase == PRESSING and station.rig.largest_force_N < case.limit_N:
+                station.rig.mount([unit], case.surface_mm, 0.0)
+
+        with pytest.raises(DeviceError) as stopped:
+            record(bench, "R1", ramps([2.0], speed_mm_s, rest_s=0.5), True, appear)
+        assert tells_truth(stopped.value, bench, station)
+        assert case.capacity_N < station.rig.largest_force_N < bound_N
 
 
 def test_a_controller_that_runs_on_further_than_it_was_told_is_a_fault():

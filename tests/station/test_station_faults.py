@@ -22,6 +22,7 @@ def check(fault, folder, english_in):
     assert outcome.error not in ("", "hang")
     assert outcome.record == "none"
     assert outcome.spool.startswith("aborted: ")
+    assert outcome.is_true, outcome.message
     assert "\n" not in outcome.message
     assert ";" in outcome.message  # what happened; what became of the stage
     assert outcome.reason is not None and outcome.message == str(outcome.reason)
