@@ -8,7 +8,7 @@ from pathlib import Path
 from softcal.app.export.signature import SigningKey
 from softcal.app.registry.source import source_recording, source_sha256, unlabelled
 from softcal.app.registry.standing import standing_of
-from softcal.app.registry.untrimmed import UNTRIMMED, untrimmed
+from softcal.app.registry.trimmed import UNTRIMMED, untrimmed
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.export.blob import NetworkFile
 from softcal.core.export.compile_map import InputScale

@@ -41,7 +41,7 @@ from softcal.core.unit.forecast import (
     variance_table,
 )
 from softcal.core.unit.health import OutputLimits, check_alive, health_findings, output_limits
-from softcal.core.unit.judging import AUDITED_BEFORE_TRIM, UNREADABLE, Grounds, MeasuredError, limit_evidence
+from softcal.core.unit.judging import TRIM_BARS, UNREADABLE, Grounds, MeasuredError, limit_evidence
 from softcal.core.unit.line_spread import LineSpread, line_reason
 from softcal.core.unit.method import Method
 from softcal.core.unit.own_forecast import forecast_own, own_terms
@@ -226,7 +226,7 @@ def measured(
     grounds = replace(
         grounds,
         measured=MeasuredError(scores, len(audit.windows)),
-        bars=tuple(why for why in grounds.bars if why.code not in (AUDITED_BEFORE_TRIM, UNREADABLE)),
+        bars=tuple(why for why in grounds.bars if why.code not in (*TRIM_BARS, UNREADABLE)),
     )
     decision = grounds.decide(limit, config)
     scored = with_audit(

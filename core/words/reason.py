@@ -185,6 +185,12 @@ ENGLISH: Mapping[str, str] = {
         "trimmed by known loads and not measured since; audit it for a firm verdict (loads: {loads}, RMSE there "
         "{before:.3g} before, {after:.3g} now)"
     ),
+    "trim.older": (
+        "its trim was made before this recording and is left out; trim it again where it is used, or audit it "
+        "(known loads: {loads})"
+    ),
+    "trim.read": "its map needs no trim any more: it reads the loads of its last trim (known loads: {loads})",
+    "trim.left_out": "its trim does not go with its new map; trim it again, or audit it ({error})",
     "audited_before_trim": "its audit was made before the trim and does not decide; audit it again",
     "predicted_otherwise": "before the audit it was predicted {verdict}: {why}",
     # What is wrong with a table that was to audit a unit.
