@@ -160,7 +160,7 @@ class AuditReader:
                 if not isinstance(recording, LabelledRecording):
                     continue
                 self._golden[key] = gain(recording)
-            days.setdefault(entry.added_at.date(), []).append(self._golden[key])
+            days.setdefault(entry.added_at.astimezone().date(), []).append(self._golden[key])
         return [float(np.mean(gains)) for gains in days.values()]
 
     def _reader_of(self, lot_id: str, serial: str) -> tuple[str, Callable[[LabelledRecording], float]] | None:

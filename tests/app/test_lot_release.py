@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+import sqlite3
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
 from functools import partial
@@ -11,6 +12,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from sqlalchemy import Engine
+from sqlalchemy import event as sqlalchemy_event
 
 from softcal.app.batch.audit_evidence import AuditReader
 from softcal.app.batch.judging import judge_again
@@ -273,6 +276,23 @@ def test_three_earlier_lots_qualify_one_without_audits(make_lot, batch):
     assert report["release"]["qualification"] == "earlier lots" and report["release"]["audits"] == 12
     other = batch(make_lot("othermodel", audits=0, model="XX"))
     assert other["release"]["qualification"] == "none"
+
+
+def test_an_account_that_may_not_write_asks_what_stands_released(
+    make_lot, batch, registry_url, tmp_path, request, capsys
+):
+    folder, file = make_lot(audits=12), tmp_path / "release.json"
+    told = batch(folder)["release"]
+    capsys.readouterr()
+
+    def read_only(dialect: object, record: object, arguments: list[str], options: object) -> sqlite3.Connection:
+        return sqlite3.connect(f"file:{arguments[0]}?mode=ro", uri=True, check_same_thread=False)
+
+    sqlalchemy_event.listen(Engine, "do_connect", read_only)
+    request.addfinalizer(lambda: sqlalchemy_event.remove(Engine, "do_connect", read_only))
+    assert main(["lot", "release", "large", "--registry", registry_url, "--json", str(file)]) == 0
+    assert json.loads(file.read_text())["released"] == told["released"] and not capsys.readouterr().err
+    assert main(["lot", "limit", "large", "--registry", registry_url, "--rmse", "0.3", "--reason", "drawn"]) == 4
 
 
 def test_the_statement_is_one_page_and_kept_in_the_registry(make_lot, batch, registry_url, tmp_path, capsys, registry):
