@@ -126,8 +126,8 @@ ENGLISH: Mapping[str, str] = {
         "{unit})"
     ),
     "release.common": (
-        "the audited units misread their loads alike, and that was taken off every map of the lot (gain {gain:.3f}, "
-        "zero {zero:.3g} {unit}, audits: {audits})"
+        "the audited units misread their loads alike, and that was taken off every map of the lot (mean gain "
+        "{gain:.3f}, mean zero {zero:.3g} {unit}, audits: {audits})"
     ),
     "common": (
         "its map takes off what the audited units of its lot misread alike (gain {gain:.3f}, zero {zero:.3g} {unit}, "
