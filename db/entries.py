@@ -10,7 +10,7 @@ from softcal.core.quality.line_rules import LineRules
 from softcal.core.words.reason import Reason
 
 if TYPE_CHECKING:
-    from softcal.core.unit.audit_reading import AuditReading
+    from softcal.core.unit.audit_reading import AuditReading, OutputLevel
     from softcal.core.unit.calibration import CalibrationRecord
     from softcal.core.unit.verdict import Decision
 
@@ -111,6 +111,7 @@ class MadeCalibration:
         load_rms: RMS load above rest that its recording shows; None in records of older versions.
         audit: what its audit says beside the error; None without one, and in records of older versions.
         audit_line: gain and zero with which its fitted map reads the loads of its audit.
+        output_level: where the output of its recording stands; None in records of older versions.
         common_line: gain and zero that were taken off its map, as audited units misread them alike; None where none.
     """
 
@@ -132,6 +133,7 @@ class MadeCalibration:
     load_rms: float | None = None
     audit: "AuditReading | None" = None
     audit_line: tuple[float, float] | None = None
+    output_level: "OutputLevel | None" = None
     common_line: tuple[float, float] | None = None
 
     @classmethod

@@ -61,7 +61,7 @@ class AuditEvidence:
         """Return what is taken off the map of a unit: of an audited one, what the others misread alike."""
         if self.common is None or ANCHORED in made.knowledge:
             return None
-        return without(self.lines, made.serial, self.common)
+        return without(self.lines, made.serial, self.common, RULES).of(made.output_level)
 
     def day_rmse(self, load_rms: float | None) -> float:
         """Return the error that another day adds to a unit with this RMS load, in the same unit; 0 without golden runs.
@@ -122,7 +122,7 @@ class AuditReader:
         days = self._days(lot, now)
         limit = lot_limit(registry, lot_id)
         lines = {
-            made.serial: LoadLine(*made.audit_line)
+            made.serial: LoadLine(*made.audit_line, made.output_level)
             for _, _, made in audited.values()
             if made.audit_line is not None and ANCHORED not in made.knowledge
         }
@@ -160,7 +160,7 @@ class AuditReader:
                 if not isinstance(recording, LabelledRecording):
                     continue
                 self._golden[key] = gain(recording)
-            days.setdefault(entry.added_at.date(), []).append(self._golden[key])
+            days.setdefault(entry.added_at.astimezone().date(), []).append(self._golden[key])
         return [float(np.mean(gains)) for gains in days.values()]
 
     def _reader_of(self, lot_id: str, serial: str) -> tuple[str, Callable[[LabelledRecording], float]] | None:

@@ -9,6 +9,7 @@ from softcal.app.registry.audits import audit_of, newest_audits
 from softcal.app.registry.golden import golden_of
 from softcal.app.registry.known_loads import known_loads
 from softcal.app.registry.reference import lot_reference
+from softcal.app.registry.trimmed import trim_kept
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.maps.interface import Anchors
@@ -117,7 +118,7 @@ def keep_result(
     reason: str = "",
     work_sha256: str | None = None,
 ) -> None:
-    """Put what became of a unit into use.
+    """Put what became of a unit into use, with its trim where it was trimmed.
 
     Args:
         by: who asks: batch or line.
@@ -131,8 +132,27 @@ def keep_result(
         why = (result.reason,)
         registry.add_refusal(lot_id, serial, str(result.verdict), why, actor=actor, work_sha256=work_sha256)
     elif isinstance(result, Known):
-        asked = {"actor": actor, "work_sha256": work_sha256}
-        if not registry.put_in_use(lot_id, serial, result.input_sha256, by, **asked):
+        if not put_back(registry, lot_id, serial, result.input_sha256, by, actor=actor, work_sha256=work_sha256):
             raise InputError(f"{serial}: its calibration vanished from the registry; run `registry verify`")
     else:
-        registry.add_calibration(lot_id, result, actor, reason, decided_by=by, work_sha256=work_sha256)
+        with trim_kept(registry, lot_id, serial, actor):
+            registry.add_calibration(lot_id, result, actor, reason, decided_by=by, work_sha256=work_sha256)
+
+
+def put_back(
+    registry: Registry,
+    lot_id: str,
+    serial: str,
+    input_sha256: str,
+    by: str,
+    *,
+    actor: str | None = None,
+    work_sha256: str | None = None,
+) -> bool:
+    """Put the calibration of an input into use again, with the unit's trim; False where there is none.
+
+    Args:
+        by, work_sha256: as of `keep_result`.
+    """
+    with trim_kept(registry, lot_id, serial, actor):
+        return registry.put_in_use(lot_id, serial, input_sha256, by, actor=actor, work_sha256=work_sha256)

@@ -22,7 +22,7 @@ from softcal.app.batch.calibrating import Known, LotFacts, Refusal
 from softcal.app.batch.claims import Claims
 from softcal.app.batch.engine import EngineChoice, WorkerLost, run_all
 from softcal.app.batch.guard import PassingRefusal, each_alone
-from softcal.app.batch.known import KeptFacts, keep_result
+from softcal.app.batch.known import KeptFacts, keep_result, put_back
 from softcal.app.batch.report import UnitResult
 from softcal.app.batch.unit_work import (
     Chunk,
@@ -188,7 +188,7 @@ class LotWork:
         left = {serial: work for serial, work in asked.items() if decided.get(serial) != work}
         for serial, input_sha256 in self._registry.inputs_of_works(self._lot_id, left).items():
             told = {"work_sha256": left[serial], "actor": self._config.actor}
-            if self._registry.put_in_use(self._lot_id, serial, input_sha256, "batch", **told):
+            if put_back(self._registry, self._lot_id, serial, input_sha256, "batch", **told):
                 del left[serial]
                 self._ended.add(serial)
         return left

@@ -381,9 +381,14 @@ def judged_record(base: CalibrationRecord, decided: LotRelease) -> CalibrationRe
     )
 
 
+def is_told(registry: Registry, lot_id: str, decided: LotRelease) -> bool:
+    """Return whether this very decision is the last that was kept: then units and files follow it already."""
+    told = registry.events(STATEMENT, (lot_id,))
+    return bool(told) and json.loads(told[-1].after or "{}") == json.loads(json.dumps(decided.to_json()))
+
+
 def _tell(registry: Registry, lot_id: str, decided: LotRelease, actor: str | None) -> None:
     """Keep the statement, where it says something new."""
-    told = registry.events(STATEMENT, (lot_id,))
-    facts = json.loads(json.dumps(decided.to_json()))
-    if not told or json.loads(told[-1].after or "{}") != facts:
+    if not is_told(registry, lot_id, decided):
+        facts = decided.to_json()
         registry.add_event("release" if decided.released else "withhold", STATEMENT, (lot_id,), facts, actor=actor)

@@ -99,7 +99,8 @@ def _create(options: argparse.Namespace) -> int:
         write_json(options.json, {"schema": "softcal.api.token/1", **_token_json(token), "token": secret})
     if options.json != "-":
         print(secret)
-        say(f"token {token.token_id} of {token.account} holds until {token.ends_at:%Y-%m-%d}; it is not shown again")
+        until = token.ends_at.astimezone()
+        say(f"token {token.token_id} of {token.account} holds until {until:%Y-%m-%d}; it is not shown again")
     return DONE
 
 
@@ -113,8 +114,8 @@ def _list(options: argparse.Namespace) -> int:
             t.token_id,
             t.account,
             t.purpose,
-            f"{t.created:%Y-%m-%d}",
-            f"{t.ends_at:%Y-%m-%d}",
+            f"{t.created.astimezone():%Y-%m-%d}",
+            f"{t.ends_at.astimezone():%Y-%m-%d}",
             "yes" if t.holds(now) else "no",
         ]
         for t in tokens

@@ -8,7 +8,8 @@ from pathlib import Path
 from softcal.app.cli.lot_audit import add_audit
 from softcal.app.cli.options import add_csv, add_json, add_network, add_registry, network_config, registry_of
 from softcal.app.output import print_table, say, write_json
-from softcal.core.errors import InputError
+from softcal.app.texts.catalogue import here
+from softcal.core.errors import InputError, RegistryError
 from softcal.core.quality.line_rules import LETTERS, RETESTS
 from softcal.core.quality.lot_standing import Way
 
@@ -146,7 +147,7 @@ def _add_release(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
 
 
 def _release(options: argparse.Namespace) -> int:
-    from softcal.app.batch.release import judge_lot, lot_standing
+    from softcal.app.batch.release import is_told, judge_lot, lot_standing
     from softcal.app.export.certificates.lot_facts import lot_statement_facts
     from softcal.app.export.certificates.lot_statement import lot_statement_pdf
     from softcal.app.files.atomic import write_bytes
@@ -155,10 +156,20 @@ def _release(options: argparse.Namespace) -> int:
     lot_id = lot_id_of(options.lot)
     with registry_of(options, create=False) as registry:
         registry.lot(lot_id)
-        decided = judge_lot(registry, lot_id)
+        standing = lot_standing(registry, lot_id)
+        if standing.decided is not None and not is_told(registry, lot_id, standing.decided):
+            # What every change has judged already is only read, so that an account that may not write can ask.
+            try:
+                judge_lot(registry, lot_id)
+            except RegistryError as error:
+                raise RegistryError(
+                    f"lot {lot_id}: its audits or its limit changed, and nobody has judged it since; have somebody do "
+                    f"this who may write ({error})"
+                ) from error
+            standing = lot_standing(registry, lot_id)
+        decided = standing.decided
         if decided is None:
             raise InputError(f"lot {lot_id!r} has no calibrated unit yet; run `softcal batch` first")
-        standing = lot_standing(registry, lot_id)
         facts = lot_statement_facts(registry, standing, decided)
     if options.pdf is not None:
         write_bytes(options.pdf, lot_statement_pdf(facts, partial(text, options.language)))
@@ -261,8 +272,8 @@ def _limit(options: argparse.Namespace) -> int:
         entries = [vars(entry) | {"made_at": entry.made_at.isoformat()} for entry in versions]
         write_json(options.json, {"schema": "softcal.lot.limit/1", "unit": unit, "versions": entries})
     if options.json != "-" or options.csv:
-        rows = [[e.version, e.rmse, f"{e.made_at:%Y-%m-%d %H:%M}", e.actor, e.reason] for e in versions]
-        print_table(("version", f"limit {unit}", "set (UTC)", "by", "reason"), rows)
+        rows = [[e.version, e.rmse, here(e.made_at), e.actor, e.reason] for e in versions]
+        print_table(("version", f"limit {unit}", "set", "by", "reason"), rows)
     return DONE
 
 
@@ -284,8 +295,8 @@ def _network(options: argparse.Namespace) -> int:
         told = [{"id": one.network.id, "state": one.state} for one in states]
         write_json(options.json, {"schema": "softcal.lot.network/1", "lot": options.lot, "networks": told})
     if options.json != "-" or options.csv:
-        rows = [[one.network.id[:12], one.state, f"{one.network.added_at:%Y-%m-%d %H:%M}"] for one in states]
-        print_table(("network", "state", "trained (UTC)"), rows)
+        rows = [[one.network.id[:12], one.state, here(one.network.added_at)] for one in states]
+        print_table(("network", "state", "trained"), rows)
     return DONE
 
 
@@ -309,8 +320,8 @@ def _rules(options: argparse.Namespace) -> int:
         print_table(
             ("rule", "holds now"), [[name, "–" if value is None else str(value)] for name, value in shown.items()]
         )
-        rows = [[e.version, f"{e.made_at:%Y-%m-%d %H:%M}", e.actor, e.reason] for e in versions]
-        print_table(("version", "set (UTC)", "by", "reason"), rows)
+        rows = [[e.version, here(e.made_at), e.actor, e.reason] for e in versions]
+        print_table(("version", "set", "by", "reason"), rows)
     return DONE
 
 

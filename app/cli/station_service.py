@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from softcal.app.cli.options import add_json, add_network, add_registry, network_config, positive, registry_of
 from softcal.app.output import print_table, say, write_json
+from softcal.app.texts.catalogue import here
 from softcal.core.errors import DeviceError, InputError
 from softcal.core.orders import Order, OrderKind, Progress, RunState, StationState
 
@@ -302,7 +303,7 @@ def _status(registry: "Registry", beat: "Heartbeat", held: tuple[str, ...]) -> d
     return {
         "station": beat.station,
         "state": f"not answering (was {beat.state})" if state == SILENT else state,
-        "at": f"{beat.at:%Y-%m-%d %H:%M:%S} UTC",
+        "at": here(beat.at),
         "process": beat.process,
         "reasons": list(map(str, beat.reasons)),
         "is_overridden": beat.is_overridden,

@@ -10,7 +10,7 @@ from softcal.app.connect.events import CLEARED, RAISED, VERDICT, RegistryEvent
 from softcal.app.connect.forwarder import NotDelivered
 from softcal.app.connect.settings import MailSettings, read_secret, split_address
 from softcal.app.connect.webhook import tls_context
-from softcal.app.texts.catalogue import text
+from softcal.app.texts.catalogue import here, text
 from softcal.core.errors import printable
 
 PORTS = {"smtps": 465, "smtp+starttls": 587, "smtp": 25}
@@ -98,7 +98,7 @@ def line_of(event: RegistryEvent, language: str) -> str:
 
 
 def _said(event: RegistryEvent, language: str) -> str:
-    at, data = f"{event.at:%Y-%m-%d %H:%M:%S} UTC", event.data
+    at, data = here(event.at), event.data
     if event.kind in (RAISED, CLEARED):
         said = data["text"].get(language, data["text"]["en"])
         said = said if data["lot"] is None else text(language, "mail.of_lot", lot=data["lot"], said=said)

@@ -198,7 +198,8 @@ class RunKeeper:
         lot = self._known_lot(order.lot_id) or Lot(
             order.lot_id, order.serial, recording.sample_rate_Hz, output_unit=recording.output_unit
         )
-        used = None if self._reference is None else replace(self._reference, used_on=datetime.now(UTC).date())
+        today = datetime.now(UTC).astimezone().date()
+        used = None if self._reference is None else replace(self._reference, used_on=today)
         trained = train_or_find(lot, source, self._registry, self._network, order.actor or None, on_epoch)
         state_reference(self._registry, lot.id, used, source, order.actor or None)
         rmse = trained.metrics["validation_rmse"]

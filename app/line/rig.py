@@ -275,7 +275,7 @@ def station_reference(config: StationConfig) -> Reference | None:
     """Return what a station compares sources with today, by the serial of its load cell; None without one."""
     if config.force is None:
         return None
-    return Reference(cell=config.force.serial or "not named", used_on=datetime.now(UTC).date())
+    return Reference(cell=config.force.serial or "not named", used_on=datetime.now(UTC).astimezone().date())
 
 
 def _check_lot(paths: Sequence[Path], serials: Sequence[str], bench: Bench, with_reference: bool) -> None:

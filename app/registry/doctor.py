@@ -12,6 +12,7 @@ from pathlib import Path
 from softcal.app.bootstrap import data_folder, open_chosen_registry, registry_url
 from softcal.app.files.atomic import whole_file
 from softcal.app.logs import log_folder, masked
+from softcal.app.texts.catalogue import here
 from softcal.core.errors import SoftcalError
 
 PACKAGES = ("softcal", "numpy", "scipy", "numba", "torch", "pot", "sqlalchemy", "alembic", "psycopg", "pyserial",
@@ -67,7 +68,7 @@ def _registry(url_option: str | None, problems: list[str]) -> Facts:
     facts: Facts = {"url": masked(registry_url(url_option))}
     with open_chosen_registry(url_option, create=False) as registry:
         units = registry.units()
-        stations = {beat.station: f"{beat.state}, last seen {beat.at:%Y-%m-%d %H:%M:%S} UTC"
+        stations = {beat.station: f"{beat.state}, last seen {here(beat.at)}"
                     for beat in registry.order_queue.stations()}  # fmt: skip
         faults = registry.verify()
         facts |= {"origin": registry.origin, "lots": len(registry.lots()), "units": len(units)}

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from softcal.app.texts.catalogue import here
 from softcal.core.errors import InputError
 from softcal.db.entries import StoredCalibration, UnitEntry
 
@@ -23,7 +24,7 @@ HISTORY_HEADER = (
     "rev",
     "registry",
     "in use",
-    "made (UTC)",
+    "made",
     "by",
     "lot",
     "verdict",
@@ -40,7 +41,7 @@ def unit_row(unit: UnitEntry) -> list[object]:
     stale = "stale: made with another method than this version's; run the batch again" if unit.is_stale else ""
     reason = "; ".join(filter(None, (conflict, stale, *map(str, unit.reasons))))
     errors = [unit.predicted_rmse, unit.before_rmse, unit.after_rmse, unit.own_rmse]
-    made = unit.made_at and f"{unit.made_at:%Y-%m-%d %H:%M}"
+    made = unit.made_at and here(unit.made_at)
     return [unit.lot_id, unit.serial, unit.role, unit.verdict, unit.revision, unit.family, *errors, made, reason]
 
 
@@ -80,7 +81,7 @@ def history_row(stored: StoredCalibration) -> list[object]:
         stored.revision,
         stored.origin,
         "yes" if stored.is_current else "",
-        f"{stored.made_at:%Y-%m-%d %H:%M:%S}",
+        here(stored.made_at),
         stored.actor,
         stored.lot_id,
         record.verdict,

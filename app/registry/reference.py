@@ -58,7 +58,7 @@ def _completed(registry: Registry, lot_id: str, stated: Reference) -> Reference:
     if stated.used_on is None:
         sources = registry.recordings(lot_id, kind="source")
         used_at = sources[-1].added_at if sources else datetime.now(UTC)
-        stated = replace(stated, used_on=used_at.date())
+        stated = replace(stated, used_on=used_at.astimezone().date())
     if stated.certificate or not stated.cell or stated.used_on is None:
         return stated
     known = registry.certificate(stated.cell, stated.used_on) or next(

@@ -44,6 +44,11 @@ def words_in(language: str, zone: tzinfo | None) -> Callable[..., str]:
     return say
 
 
+def here(at: datetime) -> str:
+    """Return an instant in the time of this machine: for tables and letters, which know no browser."""
+    return instant(at.astimezone())
+
+
 def instant(at: datetime) -> str:
     """Return an instant as every reader sees it: to the second, with the difference of its zone from UTC."""
     return f"{at:%Y-%m-%d %H:%M:%S} {timezone(at.utcoffset() or timedelta())}"

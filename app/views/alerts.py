@@ -54,6 +54,8 @@ def lot_alerts(view: LotView) -> list[Alert]:
         drop = view.drop
         values = {"newest": percent(drop.newest), "before": percent(drop.before), "count": drop.count}
         found.append(Alert("yield", dict(values), is_urgent=True))
+    if view.withdrawn:
+        found.append(Alert("withdrawn", {"count": len(view.withdrawn), "first": view.withdrawn[0]}))
     if any(rule.forbids for rule in view.process.broken):
         last = next(rule for rule in view.process.broken if rule.forbids)
         found.append(Alert("process", {"last": last.last, "count": last.count}))

@@ -101,6 +101,7 @@ class LotView:
         chosen: serials that a filter leaves; None without a filter.
         every_station, every_operator: what a filter can choose from.
         limit: in force for its units, stated or derived; None where none is stated and no unit is calibrated yet.
+        withdrawn: units of the lot that were released once and are no more, whatever a filter leaves.
     """
 
     lot: Lot
@@ -118,6 +119,7 @@ class LotView:
     every_station: tuple[str, ...] = ()
     every_operator: tuple[str, ...] = ()
     limit: Limit | None = None
+    withdrawn: tuple[str, ...] = ()
 
     @property
     def limit_rmse(self) -> float | None:
@@ -185,24 +187,34 @@ def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> 
         kept = frozenset(chosen)
         errors = [row for row in errors if row.serial in kept]
     looks = registry.unit_page(lot_id, UnitFilter(NEEDS_A_LOOK, sort="severity", serials=chosen), size=LOOKS)
+    counts = registry.verdict_counts(lot_id)
     of_units = [one for one in placed_runs if one.run.serial not in golden]
     return LotView(
         lot,
-        registry.verdict_counts(lot_id) if chosen is None else _counts(errors, runs),
+        counts if chosen is None else _counts(errors, runs),
         tuple(errors),
         found,
         found.reasons,
         process_view(runs, None if limit is None else limit.maximum_rmse),
         looks.units,
         yield_drop(runs),
-        yield_over(of_units, lambda run: run.day.isoformat()),
+        yield_over(of_units, lambda run: run.day(wanted.zone).isoformat()),
         yield_over(of_units, lambda run: run.station),
         yield_over(of_units, lambda run: run.operator),
         chosen,
         tuple(sorted({run.station for run in every})),
         tuple(sorted({run.operator for run in every})),
         limit,
+        _withdrawn(registry, lot_id, counts["pass"]),
     )
+
+
+def _withdrawn(registry: Registry, lot_id: str, passing: int) -> tuple[str, ...]:
+    """Return what `LotStanding.withdrawn` has: read unit by unit only where more passed once than pass now."""
+    passed = registry.passed_once(lot_id)
+    if len(passed) == passing:
+        return ()
+    return tuple(sorted(s for s, one in registry.standings(lot_id, sorted(passed)).items() if one.verdict != "pass"))
 
 
 def _counts(errors: Sequence[UnitErrors], runs: Sequence[RunEntry]) -> dict[str, int]:

@@ -3,7 +3,7 @@
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from datetime import UTC, date
+from datetime import date, tzinfo
 
 from softcal.core.quality.yields import GOOD, Share
 from softcal.db.entries import RunEntry
@@ -22,10 +22,9 @@ class PlacedRun:
     station: str = DESK
     operator: str = DESK
 
-    @property
-    def day(self) -> date:
-        """Day of the result, UTC."""
-        return self.run.made_at.astimezone(UTC).date()
+    def day(self, zone: tzinfo | None) -> date:
+        """Return the day of the result in a time zone; None is that of this machine."""
+        return self.run.made_at.astimezone(zone).date()
 
 
 @dataclass(frozen=True)
@@ -33,25 +32,27 @@ class LotFilter:
     """Which runs of a lot; what is empty takes all.
 
     Args:
-        since, until: days, both included, UTC.
+        since, until: days, both included.
         stations, operators: names; `DESK` for results of files.
+        zone: time zone of the days; None is that of this machine.
     """
 
     since: date | None = None
     until: date | None = None
     stations: tuple[str, ...] = ()
     operators: tuple[str, ...] = ()
+    zone: tzinfo | None = None
 
     @property
     def is_open(self) -> bool:
         """Whether it takes every run."""
-        return self == LotFilter()
+        return self == LotFilter(zone=self.zone)
 
     def takes(self, run: PlacedRun) -> bool:
         """Whether a run is among them."""
         return (
-            (self.since is None or run.day >= self.since)
-            and (self.until is None or run.day <= self.until)
+            (self.since is None or run.day(self.zone) >= self.since)
+            and (self.until is None or run.day(self.zone) <= self.until)
             and (not self.stations or run.station in self.stations)
             and (not self.operators or run.operator in self.operators)
         )

@@ -61,8 +61,9 @@ def wall_view(
 
     Args:
         found: what somebody should look at, the urgent first.
+        now: with the time zone of the reader, as the days of `view` are.
     """
-    now = now or datetime.now(UTC)
+    now = now or datetime.now(UTC).astimezone()
     target = registry.line_rules(view.lot).target or view.total
     today = next((day.share for day in view.days if day.name == now.date().isoformat()), Share(0, 0))
     first = view.yields.first_pass

@@ -105,7 +105,8 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, firm: Firmn
 
     f is left out on purpose: it misreads a load at rest by its own error, and where it is flat no gain or offset of
     any size would make it read the load. A map from pairs was fitted behind f and differs from the source's levels by
-    what f misreads: there f's error is in sigma_k, and loads within `config.clear` of them change nothing.
+    what f misreads: there f's error is in sigma_k, and of what the loads ask for a part 1 - (clear / z)^2 is taken,
+    where z is the largest |x_k - y_k| / sigma_k: none of what the errors explain (after James and Stein 1961).
 
     Args:
         problem: source and network.
@@ -119,14 +120,17 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, firm: Firmn
     rest, level = float(low if is_rising else high), firm.level * float(high - low)
     mapped = unit_map.apply(resting(np.asarray(anchors.output, np.float64))).mean(axis=1)
     wanted, sigma = np.array([source_level(problem.source, load, config.anchors) for load in anchors.reference]).T
+    taken, prior = 1.0, np.array([firm.gain, level])
     if firm.is_paired:
         sigma = np.hypot(sigma, _model_error(problem))
+        # Pairs pressed with another load than the source's know the gain no better than the output alone does.
+        firm = firmness("", config.anchors)
+        furthest = float(np.max(np.abs(wanted - mapped) / sigma))
+        taken = 1.0 - (config.anchors.clear / max(furthest, config.anchors.clear)) ** 2
     # In standard deviations of the prior, whose own residual is then the unknown itself.
     design = np.stack([firm.gain * (mapped - rest), np.full_like(mapped, level)], axis=1) / sigma[:, None]
     normal = design.T @ design + np.eye(2)
-    missing = (wanted - mapped) / sigma
-    is_read = firm.is_paired and float(np.max(np.abs(missing))) <= config.anchors.clear
-    theta = np.zeros(2) if is_read else np.linalg.solve(normal, design.T @ missing)
+    theta = taken * np.linalg.solve(normal, design.T @ ((wanted - mapped) / sigma))
     gain = 1.0 + firm.gain * float(theta[0])
     offset = float(rest * (1.0 - gain) + level * theta[1])
     misfit = float(np.sqrt(np.mean(((offset + gain * mapped - wanted) / sigma) ** 2)))
@@ -134,7 +138,7 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, firm: Firmn
     # The unknowns were counted where the map was before; errors count where it is now: at rest and about it.
     now = np.array([[firm.gain / gain, 0.0], [-firm.gain * level * float(theta[1]) / gain, level]])
     covariance = now @ np.linalg.inv(normal) @ now.T * max(misfit, 1.0) ** 2
-    error = np.sqrt(np.diag(covariance))
+    error = np.sqrt(taken * np.diag(covariance) + (1.0 - taken) * prior**2)
     return Anchoring(AnchoredMap(unit_map, gain, offset), float(error[0]), float(error[1]), misfit)
 
 

@@ -113,7 +113,7 @@ class LotRelease:
             "gains": None if self.seen is None else vars(self.seen),
             "day_rmse": max(self.days.values(), default=None),
             "limit": self.limit.to_json(),
-            "common": None if self.common is None else vars(self.common.line),
+            "common": None if self.common is None else self.common.to_json(),
             "set_aside": {serial: str(why) for serial, why in self.doubts.items()},
         }
 

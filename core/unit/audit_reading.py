@@ -13,6 +13,30 @@ KEPT = 201
 
 
 @dataclass(frozen=True)
+class OutputLevel:
+    """Where the output of a unit stands in its recording, in the output's unit.
+
+    Args:
+        rest: at rest.
+        span: from there to its highest loads, more than 0.
+    """
+
+    rest: float
+    span: float
+
+
+def output_level(recording: OutputRecording, *, is_rising: bool, rest: float) -> OutputLevel:
+    """Return where the output of a unit stands.
+
+    Args:
+        is_rising: whether the output rises with the load.
+        rest: share of the samples at whose quantile a unit is at rest.
+    """
+    low, high = (float(value) for value in np.quantile(recording.output, (rest, 1 - rest)))
+    return OutputLevel(low if is_rising else high, high - low)
+
+
+@dataclass(frozen=True)
 class AuditReading:
     """One audit, read once.
 
@@ -80,17 +104,16 @@ def read_audit(
     """
     rows = np.flatnonzero(np.isfinite(value))
     kept = rows[np.unique(np.linspace(0, len(rows) - 1, KEPT).astype(np.int64))]
-    rising = np.corrcoef(audit.unlabelled.output, audit.reference)[0, 1]
-    end = rest if rising >= 0 else 1 - rest
-    low, high = np.quantile(recording.output, (rest, 1 - rest))
+    is_rising = bool(np.corrcoef(audit.unlabelled.output, audit.reference)[0, 1] >= 0)
+    unit, now = (output_level(one, is_rising=is_rising, rest=rest) for one in (recording, audit.unlabelled))
     gain, zero = line_of(value, audit.reference)
     return AuditReading(
         output_sha256=content_sha256({"output": audit.unlabelled.output}, {}),
         reference_sha256=content_sha256({"reference": audit.reference}, {}),
         gain=gain,
-        unit_rest=float(np.quantile(recording.output, end)),
-        audit_rest=float(np.quantile(audit.unlabelled.output, end)),
-        span=float(high - low),
+        unit_rest=unit.rest,
+        audit_rest=now.rest,
+        span=unit.span,
         residual=_short(np.abs(value - audit.reference)[kept]),
         half=_short(half[kept]),
         recording_sha256=audit.sha256,

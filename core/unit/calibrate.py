@@ -25,10 +25,17 @@ from softcal.core.maps.synchrony import paired_rows
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.unit.audit_reading import line_of, read_audit
+from softcal.core.unit.audit_reading import line_of, output_level, read_audit
 from softcal.core.unit.bridge import Bridge
 from softcal.core.unit.budget import Reference
-from softcal.core.unit.calibration import AUDIT_GAIN, AUDIT_ZERO, Calibration, CalibrationRecord
+from softcal.core.unit.calibration import (
+    AUDIT_GAIN,
+    AUDIT_ZERO,
+    OUTPUT_REST,
+    OUTPUT_SPAN,
+    Calibration,
+    CalibrationRecord,
+)
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.findings import contradictions, map_findings, opening_findings
 from softcal.core.unit.forecast import (
@@ -41,7 +48,7 @@ from softcal.core.unit.forecast import (
     variance_table,
 )
 from softcal.core.unit.health import OutputLimits, check_alive, health_findings, output_limits
-from softcal.core.unit.judging import AUDITED_BEFORE_TRIM, UNREADABLE, Grounds, MeasuredError, limit_evidence
+from softcal.core.unit.judging import TRIM_BARS, UNREADABLE, Grounds, MeasuredError, limit_evidence
 from softcal.core.unit.line_spread import LineSpread, line_reason
 from softcal.core.unit.method import Method
 from softcal.core.unit.own_forecast import forecast_own, own_terms
@@ -226,7 +233,7 @@ def measured(
     grounds = replace(
         grounds,
         measured=MeasuredError(scores, len(audit.windows)),
-        bars=tuple(why for why in grounds.bars if why.code not in (AUDITED_BEFORE_TRIM, UNREADABLE)),
+        bars=tuple(why for why in grounds.bars if why.code not in (*TRIM_BARS, UNREADABLE)),
     )
     decision = grounds.decide(limit, config)
     scored = with_audit(
@@ -400,11 +407,15 @@ def _numbers(
     lag: ReadoutLag | None,
 ) -> Mapping[str, float | str | None]:
     own = own_terms(model, target, chosen.unit_map, evidence)
+    rest = model.method.decision.audit_rest
+    level = output_level(target, is_rising=model.interval.slope_limit > 0, rest=rest)
     return {
         **{f"map_{name}": value for name, value in chosen.evidence.items()},
         **{f"u_{name}": value for name, value in evidence.budget.items()},
         "correction_rms": evidence.correction_rms,
         "load_rms": evidence.load_rms,
+        OUTPUT_REST: level.rest,
+        OUTPUT_SPAN: level.span,
         **limit_evidence(limit),
         "findings": ", ".join(finding.kind for finding in findings),
         **({} if lag is None else {"readout_lag_s": lag.time_constant_s}),

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from softcal.core.identity import Settings
 from softcal.core.maps.interface import UnitMap, map_sha256
 from softcal.core.metrics import finite_or_none
-from softcal.core.unit.audit_reading import AuditReading
+from softcal.core.unit.audit_reading import AuditReading, OutputLevel
 from softcal.core.unit.budget import Reference
 from softcal.core.unit.health import OutputLimits
 from softcal.core.unit.judging import Grounds
@@ -23,6 +23,9 @@ from softcal.core.words.reason import Reason
 
 AUDIT_GAIN, AUDIT_ZERO = "audit_gain", "audit_zero"
 """Names under which a calibration keeps, among its numbers, how its fitted map reads the loads of its audit."""
+
+OUTPUT_REST, OUTPUT_SPAN = "output_rest", "output_span"
+"""The same of where the output of its recording stands."""
 
 COMMON_GAIN, COMMON_ZERO = "common_gain", "common_zero"
 """The same of what was taken off the map, as the lot's audited units misread it alike."""
@@ -123,6 +126,12 @@ class CalibrationRecord:
     def audit_line(self) -> tuple[float, float] | None:
         """Gain and zero with which its fitted map reads the loads of its audit; None without one or in old records."""
         return self._pair(AUDIT_GAIN, AUDIT_ZERO)
+
+    @property
+    def output_level(self) -> OutputLevel | None:
+        """Where the output of its recording stands; None in records of older versions."""
+        kept = self._pair(OUTPUT_REST, OUTPUT_SPAN)
+        return None if kept is None else OutputLevel(*kept)
 
     @property
     def common_line(self) -> tuple[float, float] | None:

@@ -1,11 +1,11 @@
 """What the audited units of a lot misread alike, a gain and a zero: taken off the maps of its units.
 
-A readout of another day, or a press that has moved, changes every unit of a lot by one factor and one zero. No
-unlabelled recording shows it; audits do. What one audited unit is corrected by comes from the others alone, so that its
-measured error says what the correction is worth to a unit that nobody measured.
+A readout of another day, or a press that has moved, changes every unit of a lot by one factor and one zero, or by what
+its own output goes with. No unlabelled recording shows it; audits do. What one audited unit is corrected by comes from
+the others alone, so that its measured error says what the correction is worth to a unit that nobody measured.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,8 @@ from scipy.special import stdtrit
 from softcal.core.identity import content_sha256
 from softcal.core.maps.anchors import AnchoredMap, SourceLevels
 from softcal.core.maps.interface import map_sha256
-from softcal.core.recording import LabelledRecording
+from softcal.core.recording import Array, LabelledRecording
+from softcal.core.unit.audit_reading import OutputLevel
 from softcal.core.unit.calibration import COMMON_GAIN, COMMON_ZERO, Calibration, CalibrationRecord
 from softcal.core.unit.method import Method, ReleaseConfig
 from softcal.core.words.reason import reason
@@ -27,23 +28,78 @@ class LoadLine:
     Args:
         gain: 1 where it reads them in full.
         zero: in the reference unit.
+        level: where the output of its recording stands; None where nobody kept it.
     """
 
     gain: float
     zero: float
+    level: OutputLevel | None = None
+
+
+@dataclass(frozen=True)
+class Trend:
+    """A number of a unit over a number that its own output shows: mean + slope (x - centre), x within what was seen.
+
+    Args:
+        mean: of the audited units.
+        slope: 0 where chance explains it.
+        centre, low, high: mean and ends of x over the audited units.
+        spread: standard deviation about it.
+        degrees: degrees of freedom behind the spread.
+    """
+
+    mean: float
+    slope: float
+    centre: float
+    low: float
+    high: float
+    spread: float
+    degrees: int
+
+    def at(self, x: float | None) -> float:
+        """Return the number for one unit; the mean where x is not known."""
+        if x is None or not self.slope:
+            return self.mean
+        return self.mean + self.slope * (min(max(x, self.low), self.high) - self.centre)
+
+    def is_seen(self, count: int, chance: float) -> bool:
+        """Return whether the mean of so many units is further from 0 than chance explains (Student's t)."""
+        return bool(abs(self.mean) > stdtrit(self.degrees, 1 - chance) * self.spread / np.sqrt(count))
 
 
 @dataclass(frozen=True)
 class CommonMisreading:
     """What is taken off the estimates of a lot's units: (estimate - zero) / gain.
 
+    Another load on the press shows in the span of a unit's output, and another gain of the readout moves a unit by
+    its level at rest: units of a lot differ in both. So the gain may go with the one, the zero with the other.
+
     Args:
-        line: what the audited units misread alike.
+        line: what the audited units misread alike, on average.
         audits: how many they are.
+        gain: natural logarithm of the gain over that of the span.
+        zero: in the reference unit, over the output at rest.
     """
 
     line: LoadLine
     audits: int
+    gain: Trend | None = None
+    zero: Trend | None = None
+
+    def of(self, level: OutputLevel | None) -> "CommonMisreading":
+        """Return what is taken off one unit."""
+        if level is None or self.gain is None or self.zero is None:
+            return self
+        gain, zero = self.gain.at(_span(level)), self.zero.at(level.rest)
+        return replace(self, line=LoadLine(float(np.exp(gain)), zero))
+
+    def to_json(self) -> dict[str, float]:
+        """Return it as JSON values."""
+        slopes = {name: 0.0 if trend is None else trend.slope for name, trend in vars(self).items() if name in SLOPES}
+        return {"gain": self.line.gain, "zero": self.line.zero, **{f"{name}_slope": slopes[name] for name in SLOPES}}
+
+
+SLOPES = ("gain", "zero")
 
 
 def common_misreading(
@@ -52,7 +108,8 @@ def common_misreading(
 ) -> CommonMisreading | None:
     """Return what audited units misread alike; None where chance explains it, or they are too few to tell.
 
-    Student's t of the log gains, and of the zeros, about their means.
+    Student's t of the slopes of log gains and zeros (simple linear regression), and of their means about what the
+    slopes leave.
 
     Args:
         lines: of audited units drawn at random, by serial, as their maps were fitted.
@@ -60,22 +117,63 @@ def common_misreading(
     """
     if len(lines) < rules.least_audits or min((line.gain for line in lines.values()), default=0.0) <= 0:
         return None
-    gains, zeros = (np.array([getattr(line, name) for line in lines.values()]) for name in ("gain", "zero"))
-    logs = np.log(gains)
-    count = len(lines)
-    far = float(stdtrit(count - 1, 1 - rules.common_chance)) / np.sqrt(count)
-    if all(abs(values.mean()) <= far * values.std(ddof=1) for values in (logs, zeros)):
-        return None
-    return CommonMisreading(LoadLine(float(np.exp(logs.mean())), float(zeros.mean())), count)
+    gain, zero = _trends(lines, rules)
+    is_seen = any(one.slope or one.is_seen(len(lines), rules.common_chance) for one in (gain, zero))
+    return _common(gain, zero, len(lines)) if is_seen else None
 
 
-def without(lines: Mapping[str, LoadLine], serial: str, found: CommonMisreading) -> CommonMisreading:
+def without(
+    lines: Mapping[str, LoadLine],
+    serial: str,
+    found: CommonMisreading,
+    rules: ReleaseConfig = ReleaseConfig(),  # noqa: B008 - frozen
+) -> CommonMisreading:
     """Return what the other audited units misread alike, where all together do."""
     if serial not in lines:
         return found
-    others = [line for name, line in lines.items() if name != serial]
-    gain = float(np.exp(np.mean([np.log(line.gain) for line in others])))
-    return CommonMisreading(LoadLine(gain, float(np.mean([line.zero for line in others]))), len(others))
+    others = {name: line for name, line in lines.items() if name != serial}
+    return _common(*_trends(others, rules, found), len(others))
+
+
+def _common(gain: Trend, zero: Trend, count: int) -> CommonMisreading:
+    return CommonMisreading(LoadLine(float(np.exp(gain.mean)), zero.mean), count, gain, zero)
+
+
+def _span(level: OutputLevel) -> float | None:
+    return float(np.log(level.span)) if level.span > 0 else None
+
+
+def _trends(
+    lines: Mapping[str, LoadLine], rules: ReleaseConfig, known: CommonMisreading | None = None
+) -> tuple[Trend, Trend]:
+    """Return how log gain and zero of units go with span and rest; with the slopes of `known` where that is given."""
+    gains, zeros = (np.array([getattr(line, name) for line in lines.values()]) for name in SLOPES)
+    levels = [line.level for line in lines.values()]
+    spans = [None if level is None else _span(level) for level in levels]
+    rests = [None if level is None else level.rest for level in levels]
+    asked = [None if known is None else bool(trend and trend.slope) for trend in _known_trends(known)]
+    return _trend(np.log(gains), spans, rules, asked[0]), _trend(zeros, rests, rules, asked[1])
+
+
+def _known_trends(known: CommonMisreading | None) -> tuple[Trend | None, Trend | None]:
+    return (None, None) if known is None else (known.gain, known.zero)
+
+
+def _trend(values: Array, at: Sequence[float | None], rules: ReleaseConfig, has_slope: bool | None) -> Trend:
+    """Fit a number over another by least squares, with a slope where one is asked for, or where Student's t sees it."""
+    count, mean = len(values), float(values.mean())
+    flat = Trend(mean, 0.0, 0.0, 0.0, 0.0, float(values.std(ddof=1)), count - 1)
+    x = np.array([one for one in at if one is not None])
+    away = x - x.mean() if len(x) == count else np.zeros(count)
+    if has_slope is False or not np.any(away) or count <= 2:
+        return flat
+    slope = float(away @ values / (away @ away))
+    degrees = count - 2
+    spread = float(np.sqrt(np.sum((values - mean - slope * away) ** 2) / degrees))
+    seen = abs(slope) * np.sqrt(away @ away) > float(stdtrit(degrees, 1 - rules.common_chance)) * spread
+    if has_slope is None and not seen:
+        return flat
+    return Trend(mean, slope, float(x.mean()), float(x.min()), float(x.max()), spread, degrees)
 
 
 def corrected(record: CalibrationRecord, source: LabelledRecording, found: CommonMisreading) -> CalibrationRecord:

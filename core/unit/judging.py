@@ -128,6 +128,13 @@ def judged(record: "CalibrationRecord", limit: Limit) -> "CalibrationRecord | No
 AUDITED_BEFORE_TRIM = "audited_before_trim"
 """Code of the reason that a unit was audited with another map than it has now."""
 
+TRIMMED, TRIM_OLDER, TRIM_LEFT_OUT = "trimmed", "trim.older", "trim.left_out"
+"""Codes of the reasons that a unit was trimmed and not measured since; that its trim is older than its recording; and
+that its new map cannot take it."""
+
+TRIM_BARS = (TRIMMED, TRIM_OLDER, TRIM_LEFT_OUT, AUDITED_BEFORE_TRIM)
+"""Codes that stand until a new trim replaces them or a new audit decides."""
+
 UNREADABLE = "audit.unreadable"
 """Code of the reason that a file that was brought as an audit cannot be read."""
 

@@ -286,8 +286,8 @@ class ReleaseConfig:
             many standard deviations of what the other audits of the lot moved, or of this share of the span.
         stranger_rest, stranger_factor: an audit is of another unit where its rest moved by more than the first share
             of the span, and by the second times as much as that of any other audit.
-        common_chance: a gain or a zero that audited units share, which chance shows more often than this, is none; for
-            each, above and below.
+        common_chance: a gain or a zero that audited units share, or its slope over what their outputs show, is none
+            where chance shows it more often than this; for each, above and below.
     """
 
     risk: float = setting(0.10)
@@ -308,7 +308,7 @@ class ReleaseConfig:
     least_rest: float = setting(0.005)
     stranger_rest: float = setting(0.2)
     stranger_factor: float = setting(4.0)
-    common_chance: float = setting(0.0025, f"{SET}: one lot in a hundred is corrected by chance, and by little")
+    common_chance: float = setting(0.0025, f"{SET}: two lots in a hundred are corrected by chance, and by little")
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,10 @@ from softcal.core.windows import resting
 NOTHING = "nothing was changed"
 
 
+class NeedlessTrim(InputError):
+    """The map reads the loads as well as a trim by them would be known."""
+
+
 @dataclass(frozen=True, eq=False)
 class Trimmed:
     """A map after a trim.
@@ -78,7 +82,7 @@ def trim(
 
     Raises:
         InputError: the loads cannot be of this unit as they stand, or leave more open than they correct; the message
-            says which and why.
+            says which and why. `NeedlessTrim` where the map reads them already.
     """
     source, network, unit = problem.source, problem.network, problem.source.reference_unit
     if len(loads.reference) < 2:
@@ -109,7 +113,7 @@ def trim(
         )
     missing = np.abs(wanted - read) / abs(rise)
     if np.all(missing <= error):
-        raise InputError(
+        raise NeedlessTrim(
             f"the map reads these loads already: it is off by {missing.max():.3g} {unit} at most, less than the "
             f"{error.max():.3g} {unit} a trim by them is known to; {NOTHING}; no trim is needed"
         )

@@ -126,8 +126,8 @@ ENGLISH: Mapping[str, str] = {
         "{unit})"
     ),
     "release.common": (
-        "the audited units misread their loads alike, and that was taken off every map of the lot (gain {gain:.3f}, "
-        "zero {zero:.3g} {unit}, audits: {audits})"
+        "the audited units misread their loads alike, and that was taken off every map of the lot (mean gain "
+        "{gain:.3f}, mean zero {zero:.3g} {unit}, audits: {audits})"
     ),
     "common": (
         "its map takes off what the audited units of its lot misread alike (gain {gain:.3f}, zero {zero:.3g} {unit}, "
@@ -185,6 +185,12 @@ ENGLISH: Mapping[str, str] = {
         "trimmed by known loads and not measured since; audit it for a firm verdict (loads: {loads}, RMSE there "
         "{before:.3g} before, {after:.3g} now)"
     ),
+    "trim.older": (
+        "its trim was made before this recording and is left out; trim it again where it is used, or audit it "
+        "(known loads: {loads})"
+    ),
+    "trim.read": "its map needs no trim any more: it reads the loads of its last trim (known loads: {loads})",
+    "trim.left_out": "its trim does not go with its new map; trim it again, or audit it ({error})",
     "audited_before_trim": "its audit was made before the trim and does not decide; audit it again",
     "predicted_otherwise": "before the audit it was predicted {verdict}: {why}",
     # What is wrong with a table that was to audit a unit.

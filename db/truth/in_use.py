@@ -131,6 +131,12 @@ class InUseTable(RegistryBase):
                         found[serial] = input_sha256
         return found
 
+    def was_decided_by(self, decided_by: str, lot_id: str, serial: str) -> bool:
+        """Return whether a calibration of a unit was ever put into use by this: a trim, a release, a rollback."""
+        told = _of_unit(in_use, in_use.c.number).where(in_use.c.decided_by == decided_by).limit(1)
+        with self.database.reading() as connection:
+            return connection.execute(told, {"lot": lot_id, "unit": serial}).first() is not None
+
     def passed_once(self, lot_id: str) -> frozenset[str]:
         """Return the serials of a lot for which a calibration that passed was in use, now or before."""
         query = select(in_use.c.serial).distinct().join(calibrations, OF_STATEMENT)

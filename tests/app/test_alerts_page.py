@@ -25,14 +25,16 @@ def runs(*verdicts: str) -> list[RunEntry]:
     return [RunEntry(f"A{k}", NOW + timedelta(minutes=k), verdict, ()) for k, verdict in enumerate(verdicts)]
 
 
-def found(process: ProcessView = STILL, drop=None, golden=(), beats=(), certificates=(), adapted=()) -> list[Alert]:
+def found(
+    process: ProcessView = STILL, drop=None, golden=(), beats=(), certificates=(), adapted=(), withdrawn=()
+) -> list[Alert]:
     registry = SimpleNamespace(
         golden_runs=lambda: list(golden),
         certificates=lambda: list(certificates),
         adapted_units=lambda: list(adapted),
         order_queue=SimpleNamespace(stations=lambda: list(beats)),
     )
-    return list(alerts(registry, SimpleNamespace(process=process, drop=drop), NOW))  # type: ignore[arg-type]
+    return list(alerts(registry, SimpleNamespace(process=process, drop=drop, withdrawn=withdrawn), NOW))  # type: ignore[arg-type]
 
 
 def test_a_drop_of_the_yield_is_told_and_chance_is_not() -> None:

@@ -1,7 +1,7 @@
 """What the lot's page and its report say beyond the whole lot: filters, yields over places, audited units, the PDF."""
 
 import subprocess
-from datetime import UTC, date, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta, timezone
 from functools import partial
 from pathlib import Path
 
@@ -56,7 +56,7 @@ def test_a_unit_counts_once_on_the_day_and_at_the_station_of_its_first_run() -> 
         [run("U1", MONDAY, "fail"), run("U1", MONDAY + DAY), run("U2", MONDAY + DAY), run("U3", MONDAY + DAY, "fail")],
         [press("U1", "line-1", "Kim", MONDAY - DAY), press("U3", "line-1", "Kim", MONDAY)],
     )
-    by_day = [(at.name, at.share.count, at.share.of) for at in yield_over(runs, lambda one: one.day.isoformat())]
+    by_day = [(at.name, at.share.count, at.share.of) for at in yield_over(runs, lambda one: one.day(UTC).isoformat())]
     assert by_day == [("2026-05-04", 0, 1), ("2026-05-05", 1, 2)]
     by_station = {at.name: (at.share.count, at.share.of) for at in yield_over(runs, lambda one: one.station)}
     assert by_station == {DESK: (1, 1), "line-1": (0, 2)}
@@ -66,9 +66,12 @@ def test_a_unit_counts_once_on_the_day_and_at_the_station_of_its_first_run() -> 
     ("wanted", "takes"),
     [
         (LotFilter(), True),
-        (LotFilter(since=date(2026, 5, 4), until=date(2026, 5, 4)), True),
-        (LotFilter(since=date(2026, 5, 5)), False),
-        (LotFilter(until=date(2026, 5, 3)), False),
+        (LotFilter(since=date(2026, 5, 4), until=date(2026, 5, 4), zone=UTC), True),
+        (LotFilter(since=date(2026, 5, 5), zone=UTC), False),
+        (LotFilter(until=date(2026, 5, 3), zone=UTC), False),
+        # While it is eight in the morning in London it is still Sunday in Alaska.
+        (LotFilter(until=date(2026, 5, 3), zone=timezone(timedelta(hours=-9))), True),
+        (LotFilter(since=date(2026, 5, 4), zone=timezone(timedelta(hours=-9))), False),
         (LotFilter(stations=("line-2", "line-1")), True),
         (LotFilter(stations=("line-2",)), False),
         (LotFilter(operators=("Oh",)), False),

@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+import sqlite3
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
 from functools import partial
@@ -11,6 +12,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from sqlalchemy import Engine
+from sqlalchemy import event as sqlalchemy_event
 
 from softcal.app.batch.audit_evidence import AuditReader
 from softcal.app.batch.judging import judge_again
@@ -72,7 +75,8 @@ def test_units_nobody_measured_pass_on_the_audits_of_the_others(make_lot, batch,
     assert any(serial in file.name for file in (tmp_path / "out").rglob("*"))
     assert len(registry.history(serial)) == 2
     first, second = (stored.record for stored in registry.history(serial))
-    assert second.map_sha256 == first.map_sha256 and second.verdict == "pass" != first.verdict
+    assert (second.map_sha256 == first.map_sha256) == (second.common_line is None)
+    assert second.verdict == "pass" != first.verdict
     scaled = second.evidence["interval_scale"] * first.arrays["interval.half_width"]
     assert np.allclose(second.arrays["interval.half_width"], np.hypot(scaled, second.evidence["interval_added"]))
     assert second.predicted_rmse == pytest.approx(first.predicted_rmse * second.evidence["forecast_scale"])
@@ -99,7 +103,8 @@ def test_the_line_reads_no_recording_and_the_other_units_only_where_an_audit_cam
         line.press("large", serial)
     # Audited units are asked for each time: which one stands is how a new audit is noticed.
     assert not [of for of in asked if len(set(of) & set(serials)) > 1]
-    assert recordings == []
+    # Its source's levels may be asked for; no unit's recording is.
+    assert set(recordings) <= {entry.sha256 for entry in registry.recordings("large", kind="source")}
 
 
 def test_without_audits_no_calibration_is_read_whole(make_lot, batch, monkeypatch, registry):
@@ -125,6 +130,7 @@ def test_what_the_audits_of_a_lot_read_on_another_day_misread_alike_is_taken_off
     report = batch(folder, "--out", str(tmp_path / "out"))
     release = report["release"]
     assert release["common"]["gain"] == pytest.approx(1 / 1.2, abs=0.06)
+    assert release["common"]["zero_slope"] != 0, "a readout with another gain moves units by their level at rest"
     units = {unit["serial"]: unit for unit in report["units"]}
     assert len(release["released"]) == 4 and all(units[serial]["verdict"] == "pass" for serial in release["released"])
     for serial, unit in units.items():
@@ -275,6 +281,23 @@ def test_three_earlier_lots_qualify_one_without_audits(make_lot, batch):
     assert other["release"]["qualification"] == "none"
 
 
+def test_an_account_that_may_not_write_asks_what_stands_released(
+    make_lot, batch, registry_url, tmp_path, request, capsys
+):
+    folder, file = make_lot(audits=12), tmp_path / "release.json"
+    told = batch(folder)["release"]
+    capsys.readouterr()
+
+    def read_only(dialect: object, record: object, arguments: list[str], options: object) -> sqlite3.Connection:
+        return sqlite3.connect(f"file:{arguments[0]}?mode=ro", uri=True, check_same_thread=False)
+
+    sqlalchemy_event.listen(Engine, "do_connect", read_only)
+    request.addfinalizer(lambda: sqlalchemy_event.remove(Engine, "do_connect", read_only))
+    assert main(["lot", "release", "large", "--registry", registry_url, "--json", str(file)]) == 0
+    assert json.loads(file.read_text())["released"] == told["released"] and not capsys.readouterr().err
+    assert main(["lot", "limit", "large", "--registry", registry_url, "--rmse", "0.3", "--reason", "drawn"]) == 4
+
+
 def test_the_statement_is_one_page_and_kept_in_the_registry(make_lot, batch, registry_url, tmp_path, capsys, registry):
     folder = make_lot()
     batch(folder)
@@ -360,6 +383,7 @@ def test_another_limit_judges_every_unit_at_once_and_a_verdict_against_an_old_on
 ):
     batch(make_lot(), "--out", str(tmp_path / "out"))
     before = {unit.serial: unit for unit in registry.units("large") if unit.role == "target"}
+    bases = [registry.calibration(serial).record.evidence["base_revision"] for serial in before]
     measured = sorted(unit.after_rmse for unit in before.values() if unit.after_rmse is not None)
     limit = (measured[4] + measured[5]) / 2
     # The limit alone, as another registry would bring it: nothing that was judged against the old one stands.
@@ -374,7 +398,7 @@ def test_another_limit_judges_every_unit_at_once_and_a_verdict_against_an_old_on
     command = ["lot", "limit", "large", "--rmse", repr(limit), "--reason", "drawing C", "--registry", registry_url]
     assert main(command) == 0
     after = {unit.serial: unit for unit in registry.units("large") if unit.role == "target"}
-    assert all(after[serial].map_sha256 == unit.map_sha256 for serial, unit in before.items())
+    assert [registry.calibration(serial).record.evidence["base_revision"] for serial in before] == bases
     beyond = {serial for serial, unit in after.items() if unit.after_rmse is not None and unit.after_rmse > limit}
     assert len(beyond) >= 5 and {after[serial].verdict for serial in beyond} == {"fail"}
     counts = registry.verdict_counts("large")

@@ -21,6 +21,7 @@ from softcal.app.line.facts import Screen, read_line
 from softcal.app.registry.limit import lot_limit
 from softcal.app.registry.quality import lot_yields
 from softcal.app.texts.catalogue import text
+from softcal.app.views.alerts import lot_alerts
 from softcal.app.views.lot import lot_view
 from softcal.app.views.wall import wall_view
 from softcal.core.errors import InputError
@@ -170,6 +171,8 @@ def check(history: History, tmp_path: Path) -> None:
         # What was released once and is no more is named, whatever took it back.
         history.passed |= ways[Way.MEASURED] | ways[Way.SAMPLED]
         assert {unit.serial for unit in standing.withdrawn} >= {s for s in history.passed if truth[s] != "pass"}
+        alerts = [alert.values["count"] for alert in lot_alerts(view) if alert.kind == "withdrawn"]
+        assert alerts == [len(standing.withdrawn)] * bool(standing.withdrawn)
         assert all(unit.reasons for unit in (*standing.on(Way.WAITING), *standing.withdrawn))
         decided = standing.decided
         if decided is not None:

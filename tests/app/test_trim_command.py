@@ -8,6 +8,7 @@ import pytest
 
 from softcal.app.cli.main import main
 from softcal.core.export.loader import open_sensor
+from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.windows import windows
 from softcal.db.connection import open_registry
 
@@ -115,6 +116,54 @@ def test_a_new_audit_decides_on_a_trimmed_unit_and_older_ones_of_others_do_not(t
     assert record.verdict == "conditional" and not record.decision.is_audited
     assert "audited_before_trim" in {why.code for why in record.reasons}
     assert record.evidence["map_anchor_gain"] != 1.0, "the batch leaves the trimmed map in use"
+
+
+def _record(url: str) -> CalibrationRecord:
+    with open_registry(url) as registry:
+        return registry.calibration("A1").record
+
+
+def test_a_new_fit_of_the_same_recording_keeps_the_trim(trimmed, lot_folder, registry_url):
+    assert trimmed([drifted_V(0.0), drifted_V(2.5)], [0.0, 2.5]) == 0
+    before = _record(registry_url)
+    assert main(["batch", str(lot_folder), "--registry", registry_url, "--hidden", "16,8", "--no-own", "--refit"]) == 1
+    after = _record(registry_url)
+    assert after.map_sha256 == before.map_sha256
+    assert np.array_equal(after.arrays["interval.half_width"], before.arrays["interval.half_width"])
+    assert {"trimmed", "audited_before_trim"} <= {why.code for why in after.reasons}
+
+
+def test_a_new_audit_of_a_trimmed_unit_is_measured_with_the_trimmed_map(trimmed, lot_folder, registry_url, press_unit):
+    assert trimmed([drifted_V(0.0), drifted_V(2.5)], [0.0, 2.5]) == 0
+    before, audit = _record(registry_url), press_unit(900, 1.1 * GAIN, OFFSET_V + 0.02, 89)
+    audit.to_csv(lot_folder / "audit" / "A1.csv", index=False)
+    batch(lot_folder, registry_url)
+    after = _record(registry_url)
+    assert after.map_sha256 == before.map_sha256 and after.decision.is_audited
+    assert after.after_rmse < 0.6 * after.before_rmse
+    assert not {why.code for why in after.reasons} & {"trimmed", "audited_before_trim"}
+
+
+def test_a_trim_is_older_than_a_new_recording_and_the_unit_says_so(trimmed, lot_folder, registry_url, press_unit):
+    assert trimmed([drifted_V(0.0), drifted_V(2.5)], [0.0, 2.5]) == 0
+    first, file = _record(registry_url), lot_folder / "units" / "A1.csv"
+    old, new = file.read_bytes(), press_unit(1500, 1.1 * GAIN, OFFSET_V + 0.02, 90)
+    new[["t_s", "output"]].to_csv(file, index=False)
+    batch(lot_folder, registry_url)
+    second = _record(registry_url)
+    assert "map_anchor_gain" not in second.evidence and "trim.older" in {why.code for why in second.reasons}
+    file.write_bytes(old)
+    batch(lot_folder, registry_url)
+    assert _record(registry_url).map_sha256 == first.map_sha256
+
+
+def test_a_map_that_a_person_brought_back_is_not_trimmed_again(trimmed, lot_folder, registry_url):
+    untrimmed = _record(registry_url)
+    assert trimmed([drifted_V(0.0), drifted_V(2.5)], [0.0, 2.5]) == 0
+    back = ["registry", "rollback", "--registry", registry_url, "--serial", "A1", "--to", "1", "--reason", "heavier"]
+    assert main(back) == 0
+    assert main(["batch", str(lot_folder), "--registry", registry_url, "--hidden", "16,8", "--no-own", "--refit"]) == 0
+    assert _record(registry_url).map_sha256 == untrimmed.map_sha256
 
 
 def test_a_second_trim_replaces_the_first(trimmed, registry_url):

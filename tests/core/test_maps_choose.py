@@ -235,6 +235,16 @@ def test_known_loads_do_not_harm_a_unit_that_is_paired_well(make, source):
     assert given < 1.02 * without
 
 
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_known_loads_show_a_paired_unit_that_was_pressed_with_another_load(make, source, factor):
+    problem = make(factor * source.reference)
+    loads = np.array([0.0, 2.5])
+    anchors = Anchors((0.5 + 0.1 * loads + 0.02 * loads**2 - OFFSET) / GAIN, loads)
+    without, given = (choose_map(replace(problem, anchors=a)) for a in (None, anchors))
+    assert given.family == without.family == "synchronous"
+    assert after(problem, given)[0] < 0.3 * after(problem, without)[0]
+
+
 def test_two_loads_say_how_well_they_fix_gain_and_zero(make):
     """The gain that two loads give is off by no more than three of the standard uncertainties said with it."""
     rng, misses = np.random.default_rng(7), []

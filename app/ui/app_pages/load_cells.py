@@ -10,7 +10,7 @@ from softcal.app.charts.station import golden_figure
 from softcal.app.line.cell_certificate import certificate_from
 from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.components.station_run import choose_station, place
-from softcal.app.ui.desk import colours, empty, in_words, registry, show_figure, words
+from softcal.app.ui.desk import colours, empty, in_words, registry, show_figure, words, zone
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import heading, table
 from softcal.app.views.common import number
@@ -39,7 +39,7 @@ def render() -> None:
 
 
 def _row(entry: CellCertificate) -> dict[str, object]:
-    say, today = words(), datetime.now(UTC).date()
+    say, today = words(), datetime.now(UTC).astimezone(zone()).date()
     left = (entry.due_on - today).days
     state = say("cells.valid", days=left) if entry.is_valid(today) else say("cells.invalid")
     return {

@@ -105,7 +105,7 @@ def _figures(view: LotView) -> None:
 def alerts_panel(view: LotView) -> None:
     """Draw what should be looked at now, the urgent first."""
     say = words()
-    for alert in alerts(registry(), view, datetime.now(UTC)):
+    for alert in alerts(registry(), view, datetime.now(UTC).astimezone(zone())):
         draw, icon = (st.error, "report") if alert.is_urgent else (st.warning, "notifications")
         draw(say(f"alert.{alert.kind}", **alert.values), icon=f":material/{icon}:")
 

@@ -9,11 +9,12 @@ import streamlit as st
 
 from softcal.app.ui.components import line_card
 from softcal.app.ui.components.line_card import chips_row
-from softcal.app.ui.desk import colours, errors_in_words, registry, words
+from softcal.app.ui.desk import colours, errors_in_words, registry, words, zone
 from softcal.app.ui.lot_memory import remembered_lot_view
 from softcal.app.ui.panels import lot_heading, units_of
 from softcal.app.views.alerts import alerts
 from softcal.app.views.line import TONES
+from softcal.app.views.lot_runs import LotFilter
 from softcal.app.views.wall import StationTile, WallView, wall_view
 
 EVERY_S = 3.0
@@ -33,10 +34,11 @@ def render() -> None:
 @st.fragment(run_every=EVERY_S)
 @errors_in_words()
 def _board(lot_id: str) -> None:
-    say, view = words(), remembered_lot_view(lot_id)
-    found = alerts(registry(), view, datetime.now(UTC))
+    say, view = words(), remembered_lot_view(lot_id, LotFilter(zone=zone()))
+    now = datetime.now(UTC).astimezone(zone())
+    found = alerts(registry(), view, now)
     with st.container(key="wall"):
-        board = wall_view(registry(), view, found, say)
+        board = wall_view(registry(), view, found, say, now)
         st.html(board_html(board, say("line.last"), say("wall.well"), say("wall.stations.none")))
 
 

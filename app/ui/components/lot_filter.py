@@ -4,7 +4,7 @@ from datetime import date
 
 import streamlit as st
 
-from softcal.app.ui.desk import words
+from softcal.app.ui.desk import words, zone
 from softcal.app.ui.lot_memory import remembered_lot_view
 from softcal.app.views.lot import LotView
 from softcal.app.views.lot_runs import DESK, LotFilter
@@ -12,7 +12,7 @@ from softcal.app.views.lot_runs import DESK, LotFilter
 
 def chosen_lot_view(lot_id: str) -> LotView:
     """Draw the choice of days, stations and operators; return what it leaves of a lot."""
-    say, every = words(), remembered_lot_view(lot_id)
+    say, every = words(), remembered_lot_view(lot_id, LotFilter(zone=zone()))
     if not every.judged:
         return every
     with st.popover(say("lot.filter"), icon=":material/filter_alt:"):
@@ -21,7 +21,7 @@ def chosen_lot_view(lot_id: str) -> LotView:
         until = _day(second.date_input(say("trail.until"), value=None, key=f"lot-until-{lot_id}"))
         stations = _names("station", every.every_station, lot_id)
         operators = _names("operator", every.every_operator, lot_id)
-    wanted = LotFilter(since, until, stations, operators)
+    wanted = LotFilter(since, until, stations, operators, zone())
     if wanted.is_open:
         return every
     view = remembered_lot_view(lot_id, wanted)
