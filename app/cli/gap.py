@@ -12,6 +12,8 @@ from softcal.core.errors import InputError
 if TYPE_CHECKING:
     from softcal.core.gap.diagnosis import Diagnosis, RankedCause
     from softcal.core.gap.empirical import LearnedResidual
+    from softcal.core.gap.identifiability import Identifiability
+    from softcal.core.gap.plausibility import DataMistake
     from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis
     from softcal.core.twin.parameters import ReadoutMetadata
     from softcal.core.twin.simulate import Twin
@@ -32,6 +34,10 @@ _DIAGNOSE_EXAMPLES = """examples:
 columns of recording.csv: t_s, stage_mm, force_N, output_V, temperature_C (what is missing narrows the diagnosis)
 keys of recording.json:   vref_V, adc_bits, r_series_ohm, sample_rate_Hz, serial, profile, kind, sensor_type, dummy_ohm
 kind: press (default), rest, rigid_block, dummy_resistor, dead_weights
+"""
+_CHECK_EXAMPLES = """examples:
+  softcal gap check rig-7
+  softcal gap check swing --simulator my_rig:SIMULATOR --json -
 """
 _APPLY_EXAMPLES = """examples:
   softcal gap apply rig-7 --out rig-7.twin.json
@@ -54,6 +60,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     )
     inner = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     _add_diagnose(inner)
+    _add_check(inner)
     _add_apply(inner)
     gap_lot.add_parser(inner)
     gap_effects.add_parser(inner)
@@ -70,6 +77,27 @@ def _add_diagnose(commands: "argparse._SubParsersAction[argparse.ArgumentParser]
         epilog=_DIAGNOSE_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    _add_case(parser)
+    add_json(parser)
+    parser.add_argument("--page", type=Path, metavar="FILE", help="write a page of figures (standalone HTML)")
+    parser.set_defaults(run=_diagnose)
+
+
+def _add_check(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = commands.add_parser(
+        "check",
+        help="say what the runs of a case can tell, before anything is diagnosed",
+        description="Look for mistakes in the recordings, fit the base, and say which of its parameters and which "
+        "causes these runs can tell, which they cannot, and which run would. Nothing is diagnosed.",
+        epilog=_CHECK_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    _add_case(parser)
+    add_json(parser)
+    parser.set_defaults(run=_check)
+
+
+def _add_case(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("case", type=Path, metavar="CASE", help=f"{_CASE_HELP}; or a plain table")
     table = parser.add_argument_group("electronics of a plain table (a case states its own)")
     table.add_argument("--vref-V", type=float, dest="vref_V", metavar="V", help="supply of divider and ADC")
@@ -81,11 +109,8 @@ def _add_diagnose(commands: "argparse._SubParsersAction[argparse.ArgumentParser]
     parser.add_argument(
         "--simulator",
         metavar="MODULE:NAME",
-        help="diagnose this simulator instead of the twin; columns are its inputs and channels",
+        help="a simulator of your own instead of the twin; columns are its inputs and channels",
     )
-    add_json(parser)
-    parser.add_argument("--page", type=Path, metavar="FILE", help="write a page of figures (standalone HTML)")
-    parser.set_defaults(run=_diagnose)
 
 
 def _add_apply(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -121,22 +146,77 @@ def _diagnose(options: argparse.Namespace) -> int:
     return 0
 
 
-def _diagnose_simulator(options: argparse.Namespace) -> int:
-    from softcal.app.gap.simulator import diagnose_with, load_simulator
+def _check(options: argparse.Namespace) -> int:
+    from softcal.app.gap.diagnose import check_case
+    from softcal.app.gap.simulator import check_with, load_simulator
 
+    if options.simulator:
+        _refuse_electronics(options)
+        found, told = check_with(options.case, load_simulator(options.simulator))
+    else:
+        found, told = check_case(options.case, _table_readout(options))
+    if options.json:
+        identifiability = None if told is None else told.record()
+        data = [one.record() for one in found]
+        write_json(options.json, {"schema": "softcal.gap.check/1", "data": data, "identifiability": identifiability})
+    if options.json == "-":
+        return 0
+    _show_mistakes(found)
+    if told is None:
+        print("check       repair the recordings and check again; nothing else was judged")
+        return 0
+    for kind, is_base in (("base parameters", True), ("causes", False)):
+        every = [one for one in told.every if one.is_base == is_base]
+        print(f"told        {sum(one.is_told for one in every)} of {len(every)} {kind}")
+    _show_untold(told)
+    return 0
+
+
+def _show_untold(told: "Identifiability") -> None:
+    from softcal.core.gap.identifiability import sentences
+
+    for line in sentences(told):
+        print(f"not told    {line}")
+
+
+def _show_mistakes(found: "tuple[DataMistake, ...]") -> None:
+    for one in found:
+        runs = ", ".join(map(str, one.runs)) or "all"
+        kind = one.what.replace("_", " ")
+        print(f"data        {kind}{f' of {one.channel}' if one.channel else ''}, runs {runs}: {one.evidence}")
+        print(f"repair      {one.repair}")
+
+
+def _refuse_electronics(options: argparse.Namespace) -> None:
     electronics = (options.vref_V, options.adc_bits, options.rate_Hz, options.series_ohm)
-    if options.page or any(value is not None for value in electronics):
-        raise InputError("--simulator knows no electronics and draws no page; leave those options out")
+    if any(value is not None for value in electronics):
+        raise InputError("--simulator knows no electronics; leave those options out")
+
+
+def _diagnose_simulator(options: argparse.Namespace) -> int:
+    from softcal.app.gap.simulator import diagnose_with, load_simulator, write_simulator_page
+
+    _refuse_electronics(options)
     diagnosis = diagnose_with(options.case, load_simulator(options.simulator), say)
     if options.json:
         write_json(options.json, diagnosis.report())
+    if options.page:
+        write_simulator_page(options.page, diagnosis)
     if options.json != "-":
-        _show_result(diagnosis)
-        _show_partial(diagnosis)
+        _show_simulator(diagnosis)
     if diagnosis.failures.count:
         failed = diagnosis.failures
         say(f"{failed.first}; so at {failed.count} of {failed.of} places, which were avoided")
     return 0
+
+
+def _show_simulator(diagnosis: "SimulatorDiagnosis") -> None:
+    _show_mistakes(diagnosis.mistakes)
+    if diagnosis.verdict == "data":
+        print("verdict     data: repair the recordings and diagnose again; nothing else was judged")
+        return
+    _show_result(diagnosis)
+    _show_partial(diagnosis)
 
 
 def _table_readout(options: argparse.Namespace) -> "ReadoutMetadata | None":
@@ -184,11 +264,7 @@ def _show(diagnosis: "Diagnosis", target: str | None) -> None:
         write_json(target, diagnosis.report())
     if target == "-":
         return
-    for found in diagnosis.mistakes:
-        runs = ", ".join(map(str, found.runs)) or "all"
-        kind = found.what.replace("_", " ")
-        print(f"data        {kind}{f' of {found.channel}' if found.channel else ''}, runs {runs}: {found.evidence}")
-        print(f"repair      {found.repair}")
+    _show_mistakes(diagnosis.mistakes)
     if diagnosis.verdict == "data":
         print("verdict     data: repair the recordings and diagnose again; nothing else was judged")
         return
@@ -252,6 +328,8 @@ def _show_result(diagnosis: "Diagnosis | SimulatorDiagnosis") -> None:
     for pair in diagnosis.ambiguous_with:
         print(f"ambiguous   {' / '.join(pair)}")
     print(f"next        {diagnosis.next_experiment.profile}: {diagnosis.next_experiment.why}")
+    if diagnosis.told is not None:
+        _show_untold(diagnosis.told)
 
 
 def _values(cause: "RankedCause") -> str:

@@ -10,7 +10,10 @@ from softcal.app.files.atomic import write_text
 from softcal.app.files.case_folder import open_case, open_table
 from softcal.app.texts.catalogue import text
 from softcal.core.errors import InputError
-from softcal.core.gap.diagnosis import Diagnosis, diagnose
+from softcal.core.gap.case import Case
+from softcal.core.gap.diagnosis import Diagnosis, checked, diagnose
+from softcal.core.gap.identifiability import Identifiability
+from softcal.core.gap.plausibility import DataMistake
 from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.twin.record import twin_from_record, twin_record
 from softcal.core.twin.simulate import Twin
@@ -31,11 +34,26 @@ def diagnose_case(
     Raises:
         InputError: the case cannot be read, or a table comes without its electronics.
     """
+    return diagnose(_opened(place, readout), progress)
+
+
+def check_case(
+    place: Path, readout: ReadoutMetadata | None = None
+) -> tuple[tuple[DataMistake, ...], Identifiability | None]:
+    """Read a case and return its mistakes and, where it can be diagnosed, what its runs tell; nothing is searched.
+
+    Raises:
+        InputError: as for `diagnose_case`.
+    """
+    return checked(_opened(place, readout))
+
+
+def _opened(place: Path, readout: ReadoutMetadata | None) -> Case:
     if not place.is_file():
-        return diagnose(open_case(place), progress)
+        return open_case(place)
     if readout is None:
         raise InputError(f"{place}: a plain table does not say its electronics; give vref_V, adc_bits and rate_Hz")
-    return diagnose(open_table(place, readout), progress)
+    return open_table(place, readout)
 
 
 def write_page(path: Path, diagnosis: Diagnosis) -> None:

@@ -9,8 +9,10 @@ from pathlib import Path
 from softcal.app.files.case_folder import METADATA, RECORDING
 from softcal.app.files.recording_file import column, read_table
 from softcal.core.errors import InputError
+from softcal.core.gap.identifiability import Identifiability
+from softcal.core.gap.plausibility import DataMistake
 from softcal.core.gap.simulator import Simulator, SimulatorRun, recorded
-from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis, diagnose_simulator
+from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis, check_simulator, diagnose_simulator
 
 
 def load_simulator(reference: str) -> Simulator:
@@ -63,12 +65,25 @@ def diagnose_with(
     Raises:
         InputError: there is no run, a column is missing, or the simulator fails.
     """
+    runs, serial = _recorded(place, simulator)
+    return diagnose_simulator(simulator, runs, serial, progress)
+
+
+def check_with(place: Path, simulator: Simulator) -> tuple[tuple[DataMistake, ...], Identifiability | None]:
+    """Read the runs of a mechanism and return their mistakes and what they tell of its simulator.
+
+    Raises:
+        InputError: as for `diagnose_with`.
+    """
+    return check_simulator(simulator, _recorded(place, simulator)[0])
+
+
+def _recorded(place: Path, simulator: Simulator) -> tuple[list[SimulatorRun], str]:
     paths = _tables(place)
     runs = [
         _run(simulator, path, str(path.parent.relative_to(place)) if place.is_dir() else path.stem) for path in paths
     ]
-    serial = str(_said(paths[0]).get("serial", place.stem))
-    return diagnose_simulator(simulator, runs, serial, progress)
+    return runs, str(_said(paths[0]).get("serial", place.stem))
 
 
 def _tables(place: Path) -> list[Path]:
@@ -97,3 +112,8 @@ def _said(path: Path) -> dict[str, object]:
     except (OSError, ValueError) as error:
         raise InputError(f"{beside}: cannot be read as JSON: {error}") from error
     return content if isinstance(content, dict) else {}
+
+
+def write_simulator_page(path: Path, diagnosis: SimulatorDiagnosis) -> None:
+    """Write the page of figures of a simulator's diagnosis in English, whole or not at all."""
+    raise InputError(f"{path}: not yet")

@@ -9,16 +9,17 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction, rivals
-from softcal.core.gap.candidates import is_told
+from softcal.core.gap.candidates import is_told, visible_effects
 from softcal.core.gap.case import Case
 from softcal.core.gap.coordinates import from_fit
 from softcal.core.gap.empirical import LearnedResidual, learned
 from softcal.core.gap.explained import explained_twin, form_of, in_catalogue_form, with_constants
 from softcal.core.gap.fit import BASE, Fit, Problem
 from softcal.core.gap.floor import coloured, is_noise
-from softcal.core.gap.next_experiment import NextExperiment, propose
+from softcal.core.gap.identifiability import Identifiability, identifiability, sentences
+from softcal.core.gap.next_experiment import NextExperiment, menu, propose
 from softcal.core.gap.odd_run import odd_run, odd_run_beside
-from softcal.core.gap.offsets import Offsets, offsets
+from softcal.core.gap.offsets import OFFSET_NAMES, Offsets, offsets
 from softcal.core.gap.place import likely_stages, loose_noise
 from softcal.core.gap.plausibility import DataMistake, doubts, mistakes
 from softcal.core.gap.posterior import exact_log_evidence, log_evidences, probabilities
@@ -40,6 +41,8 @@ SCHEMA = "softcal.gap/1"
 
 UNKNOWN_TRUST = 0.3
 """How far probabilities within the catalogue are trusted where the catalogue leaves a gap, for a share of 1."""
+
+NOT_MEASURED = "not measured: the recordings hold a mistake"
 
 DOWN_TO_NOISE = 0.92
 """Shrink on samples held back below which structure that is left is no mere difference between two equations."""
@@ -128,6 +131,7 @@ class Diagnosis:
             beside another one they are questions.
         partial: what comes nearest where nothing explains the gap.
         residual: empirical terms that describe what no named cause explains, where they hold on runs held back.
+        told: what the runs tell of the base and of every effect; None where the recordings hold a mistake.
     """
 
     case: Case
@@ -151,6 +155,7 @@ class Diagnosis:
     mistakes: tuple[DataMistake, ...] = ()
     partial: Partial | None = None
     residual: LearnedResidual | None = None
+    told: Identifiability | None = None
 
     def elastic_force_N(self, run: int) -> Array:
         """Return the force the fitted base gives for one run with a stage position, for bands of load."""
@@ -218,6 +223,7 @@ class Diagnosis:
             ],
             "ambiguous_with": self.ambiguous_with,
             "hidden_fraction": self.hidden_fraction,
+            "identifiability": None if self.told is None else self.told.record(),
             "next_experiment": self.next_experiment.record(),
             "missing_channels": list(self.case.missing_channels),
             "unseen_stages": list(self.case.unseen_stages),
@@ -285,6 +291,9 @@ def diagnose(
     if spoilt := mistakes(case):
         return _stopped(unfitted(case), spoilt)
     search = EffectSearch(case, config, say)
+    runs_tell = told_by(search.base, search.depth_mm, search.force_N)
+    for line in sentences(runs_tell):
+        say(line)
     if (odd := odd_run(search.base)) is not None:
         return _stopped(search.base, (odd,))
     search.run()
@@ -295,11 +304,11 @@ def diagnose(
     if search.stranger is None:
         search.hold_open()
     say("holding back samples from every cause")
-    doubted = _let_go(search)
+    doubted = let_go(search)
     best, logs = search.best, log_evidences(search.fits)
     if on_fits is not None:
         on_fits(search.fits)
-    group, idle = _on_unseen(rivals(search.fits, best, logs, tuple(search.held_open.values())), doubted)
+    group, idle = on_unseen(rivals(search.fits, best, logs, tuple(search.held_open.values())), doubted)
     doubted |= idle | set(search.held_open)
     say("refitting the three maps separately")
     maps = three_maps(case)
@@ -339,10 +348,25 @@ def diagnose(
         mistakes=doubts(case),
         partial=partial,
         residual=learned(search.base, beside.get(verdict, ())),
+        told=runs_tell,
     )
 
 
-def _let_go(search: EffectSearch) -> set[str]:
+def checked(case: Case) -> tuple[tuple[DataMistake, ...], Identifiability | None]:
+    """Return the mistakes in the recordings and, where there is none, what the runs tell: all before any cause."""
+    if spoilt := mistakes(case):
+        return spoilt, None
+    search = EffectSearch(case)
+    return doubts(case), told_by(search.base, search.depth_mm, search.force_N)
+
+
+def told_by(base: Fit, depth_mm: float, force_N: float) -> Identifiability:
+    """Return what the runs of a base fit tell of the twin and its effects, and which run of the menu tells the rest."""
+    case = base.problem.case
+    return identifiability(base, visible_effects(case), menu(case, depth_mm, force_N), OFFSET_NAMES)
+
+
+def let_go(search: EffectSearch) -> set[str]:
     """Take out of the best hypothesis every cause that lowers nothing on samples held back; return those."""
     gone: set[str] = set()
     while len(ids := search.best.hypothesis.ids) > 1:
@@ -355,7 +379,7 @@ def _let_go(search: EffectSearch) -> set[str]:
     return gone
 
 
-def _on_unseen(group: tuple[Fit, ...], gone: set[str]) -> tuple[tuple[Fit, ...], set[str]]:
+def on_unseen(group: tuple[Fit, ...], gone: set[str]) -> tuple[tuple[Fit, ...], set[str]]:
     """Return the rivals without those that merely add a cause which lowers nothing on samples held back, and these."""
     best, kept, idle = group[0], [group[0]], set()
     for other in group[1:]:
@@ -405,14 +429,8 @@ def _nearest(search: EffectSearch) -> Partial | None:
 
 def _stopped(base: Fit, found: tuple[DataMistake, ...]) -> Diagnosis:
     """Return the diagnosis of recordings that hold a mistake: nothing is named and nothing forecast."""
-    problem = base.problem
-    gap = {}
-    for channel in problem.scored_channels:
-        parts = [(problem.measured - base.predicted)[b.place] for b in problem.blocks if b.channel == channel]
-        rms = float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
-        gap[channel] = ChannelGap(rms, rms, problem.floor(channel))
     return Diagnosis(
-        case=problem.case,
+        case=base.problem.case,
         verdict="data",
         base=base,
         best=base,
@@ -422,9 +440,9 @@ def _stopped(base: Fit, found: tuple[DataMistake, ...]) -> Diagnosis:
         places=(),
         maps=(),
         regimes=(),
-        gap=gap,
+        gap=gap_of_base(base),
         shrink=Shrink(0.0, 0.0, 0.0, 0.0),
-        protocol="not measured: the recordings hold a mistake",
+        protocol=NOT_MEASURED,
         chosen=(),
         ambiguous_with=[],
         hidden_fraction={},
@@ -432,6 +450,16 @@ def _stopped(base: Fit, found: tuple[DataMistake, ...]) -> Diagnosis:
         explained_share=0.0,
         mistakes=found,
     )
+
+
+def gap_of_base(base: Fit) -> dict[str, ChannelGap]:
+    """Return what a base leaves, where nothing else was fitted."""
+    problem, gap = base.problem, {}
+    for channel in problem.scored_channels:
+        parts = [(problem.measured - base.predicted)[b.place] for b in problem.blocks if b.channel == channel]
+        rms = float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+        gap[channel] = ChannelGap(rms, rms, problem.floor(channel))
+    return gap
 
 
 def _is_on_bound(parameter: Parameter, value: float) -> bool:

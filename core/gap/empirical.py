@@ -17,7 +17,7 @@ from softcal.core.gap.case import Mask
 from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.fit import Fit, Problem, fit
 from softcal.core.gap.linear import energy
-from softcal.core.gap.offsets import run_directions
+from softcal.core.gap.offsets import rows_of_runs
 from softcal.core.gap.residual import structure
 from softcal.core.gap.shrink import Shrink
 from softcal.core.recording import Array
@@ -152,7 +152,8 @@ class _Choice:
     def _run_directions(self) -> list[tuple[Array, Array]]:
         """Per run, which samples it has and, (directions, samples), orthonormal directions of its own offsets."""
         problem, bare = self.parent.problem, self._bare
-        rows, out = run_directions(problem, bare.base, bare.predicted), []
+        along = problem.directions(bare.hypothesis, bare.coordinates, bare.predicted, {})
+        rows, out = rows_of_runs(problem, along), []
         for run in sorted({block.run for block in problem.blocks}):
             at = np.concatenate(
                 [np.arange(b.place.start, b.place.stop) for b in problem.blocks if b.run == run],

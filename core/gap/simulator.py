@@ -15,7 +15,7 @@ parameter of a candidate as `candidate.parameter`, at its neutral value where th
 
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeAlias
 
@@ -261,6 +261,8 @@ class SimulatorProblem(Problem):
 
     simulator: Simulator | None = None
     failures: Failures = field(default_factory=Failures)
+    of_base: tuple[bool, ...] = ()
+    """Of every offset, whether the base has what all runs share of it; nothing of it is known where empty."""
 
     @property
     def of(self) -> Simulator:
@@ -314,7 +316,7 @@ class SimulatorProblem(Problem):
 
     def of_run(self, run: Run) -> Problem:
         case = Case(self.case.serial, (run,), is_planned=True)
-        return SimulatorProblem(case, self.sigma, colour=self.colour, simulator=self.simulator)
+        return replace(self, case=case, use=None, failures=Failures())
 
     @cached_property
     def largest_offsets(self) -> Array:
@@ -322,7 +324,7 @@ class SimulatorProblem(Problem):
 
     @cached_property
     def are_relative(self) -> Mask:
-        return np.array([kind == "gain" for _, kind in self.of.offsets], dtype=np.bool_)
+        return np.array(self.of_base or [kind == "gain" for _, kind in self.of.offsets], dtype=np.bool_)
 
     @cached_property
     def are_bending(self) -> Mask:

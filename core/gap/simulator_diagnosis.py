@@ -5,7 +5,7 @@ predicts the channels is another.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -17,6 +17,8 @@ from softcal.core.gap.candidates import Probe
 from softcal.core.gap.case import Case
 from softcal.core.gap.coordinates import from_fit
 from softcal.core.gap.diagnosis import (
+    IMITATED_TRUST,
+    NOT_MEASURED,
     SCHEMA,
     UNKNOWN_TRUST,
     DiagnosisVerdict,
@@ -25,13 +27,19 @@ from softcal.core.gap.diagnosis import (
     RankedCause,
     chances_of,
     estimates_of,
+    gap_of_base,
+    let_go,
+    on_unseen,
     shares_of,
     under_its_floor,
 )
 from softcal.core.gap.fit import Block, Fit, Hypothesis, Problem, fit
 from softcal.core.gap.floor import coloured, is_noise
+from softcal.core.gap.identifiability import Identifiability, identifiability, sentences
 from softcal.core.gap.linear import energy
-from softcal.core.gap.next_experiment import NextExperiment
+from softcal.core.gap.next_experiment import MenuEntry, NextExperiment
+from softcal.core.gap.offsets import rows_of_runs
+from softcal.core.gap.plausibility import DataMistake
 from softcal.core.gap.posterior import log_evidences
 from softcal.core.gap.residual import Regime, structure
 from softcal.core.gap.screen import Lead, Tangent
@@ -47,11 +55,12 @@ from softcal.core.gap.simulator import (
     is_quick,
     planned,
 )
+from softcal.core.gap.simulator_plausibility import against_others, cut_off, shown
 from softcal.core.gap.start import best_start, likeliest, noise_levels, scattered
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
 from softcal.core.twin.probes import Extent
-from softcal.core.words.reason import Reason, reason
+from softcal.core.words.reason import Reason, reason, several
 
 CONFIG = SearchConfig(leads=(8, 5), beam=(3,))
 """As for the twin, up to two causes at once."""
@@ -71,6 +80,9 @@ LEAST_GAIN, LEAST_SHRINK = 10.0, 0.3
 
 ENOUGH_SHRINK = 0.85
 """Share of the gap, held out, from which causes explain it although structure is left: another equation of them."""
+
+IMITATED = 1e-3
+"""Share of the energy of an offset common to all runs up to which the base has it as its own."""
 
 STANDS_OUT = 1.5
 """Share of the gap over share of time from which a condition is listed."""
@@ -95,6 +107,8 @@ class SimulatorDiagnosis:
     hidden_fraction: dict[str, float]
     next_experiment: NextExperiment
     explained_share: float
+    told: Identifiability
+    mistakes: tuple[DataMistake, ...] = ()
 
     def report(self) -> dict[str, object]:
         """Return the report of schema `softcal.gap/1`; `parameters` are those of the simulator that explains most."""
@@ -103,6 +117,7 @@ class SimulatorDiagnosis:
             "simulator": self.simulator.name,
             "verdict": self.verdict,
             "serial": self.serial,
+            "data": [found.record() for found in self.mistakes],
             "gap": {name: vars(gap) for name, gap in self.gap.items()},
             "shrink": vars(self.shrink) | {"protocol": self.protocol, "chosen": [list(ids) for ids in self.chosen]},
             "where": [place.record() for place in self.places],
@@ -114,6 +129,7 @@ class SimulatorDiagnosis:
             "next_experiment": self.next_experiment.record(),
             "explained_share": self.explained_share,
             "partial": None if self.partial is None else vars(self.partial) | {"effects": list(self.partial.effects)},
+            "identifiability": self.told.record(),
             "failed": self.failures.record(),
             "offsets": self.offsets,
             "parameters": self.simulator.named(self.best.hypothesis, self.best.coordinates),
@@ -161,10 +177,18 @@ def diagnose_simulator(
         raise InputError(f"simulator {simulator.name}: no run was given; a diagnosis needs one")
     say = progress or (lambda _: None)
     case = Case(serial, tuple(runs))
-    search = _searched(simulator, case, say)
+    base, spoilt = _base_or_mistakes(simulator, case, say)
+    if spoilt:
+        return _stopped(simulator, base, spoilt)
+    told = told_by(simulator, base)
+    for line in sentences(told):
+        say(line)
+    search = _searched(simulator, base, told, say)
+    doubted = let_go(search)
     best, ids = search.best, [c.id for c in simulator.candidates]
     logs = log_evidences(search.fits)
-    group = rivals(search.fits, best, logs)
+    group, idle = on_unseen(rivals(search.fits, best, logs), doubted)
+    doubted |= idle
     say("measuring the shrink on samples no fit has seen")
     quantified = quantify(search.base, best, search.fits.values())
     verdict = _verdict(search, group, quantified)
@@ -179,7 +203,8 @@ def diagnose_simulator(
         quantified = quantify(search.base, best)
     share = float(np.clip(search.share(best), 0.0, 1.0))
     doubt = _trust(quantified, best) if verdict in ("unknown", "no_gap") else 1.0
-    chances = {i: p * doubt for i, p in chances_of(logs, group, ids).items()}
+    every = chances_of(logs, group, ids)
+    chances = {i: p * doubt * (IMITATED_TRUST if i in doubted else 1.0) for i, p in every.items()}
     causes = _causes(search, best, simulator, group, chances, quantified.shrink.held_out)
     return SimulatorDiagnosis(
         simulator=simulator,
@@ -197,12 +222,62 @@ def diagnose_simulator(
         hidden_fraction={i: hidden_fraction(best, i) for i in best.hypothesis.ids},
         next_experiment=_next(simulator, group, verdict),
         explained_share=share,
+        told=told,
+        mistakes=cut_off(simulator, case),
     )
 
 
-def _searched(simulator: Simulator, case: Case, say: Progress) -> "SimulatorSearch":
+def check_simulator(
+    simulator: Simulator, runs: Sequence[SimulatorRun]
+) -> tuple[tuple[DataMistake, ...], Identifiability | None]:
+    """Return the mistakes in recordings and, where there is none, what they tell of a simulator: nothing is searched.
+
+    Raises:
+        InputError: as for `diagnose_simulator`.
+    """
+    if not runs:
+        raise InputError(f"simulator {simulator.name}: no run was given; a check needs one")
+    case = Case("", tuple(runs))
+    base, spoilt = _base_or_mistakes(simulator, case, lambda _: None)
+    return (spoilt, None) if spoilt else (cut_off(simulator, case), told_by(simulator, base))
+
+
+def _base_or_mistakes(simulator: Simulator, case: Case, say: Progress) -> tuple[Fit, tuple[DataMistake, ...]]:
+    say("looking for mistakes in the recordings")
+    spoilt = shown(simulator, case)
+    say(f"fitting {simulator.name} to all runs")
+    base = base_fit(simulator, case)
+    return base, spoilt or against_others(base)
+
+
+def _stopped(simulator: Simulator, base: Fit, found: tuple[DataMistake, ...]) -> SimulatorDiagnosis:
+    """Return the diagnosis of recordings that hold a mistake: nothing is named and nothing forecast."""
+    return SimulatorDiagnosis(
+        simulator=simulator,
+        serial=base.problem.case.serial,
+        verdict="data",
+        base=base,
+        best=base,
+        causes=tuple(RankedCause(c.id, c.stage, 0.0, 0.0, {}) for c in simulator.candidates),
+        places=(),
+        gap=gap_of_base(base),
+        shrink=Shrink(0.0, 0.0, 0.0, 0.0),
+        protocol=NOT_MEASURED,
+        chosen=(),
+        ambiguous_with=[],
+        hidden_fraction={},
+        next_experiment=NextExperiment("none", several([one.repair for one in found])),
+        explained_share=0.0,
+        told=Identifiability(()),
+        mistakes=found,
+    )
+
+
+def _searched(simulator: Simulator, base: Fit, told: Identifiability, say: Progress) -> "SimulatorSearch":
     """Search, and once more where what is left may be noise that fades; keep that only where it is shown to be."""
-    search = SimulatorSearch(simulator, case, say)
+    # What every run may have of its own needs no cause: a slightly other equation of it would be named as one.
+    candidates = tuple(c for c in simulator.candidates if not told[c.id].is_own)
+    search = SimulatorSearch(candidates, base, say)
     search.run()
     if search.is_clean(search.best):
         return search
@@ -217,7 +292,7 @@ def _searched(simulator: Simulator, case: Case, say: Progress) -> "SimulatorSear
         return search
 
     def again(problem: Problem) -> SimulatorSearch:
-        return SimulatorSearch(simulator, case, say, problem)
+        return SimulatorSearch(candidates, best_start(problem, base.hypothesis), say)
 
     return under_its_floor(search, again, is_floor, say)
 
@@ -237,13 +312,12 @@ def _nearest(search: EffectSearch) -> Fit:
 class SimulatorSearch(EffectSearch):
     """The search over the candidates of a simulator; nothing is placed first, and a cause has one realisation."""
 
-    def __init__(self, simulator: Simulator, case: Case, say: Progress, problem: Problem | None = None) -> None:
-        say(f"fitting {simulator.name} to all runs")
-        base = base_fit(simulator, case) if problem is None else best_start(problem, Hypothesis(of_all=simulator.base))
-        duration_s = max(float(run.elapsed_s[-1]) for run in case.runs)
-        extent = Extent(1.0, 1.0, 0.0, 1.0, duration_s, float(np.median(case.runs[0].step_s[1:])))
-        probes = tuple(Probe(c, row, c.is_one_sided) for c in simulator.candidates for row in c.probes(extent))
-        self._candidates = simulator.candidates
+    def __init__(self, candidates: Sequence[Effect], base: Fit, say: Progress) -> None:
+        runs = base.problem.case.runs
+        duration_s = max(float(run.elapsed_s[-1]) for run in runs)
+        extent = Extent(1.0, 1.0, 0.0, 1.0, duration_s, float(np.median(runs[0].step_s[1:])))
+        self._candidates = candidates
+        probes = tuple(Probe(c, row, c.is_one_sided) for c in candidates for row in c.probes(extent))
         self._begin(base, probes, (), extent, CONFIG, say)
 
     def _rough_start(self) -> Array:
@@ -339,8 +413,32 @@ def base_fit(simulator: Simulator, case: Case) -> Fit:
     if best.chi2 == np.inf:
         raise InputError(f"{problem.failures.first}; it fails at all {problem.failures.of} places that were tried")
     for _ in range(3):
-        best = fit(best.problem.with_noise(noise_levels(best)), hypothesis, best.coordinates)
+        under = fit(best.problem.with_noise(noise_levels(best)), hypothesis, best.coordinates)
+        best = fit(_shared_by_base(under), hypothesis, under.coordinates)
     return best
+
+
+def _shared_by_base(found: Fit) -> Problem:
+    """Return the problem with what all runs share of an offset left to the base where the base can take its shape."""
+    problem = found.problem
+    if not isinstance(problem, SimulatorProblem) or not len(problem.largest_offsets):
+        return problem
+    bare = fit(problem.bare, found.hypothesis, found.coordinates, steps=0)
+    rows = rows_of_runs(problem, problem.directions(found.hypothesis, found.coordinates, bare.predicted, {}))
+    space = Tangent(bare)
+    shared = [bare.problem.whitened(row) for row in np.sum(list(rows.values()), axis=0)]
+    return replace(problem, of_base=tuple(energy(space.visible(row)) < IMITATED * energy(row) for row in shared))
+
+
+def told_by(simulator: Simulator, base: Fit) -> Identifiability:
+    """Return what the runs of a base fit tell of a simulator, and which of its experiments would tell the rest."""
+    names = [f"{kind} of {channel}" for channel, kind in simulator.offsets]
+    return identifiability(base, simulator.candidates, menu_of(simulator), names)
+
+
+def menu_of(simulator: Simulator) -> list[MenuEntry]:
+    """Return the experiments of a simulator as runs that could be made."""
+    return [MenuEntry(name, planned(simulator, name), one.minutes) for name, one in simulator.experiments.items()]
 
 
 def _stands(quantified: Quantified) -> bool:
@@ -456,10 +554,7 @@ def _next(simulator: Simulator, group: tuple[Fit, ...], verdict: DiagnosisVerdic
     if len(group) < 2:
         no_gap, separated = Reason("gap.next.no_gap"), Reason("gap.next.separated_here")
         return NextExperiment("none", no_gap if verdict == "no_gap" else separated)
-    entries = [
-        next_experiment.MenuEntry(name, planned(simulator, name), entry.minutes)
-        for name, entry in simulator.experiments.items()
-    ]
+    entries = menu_of(simulator)
     if not entries:
         return NextExperiment("none", reason("gap.next.no_experiments", causes=next_experiment.causes_of(group)))
     return next_experiment.most_telling(entries, group)

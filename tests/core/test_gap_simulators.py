@@ -294,7 +294,9 @@ def test_noise_that_fades_is_a_floor(name: str, has_cause: bool) -> None:
     assert found.best.hypothesis.ids == (rig.causes if has_cause else ())
 
 
-@pytest.mark.parametrize("name", [SPRING.simulator.name, ENZYME.simulator.name, RINGING.simulator.name])
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.long) if n == PENDULUM.simulator.name else n for n in RIGS]
+)
 @pytest.mark.parametrize("has_cause", [False, True])
 def test_what_a_run_may_have_of_its_own_needs_no_cause(name: str, has_cause: bool) -> None:
     rig, channel = RIGS[name], RIGS[name].simulator.channels[0]
