@@ -1,6 +1,7 @@
 """`softcal gap`: diagnose the gap between the twin and a rig, apply what was found, and check both blindly."""
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -43,6 +44,7 @@ _APPLY_EXAMPLES = """examples:
   softcal gap apply rig-7 --out rig-7.twin.json
   softcal gap apply --report rig-7.gap.json --out rig-7.twin.json    without diagnosing again
   softcal gap apply --report rig-7.gap.json --empirical --out rig-7.twin.json    with the terms that describe the rest
+  softcal gap apply --report swing.gap.json --out swing.json    parameters of a simulator of your own
   softcal station unit --simulated --twin rig-7.twin.json --serial A1 --out A1.csv
   softcal demo --twin rig-7.twin.json
 """
@@ -124,7 +126,8 @@ def _add_apply(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     )
     parser.add_argument("case", type=Path, nargs="?", metavar="CASE", help=_CASE_HELP)
     parser.add_argument("--report", type=Path, metavar="FILE", help="take the twin of this report instead of CASE")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="twin as JSON")
+    parser.add_argument("--simulator", metavar="MODULE:NAME", help="write the parameters of this simulator for CASE")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="twin or parameters as JSON")
     parser.add_argument(
         "--empirical",
         action="store_true",
@@ -236,10 +239,19 @@ def _table_readout(options: argparse.Namespace) -> "ReadoutMetadata | None":
 
 
 def _apply(options: argparse.Namespace) -> int:
-    from softcal.app.gap.diagnose import apply_case, apply_report
+    from softcal.app.gap.diagnose import apply_case, apply_report, read_report
+    from softcal.app.gap.simulator import diagnose_with, load_simulator, read_parameters
 
     if (options.case is None) == (options.report is None):
         raise InputError("give either a case to diagnose or --report with the JSON of a diagnosis")
+    if options.report is not None and (report := read_report(options.report)).get("simulator"):
+        return _apply_parameters(options, report, str(options.report))
+    if options.simulator:
+        diagnosed = diagnose_with(options.case, simulator := load_simulator(options.simulator), say)
+        _show_simulator(diagnosed)
+        _apply_parameters(options, diagnosed.report(), str(options.case))
+        read_parameters(options.out, simulator)
+        return 0
     if options.report is not None:
         say(f"twin written to {options.out}: {_contents(apply_report(options.report, options.out, options.empirical))}")
         return 0
@@ -248,6 +260,21 @@ def _apply(options: argparse.Namespace) -> int:
     said = "nothing explains the gap, so it is the refitted base alone" if is_bare else _contents(twin)
     say(f"twin written to {options.out}: {said}")
     _show(diagnosis, options.json)
+    return 0
+
+
+def _apply_parameters(options: argparse.Namespace, report: Mapping[str, object], source: str) -> int:
+    from softcal.app.gap.simulator import write_parameters
+
+    if options.empirical:
+        raise InputError("--empirical belongs to the twin; a simulator of your own has no such terms")
+    found = write_parameters(options.out, report, source)
+    is_bare = report["verdict"] == "unknown"
+    told = ", ".join(f"{name} = {value:.4g}" for name, value in found.items())
+    said = "nothing explains the gap, so they are those of the refitted base alone: " if is_bare else ""
+    say(f"parameters of {report['simulator']} written to {options.out}: {said}{told}")
+    if options.json:
+        write_json(options.json, dict(report))
     return 0
 
 

@@ -122,7 +122,7 @@ def apply_report(report_file: Path, out: Path, empirical: bool = False) -> Twin:
     Raises:
         InputError: the report cannot be read, holds no twin, or no such terms.
     """
-    report = _read_json(report_file)
+    report = read_report(report_file)
     if report.get("verdict") == "data":
         raise InputError(f"{report_file}: the recordings hold a mistake, so there is no twin of them; repair it first")
     if not isinstance(report.get("twin"), dict):
@@ -152,12 +152,17 @@ def read_twin(path: Path, key: str = "twin") -> Twin:
     Raises:
         InputError: the file is missing or does not describe a twin.
     """
-    content = _read_json(path)
+    content = read_report(path)
     record = content[key] if isinstance(content.get(key), dict) else content
     return twin_from_record(record, str(path))
 
 
-def _read_json(path: Path) -> Mapping[str, Any]:
+def read_report(path: Path) -> Mapping[str, Any]:
+    """Read a report, or a twin, as it stands in its file.
+
+    Raises:
+        InputError: the file is missing or holds no JSON object.
+    """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

@@ -3,16 +3,25 @@
 import importlib
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from softcal.app.files.atomic import write_text
 from softcal.app.files.case_folder import METADATA, RECORDING
 from softcal.app.files.recording_file import column, read_table
+from softcal.app.texts.catalogue import text
 from softcal.core.errors import InputError
 from softcal.core.gap.identifiability import Identifiability
 from softcal.core.gap.plausibility import DataMistake
 from softcal.core.gap.simulator import Simulator, SimulatorRun, recorded
 from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis, check_simulator, diagnose_simulator
+
+if TYPE_CHECKING:
+    from softcal.app.charts.gap import RunView
+
+PARAMETERS_SCHEMA = "softcal.simulator/1"
 
 
 def load_simulator(reference: str) -> Simulator:
@@ -116,4 +125,72 @@ def _said(path: Path) -> dict[str, object]:
 
 def write_simulator_page(path: Path, diagnosis: SimulatorDiagnosis) -> None:
     """Write the page of figures of a simulator's diagnosis in English, whole or not at all."""
-    raise InputError(f"{path}: not yet")
+    from softcal.app.charts.gap_page import gap_page
+
+    page = gap_page(diagnosis.report(), simulator_views(diagnosis), diagnosis.serial, partial(text, "en"))
+    write_text(path, page)
+
+
+def simulator_views(diagnosis: SimulatorDiagnosis) -> list["RunView"]:
+    """Return what a page shows of every run: measured channels, those of the base, and those with the causes."""
+    from softcal.app.charts.gap import ChannelView, RunView
+
+    problem, views = diagnosis.best.problem, []
+    for k, run in enumerate(problem.case.runs):
+        channels = {
+            block.channel: ChannelView(
+                problem.measured[block.place],
+                diagnosis.base.predicted[block.place],
+                diagnosis.best.predicted[block.place],
+                problem.floor(block.channel),
+            )
+            for block in problem.blocks
+            if block.run == k
+        }
+        first = next(iter(channels.values())).measured
+        views.append(RunView(run.name, run.profile, run.elapsed_s, first, first, channels))
+    return views
+
+
+def write_parameters(path: Path, content: Mapping[str, object], source: str) -> dict[str, float]:
+    """Write the parameters that a report of a simulator holds, as its `run` takes them.
+
+    Args:
+        content: a report of schema `softcal.gap/1`.
+        source: where it is from, for messages.
+
+    Raises:
+        InputError: the recordings hold a mistake, or there are no parameters.
+    """
+    if content.get("verdict") == "data":
+        raise InputError(f"{source}: the recordings hold a mistake, so there are no parameters; repair it first")
+    # Where nothing explains the gap what comes nearest is no diagnosis: the refitted base alone goes on.
+    found = content.get("base" if content.get("verdict") == "unknown" else "parameters")
+    if not isinstance(found, Mapping) or not all(isinstance(v, int | float) for v in found.values()):
+        raise InputError(f"{source}: holds no parameters; diagnose the simulator again with --json")
+    record = {"schema": PARAMETERS_SCHEMA, "simulator": content.get("simulator"), "parameters": dict(found)}
+    write_text(path, json.dumps(record, indent=2, allow_nan=False) + "\n")
+    return {name: float(value) for name, value in found.items()}
+
+
+def read_parameters(path: str | Path, simulator: Simulator) -> dict[str, float]:
+    """Read the parameters that `softcal gap apply` wrote for a simulator.
+
+    Raises:
+        InputError: the file cannot be read, is of another simulator, or lacks one of its parameters.
+    """
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read as JSON: {error}") from error
+    found = content.get("parameters") if isinstance(content, dict) else None
+    if not isinstance(found, dict) or content.get("schema") != PARAMETERS_SCHEMA:
+        raise InputError(f"{path}: holds no parameters of a simulator; write it with softcal gap apply")
+    named = content.get("simulator")
+    if named != simulator.name:
+        raise InputError(f"{path}: parameters of simulator {named}; those of {simulator.name} were expected")
+    wanted = simulator.parameter_names
+    if set(found) != set(wanted):
+        other = ", ".join(sorted(set(found) ^ set(wanted)))
+        raise InputError(f"{path}: {other} stands on one side alone; diagnose simulator {simulator.name} again")
+    return {name: float(found[name]) for name in wanted}

@@ -48,7 +48,7 @@ CONFIG = TellingConfig()
 
 
 @dataclass(frozen=True)
-class Told:
+class ParameterTold:
     """How well these runs tell one parameter of the base, or one cause.
 
     Args:
@@ -89,14 +89,14 @@ class Told:
 class Identifiability:
     """What the runs tell: every parameter of the base, every cause, and causes that are one to them."""
 
-    every: tuple[Told, ...]
+    every: tuple[ParameterTold, ...]
     alike: tuple[tuple[str, str], ...] = ()
 
-    def __getitem__(self, name: str) -> Told:
+    def __getitem__(self, name: str) -> ParameterTold:
         return next(one for one in self.every if one.name == name)
 
     @property
-    def untold(self) -> tuple[Told, ...]:
+    def untold(self) -> tuple[ParameterTold, ...]:
         """What these runs do not tell."""
         return tuple(one for one in self.every if not one.is_told)
 
@@ -106,6 +106,7 @@ class Identifiability:
             "base": {one.name: one.record() for one in self.every if one.is_base},
             "causes": {one.name: one.record() for one in self.every if not one.is_base},
             "alike": [list(pair) for pair in self.alike],
+            "untold": [one.to_json() for one in reasons(self)],
         }
 
 
@@ -135,10 +136,15 @@ def identifiability(
 
 def sentences(found: Identifiability) -> list[str]:
     """Return one line for everything these runs do not tell, and why; nothing where they tell all."""
-    return [*(str(why(one)) for one in found.untold), *(str(alike(*pair)) for pair in found.alike)]
+    return [str(one) for one in reasons(found)]
 
 
-def why(one: Told) -> Reason:
+def reasons(found: Identifiability) -> list[Reason]:
+    """Return why runs do not tell what they do not tell."""
+    return [*map(why, found.untold), *(alike(*pair) for pair in found.alike)]
+
+
+def why(one: ParameterTold) -> Reason:
     """Return why runs do not tell a parameter or a cause, and which run would."""
     runs = [reason("gap.run", profile=name) for name in one.by]
     cure = reason("gap.told.run", runs=several(runs, "gap.list")) if runs else Reason("gap.told.no_run")
@@ -292,11 +298,11 @@ def _smaller(parameter: Parameter) -> float:
     return parameter.neutral + CONFIG.smaller * (parameter.usual - parameter.neutral)
 
 
-def _of_base(here: _Rows, base: Fit) -> list[Told]:
+def _of_base(here: _Rows, base: Fit) -> list[ParameterTold]:
     out = []
     for p in base.hypothesis.of_all:
         if p.name not in here.base:
-            out.append(Told(p.name, True, 0.0, 0.0))
+            out.append(ParameterTold(p.name, True, 0.0, 0.0))
             continue
         k = here.base.index(p.name)
         others = [i for i in range(len(here.base)) if i != k]
@@ -307,11 +313,11 @@ def _of_base(here: _Rows, base: Fit) -> list[Told]:
         is_traded = imitated > CONFIG.traded * whole
         beside = tuple(here.base[i] for i, is_in in zip(others, is_traded, strict=True) if is_in)
         hidden = float(np.clip(1.0 - here.left(k, others) / whole, 0.0, 1.0))
-        out.append(Told(p.name, True, sigma, hidden, beside=beside if sigma < CONFIG.sigma else ()))
+        out.append(ParameterTold(p.name, True, sigma, hidden, beside=beside if sigma < CONFIG.sigma else ()))
     return out
 
 
-def _of_causes(here: _Rows, base: Fit, effects: Sequence[Effect], offsets: Sequence[str]) -> list[Told]:
+def _of_causes(here: _Rows, base: Fit, effects: Sequence[Effect], offsets: Sequence[str]) -> list[ParameterTold]:
     out, is_full = [], _on_bound(base)
     for effect in effects:
         at = here.cause(effect.id)
@@ -323,7 +329,7 @@ def _of_causes(here: _Rows, base: Fit, effects: Sequence[Effect], offsets: Seque
         is_own = kind is not None and own >= CONFIG.own and not is_full[kind]
         offset = offsets[kind] if is_own and kind is not None else ""
         hidden = float(np.clip(1.0 - seen / whole, 0.0, 1.0)) if whole > 0.0 else 1.0
-        out.append(Told(effect.id, False, sigma, hidden, own, offset))
+        out.append(ParameterTold(effect.id, False, sigma, hidden, own, offset))
     return out
 
 

@@ -109,6 +109,11 @@ class Simulator:
         """Channel and kind of everything that each run may have of its own."""
         return tuple((channel, kind) for channel, kinds in self.per_run.items() for kind in kinds)
 
+    @property
+    def parameter_names(self) -> list[str]:
+        """Names of all parameters, as `run` takes them."""
+        return [*(p.name for p in self.base), *(f"{c.id}.{p.name}" for c in self.candidates for p in c.parameters)]
+
     def named(self, hypothesis: Hypothesis, coordinates: Array) -> dict[str, float]:
         """Return the values at these coordinates of the fit, as `run` takes them."""
         base, values = hypothesis.split(coordinates)

@@ -20,7 +20,7 @@ from softcal.core.words.reason import Reason, reason
 
 
 @dataclass(frozen=True)
-class DoubtConfig:
+class MistakeConfig:
     """When a recording is held to be mistaken.
 
     Args:
@@ -43,7 +43,7 @@ class DoubtConfig:
     starts: StartConfig = StartConfig(scattered=16, tried=2, first=6, steps=20)
 
 
-CONFIG = DoubtConfig()
+CONFIG = MistakeConfig()
 
 FACTORS: Mapping[str, float] = {
     "inch": 25.4,

@@ -99,7 +99,7 @@ GAP_SENTENCES: Mapping[str, str] = {
     # What the runs do not tell.
     "gap.told.own": "{name} cannot be told: each run may have a {offset} of its own; {cure}",
     "gap.told.beside": "{name} cannot be told from {beside}; {cure}",
-    "gap.told.small": "{name} hardly shows ({sigma:.1f} x the noise at its usual size); {cure}",
+    "gap.told.small": "too little shows of {name} ({sigma:.1f} x the noise at its usual size); {cure}",
     "gap.told.never": "{name} does not show on these runs; {cure}",
     "gap.told.alike": "{one} and {other} look alike on these runs",
     "gap.run": "{profile}",

@@ -325,7 +325,7 @@ ENGLISH: Mapping[str, str] = {
     ),
     "data.cut_off": "{channel} stands still at {level:.4g}; it may be cut off there (samples: {count})",
     "data.repair.range": "if the readout cuts {channel} off, widen its range; the diagnosis holds either way",
-    "data.dead": "{channel} never changes",
+    "data.dead": "nothing changes in {channel}",
     "data.repair.dead": "check the cable and the logger, then record the run again",
     "data.swapped": "the simulator agrees with the recordings once {one} and {other} are exchanged, and not before",
     "data.repair.other_unit": "leave the run out, or record it again with this unit",
