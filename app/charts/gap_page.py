@@ -137,7 +137,8 @@ def _left(report: Mapping[str, Any], say: Words) -> Iterable[str]:
     if found["beside"]:
         causes = _effects(found["beside"], say)
         words.append(_told(say, "gap.left.beside", causes=causes, without=_percent(found["without"])))
-    words.append(_told(say, "gap.left.span", load_N=f"{found['load_N']:.3g}", depth_mm=f"{found['depth_mm']:.3g}"))
+    if "load_N" in found:
+        words.append(_told(say, "gap.left.span", load_N=f"{found['load_N']:.3g}", depth_mm=f"{found['depth_mm']:.3g}"))
     rows = _rows(residual_rows(report, say), say("gap.left"), say)
     return (section(say("gap.left"), f"<p>{' '.join(words)}</p>", rows),)
 

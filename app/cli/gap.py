@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from softcal.core.gap.identifiability import Identifiability
     from softcal.core.gap.plausibility import DataMistake
     from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis
+    from softcal.core.gap.simulator_terms import SimulatorTerm
+    from softcal.core.twin.empirical_terms import EmpiricalTerm
     from softcal.core.twin.parameters import ReadoutMetadata
     from softcal.core.twin.simulate import Twin
 
@@ -220,6 +222,8 @@ def _show_simulator(diagnosis: "SimulatorDiagnosis") -> None:
         return
     _show_result(diagnosis)
     _show_partial(diagnosis)
+    if diagnosis.residual is not None:
+        _show_residual(diagnosis.residual)
 
 
 def _table_readout(options: argparse.Namespace) -> "ReadoutMetadata | None":
@@ -266,10 +270,8 @@ def _apply(options: argparse.Namespace) -> int:
 def _apply_parameters(options: argparse.Namespace, report: Mapping[str, object], source: str) -> int:
     from softcal.app.gap.simulator import write_parameters
 
-    if options.empirical:
-        raise InputError("--empirical belongs to the twin; a simulator of your own has no such terms")
-    found = write_parameters(options.out, report, source)
-    is_bare = report["verdict"] == "unknown"
+    found = write_parameters(options.out, report, source, options.empirical)
+    is_bare = report["verdict"] == "unknown" and not options.empirical
     told = ", ".join(f"{name} = {value:.4g}" for name, value in found.items())
     said = "nothing explains the gap, so they are those of the refitted base alone: " if is_bare else ""
     say(f"parameters of {report['simulator']} written to {options.out}: {said}{told}")
@@ -317,7 +319,7 @@ def _show_partial(diagnosis: "Diagnosis | SimulatorDiagnosis") -> None:
         print(f"partly      {effects}: {diagnosis.partial.share:.0%} of the gap on these runs; the rest has no name")
 
 
-def _show_residual(found: "LearnedResidual") -> None:
+def _show_residual(found: "LearnedResidual[EmpiricalTerm] | LearnedResidual[SimulatorTerm]") -> None:
     for one in found.terms:
         print(f"empirical   {one.term.formula}  (standard error {one.standard_error:.1g} {one.term.unit})")
     shrink, beside = found.shrink, " + ".join(found.beside)

@@ -6,17 +6,19 @@ import sys
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from softcal.app.files.atomic import write_text
 from softcal.app.files.case_folder import METADATA, RECORDING
 from softcal.app.files.recording_file import column, read_table
+from softcal.app.gap.diagnose import NO_TERMS
 from softcal.app.texts.catalogue import text
 from softcal.core.errors import InputError
 from softcal.core.gap.identifiability import Identifiability
 from softcal.core.gap.plausibility import DataMistake
 from softcal.core.gap.simulator import Simulator, SimulatorRun, recorded
 from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis, check_simulator, diagnose_simulator
+from softcal.core.gap.simulator_terms import term_of, with_terms
 
 if TYPE_CHECKING:
     from softcal.app.charts.gap import RunView
@@ -152,12 +154,15 @@ def simulator_views(diagnosis: SimulatorDiagnosis) -> list["RunView"]:
     return views
 
 
-def write_parameters(path: Path, content: Mapping[str, object], source: str) -> dict[str, float]:
+def write_parameters(
+    path: Path, content: Mapping[str, object], source: str, empirical: bool = False
+) -> dict[str, float]:
     """Write the parameters that a report of a simulator holds, as its `run` takes them.
 
     Args:
         content: a report of schema `softcal.gap/1`.
         source: where it is from, for messages.
+        empirical: with the empirical terms that describe what no cause explains, and the parameters beside them.
 
     Raises:
         InputError: the recordings hold a mistake, or there are no parameters.
@@ -166,9 +171,18 @@ def write_parameters(path: Path, content: Mapping[str, object], source: str) -> 
         raise InputError(f"{source}: the recordings hold a mistake, so there are no parameters; repair it first")
     # Where nothing explains the gap what comes nearest is no diagnosis: the refitted base alone goes on.
     found = content.get("base" if content.get("verdict") == "unknown" else "parameters")
+    described = content.get("residual") if empirical else {}
+    if not isinstance(described, Mapping):
+        raise InputError(f"{source}: {NO_TERMS}")
+    found, terms = described.get("parameters", found), described.get("added", [])
     if not isinstance(found, Mapping) or not all(isinstance(v, int | float) for v in found.values()):
         raise InputError(f"{source}: holds no parameters; diagnose the simulator again with --json")
-    record = {"schema": PARAMETERS_SCHEMA, "simulator": content.get("simulator"), "parameters": dict(found)}
+    record = {
+        "schema": PARAMETERS_SCHEMA,
+        "simulator": content.get("simulator"),
+        "parameters": dict(found),
+        "terms": terms,
+    }
     write_text(path, json.dumps(record, indent=2, allow_nan=False) + "\n")
     return {name: float(value) for name, value in found.items()}
 
@@ -179,11 +193,8 @@ def read_parameters(path: str | Path, simulator: Simulator) -> dict[str, float]:
     Raises:
         InputError: the file cannot be read, is of another simulator, or lacks one of its parameters.
     """
-    try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as JSON: {error}") from error
-    found = content.get("parameters") if isinstance(content, dict) else None
+    content = _written(path)
+    found = content.get("parameters")
     if not isinstance(found, dict) or content.get("schema") != PARAMETERS_SCHEMA:
         raise InputError(f"{path}: holds no parameters of a simulator; write it with softcal gap apply")
     named = content.get("simulator")
@@ -194,3 +205,21 @@ def read_parameters(path: str | Path, simulator: Simulator) -> dict[str, float]:
         other = ", ".join(sorted(set(found) ^ set(wanted)))
         raise InputError(f"{path}: {other} stands on one side alone; diagnose simulator {simulator.name} again")
     return {name: float(found[name]) for name in wanted}
+
+
+def with_written_terms(path: str | Path, simulator: Simulator) -> Simulator:
+    """Return a simulator with the empirical terms that `softcal gap apply --empirical` wrote for it; others as it is.
+
+    Raises:
+        InputError: the file cannot be read, or a term is none.
+    """
+    terms = _written(path).get("terms", [])
+    return with_terms(simulator, [term_of(one, str(path)) for one in terms])
+
+
+def _written(path: str | Path) -> dict[str, Any]:
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read as JSON: {error}") from error
+    return content if isinstance(content, dict) else {}

@@ -12,7 +12,7 @@ from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction, rivals
 from softcal.core.gap.candidates import is_told, visible_effects
 from softcal.core.gap.case import Case
 from softcal.core.gap.coordinates import from_fit
-from softcal.core.gap.empirical import LearnedResidual, learned
+from softcal.core.gap.empirical import LearnedResidual, learned, terms_of_twin
 from softcal.core.gap.explained import explained_twin, form_of, in_catalogue_form, with_constants
 from softcal.core.gap.fit import BASE, Fit, Problem
 from softcal.core.gap.floor import coloured, is_noise
@@ -31,6 +31,7 @@ from softcal.core.gap.strangers import stranger_of
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS, OWN_EFFECTS
 from softcal.core.twin.effects import Alias, Parameter
+from softcal.core.twin.empirical_terms import EmpiricalTerm
 from softcal.core.twin.mechanics import elastic_force_at
 from softcal.core.twin.record import twin_record
 from softcal.core.twin.simulate import Twin
@@ -154,7 +155,7 @@ class Diagnosis:
     explained_share: float
     mistakes: tuple[DataMistake, ...] = ()
     partial: Partial | None = None
-    residual: LearnedResidual | None = None
+    residual: LearnedResidual[EmpiricalTerm] | None = None
     told: Identifiability | None = None
 
     def elastic_force_N(self, run: int) -> Array:
@@ -250,27 +251,8 @@ class Diagnosis:
         if found is None or twin is None:
             return None
         first = found.terms[0].term
-        return {
-            "kind": "empirical",
-            "formula": [one.term.formula for one in found.terms],
-            "terms": [
-                {
-                    "place": one.term.place,
-                    "variable": one.term.variable,
-                    "coefficient": one.term.coefficient,
-                    "standard_error": one.standard_error,
-                    "unit": one.term.unit,
-                    "chosen": one.chosen,
-                }
-                for one in found.terms
-            ],
-            "load_N": first.load_N,
-            "depth_mm": first.depth_mm,
-            "beside": list(found.beside),
-            "shrink": vars(found.shrink),
-            "without": found.without,
-            "twin": twin_record(twin),
-        }
+        of_twin = {"load_N": first.load_N, "depth_mm": first.depth_mm, "twin": twin_record(twin)}
+        return found.record() | of_twin
 
 
 def diagnose(
@@ -347,7 +329,7 @@ def diagnose(
         explained_share=share if partial is None else partial.share,
         mistakes=doubts(case),
         partial=partial,
-        residual=learned(search.base, beside.get(verdict, ())),
+        residual=learned(search.base, beside.get(verdict, ()), terms_of_twin),
         told=runs_tell,
     )
 

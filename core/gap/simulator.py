@@ -29,6 +29,7 @@ from softcal.core.gap.fit import Block, Fit, Hypothesis, Problem
 from softcal.core.gap.library import columns_of
 from softcal.core.gap.offsets import Directions, Sizes
 from softcal.core.gap.scale import RigScale
+from softcal.core.gap.simulator_terms import TermStep
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs
 from softcal.core.twin.parameters import ReadoutMetadata
@@ -121,6 +122,8 @@ class Simulator:
         for effect in self.candidates:
             out |= {f"{effect.id}.{p.name}": v for p, v in zip(effect.parameters, effect.neutral_values, strict=True)}
         for effect, row in zip(hypothesis.effects, values, strict=True):
+            if isinstance(effect.step, TermStep):
+                continue
             out |= {f"{effect.id}.{p.name}": value for p, value in zip(effect.parameters, row, strict=True)}
         return out
 
@@ -372,7 +375,21 @@ class SimulatorProblem(Problem):
         key = tuple(parameters.items())
         if self._last.get("key") != key:
             self._last.update(key=key, out=self._run_all(parameters))
-        return np.asarray(self._last["out"])
+        return self._with_terms(hypothesis, coordinates, np.asarray(self._last["out"]))
+
+    def _with_terms(self, hypothesis: Hypothesis, coordinates: Array, raw: Array) -> Array:
+        """Return what the simulator says, (samples,), with the empirical terms of a hypothesis added."""
+        found = [(e.step.term, e.id) for e in hypothesis.effects if isinstance(e.step, TermStep)]
+        if not found or not np.all(np.isfinite(raw)):
+            return raw
+        out, sizes = raw.copy(), {i: coordinates[hypothesis.place_of(i)] for _, i in found}
+        for run in range(len(self.case.runs)):
+            places = {b.channel: b.place for b in self.blocks if b.run == run}
+            columns = {name: self.recorded(run, name) for name in self.of.inputs}
+            columns |= {channel: raw[place] for channel, place in places.items()}
+            for term, i in found:
+                out[places[term.place]] += sizes[i] * term.values(self.case.runs[run].t_s, columns)
+        return out
 
     @cached_property
     def _last(self) -> dict[str, object]:

@@ -4,7 +4,7 @@ Hypotheses, evidence, rivals, hidden fractions and held-out shrink are those of 
 predicts the channels is another.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -33,6 +33,7 @@ from softcal.core.gap.diagnosis import (
     shares_of,
     under_its_floor,
 )
+from softcal.core.gap.empirical import LearnedResidual, learned
 from softcal.core.gap.fit import Block, Fit, Hypothesis, Problem, fit
 from softcal.core.gap.floor import coloured, is_noise
 from softcal.core.gap.identifiability import Identifiability, identifiability, sentences
@@ -56,6 +57,7 @@ from softcal.core.gap.simulator import (
     planned,
 )
 from softcal.core.gap.simulator_plausibility import against_others, cut_off, shown
+from softcal.core.gap.simulator_terms import SimulatorTerm, terms_of
 from softcal.core.gap.start import best_start, likeliest, noise_levels, scattered
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
@@ -109,6 +111,7 @@ class SimulatorDiagnosis:
     explained_share: float
     told: Identifiability
     mistakes: tuple[DataMistake, ...] = ()
+    residual: LearnedResidual[SimulatorTerm] | None = None
 
     def report(self) -> dict[str, object]:
         """Return the report of schema `softcal.gap/1`; `parameters` are those of the simulator that explains most."""
@@ -130,10 +133,20 @@ class SimulatorDiagnosis:
             "explained_share": self.explained_share,
             "partial": None if self.partial is None else vars(self.partial) | {"effects": list(self.partial.effects)},
             "identifiability": self.told.record(),
+            "residual": self._residual_record(),
             "failed": self.failures.record(),
             "offsets": self.offsets,
             "parameters": self.simulator.named(self.best.hypothesis, self.best.coordinates),
             "base": self.simulator.named(self.base.hypothesis, self.base.coordinates),
+        }
+
+    def _residual_record(self) -> dict[str, object] | None:
+        if self.residual is None:
+            return None
+        found = self.residual.fit
+        return self.residual.record() | {
+            "added": [one.term.record() for one in self.residual.terms],
+            "parameters": self.simulator.named(found.hypothesis, found.coordinates),
         }
 
     @property
@@ -224,7 +237,21 @@ def diagnose_simulator(
         explained_share=share,
         told=told,
         mistakes=cut_off(simulator, case),
+        residual=_described(search.base, best, verdict, say),
     )
+
+
+def _described(base: Fit, best: Fit, verdict: DiagnosisVerdict, say: Progress) -> LearnedResidual[SimulatorTerm] | None:
+    """Return the empirical terms that describe what the named causes leave; none where nothing is left."""
+    if verdict == "no_gap":
+        return None
+    say("describing what is left")
+
+    def known(found: Fit) -> Iterable[SimulatorTerm]:
+        problem = found.problem
+        return terms_of(problem, found.predicted) if isinstance(problem, SimulatorProblem) else ()
+
+    return learned(base, (base, best) if verdict == "unknown" else (best,), known)
 
 
 def check_simulator(

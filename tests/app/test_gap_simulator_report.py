@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from softcal.app.cli.main import main
-from softcal.app.gap.simulator import load_simulator, read_parameters
+from softcal.app.gap.simulator import load_simulator, read_parameters, with_written_terms
 from softcal.core.errors import InputError
 
 MODULE = """
@@ -79,6 +79,27 @@ def test_apply_writes_parameters_that_the_simulator_reads_back(rig: str) -> None
     predicted = simulator({"t_s": measured[:, 0], "load_N": measured[:, 1]}, found)["place_mm"]
     # What a run may have of its own is no parameter.
     assert np.std(measured[:, 2] - predicted) == pytest.approx(0.01, rel=0.1)
+
+
+def test_empirical_terms_are_written_beside_parameters_and_read_back(rig: str) -> None:
+    module = Path(rig.replace(":SIMULATOR", ".py"))
+    # Without its cause the simulator is left with what a term can describe.
+    module.write_text(
+        MODULE.replace('p["stiffens.a"] * load**3', "0.0").replace('candidate("stiffens"', 'candidate("other"')
+    )
+    assert main(["gap", "diagnose", "rig", "--simulator", rig, "--json", "r.json", "--page", "p.html"]) == 0
+    report = json.loads(Path("r.json").read_text())
+    assert report["verdict"] == "unknown" and report["residual"]["shrink"]["held_out"] > 0.9
+    assert all(one["variable"] in Path("p.html").read_text() for one in report["residual"]["terms"])
+    assert main(["gap", "apply", "--report", "r.json", "--out", "bare.json"]) == 0
+    assert main(["gap", "apply", "--report", "r.json", "--empirical", "--out", "terms.json"]) == 0
+    measured = np.loadtxt("rig/runs/2/recording.csv", delimiter=",", skiprows=1)
+    left = {}
+    for name in ("bare", "terms"):
+        simulator = with_written_terms(f"{name}.json", load_simulator(rig))
+        inputs = {"t_s": measured[:, 0], "load_N": measured[:, 1]}
+        left[name] = np.std(measured[:, 2] - simulator(inputs, read_parameters(f"{name}.json", simulator))["place_mm"])
+    assert left["terms"] == pytest.approx(0.01, rel=0.1) and left["bare"] > 3 * left["terms"]
 
 
 @pytest.mark.parametrize(
