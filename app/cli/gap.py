@@ -11,8 +11,9 @@ from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
-    from softcal.core.gap.diagnosis import Diagnosis, RankedCause
+    from softcal.core.gap.diagnosis import Diagnosis
     from softcal.core.gap.empirical import LearnedResidual
+    from softcal.core.gap.findings import RankedCause
     from softcal.core.gap.identifiability import Identifiability
     from softcal.core.gap.plausibility import DataMistake
     from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis
