@@ -37,6 +37,9 @@ from softcal.core.twin.probes import Extent
 
 Columns: TypeAlias = Mapping[str, Array]
 Simulate: TypeAlias = Callable[[Columns, Mapping[str, float]], Columns]
+KNOWN = 200
+"""Answers of a simulator that are kept."""
+
 OFFSETS = ("zero", "gain", "delay", "drift")
 """What a run may have of its own in a channel."""
 
@@ -269,6 +272,8 @@ class SimulatorProblem(Problem):
 
     simulator: Simulator | None = None
     failures: Failures = field(default_factory=Failures)
+    known: dict[tuple[tuple[str, float], ...], Array] = field(default_factory=dict)
+    """What the simulator said lately, by its parameters, whatever noise or samples a problem has."""
     of_base: tuple[bool, ...] = ()
     """Of every offset, whether the base has what all runs share of it; nothing of it is known where empty."""
 
@@ -324,7 +329,7 @@ class SimulatorProblem(Problem):
 
     def of_run(self, run: Run) -> Problem:
         case = Case(self.case.serial, (run,), is_planned=True)
-        return replace(self, case=case, use=None, failures=Failures())
+        return replace(self, case=case, use=None, failures=Failures(), known={})
 
     @cached_property
     def largest_offsets(self) -> Array:
@@ -373,9 +378,12 @@ class SimulatorProblem(Problem):
         """Return what the simulator says, (samples,), NaN everywhere where it fails in a run."""
         parameters = self.of.named(hypothesis, coordinates)
         key = tuple(parameters.items())
-        if self._last.get("key") != key:
-            self._last.update(key=key, out=self._run_all(parameters))
-        return self._with_terms(hypothesis, coordinates, np.asarray(self._last["out"]))
+        if key not in self.known:
+            self.known[key] = self._run_all(parameters)
+            # The oldest goes: every part that is held back begins where the others did.
+            if len(self.known) > KNOWN:
+                del self.known[next(iter(self.known))]
+        return self._with_terms(hypothesis, coordinates, self.known[key])
 
     def _with_terms(self, hypothesis: Hypothesis, coordinates: Array, raw: Array) -> Array:
         """Return what the simulator says, (samples,), with the empirical terms of a hypothesis added."""
@@ -390,10 +398,6 @@ class SimulatorProblem(Problem):
             for term, i in found:
                 out[places[term.place]] += sizes[i] * term.values(self.case.runs[run].t_s, columns)
         return out
-
-    @cached_property
-    def _last(self) -> dict[str, object]:
-        return {}
 
     def _run_all(self, parameters: Mapping[str, float]) -> Array:
         out = np.empty(len(self.measured))

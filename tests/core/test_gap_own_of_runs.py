@@ -1,7 +1,7 @@
 """What a run may have of its own, and a cause of the same direction: it is not named. Simulators are drawn."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -132,6 +132,18 @@ def test_an_offset_by_another_equation_is_not_named_as_a_cause(seed: int, hidden
     assert not named(found) & set(ALIASES)
     assert not any(found.told[alias].is_told for alias in ALIASES)
     assert found.verdict == "unknown" or named(found) >= {hidden} - {"none", *ALIASES}
+
+
+@pytest.mark.parametrize(
+    "seed", [10, pytest.param(12, marks=pytest.mark.long), pytest.param(13, marks=pytest.mark.long)]
+)
+def test_a_candidate_that_merely_resembles_the_cause_is_not_named(seed: int) -> None:
+    """A dead band bends as a cube does; what it leaves is no structure in one condition, yet more than noise."""
+    plant = Plant(seed)
+    kept = tuple(c for c in CANDIDATES if c.id != "cubic")
+    blind = replace(plant.simulator, candidates=kept, run=lambda i, p: plant.run(i, {"cubic.a": 0.0, **p}))
+    found = diagnose_simulator(blind, plant.recorded(0.004, False, CAUSES["cubic"]))
+    assert (found.verdict, named(found)) == ("unknown", set())
 
 
 @pytest.mark.long
