@@ -18,10 +18,40 @@ CHANNELS = {"output_V": "output", "force_N": "force"}
 """Columns that are drawn, with the name a report has for them."""
 
 CHANNEL_UNITS = {"output_V": "mV", "force_N": "mN"}
+
+
+def reported(column: str) -> str:
+    """Return the name a report has for a column; a simulator's channels are called as their columns."""
+    return CHANNELS.get(column, column)
+
+
+def unit_of(column: str) -> tuple[float, str]:
+    """Return by what values of a column are multiplied where they are shown, and their unit then."""
+    column = next((c for c, name in CHANNELS.items() if name == column), column)
+    if column in CHANNEL_UNITS:
+        return 1e3, CHANNEL_UNITS[column]
+    return 1.0, column.rpartition("_")[2] if "_" in column else ""
+
+
+def channels_of(runs: "Sequence[RunView]") -> list[str]:
+    """Return the columns that runs show, those of the twin in their order first."""
+    every = dict.fromkeys(name for run in runs for name in run.channels)
+    return [*(name for name in CHANNELS if name in every), *(name for name in every if name not in CHANNELS)]
+
+
+def span_of(runs: "Sequence[RunView]", column: str) -> float:
+    """Return the range of a channel over all runs, in its unit."""
+    parts = [run.channels[column].measured for run in runs if column in run.channels]
+    return max(float(np.max(part)) for part in parts) - min(float(np.min(part)) for part in parts)
+
+
 DIRECTIONS = tuple(Reason(f"gap.regime.{name}") for name in ("loading", "hold", "unloading"))
 BANDS = 6
 SHOWN_POINTS = 1500
 """Most points of a trace that are drawn; more are thinned by keeping the largest of each stretch."""
+
+COMPARED_POINTS = 500
+""" ... and of each of three that lie on one another."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +132,7 @@ def residual_map(runs: Sequence[RunView], channel: str, is_after: bool) -> tuple
 
 def map_figure(runs: Sequence[RunView], channel: str, say: Words) -> go.Figure | None:
     """Draw the residual of one channel by force band and direction, before and after; None without the channel."""
-    if not any(channel in run.channels for run in runs):
+    if channel not in CHANNELS or not any(channel in run.channels for run in runs):
         return None
     before, edges = residual_map(runs, channel, is_after=False)
     after, _ = residual_map(runs, channel, is_after=True)
@@ -150,13 +180,13 @@ def ranking_figure(report: Mapping[str, Any], shown: int, say: Words, colours: P
 
 def gain_figure(report: Mapping[str, Any], say: Words, colours: Palette = LIGHT) -> go.Figure:
     """Draw the residual of each channel before and after, with its noise floor."""
-    channels = [name for name in ("output", "force") if _has_gap(report["gap"].get(name))]
+    channels = [name for name in _in_order(report["gap"]) if _has_gap(report["gap"].get(name))]
     # One above the other, with level bars: side by side, or below upright ones, names meet on half of a narrow page.
     titles = [say("gap.figure.residual", channel=channel_name(name, say)) for name in channels]
     figure = make_subplots(rows=max(1, len(channels)), subplot_titles=titles, vertical_spacing=0.24)
     for row, name in enumerate(channels, start=1):
-        gap, unit = report["gap"][name], "mV" if name == "output" else "mN"
-        values = [1e3 * gap[key] for key in ("rmse_before", "rmse_after", "noise_floor")]
+        gap, (times, unit) = report["gap"][name], unit_of(name)
+        values = [times * gap[key] for key in ("rmse_before", "rmse_after", "noise_floor")]
         bars = go.Bar(
             x=values,
             y=[say(f"gap.figure.{of}") for of in ("base", "causes", "floor")],
@@ -170,6 +200,12 @@ def gain_figure(report: Mapping[str, Any], say: Words, colours: Palette = LIGHT)
         figure.update_xaxes(title=unit, title_standoff=4, range=[0.0, 1.3 * max(values)], row=row, col=1)
         figure.update_yaxes(autorange="reversed", automargin=True, row=row, col=1)
     return _styled(figure, 90 + 190 * max(1, len(channels)), showlegend=False)
+
+
+def _in_order(gap: Mapping[str, Any]) -> list[str]:
+    """Return the channels of a report, output and force first: JSON keeps no order."""
+    first = [name for name in CHANNELS.values() if name in gap]
+    return [*first, *(name for name in gap if name not in first)]
 
 
 def _has_gap(gap: Mapping[str, Any] | None) -> bool:
@@ -201,9 +237,8 @@ def trace_figure(runs: Sequence[RunView], channel: str, say: Words, colours: Pal
     shown = [run for run in runs if channel in run.channels]
     if not shown:
         return None
-    unit = CHANNEL_UNITS[channel]
-    titles = [f"{run.name}: {pressed_name(run.profile, say)}" for run in shown]
-    figure = make_subplots(rows=len(shown), subplot_titles=titles, vertical_spacing=min(0.1, 0.3 / len(shown)))
+    times, unit = unit_of(channel)
+    figure = _by_run(shown, say)
     for row, run in enumerate(shown, start=1):
         view = run.channels[channel]
         for of, predicted, colour in (("base", view.base, colours.source), ("causes", view.explained, colours.mapped)):
@@ -211,7 +246,7 @@ def trace_figure(runs: Sequence[RunView], channel: str, say: Words, colours: Pal
             at = _thinned(view.measured - predicted)
             line = go.Scattergl(
                 x=run.t_s[at],
-                y=1e3 * (view.measured - predicted)[at],
+                y=times * (view.measured - predicted)[at],
                 name=name,
                 legendgroup=name,
                 showlegend=row == 1,
@@ -219,6 +254,45 @@ def trace_figure(runs: Sequence[RunView], channel: str, say: Words, colours: Pal
             )
             figure.add_trace(line, row=row, col=1)
         figure.update_yaxes(title=unit, row=row, col=1)
+    return _below(figure, shown, say)
+
+
+def compared_figure(runs: Sequence[RunView], channel: str, say: Words, colours: Palette = LIGHT) -> go.Figure | None:
+    """Draw what was measured and what is predicted before and after, one row per run; None without the channel."""
+    shown = [run for run in runs if channel in run.channels]
+    if not shown:
+        return None
+    times, unit = unit_of(channel)
+    figure = _by_run(shown, say)
+    for row, run in enumerate(shown, start=1):
+        view = run.channels[channel]
+        lines = (
+            ("measured", view.measured, colours.raw),
+            ("base", view.base, colours.source),
+            ("causes", view.explained, colours.mapped),
+        )
+        # The same instants for all three: those at which the base is farthest off.
+        at = _thinned(view.measured - view.base, COMPARED_POINTS)
+        for of, values, colour in lines:
+            line = go.Scattergl(
+                x=run.t_s[at],
+                y=times * values[at],
+                name=say(f"gap.figure.{of}"),
+                legendgroup=of,
+                showlegend=row == 1,
+                line={"color": colour, "width": 1},
+            )
+            figure.add_trace(line, row=row, col=1)
+        figure.update_yaxes(title=unit, row=row, col=1)
+    return _below(figure, shown, say)
+
+
+def _by_run(shown: Sequence[RunView], say: Words) -> go.Figure:
+    titles = [f"{run.name}: {pressed_name(run.profile, say)}" if run.profile else run.name for run in shown]
+    return make_subplots(rows=len(shown), subplot_titles=titles, vertical_spacing=min(0.1, 0.3 / len(shown)))
+
+
+def _below(figure: go.Figure, shown: Sequence[RunView], say: Words) -> go.Figure:
     # The legend stands below: far from its axis, as the desk would draw it, the title would lie on it.
     figure.update_xaxes(title=say("gap.figure.time"), title_standoff=8, row=len(shown), col=1)
     place = {"x": 1.0, "xanchor": "right", "y": -0.35 / len(shown), "yanchor": "top", "yref": "paper"}
@@ -226,10 +300,10 @@ def trace_figure(runs: Sequence[RunView], channel: str, say: Words, colours: Pal
     return _styled(figure, 110 + 150 * len(shown), legend=legend)
 
 
-def _thinned(values: Array) -> Indices:
-    """Return indices that keep the largest absolute value of each of at most SHOWN_POINTS stretches."""
-    if len(values) <= SHOWN_POINTS:
+def _thinned(values: Array, most: int = SHOWN_POINTS) -> Indices:
+    """Return indices that keep the largest absolute value of each of at most so many stretches."""
+    if len(values) <= most:
         return np.arange(len(values))
-    starts = np.linspace(0, len(values), SHOWN_POINTS + 1).astype(int)
+    starts = np.linspace(0, len(values), most + 1).astype(int)
     picks = [a + int(np.argmax(np.abs(values[a:b]))) for a, b in zip(starts[:-1], starts[1:], strict=True) if b > a]
     return np.array(picks)

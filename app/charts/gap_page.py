@@ -5,16 +5,23 @@ from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
 
+import plotly.graph_objects as go
+
+from softcal.app.charts.drawing import drawing
 from softcal.app.charts.gap import (
-    CHANNELS,
     RunView,
+    channels_of,
+    compared_figure,
     gain_figure,
     hidden_figure,
     map_figure,
     ranking_figure,
+    reported,
+    span_of,
     trace_figure,
+    unit_of,
 )
-from softcal.app.charts.page import document, figures, section, table
+from softcal.app.charts.page import document, section, table
 from softcal.app.texts.reasons import Words
 from softcal.app.views.gap import (
     LIKELY,
@@ -30,11 +37,14 @@ from softcal.app.views.gap import (
     pressed_name,
     residual_rows,
     stage_name,
+    untold_lines,
     why_next,
+    words_for,
 )
 
 CHAIN = ("motion", "mechanics", "transduction", "electronics", "acquisition")
 SHOWN_CAUSES = 10
+OWN_KINDS = {"zero", "gain", "delay", "drift"}
 BOLD = re.compile(r"\*\*(.+?)\*\*")
 """How the texts mark what stands out: the desk reads the same ones as Markdown."""
 
@@ -49,6 +59,7 @@ h1.ambiguous { border-color: #b06f00; } h1.unknown { border-color: #b3261e; }
 .chain { width: 100%; height: auto; font-size: 14px; }
 .bar { position: relative; background: #eef1f4; border-radius: 4px; min-width: 110px; height: 22px; }
 .bar i { position: absolute; inset: 0 auto 0 0; background: #eab69f; border-radius: 4px; }
+.drawing { width: 100%; height: auto; }
 .bar span { position: relative; padding-left: 6px; }
 """
 
@@ -62,26 +73,57 @@ def gap_page(report: Mapping[str, Any], runs: Sequence[RunView], serial: str, sa
         serial: unit of the case.
         say: the texts of one language.
     """
+    say = words_for(report, say)
     parts = [_headline(report, serial, say)]
     if report["verdict"] == "data":
         mistakes = _rows(mistake_rows(report, say), say("gap.data"), say)
         parts += [section(say("gap.data"), mistakes), section(say("gap.runs.plain"), *_traces(runs, say))]
     else:
         places = _rows(place_rows(report, say), say("gap.where.none"), say)
-        ranking = figures(ranking_figure(report, SHOWN_CAUSES, say))
+        ranking = drawings(ranking_figure(report, SHOWN_CAUSES, say))
         causes = _rows(cause_rows(report, say)[:SHOWN_CAUSES], no_cause_words(report, say), say)
-        maps = figures(*(map_figure(runs, channel, say) for channel in CHANNELS))
+        gain = gain_figure(report, say)
+        maps = drawings(*(map_figure(runs, channel, say) for channel in channels_of(runs)))
         parts += [
             *_asked(report, say),
-            section(say("gap.where"), chain_svg(report, say), places, maps),
+            section(say("gap.where"), "" if report.get("simulator") else chain_svg(report, say), places, maps),
             section(say("gap.why"), ranking, causes, _ambiguity(report, say)),
-            section(say("gap.gain"), _gain_words(report, say), figures(gain_figure(report, say))),
-            section(say("gap.sure"), _hidden_words(report, say), figures(hidden_figure(report, say))),
+            section(say("gap.gain"), _gain_words(report, say), _gain_rows(report, runs, say), drawings(gain)),
+            *_untold(report, say),
+            section(say("gap.sure"), _hidden_words(report, say), drawings(hidden_figure(report, say))),
             *_left(report, say),
             section(say("gap.next"), _next(report["next_experiment"], say)),
             section(say("gap.runs"), *_traces(runs, say)),
         ]
-    return document(say("gap.page.title", serial=serial), parts, STYLE, say("gap.page.lang"))
+    return document(say("gap.page.title", serial=serial), parts, STYLE, say("gap.page.lang"), has_plots=False)
+
+
+def drawings(*drawn: go.Figure | None) -> str:
+    """Return figures one below the other, of which those that could not be drawn are left out."""
+    return "".join(drawing(figure) for figure in drawn if figure is not None)
+
+
+def _gain_rows(report: Mapping[str, Any], runs: Sequence[RunView], say: Words) -> str:
+    """Return the gap of every channel in its unit and as a share of its range."""
+    rows = []
+    for column in channels_of(runs):
+        gap, (times, unit) = report["gap"].get(reported(column)), unit_of(column)
+        if not gap or gap["rmse_before"] is None:
+            continue
+        span = max(span_of(runs, column), 1e-300)
+        row = {"channel": channel_name(reported(column), say)}
+        for name, key in (("base", "rmse_before"), ("causes", "rmse_after"), ("floor", "noise_floor")):
+            row[name] = f"{times * gap[key]:.3g} {unit} ({100 * gap[key] / span:.2g} %)"
+        rows.append(row)
+    return _rows(rows, "", say)
+
+
+def _untold(report: Mapping[str, Any], say: Words) -> Iterable[str]:
+    """Show what these runs cannot tell, and which run would."""
+    found = untold_lines(report, say)
+    if not found:
+        return ()
+    return (section(say("gap.told"), f"<ul>{''.join(f'<li>{escape(begun(line))}</li>' for line in found)}</ul>"),)
 
 
 def _left(report: Mapping[str, Any], say: Words) -> Iterable[str]:
@@ -95,7 +137,8 @@ def _left(report: Mapping[str, Any], say: Words) -> Iterable[str]:
     if found["beside"]:
         causes = _effects(found["beside"], say)
         words.append(_told(say, "gap.left.beside", causes=causes, without=_percent(found["without"])))
-    words.append(_told(say, "gap.left.span", load_N=f"{found['load_N']:.3g}", depth_mm=f"{found['depth_mm']:.3g}"))
+    if "load_N" in found:
+        words.append(_told(say, "gap.left.span", load_N=f"{found['load_N']:.3g}", depth_mm=f"{found['depth_mm']:.3g}"))
     rows = _rows(residual_rows(report, say), say("gap.left"), say)
     return (section(say("gap.left"), f"<p>{' '.join(words)}</p>", rows),)
 
@@ -131,11 +174,13 @@ def _effects(effects: Sequence[str], say: Words, key: str = "gap.and") -> str:
 
 
 def _traces(runs: Sequence[RunView], say: Words) -> Iterable[str]:
-    for column, channel in CHANNELS.items():
-        figure = trace_figure(runs, column, say)
-        if figure is not None:
-            title = _told(say, "gap.figure.trace", channel=channel_name(channel, say))
-            yield f"<h3>{begun(title)}</h3>{figures(figure)}"
+    for column in channels_of(runs):
+        for key, figure in (
+            ("gap.figure.compared", compared_figure(runs, column, say)),
+            ("gap.figure.trace", trace_figure(runs, column, say)),
+        ):
+            title = _told(say, key, channel=channel_name(reported(column), say))
+            yield f"<h3>{begun(title)}</h3>{drawings(figure)}"
 
 
 def _headline(report: Mapping[str, Any], serial: str, say: Words) -> str:
@@ -166,6 +211,8 @@ def _partly(report: Mapping[str, Any], say: Words) -> str:
 
 def _offsets(report: Mapping[str, Any], say: Words) -> str:
     """Say what was taken off every run before anything was compared, at most in size."""
+    if report.get("simulator"):
+        return _own_offsets(report, say)
     most = {
         name: max((abs(one[name]) for one in report.get("offsets", ())), default=0.0)
         for name in ("force_N", "resistance", "seat_mm")
@@ -180,25 +227,34 @@ def _offsets(report: Mapping[str, Any], say: Words) -> str:
     return _note(_told(say, "gap.offsets", **sizes))
 
 
+def _own_offsets(report: Mapping[str, Any], say: Words) -> str:
+    """Say the same of the channels of a simulator."""
+    most: dict[tuple[str, str], float] = {}
+    for one in report.get("offsets", ()):
+        for kind in OWN_KINDS & one.keys():
+            key = (one["channel"], kind)
+            most[key] = max(most.get(key, 0.0), abs(one[kind]))
+    told = [f"{channel_name(c, say)}: {say(f'gap.own.{kind}')} {size:.3g}" for (c, kind), size in sorted(most.items())]
+    return _note(_told(say, "gap.own", offsets="; ".join(told))) if told else ""
+
+
 def _noise(report: Mapping[str, Any], say: Words) -> str:
     """Say which channels have noise that is not white, and that the floor holds it."""
-    units = {"output": (1e3, "mV"), "force": (1e3, "mN")}
     told = [
         say(
             "gap.noise.one",
             channel=channel_name(channel, say),
-            size=f"{units[channel][0] * found['fading']:.1f}",
-            unit=units[channel][1],
+            size=f"{unit_of(channel)[0] * found['fading']:.3g}",
+            unit=unit_of(channel)[1],
             fading=f"{found['fading_s']:.2g}",
         )
         for channel, found in report.get("noise", {}).items()
-        if channel in units
     ]
     return _note(_told(say, "gap.noise", channels="; ".join(told))) if told else ""
 
 
 def _missing(report: Mapping[str, Any], say: Words) -> str:
-    if not report["missing_channels"]:
+    if not report.get("missing_channels"):
         return ""
     words = [_told(say, "gap.page.missing", channels=", ".join(report["missing_channels"]))]
     if stages := ", ".join(stage_name(stage, say) for stage in report.get("unseen_stages", ())):

@@ -1,4 +1,4 @@
-"""A page to take along: a standalone HTML file with the plotting library inside; nothing is loaded from elsewhere."""
+"""A page to take along: a standalone HTML file; nothing is loaded from elsewhere."""
 
 from collections.abc import Iterable, Sequence
 from html import escape
@@ -28,17 +28,16 @@ th {{ color: #55606c; font-weight: 600; }}
 """
 
 
-def document(title: str, parts: Iterable[str], style: str = "", language: str = "") -> str:
+def document(title: str, parts: Iterable[str], style: str = "", language: str = "", has_plots: bool = True) -> str:
     """Return a page from its parts, which are HTML.
 
     Args:
         style: of this page alone.
         language: of the page; "" says nothing of it.
+        has_plots: whether `figures` are on it; drawings need no library.
     """
-    body = "\n".join(parts)
-    return DOCUMENT.format(
-        fonts=FONTS, title=escape(title), body=body, style=style, language=language, script=get_plotlyjs()
-    )
+    body, script = "\n".join(parts), get_plotlyjs() if has_plots else ""
+    return DOCUMENT.format(fonts=FONTS, title=escape(title), body=body, style=style, language=language, script=script)
 
 
 def section(title: str, *parts: str) -> str:

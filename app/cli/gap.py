@@ -1,6 +1,7 @@
 """`softcal gap`: diagnose the gap between the twin and a rig, apply what was found, and check both blindly."""
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,9 +11,14 @@ from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
-    from softcal.core.gap.diagnosis import Diagnosis, RankedCause
+    from softcal.core.gap.diagnosis import Diagnosis
     from softcal.core.gap.empirical import LearnedResidual
+    from softcal.core.gap.findings import RankedCause
+    from softcal.core.gap.identifiability import Identifiability
+    from softcal.core.gap.plausibility import DataMistake
     from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis
+    from softcal.core.gap.simulator_terms import SimulatorTerm
+    from softcal.core.twin.empirical_terms import EmpiricalTerm
     from softcal.core.twin.parameters import ReadoutMetadata
     from softcal.core.twin.simulate import Twin
 
@@ -33,10 +39,15 @@ columns of recording.csv: t_s, stage_mm, force_N, output_V, temperature_C (what 
 keys of recording.json:   vref_V, adc_bits, r_series_ohm, sample_rate_Hz, serial, profile, kind, sensor_type, dummy_ohm
 kind: press (default), rest, rigid_block, dummy_resistor, dead_weights
 """
+_CHECK_EXAMPLES = """examples:
+  softcal gap check rig-7
+  softcal gap check swing --simulator my_rig:SIMULATOR --json -
+"""
 _APPLY_EXAMPLES = """examples:
   softcal gap apply rig-7 --out rig-7.twin.json
   softcal gap apply --report rig-7.gap.json --out rig-7.twin.json    without diagnosing again
   softcal gap apply --report rig-7.gap.json --empirical --out rig-7.twin.json    with the terms that describe the rest
+  softcal gap apply --report swing.gap.json --out swing.json    parameters of a simulator of your own
   softcal station unit --simulated --twin rig-7.twin.json --serial A1 --out A1.csv
   softcal demo --twin rig-7.twin.json
 """
@@ -54,6 +65,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     )
     inner = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     _add_diagnose(inner)
+    _add_check(inner)
     _add_apply(inner)
     gap_lot.add_parser(inner)
     gap_effects.add_parser(inner)
@@ -70,6 +82,27 @@ def _add_diagnose(commands: "argparse._SubParsersAction[argparse.ArgumentParser]
         epilog=_DIAGNOSE_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    _add_case(parser)
+    add_json(parser)
+    parser.add_argument("--page", type=Path, metavar="FILE", help="write a page of figures (standalone HTML)")
+    parser.set_defaults(run=_diagnose)
+
+
+def _add_check(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = commands.add_parser(
+        "check",
+        help="say what the runs of a case can tell, before anything is diagnosed",
+        description="Look for mistakes in the recordings, fit the base, and say which of its parameters and which "
+        "causes these runs can tell, which they cannot, and which run would. Nothing is diagnosed.",
+        epilog=_CHECK_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    _add_case(parser)
+    add_json(parser)
+    parser.set_defaults(run=_check)
+
+
+def _add_case(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("case", type=Path, metavar="CASE", help=f"{_CASE_HELP}; or a plain table")
     table = parser.add_argument_group("electronics of a plain table (a case states its own)")
     table.add_argument("--vref-V", type=float, dest="vref_V", metavar="V", help="supply of divider and ADC")
@@ -81,11 +114,8 @@ def _add_diagnose(commands: "argparse._SubParsersAction[argparse.ArgumentParser]
     parser.add_argument(
         "--simulator",
         metavar="MODULE:NAME",
-        help="diagnose this simulator instead of the twin; columns are its inputs and channels",
+        help="a simulator of your own instead of the twin; columns are its inputs and channels",
     )
-    add_json(parser)
-    parser.add_argument("--page", type=Path, metavar="FILE", help="write a page of figures (standalone HTML)")
-    parser.set_defaults(run=_diagnose)
 
 
 def _add_apply(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -99,7 +129,8 @@ def _add_apply(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     )
     parser.add_argument("case", type=Path, nargs="?", metavar="CASE", help=_CASE_HELP)
     parser.add_argument("--report", type=Path, metavar="FILE", help="take the twin of this report instead of CASE")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="twin as JSON")
+    parser.add_argument("--simulator", metavar="MODULE:NAME", help="write the parameters of this simulator for CASE")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="twin or parameters as JSON")
     parser.add_argument(
         "--empirical",
         action="store_true",
@@ -121,22 +152,79 @@ def _diagnose(options: argparse.Namespace) -> int:
     return 0
 
 
-def _diagnose_simulator(options: argparse.Namespace) -> int:
-    from softcal.app.gap.simulator import diagnose_with, load_simulator
+def _check(options: argparse.Namespace) -> int:
+    from softcal.app.gap.diagnose import check_case
+    from softcal.app.gap.simulator import check_with, load_simulator
 
+    if options.simulator:
+        _refuse_electronics(options)
+        found, told = check_with(options.case, load_simulator(options.simulator))
+    else:
+        found, told = check_case(options.case, _table_readout(options))
+    if options.json:
+        identifiability = None if told is None else told.record()
+        data = [one.record() for one in found]
+        write_json(options.json, {"schema": "softcal.gap.check/1", "data": data, "identifiability": identifiability})
+    if options.json == "-":
+        return 0
+    _show_mistakes(found)
+    if told is None:
+        print("check       repair the recordings and check again; nothing else was judged")
+        return 0
+    for kind, is_base in (("base parameters", True), ("causes", False)):
+        every = [one for one in told.every if one.is_base == is_base]
+        print(f"told        {sum(one.is_told for one in every)} of {len(every)} {kind}")
+    _show_untold(told)
+    return 0
+
+
+def _show_untold(told: "Identifiability") -> None:
+    from softcal.core.gap.identifiability import sentences
+
+    for line in sentences(told):
+        print(f"not told    {line}")
+
+
+def _show_mistakes(found: "tuple[DataMistake, ...]") -> None:
+    for one in found:
+        runs = ", ".join(map(str, one.runs)) or "all"
+        kind = one.what.replace("_", " ")
+        print(f"data        {kind}{f' of {one.channel}' if one.channel else ''}, runs {runs}: {one.evidence}")
+        print(f"repair      {one.repair}")
+
+
+def _refuse_electronics(options: argparse.Namespace) -> None:
     electronics = (options.vref_V, options.adc_bits, options.rate_Hz, options.series_ohm)
-    if options.page or any(value is not None for value in electronics):
-        raise InputError("--simulator knows no electronics and draws no page; leave those options out")
+    if any(value is not None for value in electronics):
+        raise InputError("--simulator knows no electronics; leave those options out")
+
+
+def _diagnose_simulator(options: argparse.Namespace) -> int:
+    from softcal.app.gap.simulator import diagnose_with, load_simulator, write_simulator_page
+
+    _refuse_electronics(options)
     diagnosis = diagnose_with(options.case, load_simulator(options.simulator), say)
     if options.json:
         write_json(options.json, diagnosis.report())
+    if options.page:
+        write_simulator_page(options.page, diagnosis)
     if options.json != "-":
-        _show_result(diagnosis)
-        _show_partial(diagnosis)
+        _show_simulator(diagnosis)
     if diagnosis.failures.count:
         failed = diagnosis.failures
         say(f"{failed.first}; so at {failed.count} of {failed.of} places, which were avoided")
     return 0
+
+
+def _show_simulator(diagnosis: "SimulatorDiagnosis") -> None:
+    _show_mistakes(diagnosis.mistakes)
+    if diagnosis.verdict == "data":
+        print("verdict     data: repair the recordings and diagnose again; nothing else was judged")
+        return
+    _show_result(diagnosis)
+    _show_partial(diagnosis)
+    if diagnosis.residual is not None:
+        _show_residual(diagnosis.residual)
 
 
 def _table_readout(options: argparse.Namespace) -> "ReadoutMetadata | None":
@@ -156,10 +244,19 @@ def _table_readout(options: argparse.Namespace) -> "ReadoutMetadata | None":
 
 
 def _apply(options: argparse.Namespace) -> int:
-    from softcal.app.gap.diagnose import apply_case, apply_report
+    from softcal.app.gap.diagnose import apply_case, apply_report, read_report
+    from softcal.app.gap.simulator import diagnose_with, load_simulator, read_parameters
 
     if (options.case is None) == (options.report is None):
         raise InputError("give either a case to diagnose or --report with the JSON of a diagnosis")
+    if options.report is not None and (report := read_report(options.report)).get("simulator"):
+        return _apply_parameters(options, report, str(options.report))
+    if options.simulator:
+        diagnosed = diagnose_with(options.case, simulator := load_simulator(options.simulator), say)
+        _show_simulator(diagnosed)
+        _apply_parameters(options, diagnosed.report(), str(options.case))
+        read_parameters(options.out, simulator)
+        return 0
     if options.report is not None:
         say(f"twin written to {options.out}: {_contents(apply_report(options.report, options.out, options.empirical))}")
         return 0
@@ -168,6 +265,19 @@ def _apply(options: argparse.Namespace) -> int:
     said = "nothing explains the gap, so it is the refitted base alone" if is_bare else _contents(twin)
     say(f"twin written to {options.out}: {said}")
     _show(diagnosis, options.json)
+    return 0
+
+
+def _apply_parameters(options: argparse.Namespace, report: Mapping[str, object], source: str) -> int:
+    from softcal.app.gap.simulator import write_parameters
+
+    found = write_parameters(options.out, report, source, options.empirical)
+    is_bare = report["verdict"] == "unknown" and not options.empirical
+    told = ", ".join(f"{name} = {value:.4g}" for name, value in found.items())
+    said = "nothing explains the gap, so they are those of the refitted base alone: " if is_bare else ""
+    say(f"parameters of {report['simulator']} written to {options.out}: {said}{told}")
+    if options.json:
+        write_json(options.json, dict(report))
     return 0
 
 
@@ -184,11 +294,7 @@ def _show(diagnosis: "Diagnosis", target: str | None) -> None:
         write_json(target, diagnosis.report())
     if target == "-":
         return
-    for found in diagnosis.mistakes:
-        runs = ", ".join(map(str, found.runs)) or "all"
-        kind = found.what.replace("_", " ")
-        print(f"data        {kind}{f' of {found.channel}' if found.channel else ''}, runs {runs}: {found.evidence}")
-        print(f"repair      {found.repair}")
+    _show_mistakes(diagnosis.mistakes)
     if diagnosis.verdict == "data":
         print("verdict     data: repair the recordings and diagnose again; nothing else was judged")
         return
@@ -214,7 +320,7 @@ def _show_partial(diagnosis: "Diagnosis | SimulatorDiagnosis") -> None:
         print(f"partly      {effects}: {diagnosis.partial.share:.0%} of the gap on these runs; the rest has no name")
 
 
-def _show_residual(found: "LearnedResidual") -> None:
+def _show_residual(found: "LearnedResidual[EmpiricalTerm] | LearnedResidual[SimulatorTerm]") -> None:
     for one in found.terms:
         print(f"empirical   {one.term.formula}  (standard error {one.standard_error:.1g} {one.term.unit})")
     shrink, beside = found.shrink, " + ".join(found.beside)
@@ -252,6 +358,8 @@ def _show_result(diagnosis: "Diagnosis | SimulatorDiagnosis") -> None:
     for pair in diagnosis.ambiguous_with:
         print(f"ambiguous   {' / '.join(pair)}")
     print(f"next        {diagnosis.next_experiment.profile}: {diagnosis.next_experiment.why}")
+    if diagnosis.told is not None:
+        _show_untold(diagnosis.told)
 
 
 def _values(cause: "RankedCause") -> str:

@@ -10,7 +10,10 @@ from softcal.app.files.atomic import write_text
 from softcal.app.files.case_folder import open_case, open_table
 from softcal.app.texts.catalogue import text
 from softcal.core.errors import InputError
-from softcal.core.gap.diagnosis import Diagnosis, diagnose
+from softcal.core.gap.case import Case
+from softcal.core.gap.diagnosis import Diagnosis, checked, diagnose
+from softcal.core.gap.identifiability import Identifiability
+from softcal.core.gap.plausibility import DataMistake
 from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.twin.record import twin_from_record, twin_record
 from softcal.core.twin.simulate import Twin
@@ -31,11 +34,26 @@ def diagnose_case(
     Raises:
         InputError: the case cannot be read, or a table comes without its electronics.
     """
+    return diagnose(_opened(place, readout), progress)
+
+
+def check_case(
+    place: Path, readout: ReadoutMetadata | None = None
+) -> tuple[tuple[DataMistake, ...], Identifiability | None]:
+    """Read a case and return its mistakes and, where it can be diagnosed, what its runs tell; nothing is searched.
+
+    Raises:
+        InputError: as for `diagnose_case`.
+    """
+    return checked(_opened(place, readout))
+
+
+def _opened(place: Path, readout: ReadoutMetadata | None) -> Case:
     if not place.is_file():
-        return diagnose(open_case(place), progress)
+        return open_case(place)
     if readout is None:
         raise InputError(f"{place}: a plain table does not say its electronics; give vref_V, adc_bits and rate_Hz")
-    return diagnose(open_table(place, readout), progress)
+    return open_table(place, readout)
 
 
 def write_page(path: Path, diagnosis: Diagnosis) -> None:
@@ -104,7 +122,7 @@ def apply_report(report_file: Path, out: Path, empirical: bool = False) -> Twin:
     Raises:
         InputError: the report cannot be read, holds no twin, or no such terms.
     """
-    report = _read_json(report_file)
+    report = read_report(report_file)
     if report.get("verdict") == "data":
         raise InputError(f"{report_file}: the recordings hold a mistake, so there is no twin of them; repair it first")
     if not isinstance(report.get("twin"), dict):
@@ -134,12 +152,17 @@ def read_twin(path: Path, key: str = "twin") -> Twin:
     Raises:
         InputError: the file is missing or does not describe a twin.
     """
-    content = _read_json(path)
+    content = read_report(path)
     record = content[key] if isinstance(content.get(key), dict) else content
     return twin_from_record(record, str(path))
 
 
-def _read_json(path: Path) -> Mapping[str, Any]:
+def read_report(path: Path) -> Mapping[str, Any]:
+    """Read a report, or a twin, as it stands in its file.
+
+    Raises:
+        InputError: the file is missing or holds no JSON object.
+    """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

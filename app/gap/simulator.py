@@ -3,14 +3,27 @@
 import importlib
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+from softcal.app.files.atomic import write_text
 from softcal.app.files.case_folder import METADATA, RECORDING
 from softcal.app.files.recording_file import column, read_table
+from softcal.app.gap.diagnose import NO_TERMS
+from softcal.app.texts.catalogue import text
 from softcal.core.errors import InputError
+from softcal.core.gap.identifiability import Identifiability
+from softcal.core.gap.plausibility import DataMistake
 from softcal.core.gap.simulator import Simulator, SimulatorRun, recorded
-from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis, diagnose_simulator
+from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis, check_simulator, diagnose_simulator
+from softcal.core.gap.simulator_terms import term_of, with_terms
+
+if TYPE_CHECKING:
+    from softcal.app.charts.gap import RunView
+
+PARAMETERS_SCHEMA = "softcal.simulator/1"
 
 
 def load_simulator(reference: str) -> Simulator:
@@ -63,12 +76,25 @@ def diagnose_with(
     Raises:
         InputError: there is no run, a column is missing, or the simulator fails.
     """
+    runs, serial = _recorded(place, simulator)
+    return diagnose_simulator(simulator, runs, serial, progress)
+
+
+def check_with(place: Path, simulator: Simulator) -> tuple[tuple[DataMistake, ...], Identifiability | None]:
+    """Read the runs of a mechanism and return their mistakes and what they tell of its simulator.
+
+    Raises:
+        InputError: as for `diagnose_with`.
+    """
+    return check_simulator(simulator, _recorded(place, simulator)[0])
+
+
+def _recorded(place: Path, simulator: Simulator) -> tuple[list[SimulatorRun], str]:
     paths = _tables(place)
     runs = [
         _run(simulator, path, str(path.parent.relative_to(place)) if place.is_dir() else path.stem) for path in paths
     ]
-    serial = str(_said(paths[0]).get("serial", place.stem))
-    return diagnose_simulator(simulator, runs, serial, progress)
+    return runs, str(_said(paths[0]).get("serial", place.stem))
 
 
 def _tables(place: Path) -> list[Path]:
@@ -96,4 +122,104 @@ def _said(path: Path) -> dict[str, object]:
         content = json.loads(beside.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(f"{beside}: cannot be read as JSON: {error}") from error
+    return content if isinstance(content, dict) else {}
+
+
+def write_simulator_page(path: Path, diagnosis: SimulatorDiagnosis) -> None:
+    """Write the page of figures of a simulator's diagnosis in English, whole or not at all."""
+    from softcal.app.charts.gap_page import gap_page
+
+    page = gap_page(diagnosis.report(), simulator_views(diagnosis), diagnosis.serial, partial(text, "en"))
+    write_text(path, page)
+
+
+def simulator_views(diagnosis: SimulatorDiagnosis) -> list["RunView"]:
+    """Return what a page shows of every run: measured channels, those of the base, and those with the causes."""
+    from softcal.app.charts.gap import ChannelView, RunView
+
+    problem, views = diagnosis.best.problem, []
+    for k, run in enumerate(problem.case.runs):
+        channels = {
+            block.channel: ChannelView(
+                problem.measured[block.place],
+                diagnosis.base.predicted[block.place],
+                diagnosis.best.predicted[block.place],
+                problem.floor(block.channel),
+            )
+            for block in problem.blocks
+            if block.run == k
+        }
+        first = next(iter(channels.values())).measured
+        views.append(RunView(run.name, run.profile, run.elapsed_s, first, first, channels))
+    return views
+
+
+def write_parameters(
+    path: Path, content: Mapping[str, object], source: str, empirical: bool = False
+) -> dict[str, float]:
+    """Write the parameters that a report of a simulator holds, as its `run` takes them.
+
+    Args:
+        content: a report of schema `softcal.gap/1`.
+        source: where it is from, for messages.
+        empirical: with the empirical terms that describe what no cause explains, and the parameters beside them.
+
+    Raises:
+        InputError: the recordings hold a mistake, or there are no parameters.
+    """
+    if content.get("verdict") == "data":
+        raise InputError(f"{source}: the recordings hold a mistake, so there are no parameters; repair it first")
+    # Where nothing explains the gap what comes nearest is no diagnosis: the refitted base alone goes on.
+    found = content.get("base" if content.get("verdict") == "unknown" else "parameters")
+    described = content.get("residual") if empirical else {}
+    if not isinstance(described, Mapping):
+        raise InputError(f"{source}: {NO_TERMS}")
+    found, terms = described.get("parameters", found), described.get("added", [])
+    if not isinstance(found, Mapping) or not all(isinstance(v, int | float) for v in found.values()):
+        raise InputError(f"{source}: holds no parameters; diagnose the simulator again with --json")
+    record = {
+        "schema": PARAMETERS_SCHEMA,
+        "simulator": content.get("simulator"),
+        "parameters": dict(found),
+        "terms": terms,
+    }
+    write_text(path, json.dumps(record, indent=2, allow_nan=False) + "\n")
+    return {name: float(value) for name, value in found.items()}
+
+
+def read_parameters(path: str | Path, simulator: Simulator) -> dict[str, float]:
+    """Read the parameters that `softcal gap apply` wrote for a simulator.
+
+    Raises:
+        InputError: the file cannot be read, is of another simulator, or lacks one of its parameters.
+    """
+    content = _written(path)
+    found = content.get("parameters")
+    if not isinstance(found, dict) or content.get("schema") != PARAMETERS_SCHEMA:
+        raise InputError(f"{path}: holds no parameters of a simulator; write it with softcal gap apply")
+    named = content.get("simulator")
+    if named != simulator.name:
+        raise InputError(f"{path}: parameters of simulator {named}; those of {simulator.name} were expected")
+    wanted = simulator.parameter_names
+    if set(found) != set(wanted):
+        other = ", ".join(sorted(set(found) ^ set(wanted)))
+        raise InputError(f"{path}: {other} stands on one side alone; diagnose simulator {simulator.name} again")
+    return {name: float(found[name]) for name in wanted}
+
+
+def with_written_terms(path: str | Path, simulator: Simulator) -> Simulator:
+    """Return a simulator with the empirical terms that `softcal gap apply --empirical` wrote for it; others as it is.
+
+    Raises:
+        InputError: the file cannot be read, or a term is none.
+    """
+    terms = _written(path).get("terms", [])
+    return with_terms(simulator, [term_of(one, str(path)) for one in terms])
+
+
+def _written(path: str | Path) -> dict[str, Any]:
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read as JSON: {error}") from error
     return content if isinstance(content, dict) else {}

@@ -17,6 +17,26 @@ LIKELY = 0.05
 Report = Mapping[str, Any]
 
 
+def words_for(report: Report, say: Words) -> Words:
+    """Return the words for a report: those on a simulator of one's own do not speak of the twin."""
+    if not report.get("simulator"):
+        return say
+
+    def of_simulator(key: str, **values: object) -> str:
+        try:
+            return say(f"{key}.simulator", **values)
+        except KeyError:
+            return say(key, **values)
+
+    return of_simulator
+
+
+def untold_lines(report: Report, say: Words) -> list[str]:
+    """Return one line for everything the runs of a report do not tell; an older report says nothing of it."""
+    found = report.get("identifiability") or {"untold": ()}
+    return [said(Reason.of(one), say) for one in found["untold"]]
+
+
 def plain_name(identifier: str) -> str:
     """Return an identifier of the catalogue as words."""
     return identifier.replace("_", " ")

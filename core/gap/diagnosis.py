@@ -1,114 +1,62 @@
 """The diagnosis of a case: where the twin is wrong, why, how much it gains, how sure that is, what to press next."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, TypeVar
 
 import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction, rivals
-from softcal.core.gap.candidates import is_told
+from softcal.core.gap.candidates import is_told, visible_effects
 from softcal.core.gap.case import Case
-from softcal.core.gap.coordinates import from_fit
-from softcal.core.gap.empirical import LearnedResidual, learned
+from softcal.core.gap.empirical import LearnedResidual, learned, terms_of_twin
 from softcal.core.gap.explained import explained_twin, form_of, in_catalogue_form, with_constants
-from softcal.core.gap.fit import BASE, Fit, Problem
-from softcal.core.gap.floor import coloured, is_noise
-from softcal.core.gap.next_experiment import NextExperiment, propose
+from softcal.core.gap.findings import (
+    IMITATED_TRUST,
+    NOT_MEASURED,
+    SCHEMA,
+    UNKNOWN_TRUST,
+    DiagnosisVerdict,
+    GapPlace,
+    Partial,
+    RankedCause,
+    chances_of,
+    estimates_of,
+    gap_of_base,
+    let_go,
+    on_unseen,
+    shares_of,
+    under_its_floor,
+)
+from softcal.core.gap.fit import BASE, Fit
+from softcal.core.gap.floor import is_noise
+from softcal.core.gap.identifiability import Identifiability, identifiability, sentences
+from softcal.core.gap.next_experiment import NextExperiment, menu, propose
 from softcal.core.gap.odd_run import odd_run, odd_run_beside
-from softcal.core.gap.offsets import Offsets, offsets
+from softcal.core.gap.offsets import OFFSET_NAMES, Offsets, offsets
 from softcal.core.gap.place import likely_stages, loose_noise
 from softcal.core.gap.plausibility import DataMistake, doubts, mistakes
-from softcal.core.gap.posterior import exact_log_evidence, log_evidences, probabilities
+from softcal.core.gap.posterior import log_evidences
 from softcal.core.gap.residual import Map, Regime, regimes, structure, three_maps
 from softcal.core.gap.search import EffectSearch, SearchConfig
-from softcal.core.gap.shrink import ChannelGap, Quantified, Shrink, quantify, unsupported
+from softcal.core.gap.shrink import ChannelGap, Quantified, Shrink, quantify
 from softcal.core.gap.start import unfitted
 from softcal.core.gap.strangers import stranger_of
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS, OWN_EFFECTS
 from softcal.core.twin.effects import Alias, Parameter
+from softcal.core.twin.empirical_terms import EmpiricalTerm
 from softcal.core.twin.mechanics import elastic_force_at
 from softcal.core.twin.record import twin_record
 from softcal.core.twin.simulate import Twin
 from softcal.core.words.reason import Reason, reason, several
-
-DiagnosisVerdict = Literal["no_gap", "explained", "ambiguous", "unknown", "data"]
-SCHEMA = "softcal.gap/1"
-
-UNKNOWN_TRUST = 0.3
-"""How far probabilities within the catalogue are trusted where the catalogue leaves a gap, for a share of 1."""
 
 DOWN_TO_NOISE = 0.92
 """Shrink on samples held back below which structure that is left is no mere difference between two equations."""
 
 OVER_FLOOR = 1.2
 """Gap over the noise floor from which something is there that is no noise, whatever colour it was read as."""
-
-IMITATED_TRUST = 0.4
-"""How far a cause is trusted that another equation of the causes beside it would explain as well: it is not named, and
-not ruled out."""
-
-
-@dataclass(frozen=True)
-class ParameterEstimate:
-    """A fitted parameter of an effect with its 90 % interval."""
-
-    value: float
-    low: float
-    high: float
-    unit: str
-
-
-@dataclass(frozen=True)
-class RankedCause:
-    """One effect of the catalogue and how it stands.
-
-    Args:
-        probability: of being present.
-        shrink: share of the gap that goes when it is added, of the explained whole.
-        parameters: by the catalogue's equation; empty where the effect is not in the best hypothesis.
-        form: the other equation that fits better and that the twin has, empty where the catalogue's does.
-    """
-
-    effect: str
-    stage: str
-    probability: float
-    shrink: float
-    parameters: dict[str, ParameterEstimate]
-    form: str = ""
-
-
-@dataclass(frozen=True)
-class GapPlace:
-    """One line of where the gap lies."""
-
-    stage: str
-    channel: str
-    regime: Reason
-    share: float
-    detail: Reason
-
-    def record(self) -> dict[str, object]:
-        """Return it as a report has it."""
-        return {
-            "stage": self.stage,
-            "channel": self.channel,
-            "regime": str(self.regime),
-            "share": self.share,
-            "detail": str(self.detail),
-            "reasons": [self.regime.to_json(), self.detail.to_json()],
-        }
-
-
-@dataclass(frozen=True)
-class Partial:
-    """The causes that come nearest where nothing explains the gap, and the share they take of it on these runs."""
-
-    effects: tuple[str, ...]
-    share: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +76,7 @@ class Diagnosis:
             beside another one they are questions.
         partial: what comes nearest where nothing explains the gap.
         residual: empirical terms that describe what no named cause explains, where they hold on runs held back.
+        told: what the runs tell of the base and of every effect; None where the recordings hold a mistake.
     """
 
     case: Case
@@ -150,7 +99,8 @@ class Diagnosis:
     explained_share: float
     mistakes: tuple[DataMistake, ...] = ()
     partial: Partial | None = None
-    residual: LearnedResidual | None = None
+    residual: LearnedResidual[EmpiricalTerm] | None = None
+    told: Identifiability | None = None
 
     def elastic_force_N(self, run: int) -> Array:
         """Return the force the fitted base gives for one run with a stage position, for bands of load."""
@@ -218,6 +168,7 @@ class Diagnosis:
             ],
             "ambiguous_with": self.ambiguous_with,
             "hidden_fraction": self.hidden_fraction,
+            "identifiability": None if self.told is None else self.told.record(),
             "next_experiment": self.next_experiment.record(),
             "missing_channels": list(self.case.missing_channels),
             "unseen_stages": list(self.case.unseen_stages),
@@ -244,27 +195,8 @@ class Diagnosis:
         if found is None or twin is None:
             return None
         first = found.terms[0].term
-        return {
-            "kind": "empirical",
-            "formula": [one.term.formula for one in found.terms],
-            "terms": [
-                {
-                    "place": one.term.place,
-                    "variable": one.term.variable,
-                    "coefficient": one.term.coefficient,
-                    "standard_error": one.standard_error,
-                    "unit": one.term.unit,
-                    "chosen": one.chosen,
-                }
-                for one in found.terms
-            ],
-            "load_N": first.load_N,
-            "depth_mm": first.depth_mm,
-            "beside": list(found.beside),
-            "shrink": vars(found.shrink),
-            "without": found.without,
-            "twin": twin_record(twin),
-        }
+        of_twin = {"load_N": first.load_N, "depth_mm": first.depth_mm, "twin": twin_record(twin)}
+        return found.record() | of_twin
 
 
 def diagnose(
@@ -285,6 +217,9 @@ def diagnose(
     if spoilt := mistakes(case):
         return _stopped(unfitted(case), spoilt)
     search = EffectSearch(case, config, say)
+    runs_tell = told_by(search.base, search.depth_mm, search.force_N)
+    for line in sentences(runs_tell):
+        say(line)
     if (odd := odd_run(search.base)) is not None:
         return _stopped(search.base, (odd,))
     search.run()
@@ -295,11 +230,11 @@ def diagnose(
     if search.stranger is None:
         search.hold_open()
     say("holding back samples from every cause")
-    doubted = _let_go(search)
+    doubted = let_go(search)
     best, logs = search.best, log_evidences(search.fits)
     if on_fits is not None:
         on_fits(search.fits)
-    group, idle = _on_unseen(rivals(search.fits, best, logs, tuple(search.held_open.values())), doubted)
+    group, idle = on_unseen(rivals(search.fits, best, logs, tuple(search.held_open.values())), doubted)
     doubted |= idle | set(search.held_open)
     say("refitting the three maps separately")
     maps = three_maps(case)
@@ -338,59 +273,23 @@ def diagnose(
         explained_share=share if partial is None else partial.share,
         mistakes=doubts(case),
         partial=partial,
-        residual=learned(search.base, beside.get(verdict, ())),
+        residual=learned(search.base, beside.get(verdict, ()), terms_of_twin),
+        told=runs_tell,
     )
 
 
-def _let_go(search: EffectSearch) -> set[str]:
-    """Take out of the best hypothesis every cause that lowers nothing on samples held back; return those."""
-    gone: set[str] = set()
-    while len(ids := search.best.hypothesis.ids) > 1:
-        rest = {i: found for k, i in enumerate(ids) if (found := search.fits.get(ids[:k] + ids[k + 1 :])) is not None}
-        idle = unsupported(search.best, rest)
-        if not idle:
-            break
-        gone.add(idle[0])
-        search.best = rest[idle[0]]
-    return gone
+def checked(case: Case) -> tuple[tuple[DataMistake, ...], Identifiability | None]:
+    """Return the mistakes in the recordings and, where there is none, what the runs tell: all before any cause."""
+    if spoilt := mistakes(case):
+        return spoilt, None
+    search = EffectSearch(case)
+    return doubts(case), told_by(search.base, search.depth_mm, search.force_N)
 
 
-def _on_unseen(group: tuple[Fit, ...], gone: set[str]) -> tuple[tuple[Fit, ...], set[str]]:
-    """Return the rivals without those that merely add a cause which lowers nothing on samples held back, and these."""
-    best, kept, idle = group[0], [group[0]], set()
-    for other in group[1:]:
-        added = set(other.hypothesis.ids) - set(best.hypothesis.ids)
-        # Another form of a cause may hold what a second one is: beside it nothing is left for that to lower.
-        is_larger = set(best.hypothesis.ids) < set(other.hypothesis.ids) and not any(
-            map(form_of, best.hypothesis.effects)
-        )
-        if is_larger and (added & gone or (len(added) == 1 and unsupported(other, dict.fromkeys(added, best)))):
-            idle |= added
-        else:
-            kept.append(other)
-    return tuple(kept), idle
-
-
-S = TypeVar("S", bound=EffectSearch)
-
-
-def under_its_floor(
-    search: S, searched: Callable[[Problem], S], is_floor: Callable[[Fit], bool], say: Callable[[str], None]
-) -> S:
-    """Search once more where what is left may be noise that fades; keep that only where it is shown to be noise.
-
-    Args:
-        searched: begins a search under the noise of a problem.
-        is_floor: whether what a fit leaves is noise.
-    """
-    closest = min(search.fits.values(), key=lambda found: found.chi2)
-    problem = coloured(closest)
-    if problem is None:
-        return search
-    say("searching once more under noise that fades")
-    again = searched(problem)
-    again.run()
-    return again if again.stranger is None and again.is_clean(again.best) and is_floor(again.best) else search
+def told_by(base: Fit, depth_mm: float, force_N: float) -> Identifiability:
+    """Return what the runs of a base fit tell of the twin and its effects, and which run of the menu tells the rest."""
+    case = base.problem.case
+    return identifiability(base, visible_effects(case), menu(case, depth_mm, force_N), OFFSET_NAMES)
 
 
 def _nearest(search: EffectSearch) -> Partial | None:
@@ -405,14 +304,8 @@ def _nearest(search: EffectSearch) -> Partial | None:
 
 def _stopped(base: Fit, found: tuple[DataMistake, ...]) -> Diagnosis:
     """Return the diagnosis of recordings that hold a mistake: nothing is named and nothing forecast."""
-    problem = base.problem
-    gap = {}
-    for channel in problem.scored_channels:
-        parts = [(problem.measured - base.predicted)[b.place] for b in problem.blocks if b.channel == channel]
-        rms = float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
-        gap[channel] = ChannelGap(rms, rms, problem.floor(channel))
     return Diagnosis(
-        case=problem.case,
+        case=base.problem.case,
         verdict="data",
         base=base,
         best=base,
@@ -422,9 +315,9 @@ def _stopped(base: Fit, found: tuple[DataMistake, ...]) -> Diagnosis:
         places=(),
         maps=(),
         regimes=(),
-        gap=gap,
+        gap=gap_of_base(base),
         shrink=Shrink(0.0, 0.0, 0.0, 0.0),
-        protocol="not measured: the recordings hold a mistake",
+        protocol=NOT_MEASURED,
         chosen=(),
         ambiguous_with=[],
         hidden_fraction={},
@@ -453,20 +346,6 @@ def _verdict(search: EffectSearch, group: tuple[Fit, ...], quantified: Quantifie
     return "ambiguous" if len(group) > 1 else "explained"
 
 
-def chances_of(
-    logs: Mapping[tuple[str, ...], float], group: tuple[Fit, ...], effects: Iterable[str] = tuple(EFFECTS)
-) -> dict[str, float]:
-    """Probability of every effect; of one that is held open beside the best hypothesis the mean of two readings.
-
-    Either every equation may be a little wrong, or they hold exactly.
-    """
-    chances, best = probabilities(logs, effects), group[0]
-    larger = [f for f in group if set(f.hypothesis.ids) > set(best.hypothesis.ids)]
-    exact = probabilities({f.hypothesis.ids: exact_log_evidence(f) for f in (best, *larger)}, effects)
-    added = {i for f in larger for i in f.hypothesis.ids}.difference(best.hypothesis.ids)
-    return {i: 0.5 * (p + exact[i]) if i in added else p for i, p in chances.items()}
-
-
 def _causes(
     search: EffectSearch, named: tuple[Fit, ...], chances: dict[str, float], held_out: float
 ) -> tuple[RankedCause, ...]:
@@ -480,42 +359,6 @@ def _causes(
         form = next((form_of(e) for e in search.best.hypothesis.effects if e.id == effect.id), "")
         causes.append(RankedCause(effect.id, effect.stage, chances[effect.id], share, parameters, form))
     return tuple(sorted(causes, key=lambda c: (-c.probability, -c.shrink)))
-
-
-def shares_of(search: EffectSearch, best: Fit) -> dict[str, float]:
-    """Split the explained χ² among the causes: the mean of adding each one first and adding it last."""
-    ids = best.hypothesis.ids
-    if len(ids) < 2:
-        return dict.fromkeys(ids, 1.0)
-    worth = {}
-    for effect_id in ids:
-        alone, rest = search.fits.get((effect_id,)), search.fits.get(tuple(i for i in ids if i != effect_id))
-        first = search.base.chi2 - alone.chi2 if alone else 0.0
-        last = rest.chi2 - best.chi2 if rest else 0.0
-        worth[effect_id] = max(0.5 * (first + last), 0.0)
-    total = sum(worth.values()) or 1.0
-    return {effect_id: value / total for effect_id, value in worth.items()}
-
-
-def estimates_of(found: Fit, effect_id: str) -> dict[str, ParameterEstimate]:
-    """Return value and 90 % interval of every parameter of an effect, none where the fit does not have it."""
-    spread = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
-    for effect in found.hypothesis.effects:
-        if effect.id == effect_id:
-            at = found.hypothesis.slices[effect_id]
-            parameters = [found.problem.scale.sized(p) for p in effect.parameters]
-            return _named(parameters, found.coordinates[at], 1.645 * spread[at])
-    return {}
-
-
-def _named(parameters: Sequence[Parameter], coordinates: Array, margin: Array) -> dict[str, ParameterEstimate]:
-    out = {}
-    for k, p in enumerate(parameters):
-        ends = [from_fit(p, float(coordinates[k] + side * margin[k])) for side in (-1.0, 1.0)]
-        low, high = (float(np.nan_to_num(v, posinf=p.high, neginf=p.low)) for v in sorted(ends))
-        value = float(np.nan_to_num(from_fit(p, float(coordinates[k])), posinf=p.high, neginf=p.low))
-        out[p.name] = ParameterEstimate(value, low, high, p.unit)
-    return out
 
 
 def _places(

@@ -5,10 +5,11 @@ contiguous quarters of runs that were held back say. The choice itself is held b
 the result, terms are chosen anew without it (nested cross-validation; Varma and Simon, BMC Bioinformatics 2006).
 """
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise, product
+from typing import Generic, Protocol, Self, TypeVar
 
 import numpy as np
 from scipy.stats import t as student
@@ -17,10 +18,11 @@ from softcal.core.gap.case import Mask
 from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.fit import Fit, Problem, fit
 from softcal.core.gap.linear import energy
-from softcal.core.gap.offsets import run_directions
+from softcal.core.gap.offsets import rows_of_runs
 from softcal.core.gap.residual import structure
 from softcal.core.gap.shrink import Shrink
 from softcal.core.recording import Array
+from softcal.core.twin.effects import Effect
 from softcal.core.twin.empirical_terms import PLACES, VARIABLES, EmpiricalTerm, Span
 from softcal.core.twin.mechanics import elastic_force
 
@@ -54,8 +56,29 @@ class LearnConfig:
 CONFIG = LearnConfig()
 
 
+class ResidualTerm(Protocol):
+    """A term of the twin or of a simulator: place += coefficient · variable."""
+
+    @property
+    def place(self) -> str: ...
+    @property
+    def variable(self) -> str: ...
+    @property
+    def coefficient(self) -> float: ...
+    @property
+    def unit(self) -> str: ...
+    @property
+    def formula(self) -> str: ...
+    @property
+    def effect(self) -> Effect: ...
+    def sized(self: Self, coefficient: float) -> Self: ...
+
+
+T = TypeVar("T", bound=ResidualTerm)
+
+
 @dataclass(frozen=True)
-class LearnedTerm:
+class LearnedTerm(Generic[T]):
     """A term with how well it is known.
 
     Args:
@@ -63,13 +86,13 @@ class LearnedTerm:
         chosen: share of the choices without a run (or quarter) that took the same variable at the same place.
     """
 
-    term: EmpiricalTerm
+    term: T
     standard_error: float
     chosen: float
 
 
 @dataclass(frozen=True, eq=False)
-class LearnedResidual:
+class LearnedResidual(Generic[T]):
     """What is left of a gap, described.
 
     Args:
@@ -80,10 +103,31 @@ class LearnedResidual:
         fit: base, causes and terms at their best.
     """
 
-    terms: tuple[LearnedTerm, ...]
+    terms: tuple[LearnedTerm[T], ...]
     shrink: Shrink
     without: float
     fit: Fit
+
+    def record(self) -> dict[str, object]:
+        """Return what the report of the twin and of a simulator say of it alike."""
+        return {
+            "kind": "empirical",
+            "formula": [one.term.formula for one in self.terms],
+            "terms": [
+                {
+                    "place": one.term.place,
+                    "variable": one.term.variable,
+                    "coefficient": one.term.coefficient,
+                    "standard_error": one.standard_error,
+                    "unit": one.term.unit,
+                    "chosen": one.chosen,
+                }
+                for one in self.terms
+            ],
+            "beside": list(self.beside),
+            "shrink": vars(self.shrink),
+            "without": self.without,
+        }
 
     @property
     def beside(self) -> tuple[str, ...]:
@@ -92,20 +136,23 @@ class LearnedResidual:
         return tuple(i for i in self.fit.hypothesis.ids if i not in own)
 
 
-def learned(base: Fit, parents: Sequence[Fit], config: LearnConfig = CONFIG) -> LearnedResidual | None:
+def learned(
+    base: Fit, parents: Sequence[Fit], known: Callable[[Fit], Iterable[T]], config: LearnConfig = CONFIG
+) -> LearnedResidual[T] | None:
     """Return the terms that describe what the parents leave; None where none holds on samples that were held back.
 
     Args:
         base: the bare base; the gap is counted from it.
         parents: hypotheses the terms may stand beside, the simplest first.
+        known: the terms that may be tried, without their coefficients.
     """
     # A base that explains nothing stands for itself, and what belongs to one run says nothing of another.
     parents = [p for k, p in enumerate(parents) if k == 0 or p.hypothesis.ids]
     parents = [p for p in parents if not any(effect.belongs_to_run for effect in p.hypothesis.effects)]
     if not parents or not any(structure(p).is_significant for p in parents):
         return None
-    span = _span(base)
-    choices = [_Choice(parent, span, config) for parent in parents]
+    tried = list(known(base))
+    choices = [_Choice(parent, tried, config) for parent in parents]
     everything = choices[0].all_cells
     parent, terms = _chosen(choices, everything, config)
     if not terms:
@@ -134,25 +181,35 @@ def _span(base: Fit) -> Span:
     return Span(float(elastic_force(np.array(depth_mm), base.base.k1_N_mm, base.base.k3_N_mm3)), depth_mm)
 
 
-class _Choice:
+def terms_of_twin(base: Fit) -> Iterator[EmpiricalTerm]:
+    """Give the terms that the runs of a base fit can show."""
+    span, problem = _span(base), base.problem
+    for place, name in product(PLACES, VARIABLES):
+        is_seen = problem.case.has("stage_mm") if place == "F" else place in problem.scored_channels
+        if is_seen and (not VARIABLES[name].needs or problem.case.has(VARIABLES[name].needs)):
+            yield EmpiricalTerm(place, name, 0.0, span.load_N, span.depth_mm)
+
+
+class _Choice(Generic[T]):
     """Which terms stand beside one parent: all products of its derivatives, its residual and the candidates' columns.
 
     To first order, base and causes are refitted with every term: their derivatives are columns like the candidates'.
     """
 
-    def __init__(self, parent: Fit, span: Span, config: LearnConfig) -> None:
+    def __init__(self, parent: Fit, tried: Sequence[T], config: LearnConfig) -> None:
         self.parent, self._config = parent, config
         # What each run has of its own is fitted anew by every prediction; its jumps would drown a small derivative.
         self._bare = fit(parent.problem.bare, parent.hypothesis, parent.coordinates, steps=0)
         self._nuisance = self._run_directions()
         self._own = self._cleared(self._bare.jacobian[np.any(self._bare.jacobian != 0.0, axis=1)])
-        self.candidates, columns = self._columns(span)
+        self.candidates, columns = self._columns(tried)
         self._rows = np.vstack([self._own, columns, self._cleared(self._bare.residual[np.newaxis])])
 
     def _run_directions(self) -> list[tuple[Array, Array]]:
         """Per run, which samples it has and, (directions, samples), orthonormal directions of its own offsets."""
         problem, bare = self.parent.problem, self._bare
-        rows, out = run_directions(problem, bare.base, bare.predicted), []
+        along = problem.directions(bare.hypothesis, bare.coordinates, bare.predicted, {})
+        rows, out = rows_of_runs(problem, along), []
         for run in sorted({block.run for block in problem.blocks}):
             at = np.concatenate(
                 [np.arange(b.place.start, b.place.stop) for b in problem.blocks if b.run == run],
@@ -169,17 +226,11 @@ class _Choice:
             out[:, at] -= (out[:, at] @ directions.T) @ directions
         return out
 
-    def _columns(self, span: Span) -> tuple[list[EmpiricalTerm], Array]:
-        problem, case = self.parent.problem, self.parent.problem.case
-        places = [p for p in PLACES if not (p == "F" and not case.has("stage_mm"))]
-        places = [p for p in places if p == "F" or p in problem.scored_channels]
+    def _columns(self, tried: Sequence[T]) -> tuple[list[T], Array]:
+        problem = self.parent.problem
         orthogonal = np.linalg.qr(self._own.T)[0]
         terms, columns = [], [np.empty((0, len(problem.measured)))]
-        for place, name in product(places, VARIABLES):
-            needs = VARIABLES[name].needs
-            if needs and not case.has(needs):
-                continue
-            term = EmpiricalTerm(place, name, 0.0, span.load_N, span.depth_mm)
+        for term in tried:
             column = self._cleared(problem.whitened(self._slope(term))[np.newaxis])[0]
             rest = column - orthogonal @ (orthogonal.T @ column)
             if energy(rest) > self._config.distinct * max(energy(column), 1e-12):
@@ -187,7 +238,7 @@ class _Choice:
                 columns.append(column[np.newaxis])
         return terms, np.vstack(columns)
 
-    def _slope(self, term: EmpiricalTerm) -> Array:
+    def _slope(self, term: T) -> Array:
         """(samples,) derivative of the prediction with respect to a coefficient that is 0."""
         effect, bare = term.effect, self._bare
         step = 0.01 * effect.parameters[0].usual
@@ -222,7 +273,7 @@ class _Choice:
         held = {k: sum(1 for cell in cells if cell[0] == k) / QUARTERS for k in range(len(runs))}
         return times_held(cells) * sum(len(runs[b.run]) * held[b.run] for b in problem.blocks)
 
-    def forward(self, cells: frozenset[tuple[int, int]]) -> tuple[list[EmpiricalTerm], float]:
+    def forward(self, cells: frozenset[tuple[int, int]]) -> tuple[list[T], float]:
         """Choose terms on these cells; return them and χ² on parts held back in turn."""
         folds = [(self._sum(cells - held), self._added(held)) for held in parts_of(cells)]
         taken: list[int] = []
@@ -267,8 +318,8 @@ def parts_of(cells: frozenset[tuple[int, int]]) -> list[frozenset[tuple[int, int
 
 
 def _chosen(
-    choices: Sequence[_Choice], cells: frozenset[tuple[int, int]], config: LearnConfig
-) -> tuple[Fit, list[EmpiricalTerm]]:
+    choices: Sequence[_Choice[T]], cells: frozenset[tuple[int, int]], config: LearnConfig
+) -> tuple[Fit, list[T]]:
     """Return parent and terms that lose least on parts held back, the simplest parent unless another is far better."""
     first, *others = ((choice.parent, *choice.forward(cells)) for choice in choices)
     noise, best = choices[0].noise(cells), first
@@ -279,9 +330,7 @@ def _chosen(
     return best[0], best[1]
 
 
-def _with_terms(
-    parent: Fit, terms: Sequence[EmpiricalTerm], use: Array | None, config: LearnConfig
-) -> tuple[Fit, list[EmpiricalTerm]]:
+def _with_terms(parent: Fit, terms: Sequence[T], use: Array | None, config: LearnConfig) -> tuple[Fit, list[T]]:
     """Fit base, causes and terms together; a term that is then within its own error is left out again."""
     problem, kept = parent.problem if use is None else parent.problem.seeing(use), list(terms)
     while True:
@@ -334,7 +383,7 @@ class _Scores:
         return value, value - margin, min(1.0, value + margin)
 
 
-def _held_out(base: Fit, choices: Sequence[_Choice], config: LearnConfig) -> tuple[_Scores, list[list[EmpiricalTerm]]]:
+def _held_out(base: Fit, choices: Sequence[_Choice[T]], config: LearnConfig) -> tuple[_Scores, list[list[T]]]:
     """Score base, parent and terms on every part in turn, all of them chosen and fitted without it."""
     cells, problem = choices[0].all_cells, base.problem
     runs = sorted({run for run, _ in cells})
@@ -380,14 +429,12 @@ def _samples(base: Fit, cells: frozenset[tuple[int, int]]) -> Mask:
     return out
 
 
-def _ranked(
-    found: Fit, terms: Sequence[EmpiricalTerm], per_fold: Sequence[Sequence[EmpiricalTerm]]
-) -> tuple[LearnedTerm, ...]:
+def _ranked(found: Fit, terms: Sequence[T], per_fold: Sequence[Sequence[T]]) -> tuple[LearnedTerm[T], ...]:
     """Return the terms at their fitted coefficients, in the order they were chosen."""
     out = []
     for term in terms:
         at = found.hypothesis.place_of(term.effect.id)
         chosen = np.mean([any((t.place, t.variable) == (term.place, term.variable) for t in fold) for fold in per_fold])
-        fitted = replace(term, coefficient=float(found.coordinates[at]))
+        fitted = term.sized(float(found.coordinates[at]))
         out.append(LearnedTerm(fitted, _error(found, term.effect.id), float(chosen)))
     return tuple(out)

@@ -32,6 +32,9 @@ STRAIGHT_SIGMA = 0.5
 IS_RELATIVE = np.array([False, True, True])
 """Whose common part is the base's own: its resistance and its surface; the zero of the force comes first."""
 
+OFFSET_NAMES = ("zero of force_N", "unloaded resistance", "height of the surface")
+"""What the twin's offsets are called, in their order."""
+
 PASSES = 3
 """How often offsets that bend a channel are taken up anew: what is left shrinks by its square."""
 
@@ -132,13 +135,29 @@ def bases_of(base: BaseParameters, sizes: Sizes) -> dict[int, BaseParameters]:
     }
 
 
-def run_directions(problem: "Problem", base: BaseParameters, clean: Array) -> dict[int, Array]:
-    """Return per seated run, (3, samples), how a prediction changes with each of its offsets; 0 in other runs."""
+def rows_of_runs(problem: "Problem", directions: Directions) -> dict[int, Array]:
+    """Return by run, (k, samples), how a prediction changes with each of its offsets; 0 in other runs."""
     out: dict[int, Array] = {}
-    for block, rows in zip(problem.blocks, directions(problem, base, clean), strict=True):
+    for block, rows in zip(problem.blocks, directions, strict=True):
         if rows is not None:
-            out.setdefault(block.run, np.zeros((3, len(clean))))[:, block.place] = rows
+            out.setdefault(block.run, np.zeros((len(rows), len(problem.measured))))[:, block.place] = rows
     return out
+
+
+def own_rows(problem: "Problem", directions: Directions) -> tuple[list[Array], tuple[int, ...]]:
+    """Return (samples,) rows along which runs may move on their own, and the kind of each.
+
+    Of what is relative they move by what they differ by alone; one run alone by all of it.
+    """
+    of_run = rows_of_runs(problem, directions).values()
+    out: list[Array] = []
+    kinds: list[int] = []
+    for kind, is_relative in enumerate(problem.are_relative):
+        each = [rows[kind] for rows in of_run if rows[kind].any()]
+        if is_relative and not problem.case.is_planned:
+            each = [row - each[0] for row in each[1:]]
+        out, kinds = out + each, kinds + [kind] * len(each)
+    return out, tuple(kinds)
 
 
 def _is_bent(problem: "Problem", directions: Directions, sizes: Sizes) -> bool:

@@ -26,6 +26,7 @@ Kind = Literal[
     "swapped_runs",
     "rate",
     "out_of_range",
+    "constant",
 ]
 COLUMNS = {"stage": "stage_mm", "force": "force_N", "output": "output_V"}
 SHOWN = {"stage_mm": "stage", "force_N": "force", "output_V": "output"}

@@ -15,7 +15,7 @@ parameter of a candidate as `candidate.parameter`, at its neutral value where th
 
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeAlias
 
@@ -29,6 +29,7 @@ from softcal.core.gap.fit import Block, Fit, Hypothesis, Problem
 from softcal.core.gap.library import columns_of
 from softcal.core.gap.offsets import Directions, Sizes
 from softcal.core.gap.scale import RigScale
+from softcal.core.gap.simulator_terms import TermStep
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs
 from softcal.core.twin.parameters import ReadoutMetadata
@@ -36,6 +37,9 @@ from softcal.core.twin.probes import Extent
 
 Columns: TypeAlias = Mapping[str, Array]
 Simulate: TypeAlias = Callable[[Columns, Mapping[str, float]], Columns]
+KNOWN = 200
+"""Answers of a simulator that are kept."""
+
 OFFSETS = ("zero", "gain", "delay", "drift")
 """What a run may have of its own in a channel."""
 
@@ -109,6 +113,11 @@ class Simulator:
         """Channel and kind of everything that each run may have of its own."""
         return tuple((channel, kind) for channel, kinds in self.per_run.items() for kind in kinds)
 
+    @property
+    def parameter_names(self) -> list[str]:
+        """Names of all parameters, as `run` takes them."""
+        return [*(p.name for p in self.base), *(f"{c.id}.{p.name}" for c in self.candidates for p in c.parameters)]
+
     def named(self, hypothesis: Hypothesis, coordinates: Array) -> dict[str, float]:
         """Return the values at these coordinates of the fit, as `run` takes them."""
         base, values = hypothesis.split(coordinates)
@@ -116,6 +125,8 @@ class Simulator:
         for effect in self.candidates:
             out |= {f"{effect.id}.{p.name}": v for p, v in zip(effect.parameters, effect.neutral_values, strict=True)}
         for effect, row in zip(hypothesis.effects, values, strict=True):
+            if isinstance(effect.step, TermStep):
+                continue
             out |= {f"{effect.id}.{p.name}": value for p, value in zip(effect.parameters, row, strict=True)}
         return out
 
@@ -261,6 +272,10 @@ class SimulatorProblem(Problem):
 
     simulator: Simulator | None = None
     failures: Failures = field(default_factory=Failures)
+    known: dict[tuple[tuple[str, float], ...], Array] = field(default_factory=dict)
+    """What the simulator said lately, by its parameters, whatever noise or samples a problem has."""
+    of_base: tuple[bool, ...] = ()
+    """Of every offset, whether the base has what all runs share of it; nothing of it is known where empty."""
 
     @property
     def of(self) -> Simulator:
@@ -314,7 +329,7 @@ class SimulatorProblem(Problem):
 
     def of_run(self, run: Run) -> Problem:
         case = Case(self.case.serial, (run,), is_planned=True)
-        return SimulatorProblem(case, self.sigma, colour=self.colour, simulator=self.simulator)
+        return replace(self, case=case, use=None, failures=Failures(), known={})
 
     @cached_property
     def largest_offsets(self) -> Array:
@@ -322,7 +337,7 @@ class SimulatorProblem(Problem):
 
     @cached_property
     def are_relative(self) -> Mask:
-        return np.array([kind == "gain" for _, kind in self.of.offsets], dtype=np.bool_)
+        return np.array(self.of_base or [kind == "gain" for _, kind in self.of.offsets], dtype=np.bool_)
 
     @cached_property
     def are_bending(self) -> Mask:
@@ -363,13 +378,26 @@ class SimulatorProblem(Problem):
         """Return what the simulator says, (samples,), NaN everywhere where it fails in a run."""
         parameters = self.of.named(hypothesis, coordinates)
         key = tuple(parameters.items())
-        if self._last.get("key") != key:
-            self._last.update(key=key, out=self._run_all(parameters))
-        return np.asarray(self._last["out"])
+        if key not in self.known:
+            self.known[key] = self._run_all(parameters)
+            # The oldest goes: every part that is held back begins where the others did.
+            if len(self.known) > KNOWN:
+                del self.known[next(iter(self.known))]
+        return self._with_terms(hypothesis, coordinates, self.known[key])
 
-    @cached_property
-    def _last(self) -> dict[str, object]:
-        return {}
+    def _with_terms(self, hypothesis: Hypothesis, coordinates: Array, raw: Array) -> Array:
+        """Return what the simulator says, (samples,), with the empirical terms of a hypothesis added."""
+        found = [(e.step.term, e.id) for e in hypothesis.effects if isinstance(e.step, TermStep)]
+        if not found or not np.all(np.isfinite(raw)):
+            return raw
+        out, sizes = raw.copy(), {i: coordinates[hypothesis.place_of(i)] for _, i in found}
+        for run in range(len(self.case.runs)):
+            places = {b.channel: b.place for b in self.blocks if b.run == run}
+            columns = {name: self.recorded(run, name) for name in self.of.inputs}
+            columns |= {channel: raw[place] for channel, place in places.items()}
+            for term, i in found:
+                out[places[term.place]] += sizes[i] * term.values(self.case.runs[run].t_s, columns)
+        return out
 
     def _run_all(self, parameters: Mapping[str, float]) -> Array:
         out = np.empty(len(self.measured))

@@ -96,6 +96,15 @@ GAP_SENTENCES: Mapping[str, str] = {
     "gap.advice.warm_dummy": (
         "read a dummy resistor for a minute while the electronics warm by a few K, and record temperature_C"
     ),
+    # What the runs do not tell.
+    "gap.told.own": "{name} cannot be told: each run may have a {offset} of its own; {cure}",
+    "gap.told.beside": "{name} cannot be told from {beside}; {cure}",
+    "gap.told.small": "too little shows of {name} ({sigma:.1f} x the noise at its usual size); {cure}",
+    "gap.told.never": "{name} does not show on these runs; {cure}",
+    "gap.told.alike": "{one} and {other} look alike on these runs",
+    "gap.run": "{profile}",
+    "gap.told.run": "this run would tell: {runs}",
+    "gap.told.no_run": "no run of the list would tell",
     # Lists.
     "gap.list": "{first}, {rest}",
     "gap.both": "{first} and {rest}",

@@ -329,6 +329,11 @@ ENGLISH: Mapping[str, str] = {
         "sensitivity {sensitivity:+.0%} against all other runs; this alone explains {share:.0%} of what the twin "
         "leaves)"
     ),
+    "data.cut_off": "{channel} stands still at {level:.4g}; it may be cut off there (samples: {count})",
+    "data.repair.range": "if the readout cuts {channel} off, widen its range; the diagnosis holds either way",
+    "data.dead": "nothing changes in {channel}",
+    "data.repair.dead": "check the cable and the logger, then record the run again",
+    "data.swapped": "the simulator agrees with the recordings once {one} and {other} are exchanged, and not before",
     "data.repair.other_unit": "leave the run out, or record it again with this unit",
     # Why there is no map at all.
     "no_swing": "its output does not stand out of its noise; press the unit and record it again",

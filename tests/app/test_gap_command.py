@@ -51,6 +51,24 @@ def test_diagnose_writes_the_report_and_the_page(case, tmp_path, capsys):
     assert "<html" in page.read_text()
 
 
+def test_check_says_what_the_runs_tell_and_diagnoses_nothing(case, tmp_path, capsys):
+    out = tmp_path / "c.json"
+    assert main(["gap", "check", str(case), "--json", str(out)]) == 0
+    told = capsys.readouterr()
+    assert "told        5 of 5 base parameters" in told.out and "jointly" not in told.err
+    causes = json.loads(out.read_text())["identifiability"]["causes"]
+    assert causes["readout_lag"]["is_told"] and causes["frame_compliance"]["hidden"] > 0.99
+    # A ceiling that the output never reaches changes no sample; a resistor in place of the sensor would reach it.
+    assert not causes["adc_saturation"]["is_told"] and causes["adc_saturation"]["by"] == ["dummy_resistor"]
+
+
+def test_check_names_a_mistake_and_nothing_else(case, capsys):
+    (case / "runs/2/recording.json").write_text(json.dumps(METADATA | {"sample_rate_Hz": 25.0}))
+    assert main(["gap", "check", str(case)]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("data") and "told" not in out
+
+
 def test_a_mistake_is_said_before_anything_else_and_gives_no_twin(case, tmp_path, capsys):
     described = case / "runs/2/recording.json"
     described.write_text(json.dumps(METADATA | {"sample_rate_Hz": 25.0}))

@@ -112,6 +112,15 @@ def test_a_thinned_trace_keeps_its_peak(run: RunView) -> None:
     assert len(figure.data[0].y) <= 1500 and max(figure.data[0].y) == 500.0
 
 
+def test_a_page_with_long_runs_stays_below_a_megabyte(run: RunView, rng: np.random.Generator) -> None:
+    t_s = np.arange(50_000) / 50.0
+    noisy = [ChannelView(*rng.normal(0.0, 1.0, (3, 50_000)), 1e-3) for _ in range(2)]
+    channels = dict(zip(("output_V", "force_N"), noisy, strict=True))
+    long = replace(run, t_s=t_s, drive=np.abs(noisy[0].measured), load_N=np.abs(noisy[0].measured), channels=channels)
+    page = gap_page(REPORT, [replace(long, name=str(k)) for k in range(6)], "A17", ENGLISH)
+    assert len(page.encode()) < 1_000_000
+
+
 def test_a_channel_that_was_not_recorded_has_no_figure(run: RunView) -> None:
     assert trace_figure([run], "force_N", ENGLISH) is None
 

@@ -12,7 +12,7 @@ from softcal.core.challenge.outside_equations import OUTSIDE, OUTSIDE_FORM
 from softcal.core.challenge.rig import Cause, Path, Rig
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.empirical import learned
+from softcal.core.gap.empirical import learned, terms_of_twin
 from softcal.core.gap.explained import explained_twin
 from softcal.core.gap.start import base_fit
 from softcal.core.twin.effects import Flow
@@ -79,7 +79,7 @@ def test_an_effect_outside_the_catalogue_is_described_and_the_twin_shrinks_the_g
 ):
     case, kept_back = outside_case(name, values)
     base = base_fit(case)
-    found = learned(base, [base])
+    found = learned(base, [base], terms_of_twin)
     assert found is not None and 1 <= len(found.terms) <= 3
     assert variable in found.terms[0].term.variable
     first = found.terms[0]
@@ -99,7 +99,7 @@ def test_noise_alone_gets_no_term():
         t_s, stage_mm = profile.sample(50.0)
         runs.append(Run(f"run {k}", t_s, READOUT, stage_mm, *simulate(Twin(BASE, (), READOUT), t_s, stage_mm, rng)))
     base = base_fit(Case("G1", tuple(runs)))
-    assert learned(base, [base]) is None
+    assert learned(base, [base], terms_of_twin) is None
 
 
 def test_what_happens_once_in_a_run_gets_no_term():
@@ -113,7 +113,7 @@ def test_what_happens_once_in_a_run_gets_no_term():
         output_V = output_V + rng.choice([-0.02, 0.02]) * (np.abs(t_s - at_s) < 0.25)
         runs.append(Run(f"run {k}", t_s, READOUT, stage_mm, force_N, output_V))
     base = base_fit(Case("G1", tuple(runs)))
-    assert learned(base, [base]) is None
+    assert learned(base, [base], terms_of_twin) is None
 
 
 @pytest.mark.parametrize("variable", VARIABLES)

@@ -14,6 +14,7 @@ from scipy.signal import lfilter
 from softcal.core.errors import InputError
 from softcal.core.gap.simulator import Columns, Simulator, SimulatorRun, candidate, recorded
 from softcal.core.gap.simulator_diagnosis import diagnose_simulator
+from softcal.core.gap.simulator_terms import term_of, with_terms
 from softcal.core.twin.effects import Parameter
 
 T = np.arange(400) * 0.05
@@ -275,6 +276,33 @@ def test_without_its_cause_a_rig_is_unknown(name: str) -> None:
     assert found.verdict == "unknown" and all(cause.probability < 0.5 for cause in found.causes)
 
 
+def test_what_no_candidate_explains_is_described_by_a_term_that_the_simulator_can_take_up() -> None:
+    simulator = blind(SPRING.simulator, ("cubic",))
+    found = diagnose_simulator(simulator, SPRING.recorded())
+    assert found.verdict == "unknown" and found.residual is not None
+    (one,) = found.residual.terms
+    # In the units of the term 1 is the largest x of the runs.
+    assert (one.term.place, one.term.variable) == ("y", "x³")
+    assert one.term.coefficient / one.term.half**3 == pytest.approx(-0.5, abs=5 * one.standard_error)
+    assert found.residual.shrink.held_out > 0.95
+    record = found.report()["residual"]
+    taken_up = with_terms(simulator, [term_of(each, "here") for each in record["added"]])
+    fresh = replace(SPRING, runs=4).recorded(5)[3]
+    left = fresh.columns["y"] - taken_up(fresh.columns, record["parameters"])["y"]
+    assert np.std(left) == pytest.approx(SPRING.noise, rel=0.1)
+
+
+def test_where_nothing_is_left_nothing_is_described() -> None:
+    assert diagnose_simulator(SPRING.simulator, SPRING.recorded()).residual is None
+    assert diagnose_simulator(SPRING.simulator, sound(SPRING).recorded()).residual is None
+
+
+@pytest.mark.parametrize("record", [{}, {"place": "y"}, []])
+def test_a_term_that_is_none_is_refused(record: Any) -> None:
+    with pytest.raises(InputError, match="here: a term has"):
+        term_of(record, "here")
+
+
 def sound(rig: Rig, **changes: Any) -> Rig:
     return replace(rig, truth={k: v for k, v in rig.truth.items() if "." not in k}, **changes)
 
@@ -294,7 +322,9 @@ def test_noise_that_fades_is_a_floor(name: str, has_cause: bool) -> None:
     assert found.best.hypothesis.ids == (rig.causes if has_cause else ())
 
 
-@pytest.mark.parametrize("name", [SPRING.simulator.name, ENZYME.simulator.name, RINGING.simulator.name])
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.long) if n == PENDULUM.simulator.name else n for n in RIGS]
+)
 @pytest.mark.parametrize("has_cause", [False, True])
 def test_what_a_run_may_have_of_its_own_needs_no_cause(name: str, has_cause: bool) -> None:
     rig, channel = RIGS[name], RIGS[name].simulator.channels[0]

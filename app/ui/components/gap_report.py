@@ -32,6 +32,7 @@ from softcal.app.views.gap import (
     place_rows,
     pressed_name,
     residual_rows,
+    untold_lines,
     why_next,
 )
 from softcal.db.access.people import may
@@ -63,6 +64,7 @@ def gap_report(job: Job, case: Path) -> None:
     _where(report, runs)
     _why(report)
     _gain(report)
+    _untold(report)
     _left(report)
     _next(report, case)
     _runs(runs)
@@ -145,6 +147,13 @@ def _gain(report: Report) -> None:
             st.caption(say("gap.hidden", effects=", ".join(hidden)))
         if figure is not None:
             _figure(figure, "hidden")
+
+
+def _untold(report: Report) -> None:
+    say = words()
+    if lines := untold_lines(report, say):
+        st.header(say("gap.told"))
+        st.markdown("\n".join(f"- {begun(line)}" for line in lines))
 
 
 def _left(report: Report) -> None:

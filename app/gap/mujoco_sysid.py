@@ -1,0 +1,180 @@
+"""A problem of `mujoco.sysid` as a simulator: its parameters with a neutral value are the candidates.
+
+    params, sequences, transform = ...                      # as for mujoco.sysid.optimize
+    PROBLEM = from_sysid(params, sequences, neutral={"rubbing": 0.0}, signal_transform=transform)
+    found = diagnose_simulator(PROBLEM.simulator, PROBLEM.runs)
+
+Needs the package mujoco with its extra: pip install 'mujoco[sysid]'.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from softcal.core.errors import InputError
+from softcal.core.gap.simulator import Columns, Simulator, SimulatorRun, candidate, recorded
+from softcal.core.recording import Array
+from softcal.core.twin.effects import Parameter, Scale
+
+RUN = "run"
+"""Input column that says which measured sequence a run is: its initial state and its control belong to it."""
+
+LOG = 30.0
+"""Ratio of the bounds of a positive parameter from which it is fitted by its order of magnitude."""
+
+USUAL = 0.1
+"""Usual size of a candidate, as a share of its range."""
+
+
+@dataclass(frozen=True, eq=False)
+class SysidProblem:
+    """A simulator with the recorded runs of a problem of `mujoco.sysid`."""
+
+    simulator: Simulator
+    runs: tuple[SimulatorRun, ...]
+
+
+def from_sysid(
+    params: Any,
+    models_sequences: Sequence[Any],
+    neutral: Mapping[str, float],
+    signal_transform: Any = None,
+    name: str = "a mujoco model",
+    per_run: Mapping[str, Mapping[str, float]] | None = None,
+) -> SysidProblem:
+    """Return the simulator and the runs of a problem of `mujoco.sysid`.
+
+    Args:
+        params: its `ParameterDict`; frozen parameters keep their value.
+        models_sequences: its `ModelSequences`.
+        neutral: parameters that are candidates, with the value that switches each off; the others are the base.
+        signal_transform: its `SignalTransform`; gains and biases must act on what is predicted.
+        name: for reports.
+        per_run: by signal, what every run may have of its own, as for `Simulator`.
+
+    Raises:
+        InputError: the extra is missing, a candidate is no parameter of one number, a transform changes what was
+            measured, or there is no candidate or no sequence.
+    """
+    sysid = _sysid()
+    free = [p for p in params.copy().parameters.values() if not p.frozen]
+    _check(free, neutral, signal_transform)
+    trajectories = [(s.spec, each) for s in models_sequences for each in s.measured_rollout]
+    if not trajectories:
+        raise InputError(f"{name}: no measured sequence; mujoco.sysid.ModelSequences with at least one was expected")
+    start = np.concatenate([p.nominal.flatten() for p in free])
+    model = _Rollout(sysid, params.copy(), trajectories, signal_transform, neutral)
+    _, measured = model.both(0, start)
+    simulator = Simulator(
+        name=name,
+        run=model,
+        inputs=(RUN,),
+        channels=tuple(_channels(measured)),
+        base=tuple(one for p in free if p.name not in neutral for one in _parameters(p)),
+        candidates=tuple(_candidate(p, neutral[p.name]) for p in free if p.name in neutral),
+        per_run=per_run or {},
+    )
+    names = [n for s in models_sequences for n in s.sequence_name]
+    return SysidProblem(simulator, tuple(_recorded(simulator, model, start, k, n) for k, n in enumerate(names)))
+
+
+def _sysid() -> Any:
+    try:
+        from mujoco import sysid
+    except ImportError as error:
+        raise InputError(f"mujoco is missing ({error}); install it with pip install 'mujoco[sysid]'") from error
+    # Without its extra the package imports, and has nothing in it.
+    if not hasattr(sysid, "residual"):
+        raise InputError("mujoco.sysid lacks its extra packages; install them with pip install 'mujoco[sysid]'")
+    return sysid
+
+
+def _check(free: Sequence[Any], neutral: Mapping[str, float], transform: Any) -> None:
+    sizes = {p.name: p.size for p in free}
+    for name in neutral:
+        if sizes.get(name) != 1:
+            known = ", ".join(n for n, size in sizes.items() if size == 1)
+            raise InputError(f"neutral names {name}; a free parameter of one number was expected: {known}")
+    for _, name, target in (*getattr(transform, "_gains", ()), *getattr(transform, "_biases", ())):
+        if target != "predicted":
+            raise InputError(
+                f"the transform by {name} changes what was measured (target={target!r}), so that a larger gain would "
+                "look like a smaller gap; give it target='predicted'"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class _Rollout:
+    """The `run` of the simulator: parameters in, signals at the measured times out."""
+
+    sysid: Any
+    params: Any
+    trajectories: Sequence[tuple[Any, Any]]
+    transform: Any
+    neutral: Mapping[str, float]
+
+    def both(self, run: int, vector: Array) -> tuple[Any, Any]:
+        """Return the predicted and the measured series of a sequence, at the same times."""
+        spec, trajectory = self.trajectories[run]
+        _, predicted, measured = self.sysid.residual(
+            vector,
+            self.params,
+            [_OneSequence(spec, [trajectory])],
+            modify_residual=None if self.transform is None else self.transform.apply,
+            n_threads=1,
+            return_pred_all=True,
+        )
+        return predicted[0][0], measured[0][0]
+
+    def __call__(self, inputs: Columns, p: Mapping[str, float]) -> Columns:
+        vector = [v for one in self.params.parameters.values() if not one.frozen for v in self._values(one, p)]
+        return _channels(self.both(int(inputs[RUN][0]), np.array(vector))[0])
+
+    def _values(self, parameter: Any, p: Mapping[str, float]) -> Iterator[float]:
+        if parameter.name in self.neutral:
+            yield self.neutral[parameter.name] + p[f"{parameter.name}.change"]
+        else:
+            yield from (p[name] for name in _names(parameter))
+
+
+@dataclass(frozen=True)
+class _OneSequence:
+    spec: Any
+    measured_rollout: list[Any]
+
+
+def _channels(series: Any) -> dict[str, Array]:
+    """Return every component of every signal, (n,), by its name."""
+    out = {}
+    for name, (_, places) in series.signal_mapping.items():
+        for k, place in enumerate(places):
+            out[name if len(places) == 1 else f"{name}[{k}]"] = np.array(series.data[:, place], dtype=np.float64)
+    return out
+
+
+def _names(parameter: Any) -> list[str]:
+    return [parameter.name] if parameter.size == 1 else [f"{parameter.name}[{k}]" for k in range(parameter.size)]
+
+
+def _parameters(parameter: Any) -> list[Parameter]:
+    low, high, usual = (v.flatten() for v in (parameter.min_value, parameter.max_value, parameter.nominal))
+    return [_parameter(*row) for row in zip(_names(parameter), low, high, usual, strict=True)]
+
+
+def _parameter(name: str, low: float, high: float, usual: float) -> Parameter:
+    scale: Scale = "log" if low > 0.0 and high > LOG * low else "linear"
+    return Parameter(name, "", float(low), float(high), float(usual) or USUAL * float(high - low), scale=scale)
+
+
+def _candidate(parameter: Any, neutral: float) -> Any:
+    low, high = (float(v.flatten()[0]) - neutral for v in (parameter.min_value, parameter.max_value))
+    far = high if high >= -low else low
+    return candidate(parameter.name, "model", Parameter("change", "", low, high, USUAL * far, neutral=0.0))
+
+
+def _recorded(simulator: Simulator, model: _Rollout, start: Array, run: int, name: str) -> SimulatorRun:
+    _, measured = model.both(run, start)
+    t_s = np.asarray(measured.times, dtype=np.float64)
+    return recorded(simulator, name, {"t_s": t_s, RUN: np.full(len(t_s), float(run)), **_channels(measured)})

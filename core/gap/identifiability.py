@@ -1,0 +1,353 @@
+"""What these runs can tell, seen from the fitted base before any cause is tried; and which run would tell the rest.
+
+Everything is first order: of the change a parameter makes by its usual size, the part that neither the others nor what
+each run may have of its own can imitate, in standard deviations of the noise.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from softcal.core.gap.coordinates import fit_scale, start_coordinates
+from softcal.core.gap.fit import Fit, Problem, fit
+from softcal.core.gap.next_experiment import MenuEntry
+from softcal.core.gap.offsets import own_rows
+from softcal.core.recording import Array
+from softcal.core.twin.effects import Effect, Parameter
+from softcal.core.words.reason import Reason, reason, several
+
+
+@dataclass(frozen=True)
+class TellingConfig:
+    """When runs tell a parameter or a cause.
+
+    Args:
+        sigma: standard deviations by which a change of the usual size must show.
+        nothing: standard deviations below which nothing of it shows.
+        own: share, of what the base leaves of a cause, from which offsets of the runs take its shape. Chosen on the
+            five simulators of `tests/core/test_gap_simulators.py` and four drawn ones, tested on others.
+        alike: cosine of what is visible of two causes from which they are one to these runs.
+        lost: share of the energy of a parameter that must be left by the others, or it is none of these runs' business.
+        traded: share of what a parameter is imitated by from which another one is named beside it.
+        smaller: share of the usual size at which a cause is looked at too.
+        on_bound: share of its largest from which an offset stands on its bound.
+    """
+
+    sigma: float = 5.0
+    nothing: float = 0.5
+    own: float = 0.975
+    alike: float = 0.99
+    lost: float = 1e-7
+    traded: float = 0.1
+    smaller: float = 0.2
+    on_bound: float = 0.99
+
+
+CONFIG = TellingConfig()
+
+
+@dataclass(frozen=True)
+class ParameterTold:
+    """How well these runs tell one parameter of the base, or one cause.
+
+    Args:
+        sigma: standard deviations by which a change of the usual size shows.
+        hidden: share of that change that the base takes.
+        own: share of the rest that what each run may have of its own takes.
+        offset: the offset that does, as `delay of y`; empty where none does.
+        beside: other parameters of the base that it is traded against.
+        by: runs that could be made and would tell it, the quickest first.
+    """
+
+    name: str
+    is_base: bool
+    sigma: float
+    hidden: float
+    own: float = 0.0
+    offset: str = ""
+    beside: tuple[str, ...] = ()
+    by: tuple[str, ...] = ()
+
+    @property
+    def is_own(self) -> bool:
+        """Whether runs may have of their own what this cause would do."""
+        return bool(self.offset)
+
+    @property
+    def is_told(self) -> bool:
+        """Whether a change of the usual size would show."""
+        return self.sigma >= CONFIG.sigma and not self.is_own
+
+    def record(self) -> dict[str, object]:
+        """Return it as a report has it."""
+        lists = {"beside": list(self.beside), "by": list(self.by)}
+        return vars(self) | lists | {"is_told": self.is_told}
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """What the runs tell: every parameter of the base, every cause, and causes that are one to them."""
+
+    every: tuple[ParameterTold, ...]
+    alike: tuple[tuple[str, str], ...] = ()
+
+    def __getitem__(self, name: str) -> ParameterTold:
+        return next(one for one in self.every if one.name == name)
+
+    @property
+    def untold(self) -> tuple[ParameterTold, ...]:
+        """What these runs do not tell."""
+        return tuple(one for one in self.every if not one.is_told)
+
+    def record(self) -> dict[str, object]:
+        """Return it as a report has it."""
+        return {
+            "base": {one.name: one.record() for one in self.every if one.is_base},
+            "causes": {one.name: one.record() for one in self.every if not one.is_base},
+            "alike": [list(pair) for pair in self.alike],
+            "untold": [one.to_json() for one in reasons(self)],
+        }
+
+
+def identifiability(
+    base: Fit, effects: Sequence[Effect], menu: Sequence[MenuEntry] = (), offsets: Sequence[str] = ()
+) -> Identifiability:
+    """Return what the runs of a base fit tell of it and of effects.
+
+    Args:
+        menu: runs that could be made; each is looked at for what these do not tell.
+        offsets: what each kind of offset is called, in the order of the problem.
+    """
+    # What has no place in time before it is searched shows nothing yet.
+    effects = [effect for effect in effects if not effect.is_episodic]
+    here = _Rows.of(base, base.problem, effects)
+    every = [*_of_base(here, base), *_of_causes(here, base, effects, offsets)]
+    for entry in sorted(menu, key=lambda entry: entry.minutes):
+        left = [one for one in every if not one.is_told]
+        if not left:
+            break
+        also = [e for e in effects if any(one.name == e.id for one in left)]
+        there = here.with_run(_Rows.of(base, base.problem.of_run(entry.run), also))
+        told = {one.name for one in left if there.shows(one.name)}
+        every = [replace(one, by=(*one.by, entry.name)) if one.name in told else one for one in every]
+    return Identifiability(tuple(every), tuple(_alike(here, effects)))
+
+
+def sentences(found: Identifiability) -> list[str]:
+    """Return one line for everything these runs do not tell, and why; nothing where they tell all."""
+    return [str(one) for one in reasons(found)]
+
+
+def reasons(found: Identifiability) -> list[Reason]:
+    """Return why runs do not tell what they do not tell."""
+    return [*map(why, found.untold), *(alike(*pair) for pair in found.alike)]
+
+
+def why(one: ParameterTold) -> Reason:
+    """Return why runs do not tell a parameter or a cause, and which run would."""
+    runs = [reason("gap.run", profile=name) for name in one.by]
+    cure = reason("gap.told.run", runs=several(runs, "gap.list")) if runs else Reason("gap.told.no_run")
+    name = Reason.of(one.name) if one.is_base else reason("gap.effect", effect=one.name)
+    if one.is_own:
+        return reason("gap.told.own", name=name, offset=one.offset, cure=cure)
+    if one.beside:
+        beside = several([Reason.of(other) for other in one.beside], "gap.both")
+        return reason("gap.told.beside", name=name, beside=beside, cure=cure)
+    if one.sigma < CONFIG.nothing:
+        return reason("gap.told.never", name=name, cure=cure)
+    return reason("gap.told.small", name=name, sigma=one.sigma, cure=cure)
+
+
+def alike(one: str, other: str) -> Reason:
+    """Return that two causes are one to these runs."""
+    names = (reason("gap.effect", effect=effect) for effect in (one, other))
+    return reason("gap.told.alike", **dict(zip(("one", "other"), names, strict=True)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Products of rows over some runs: derivatives of the base, what runs have of their own, and changes by causes.
+
+    Args:
+        base: names of the base parameters with a row.
+        own: which rows belong to which kind of offset, (k,) numbers of kinds.
+        causes: names of the causes, at the usual and at a smaller size.
+        gram: (rows, rows), base, own and causes in this order.
+    """
+
+    base: tuple[str, ...]
+    own: tuple[int, ...]
+    causes: tuple[str, ...]
+    gram: Array = field(repr=False)
+
+    @classmethod
+    def of(cls, found: Fit, problem: Problem, effects: Sequence[Effect]) -> "_Rows":
+        bare = fit(problem.bare, found.hypothesis, found.coordinates, steps=0)
+        if not np.all(np.isfinite(bare.predicted)):
+            return cls((), (), (), np.zeros((0, 0)))
+        scales = [fit_scale(problem.scale.sized(p)) for p in found.hypothesis.of_all]
+        rows = [scale * row for scale, row in zip(scales, bare.jacobian, strict=True)]
+        names = [p.name for p in found.hypothesis.of_all]
+        kept = [k for k, row in enumerate(rows) if row.any()]
+        own, kinds = _own(problem, bare)
+        causes = {e.id: _changes(bare, e) for e in effects}
+        every = [*(rows[k] for k in kept), *own, *(row for pair in causes.values() for row in pair)]
+        stacked = np.array(every).reshape(len(every), len(problem.measured))
+        return cls(tuple(names[k] for k in kept), kinds, tuple(causes), stacked @ stacked.T)
+
+    def with_run(self, new: "_Rows") -> "_Rows":
+        """Return the rows over these runs and a new one, which has offsets of its own."""
+        base = tuple(dict.fromkeys((*self.base, *new.base)))
+        causes = tuple(c for c in self.causes if c in new.causes)
+        own = (*self.own, *new.own)
+        size = len(base) + len(own) + 2 * len(causes)
+        gram = np.zeros((size, size))
+        for part, skipped in ((self, 0), (new, len(self.own))):
+            at = [base.index(name) for name in part.base]
+            at += [len(base) + skipped + k for k in range(len(part.own))]
+            mine = list(range(len(part.base) + len(part.own)))
+            for k, name in enumerate(causes):
+                at += [len(base) + len(own) + 2 * k + i for i in (0, 1)]
+                mine += [part.cause(name) + i for i in (0, 1)]
+            gram[np.ix_(at, at)] += part.gram[np.ix_(mine, mine)]
+        return _Rows(base, own, causes, gram)
+
+    def cause(self, name: str) -> int:
+        return len(self.base) + len(self.own) + 2 * self.causes.index(name)
+
+    @property
+    def of_base(self) -> list[int]:
+        return list(range(len(self.base)))
+
+    def of_own(self, kind: int | None = None) -> list[int]:
+        return [len(self.base) + k for k, of in enumerate(self.own) if kind is None or of == kind]
+
+    def left(self, row: int, held: Sequence[int]) -> float:
+        """Return the energy of a row that others do not imitate."""
+        return max(float(self.gram[row, row]) - float(self.gram[row, held] @ self.weights(row, held)), 0.0)
+
+    def weights(self, row: int, held: Sequence[int]) -> Array:
+        """Return by what others imitate a row best."""
+        held = list(held)
+        size = np.sqrt(np.diag(self.gram)[held])
+        size = np.where(size > 0.0, size, 1.0)
+        scaled = self.gram[np.ix_(held, held)] / np.outer(size, size)
+        return np.asarray(np.linalg.pinv(scaled, rcond=1e-12, hermitian=True) @ (self.gram[held, row] / size) / size)
+
+    def shows(self, name: str) -> bool:
+        """Whether a base parameter or a cause shows by enough, and is no offset."""
+        if name in self.base:
+            return self.sigma_of_base(self.base.index(name)) >= CONFIG.sigma
+        if name not in self.causes:
+            return False
+        at, held = self.cause(name), [*self.of_base, *self.of_own()]
+        return self.own_share(at) < CONFIG.own and self.left(at, held) >= CONFIG.sigma**2
+
+    def sigma_of_base(self, k: int) -> float:
+        """Return the standard deviations by which a base parameter shows, 0 where others imitate it to rounding."""
+        left = self.left(k, [*(i for i in self.of_base if i != k), *self.of_own()])
+        return float(np.sqrt(left)) if left > CONFIG.lost * float(self.gram[k, k]) else 0.0
+
+    def own_share(self, cause: int, kind: int | None = None) -> float:
+        """Return which share of what the base leaves of a cause, at either size, offsets take."""
+        shares = [0.0]
+        for row in (cause, cause + 1):
+            seen = self.left(row, self.of_base)
+            if seen > CONFIG.lost * float(self.gram[row, row]):
+                shares.append(1.0 - self.left(row, [*self.of_base, *self.of_own(kind)]) / seen)
+        return max(shares)
+
+    def cosine(self, one: int, other: int) -> float:
+        """Return how much alike two rows are beyond what base and offsets imitate."""
+        held = [*self.of_base, *self.of_own()]
+        left = [self.left(row, held) for row in (one, other)]
+        if min(left) < CONFIG.sigma**2:
+            return 0.0
+        shared = float(self.gram[one, other] - self.gram[one, held] @ self.weights(other, held))
+        return shared / float(np.sqrt(left[0] * left[1]))
+
+
+def _own(problem: Problem, bare: Fit) -> tuple[list[Array], tuple[int, ...]]:
+    """Return whitened rows along which runs move on their own, and the kind of each."""
+    if not len(problem.largest_offsets):
+        return [], ()
+    along = problem.directions(bare.hypothesis, bare.coordinates, bare.predicted, {})
+    rows, kinds = own_rows(problem, along)
+    return [problem.whitened(row) for row in rows], kinds
+
+
+def _changes(bare: Fit, effect: Effect) -> tuple[Array, Array]:
+    """Return the whitened change by an effect of its usual size, and by one of a smaller size made as large."""
+    sized = [bare.problem.scale.sized(p) for p in effect.parameters]
+    usual = [p.usual for p in sized]
+    small = [_smaller(sized[0]), *usual[1:]]
+    rows = []
+    for values in (usual, small):
+        start = np.append(bare.coordinates, start_coordinates([effect], [values]))
+        change = bare.problem.predict(bare.hypothesis.adding(effect), start) - bare.predicted
+        row = bare.problem.whitened(change) if np.all(np.isfinite(change)) else np.zeros(len(change))
+        rows.append(row)
+    return rows[0], rows[1]
+
+
+def _smaller(parameter: Parameter) -> float:
+    """Return a smaller size of an effect; a level that cuts off is the smaller the farther it lies."""
+    if parameter.neutral is None or not np.isfinite(parameter.neutral):
+        return parameter.usual
+    return parameter.neutral + CONFIG.smaller * (parameter.usual - parameter.neutral)
+
+
+def _of_base(here: _Rows, base: Fit) -> list[ParameterTold]:
+    out = []
+    for p in base.hypothesis.of_all:
+        if p.name not in here.base:
+            out.append(ParameterTold(p.name, True, 0.0, 0.0))
+            continue
+        k = here.base.index(p.name)
+        others = [i for i in range(len(here.base)) if i != k]
+        weights = here.weights(k, others)
+        imitated = here.gram[np.ix_(others, others)].diagonal() * weights**2
+        whole = float(here.gram[k, k])
+        sigma = here.sigma_of_base(k)
+        is_traded = imitated > CONFIG.traded * whole
+        beside = tuple(here.base[i] for i, is_in in zip(others, is_traded, strict=True) if is_in)
+        hidden = float(np.clip(1.0 - here.left(k, others) / whole, 0.0, 1.0))
+        out.append(ParameterTold(p.name, True, sigma, hidden, beside=beside if sigma < CONFIG.sigma else ()))
+    return out
+
+
+def _of_causes(here: _Rows, base: Fit, effects: Sequence[Effect], offsets: Sequence[str]) -> list[ParameterTold]:
+    out, is_full = [], _on_bound(base)
+    for effect in effects:
+        at = here.cause(effect.id)
+        whole, seen = float(here.gram[at, at]), here.left(at, here.of_base)
+        own = here.own_share(at)
+        sigma = float(np.sqrt(here.left(at, [*here.of_base, *here.of_own()])))
+        kind = max(range(len(offsets)), key=lambda k: here.own_share(at, k), default=None)
+        # A delay that all runs share, beyond the largest that each may have, is no longer theirs.
+        is_own = kind is not None and own >= CONFIG.own and not is_full[kind]
+        offset = offsets[kind] if is_own and kind is not None else ""
+        hidden = float(np.clip(1.0 - seen / whole, 0.0, 1.0)) if whole > 0.0 else 1.0
+        out.append(ParameterTold(effect.id, False, sigma, hidden, own, offset))
+    return out
+
+
+def _on_bound(base: Fit) -> list[bool]:
+    """Return of each kind of offset whether it stands on its bound in most runs."""
+    largest = base.problem.largest_offsets
+    sizes = np.array(list(base.problem.offset_sizes(base.hypothesis, base.coordinates).values()))
+    if not sizes.size:
+        return [False] * len(largest)
+    return [bool(at) for at in np.mean(np.abs(sizes) >= CONFIG.on_bound * largest, axis=0) > 0.5]
+
+
+def _alike(here: _Rows, effects: Sequence[Effect]) -> list[tuple[str, str]]:
+    """Return pairs of causes that these runs do not tell apart."""
+    ids = [e.id for e in effects]
+    return [
+        (one, other)
+        for k, one in enumerate(ids)
+        for other in ids[k + 1 :]
+        if abs(here.cosine(here.cause(one), here.cause(other))) > CONFIG.alike
+    ]

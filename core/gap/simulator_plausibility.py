@@ -1,0 +1,211 @@
+"""Mistakes in recordings of any mechanism: a channel that stands still, a unit of time, one run against the others.
+
+What one run shows alone is seen in its columns. What it takes the simulator to see is looked for only where the base
+leaves a large part of a channel: a run is held against what all others say of it, and against the same run repaired.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from softcal.core.gap.case import Case
+from softcal.core.gap.fit import Fit, Hypothesis
+from softcal.core.gap.plausibility import DataMistake, numbers
+from softcal.core.gap.simulator import Simulator, SimulatorProblem, SimulatorRun
+from softcal.core.gap.start import StartConfig, best_start
+from softcal.core.recording import Array
+from softcal.core.words.reason import Reason, reason
+
+
+@dataclass(frozen=True)
+class MistakeConfig:
+    """When a recording is held to be mistaken.
+
+    Args:
+        good, bad: share of a channel that a base takes up where it agrees, and below which it does not.
+        gain: ratio of one run to the others from which no effect but a wrong gain explains it.
+        same: factor up to which a ratio of one run to the others is that of a unit.
+        apart: factor from which the steps of time of one run are none of jitter.
+        stuck: share of samples on the largest or smallest value from which a channel may be cut off there.
+        resting: share of samples that repeat the one before up to which a channel does not rest on steps.
+        starts: places from which a base is fitted to repaired recordings.
+    """
+
+    good: float = 0.9
+    bad: float = 0.8
+    gain: float = 2.0
+    same: float = 1.1
+    apart: float = 5.0
+    stuck: float = 0.01
+    resting: float = 0.05
+    starts: StartConfig = StartConfig(scattered=16, tried=2, first=6, steps=20)
+
+
+CONFIG = MistakeConfig()
+
+FACTORS: Mapping[str, float] = {
+    "inch": 25.4,
+    "kgf": 9.80665,
+    "lbf": 4.44822,
+    "min": 60.0,
+    "degree": float(np.pi / 180.0),
+    "rad": float(180.0 / np.pi),
+    "1000 x the unit": 1e3,
+    "the unit / 1000": 1e-3,
+    "1000000 x the unit": 1e6,
+    "the unit / 1000000": 1e-6,
+    "10 x the unit": 10.0,
+    "the unit / 10": 0.1,
+}
+"""What values in these must be multiplied by."""
+
+
+def shown(simulator: Simulator, case: Case) -> tuple[DataMistake, ...]:
+    """Return the mistakes that the columns of runs show by themselves: another unit of time, a channel that is dead."""
+    runs, number = _runs(case), numbers(case)
+    return (*_times(runs, number), *_dead(simulator, runs, number))
+
+
+def cut_off(simulator: Simulator, case: Case) -> tuple[DataMistake, ...]:
+    """Return channels that may be cut off at their largest or smallest value: questions, for a mechanism may do so."""
+    found = []
+    for run, number in zip(_runs(case), numbers(case), strict=True):
+        for channel in simulator.channels:
+            values = run.columns[channel]
+            for end in (float(values.max()), float(values.min())):
+                if _is_cut_off(values, end):
+                    count = int(np.sum(values == end))
+                    evidence = reason("data.cut_off", channel=channel, level=end, count=count)
+                    repair = reason("data.repair.range", channel=channel)
+                    found.append(DataMistake("out_of_range", channel, (number,), None, evidence, repair))
+    return tuple(found)
+
+
+def against_others(base: Fit) -> tuple[DataMistake, ...]:
+    """Return what the simulator shows: one run in another unit or with another sign, columns that were exchanged."""
+    problem = base.problem
+    if not isinstance(problem, SimulatorProblem) or _agreement(base) > CONFIG.good:
+        return ()
+    for pair in combinations((*problem.of.inputs, *problem.of.channels), 2):
+        runs = [_exchanged(run, *pair) for run in _runs(problem.case)]
+        if _agreement(_fitted(problem, runs)) > CONFIG.good:
+            evidence = reason("data.swapped", one=pair[0], other=pair[1])
+            repair = reason("data.repair.swap", one=pair[0], other=pair[1])
+            return (DataMistake("swapped_columns", "+".join(pair), (), None, evidence, repair),)
+    if len(problem.case.runs) < 3:
+        return ()
+    return next(_one_against_others(problem), ())
+
+
+def _runs(case: Case) -> list[SimulatorRun]:
+    return [run for run in case.runs if isinstance(run, SimulatorRun)]
+
+
+def _exchanged(run: SimulatorRun, one: str, other: str) -> SimulatorRun:
+    return replace(run, columns={**run.columns, one: run.columns[other], other: run.columns[one]})
+
+
+def _times(runs: Sequence[SimulatorRun], number: Sequence[int]) -> Iterator[DataMistake]:
+    if len(runs) < 3:
+        return
+    steps_s = np.array([float(np.median(np.diff(run.t_s))) for run in runs])
+    for k, step_s in enumerate(steps_s):
+        others = np.delete(steps_s, k)
+        ratio = float(np.median(others) / step_s)
+        unit = _unit(ratio)
+        if unit and max(ratio, 1.0 / ratio) > CONFIG.apart and others.max() < CONFIG.same * others.min():
+            evidence = reason("data.run.apart", channel="t_s", ratio=1.0 / ratio)
+            yield _in_unit("t_s", number[k], unit, evidence)
+
+
+def _dead(simulator: Simulator, runs: Sequence[SimulatorRun], number: Sequence[int]) -> Iterator[DataMistake]:
+    for channel in simulator.channels:
+        still = [bool(np.ptp(run.columns[channel]) == 0.0) for run in runs]
+        dead = tuple(n for n, is_still in zip(number, still, strict=True) if is_still)
+        if dead:
+            evidence = reason("data.dead", channel=channel)
+            runs_told = () if len(dead) == len(runs) else dead
+            yield DataMistake("constant", channel, runs_told, None, evidence, Reason("data.repair.dead"))
+
+
+def _is_cut_off(values: Array, end: float) -> bool:
+    # A channel that stands on the steps of an encoder repeats its values everywhere.
+    if float(np.mean(np.diff(values[values != end]) == 0.0)) > CONFIG.resting:
+        return False
+    return float(np.mean(values == end)) > CONFIG.stuck
+
+
+def _agreement(found: Fit, run: int | None = None) -> float:
+    """Return the least share of a channel that a fit takes up; of one run where it is given."""
+    return min(
+        _share(found.problem.measured[block.place], found.predicted[block.place])
+        for block in found.problem.blocks
+        if run is None or block.run == run
+    )
+
+
+def _share(measured: Array, predicted: Array) -> float:
+    spread = float(np.sum((measured - measured.mean()) ** 2))
+    left = float(np.sum((measured - predicted) ** 2))
+    return 1.0 - left / max(spread, 1e-300)
+
+
+def _fitted(problem: SimulatorProblem, runs: Sequence[SimulatorRun]) -> Fit:
+    case = Case(problem.case.serial, tuple(runs))
+    spreads = {c: float(np.std(np.concatenate([r.columns[c] for r in runs]))) for c in problem.of.channels}
+    rough = {c: 0.02 * max(spread, 1e-12) for c, spread in spreads.items()}
+    again = SimulatorProblem(case, rough, simulator=problem.of)
+    return best_start(again, Hypothesis(of_all=problem.of.base), CONFIG.starts)
+
+
+def _one_against_others(problem: SimulatorProblem) -> Iterator[tuple[DataMistake, ...]]:
+    runs, number = _runs(problem.case), numbers(problem.case)
+    for k, run in enumerate(runs):
+        found = _fitted(problem, runs[:k] + runs[k + 1 :])
+        if _agreement(found) < CONFIG.good:
+            continue
+        for mistake in _repaired(problem.of, found, run, number[k]):
+            yield (mistake,)
+
+
+def _repaired(simulator: Simulator, others: Fit, run: SimulatorRun, number: int) -> Iterator[DataMistake]:
+    """Give the repairs of one run after which it agrees with what the others say of it."""
+    said = simulator.named(others.hypothesis, others.coordinates)
+    gives = simulator(run.columns, said)
+    off = [c for c in simulator.channels if _share(run.columns[c], gives[c]) < CONFIG.bad]
+    for channel in off if len(off) == 1 else ():
+        slope = float(np.polyfit(gives[channel], run.columns[channel], 1)[0]) if np.ptp(gives[channel]) > 0.0 else 0.0
+        is_apart = slope != 0.0 and (slope < 0.0 or abs(np.log(slope)) > np.log(CONFIG.gain))
+        if is_apart and _share(run.columns[channel] / slope, gives[channel]) > CONFIG.good:
+            yield _of_factor(channel, number, 1.0 / slope)
+    for name in simulator.inputs if off else ():
+        for factor in (-1.0, *FACTORS.values()):
+            moved = simulator({**run.columns, name: factor * run.columns[name]}, said)
+            if min(_share(run.columns[c], moved[c]) for c in simulator.channels) > CONFIG.good:
+                yield _of_factor(name, number, factor)
+
+
+def _of_factor(name: str, number: int, factor: float) -> DataMistake:
+    evidence = reason("data.run.apart", channel=name, ratio=1.0 / factor)
+    if abs(np.log(abs(factor))) < np.log(CONFIG.same) and factor < 0.0:
+        return DataMistake("sign", name, (number,), -1.0, evidence, reason("data.repair.sign", channel=name))
+    unit = _unit(factor)
+    if unit:
+        return _in_unit(name, number, unit, evidence)
+    repair = reason("data.repair.gain", channel=name, factor=factor)
+    return DataMistake("gain", name, (number,), factor, evidence, repair)
+
+
+def _in_unit(name: str, number: int, unit: str, evidence: Reason) -> DataMistake:
+    repair = reason("data.repair.unit", channel=name, factor=FACTORS[unit], unit=unit)
+    return DataMistake("unit_factor", name, (number,), FACTORS[unit], evidence, repair)
+
+
+def _unit(factor: float) -> str:
+    """Return the unit whose factor this is, empty where it is none."""
+    if factor <= 0.0:
+        return ""
+    near = min(FACTORS, key=lambda unit: abs(np.log(FACTORS[unit] / factor)))
+    return near if abs(np.log(FACTORS[near] / factor)) < np.log(CONFIG.same) else ""

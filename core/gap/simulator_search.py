@@ -1,0 +1,159 @@
+"""The search over the candidates of a simulator, from a base that was fitted from many starts."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from softcal.core.errors import InputError
+from softcal.core.gap.candidates import Probe
+from softcal.core.gap.case import Case
+from softcal.core.gap.coordinates import from_fit
+from softcal.core.gap.fit import Fit, Hypothesis, Problem, fit
+from softcal.core.gap.linear import energy
+from softcal.core.gap.offsets import rows_of_runs
+from softcal.core.gap.screen import Lead, Tangent
+from softcal.core.gap.search import EffectSearch, Progress, SearchConfig
+from softcal.core.gap.simulator import (
+    Simulator,
+    SimulatorProblem,
+)
+from softcal.core.gap.start import best_start, likeliest, noise_levels, scattered
+from softcal.core.recording import Array
+from softcal.core.twin.effects import Effect
+from softcal.core.twin.probes import Extent
+
+CONFIG = SearchConfig(leads=(8, 5), beam=(3,))
+"""As for the twin, up to two causes at once."""
+
+DRAWS, FIRST_STEPS, WORTH = 12, 6, 0.01
+"""Places over the bounds at which causes are tried, steps from the likeliest of them, and the share of the gap that
+these must gain to go on."""
+
+MOST_PAIRS = 8
+"""Pairs of causes that are tried from several starts: all of four or fewer candidates."""
+
+IMITATED = 1e-3
+"""Share of the energy of an offset common to all runs up to which the base has it as its own."""
+
+
+class SimulatorSearch(EffectSearch):
+    """The search over the candidates of a simulator; nothing is placed first, and a cause has one realisation."""
+
+    def __init__(self, candidates: Sequence[Effect], base: Fit, say: Progress) -> None:
+        runs = base.problem.case.runs
+        duration_s = max(float(run.elapsed_s[-1]) for run in runs)
+        extent = Extent(1.0, 1.0, 0.0, 1.0, duration_s, float(np.median(runs[0].step_s[1:])))
+        self._candidates = candidates
+        probes = tuple(Probe(c, row, c.is_one_sided) for c in candidates for row in c.probes(extent))
+        self._begin(base, probes, (), extent, CONFIG, say)
+
+    def _rough_start(self) -> Array:
+        return self.base.coordinates[self.base.hypothesis.of_base]
+
+    def _start_again(self) -> None:
+        """Fit every cause and every pair from several starts where the likeliest hypothesis leaves structure.
+
+        A level that was never reached promises nothing to first order, and two causes may gain only together.
+        """
+        if self.is_clean(self._leader):
+            return
+        self._say("trying every cause, and every two, from several starts")
+        for effect in self._candidates:
+            self._try((effect,))
+        for pair in self._likely_pairs():
+            if self.is_clean(self._leader):
+                break
+            self._try(pair)
+        self._settle_noise(self._leader)
+
+    def _likely_pairs(self) -> list[tuple[Effect, ...]]:
+        """Return the pairs that promise most together, to first order and over many places of each."""
+        space, rows, owner = Tangent(self.base), [], []
+        for k, effect in enumerate(self._candidates):
+            for row in _rows(effect):
+                signature = space.visible(space.signature(Probe(effect, row, effect.is_one_sided)))
+                size = float(np.sqrt(energy(signature)))
+                rows += [signature / size] if size > 0.0 else []
+                owner += [k] if size > 0.0 else []
+        alike = np.array(rows) @ np.array(rows).T if rows else np.zeros((0, 0))
+        promised, of = np.array([float(row @ self.base.residual) for row in rows]), np.array(owner)
+        gains: dict[tuple[Effect, ...], float] = {}
+        for i, j in combinations(range(len(self._candidates)), 2):
+            one, other = np.flatnonzero(of == i), np.flatnonzero(of == j)
+            a, b, c = promised[one][:, None], promised[other][None, :], alike[np.ix_(one, other)]
+            together = (a**2 + b**2 - 2.0 * a * b * c) / np.maximum(1.0 - c**2, 1e-6)
+            gains[self._candidates[i], self._candidates[j]] = float(together.max(initial=0.0))
+        return sorted(gains, key=lambda pair: -gains[pair])[:MOST_PAIRS]
+
+    def _try(self, effects: tuple[Effect, ...]) -> None:
+        """Fit causes from the likeliest of many places: by what each promises beside the others, and as they are."""
+        problem, hypothesis, fits = self.base.problem, self.base.hypothesis, []
+        for effect in effects:
+            hypothesis = hypothesis.adding(effect)
+            parent = self.fits.get(tuple(sorted(e.id for e in effects if e is not effect)))
+            lead = None if parent is None else _best_lead(parent, effect)
+            if parent is not None and lead is not None:
+                fits.append(fit(problem, parent.hypothesis.adding(effect), lead.start(parent), steps=FIRST_STEPS))
+        drawn = scattered([p for effect in hypothesis.effects for p in effect.parameters], DRAWS)
+        places = [np.append(self.base.coordinates, place) for place in drawn]
+        likely = likeliest(problem, hypothesis, places)[0]
+        best = min((*fits, fit(problem, hypothesis, likely, steps=FIRST_STEPS)), key=lambda found: found.chi2)
+        # What is not better after a few steps than the best with one cause less is left there.
+        parts = [f.chi2 for ids, f in self.fits.items() if set(ids) < set(best.hypothesis.ids)]
+        if best.chi2 < min(parts) - WORTH * max(self.base.chi2 - problem.count, 0.0):
+            self.keep(fit(problem, best.hypothesis, best.coordinates, steps=60))
+
+    def _try_forms(self, share: float) -> None:
+        self._settle_noise(self._leader)
+
+    def _try_forms_within(self, best: Fit) -> bool:
+        return False
+
+    def _find_stranger(self) -> Fit | None:
+        return None
+
+
+def _best_lead(parent: Fit, effect: Effect) -> Lead | None:
+    """Return the best promise of an effect from places all over its bounds."""
+    space = Tangent(parent)
+    leads = [space.lead(Probe(effect, row, effect.is_one_sided)) for row in _rows(effect)]
+    return max((lead for lead in leads if lead is not None), key=lambda lead: lead.gain, default=None)
+
+
+def _rows(effect: Effect) -> list[tuple[float, ...]]:
+    """Return values of an effect's parameters all over their bounds."""
+    places = scattered(effect.parameters, DRAWS)
+    return [tuple(from_fit(p, float(x)) for p, x in zip(effect.parameters, place, strict=True)) for place in places]
+
+
+def base_fit(simulator: Simulator, case: Case) -> Fit:
+    """Fit the base parameters alone from several starts, with noise levels from the residual.
+
+    Raises:
+        InputError: the simulator fails wherever it is tried.
+    """
+    problem = SimulatorProblem(case, dict.fromkeys(simulator.channels, 1.0), simulator=simulator)
+    spans = {c: [problem.measured[b.place] for b in problem.blocks if b.channel == c] for c in simulator.channels}
+    rough = {c: 0.02 * max(float(np.std(np.concatenate(parts))), 1e-12) for c, parts in spans.items()}
+    hypothesis = Hypothesis(of_all=simulator.base)
+    best = best_start(problem.with_noise(rough), hypothesis)
+    if best.chi2 == np.inf:
+        raise InputError(f"{problem.failures.first}; it fails at all {problem.failures.of} places that were tried")
+    for _ in range(3):
+        under = fit(best.problem.with_noise(noise_levels(best)), hypothesis, best.coordinates)
+        best = fit(_shared_by_base(under), hypothesis, under.coordinates)
+    return best
+
+
+def _shared_by_base(found: Fit) -> Problem:
+    """Return the problem with what all runs share of an offset left to the base where the base can take its shape."""
+    problem = found.problem
+    if not isinstance(problem, SimulatorProblem) or not len(problem.largest_offsets):
+        return problem
+    bare = fit(problem.bare, found.hypothesis, found.coordinates, steps=0)
+    rows = rows_of_runs(problem, problem.directions(found.hypothesis, found.coordinates, bare.predicted, {}))
+    space = Tangent(bare)
+    shared = [bare.problem.whitened(row) for row in np.sum(list(rows.values()), axis=0)]
+    return replace(problem, of_base=tuple(energy(space.visible(row)) < IMITATED * energy(row) for row in shared))

@@ -1,0 +1,115 @@
+"""Mistakes in recordings of any mechanism: named before a cause is sought, and none where the recordings are sound."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softcal.core.errors import InputError
+from softcal.core.gap.simulator import Columns, Simulator, SimulatorRun, candidate, recorded
+from softcal.core.gap.simulator_diagnosis import check_simulator, diagnose_simulator
+from softcal.core.twin.effects import Parameter
+
+T = np.arange(300) * 0.02
+
+
+def lift(i: Columns, p: Mapping[str, float]) -> Columns:
+    force = p["force_per_A"] * i["drive_A"] + p["bend.a"] * i["drive_A"] ** 3
+    return {"force_N": force, "place_mm": p["zero"] + 0.2 * force * np.exp(-0.1 * T)}
+
+
+SIMULATOR = Simulator(
+    "a lift",
+    lift,
+    ("drive_A",),
+    ("force_N", "place_mm"),
+    (Parameter("force_per_A", "N/A", -100.0, 100.0, 5.0), Parameter("zero", "mm", -50.0, 50.0, 5.0)),
+    (candidate("bend", "coil", Parameter("a", "N/A³", -1.0, 1.0, 0.1, neutral=0.0)),),
+)
+
+
+def sound(bend: float = 0.0) -> list[dict[str, np.ndarray]]:
+    rng, out = np.random.default_rng(2), []
+    for run in range(4):
+        drive_A = (1.0 + 0.4 * run) * np.sin((0.7 + 0.3 * run) * T)
+        gives = lift({"drive_A": drive_A}, {"force_per_A": 3.0, "zero": 7.0, "bend.a": bend})
+        noisy = {name: v + rng.normal(0.0, 0.02, len(T)) for name, v in gives.items()}
+        out.append({"t_s": T, "drive_A": drive_A, **noisy})
+    return out
+
+
+def runs(tables: list[dict[str, np.ndarray]]) -> list[SimulatorRun]:
+    return [recorded(SIMULATOR, str(k), table) for k, table in enumerate(tables, start=1)]
+
+
+def times(name: str, factor: float, run: int | None = 2) -> Callable[[list[dict[str, np.ndarray]]], None]:
+    def spoil(tables: list[dict[str, np.ndarray]]) -> None:
+        for k, table in enumerate(tables):
+            if run is None or k == run:
+                table[name] = factor * table[name]
+
+    return spoil
+
+
+def stands_still(tables: list[dict[str, np.ndarray]]) -> None:
+    tables[1]["place_mm"] = np.full(len(T), 3.0)
+
+
+def exchanged(tables: list[dict[str, np.ndarray]]) -> None:
+    for table in tables:
+        table["force_N"], table["place_mm"] = table["place_mm"], table["force_N"]
+
+
+MISTAKES = [
+    (times("force_N", 1.0 / 9.80665), ("unit_factor", "force_N", (3,), 9.80665)),
+    (times("force_N", 3.3), ("gain", "force_N", (3,), 1.0 / 3.3)),
+    (times("force_N", -1.0), ("sign", "force_N", (3,), -1.0)),
+    (times("drive_A", 1e3), ("unit_factor", "drive_A", (3,), 1e-3)),
+    (times("drive_A", -1.0), ("sign", "drive_A", (3,), -1.0)),
+    (times("t_s", 1e3), ("unit_factor", "t_s", (3,), 1e-3)),
+    (stands_still, ("constant", "place_mm", (2,), None)),
+    (exchanged, ("swapped_columns", "force_N+place_mm", (), None)),
+]
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.08])
+@pytest.mark.parametrize(("spoil", "expected"), MISTAKES)
+def test_a_mistake_is_named_with_its_run_and_repair(spoil, expected, bend: float) -> None:
+    tables = sound(bend)
+    spoil(tables)
+    found = diagnose_simulator(SIMULATOR, runs(tables))
+    (mistake,) = found.mistakes
+    what, channel, at, factor = expected
+    assert (found.verdict, mistake.what, mistake.channel, mistake.runs) == ("data", what, channel, at)
+    assert mistake.factor == (None if factor is None else pytest.approx(factor, rel=0.03))
+    assert found.report()["data"] and all(cause.probability == 0.0 for cause in found.causes)
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.08, 0.3])
+def test_sound_recordings_hold_no_mistake_whatever_is_missing(bend: float) -> None:
+    found = diagnose_simulator(SIMULATOR, runs(sound(bend)))
+    assert not found.mistakes and found.verdict == ("explained" if bend else "no_gap")
+
+
+def test_a_channel_that_may_be_cut_off_is_asked_about_and_diagnosed() -> None:
+    tables = sound(0.08)
+    for table in tables:
+        table["force_N"] = np.minimum(table["force_N"], 5.0)
+    found = diagnose_simulator(SIMULATOR, runs(tables))
+    assert {m.what for m in found.mistakes} == {"out_of_range"} and found.verdict != "data"
+    assert {m.channel for m in check_simulator(SIMULATOR, runs(tables))[0]} == {"force_N"}
+
+
+def test_an_encoder_with_coarse_steps_is_not_cut_off() -> None:
+    tables = sound()
+    for table in tables:
+        table["place_mm"] = np.round(table["place_mm"] / 0.2) * 0.2
+    assert check_simulator(SIMULATOR, runs(tables))[0] == ()
+
+
+def test_time_that_does_not_go_on_is_refused_in_one_line() -> None:
+    table = sound()[0]
+    table["t_s"] = np.where(np.arange(len(T)) == 70, 0.5, T)
+    with pytest.raises(InputError, match="t_s does not go on at sample 70"):
+        recorded(replace(SIMULATOR), "1", table)
