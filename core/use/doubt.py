@@ -23,7 +23,6 @@ QUEUE = "a queue was mapped far from the calibration: a drift, or another use"
 FAR = "what was corrected is so much that the rest of it counts"
 """Why estimates may be wrong."""
 
-CAUSES = (UNCOMPARED, MISSED, STRAY, JUMP, OPEN, LATE, FAR, QUEUE)
 CALIBRATE, COMPARE = "calibrate against a reference", "compare a known load"
 """What to do: one known load tells use from drift; a drift that is known needs a calibration."""
 
