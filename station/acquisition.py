@@ -272,11 +272,11 @@ class _Run:
         move = self._motion.go(deepest_mm, speed_mm_s, search.is_over)
         if not search.has_found:
             raise SafetyStop(reason("rig.no_contact", deepest_mm=deepest_mm))
-        if self._stage.position_mm - move.path.start_mm < SEARCH_WAY_MM:
+        polls = [poll for poll in self._readings.polls if poll.host_s >= began_s]
+        if not polls or self._stage.position_mm - move.path.start_mm < SEARCH_WAY_MM:
             raise BadReply(reason("rig.contact_at_once", way_mm=SEARCH_WAY_MM))
         # The search ended in a stop: the path that can be reconstructed begins here.
         self._moves.clear()
-        polls = [poll for poll in self._readings.polls if poll.host_s >= began_s]
         return search.touch(reconstruct(polls, [move]).at)
 
     def _feel(self, zero_mm: float, contact_mm: float, zero_N: float) -> tuple[float, float]:
