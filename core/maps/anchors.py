@@ -105,7 +105,7 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, firm: Firmn
 
     f is left out on purpose: it misreads a load at rest by its own error, and where it is flat no gain or offset of
     any size would make it read the load. A map from pairs was fitted behind f and differs from the source's levels by
-    what f misreads: there f's error is in sigma_k, and of what the loads ask for a part 1 - 1 / z^2 is taken, where z is
+    what f misreads: there f's error is in sigma_k, and of what the loads ask for a part 1 - 1 / z^2 is taken, with z
     the largest |x_k - y_k| / sigma_k: none of what the errors explain (James and Stein 1961, positive part).
 
     Args:
