@@ -1,6 +1,6 @@
 """What audits buy: lots whose truth is outside what the method was set on, released on 0 to 20 audited units.
 
-python benchmarks/trust.py [--quick] [--seeds FIRST LAST] [--cache DIR] [--measured | --days]
+python benchmarks/trust.py [--quick] [--seeds FIRST LAST] [--cache DIR] [--measured | --days | --power]
     [--figure FILE]
 
 Each lot is fitted once and kept in the cache; which units are audited is drawn many times over. A release keeps the
@@ -16,7 +16,7 @@ from tempfile import gettempdir
 import numpy as np
 from common.screens import write_figure
 from common.tables import print_table
-from common.trust_lots import GOOD, FittedUnit, covered, day_lots, drawn_lots, fitted, measured_lots
+from common.trust_lots import GOOD, FittedUnit, covered, day_lots, drawn_lots, fitted, measured_lots, power_lots
 from plotly.subplots import make_subplots
 from scipy.stats import beta
 
@@ -25,8 +25,8 @@ from softcal.core.quality.conformal import least_risk
 from softcal.core.quality.qualification import wanted_audits
 from softcal.core.quality.release import AuditedUnit, least_passing, release
 from softcal.core.quality.widening import Widening, fit_widening
-from softcal.core.unit.audit_reading import line_of
-from softcal.core.unit.common_misreading import CommonMisreading, LoadLine, common_misreading, without
+from softcal.core.unit.common_misreading import CommonMisreading, common_misreading, without
+from softcal.core.unit.knowledge import ANCHORED
 from softcal.core.unit.line_spread import LineSpread
 from softcal.core.unit.method import LineConfig
 from softcal.core.unit.verdict import Limit
@@ -62,6 +62,7 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, default=Path(gettempdir()) / "softcal-trust", help="fits are kept here")
     parser.add_argument("--measured", action="store_true", help="the recordings of shared/data in place of drawn lots")
     parser.add_argument("--days", action="store_true", help="lots read on another day, without and with a golden run")
+    parser.add_argument("--power", action="store_true", help="lots whose audits or known loads show what differs")
     parser.add_argument("--figure", type=Path, help="draw what audits buy: .html, or .png by chromium")
     options = parser.parse_args()
     if options.measured:
@@ -71,6 +72,10 @@ def main() -> None:
     if options.days:
         fits = (fitted(lambda seed=seed: day_lots(seed), f"days-{seed}", options.cache) for seed in seeds)  # type: ignore[misc]
         report(by_lot(unit for units in fits for unit in units))
+        return
+    if options.power:
+        fits = (fitted(lambda seed=seed: power_lots(seed), f"power-{seed}", options.cache) for seed in seeds)  # type: ignore[misc]
+        print_power(by_lot(unit for units in fits for unit in units))
         return
     units = [u for seed in seeds for u in fitted(lambda seed=seed: drawn_lots(seed), f"seed-{seed}", options.cache)]  # type: ignore[misc]
     lots = by_lot(units)
@@ -99,7 +104,7 @@ def released_on(lots: Lots, audits: int, draws: int = DRAWS, risk: float = RISK)
     """Release every lot on this many audits, drawn `draws` times; a lot with nothing left over is left out."""
     rng, found = np.random.default_rng(0), dict[str, list[Draw]]()
     for (kind, _), units in lots.items():
-        candidates = [u for u in units if not u.is_vetoed and u.word != "fail"]
+        candidates = [u for u in units if not u.is_vetoed]
         for _ in range(draws):
             order = rng.permutation(len(candidates))
             audited, rest = ([candidates[k] for k in part] for part in (order[:audits], order[audits:]))
@@ -142,7 +147,7 @@ def _corrected(
     """
     if len(audited) < wanted_audits():
         return audited, rest
-    lines = {u.serial: LoadLine(*line_of(*np.array(u.sample)[:2])) for u in audited if u.sample}
+    lines = {u.serial: u.line for u in audited if u.sample and ANCHORED not in u.knowledge}
     common = common_misreading(lines)
     if common is None:
         return audited, rest
@@ -151,10 +156,11 @@ def _corrected(
 
 
 def _without(unit: FittedUnit, common: CommonMisreading) -> FittedUnit:
-    if not unit.sample:
+    if not unit.sample or ANCHORED in unit.knowledge:
         return unit
     estimate, reference, half = np.array(unit.sample)
-    estimate = (estimate - common.line.zero) / common.line.gain
+    line = common.of(unit.level).line
+    estimate = (estimate - line.zero) / line.gain
     error = float(np.sqrt(np.mean((estimate - reference) ** 2)))
     return replace(unit, truth=error, sample=(tuple(estimate), tuple(reference), tuple(half)))
 
@@ -197,6 +203,27 @@ def print_kinds(lots: Lots, audits: int) -> None:
     print(f"{audits} audits a lot, promise {percent(RISK)} at 90 %:\n")
     head = ("kind", "released", "of the good ones", "lots released", "released: beyond the limit", "upper 95 %")
     print_table((*head, "coverage of released, tenth-worst percentile", "median unit"), rows)
+
+
+def print_power(lots: Lots) -> None:
+    """Print what ten audits release where they, or known loads, show what no unlabelled recording does."""
+    rows = []
+    for kind, draws in released_on(lots, 10).items():
+        released, beyond = sum(d.released for d in draws), sum(d.beyond for d in draws)
+        good = sum(d.good for d in draws)
+        fitted_good = [u.truth <= u.limit for (k, _), units in lots.items() if k == kind for u in units]
+        rows.append(
+            (
+                kind,
+                percent(float(np.mean(fitted_good))),
+                percent(good / sum(d.unmeasured for d in draws)),
+                percent((released - beyond) / good) if good else "–",
+                percent(beyond / released) if released else "–",
+                *quantiles([d.coverage for d in draws]),
+            )
+        )
+    head = ("kind", "within the limit as fitted", "with ten audits", "of these released", "released: beyond the limit")
+    print_table((*head, "coverage of all, tenth-worst percentile", "median unit"), rows)
 
 
 def print_audits(lots: Lots) -> None:
@@ -276,8 +303,7 @@ def print_line(lots: Lots) -> None:
 def with_line(unit: FittedUnit, share: float) -> FittedUnit:
     """Return a unit as it would be judged with this spread of the line in its forecast."""
     forecast = float(np.hypot(unit.forecast, share * unit.load))
-    word = unit.word if unit.is_vetoed or forecast <= unit.limit else "fail"
-    return replace(unit, forecast=forecast, word=word)
+    return replace(unit, forecast=forecast)
 
 
 def upper(beyond: int, released: int) -> str:

@@ -112,6 +112,7 @@ class MadeCalibration:
         audit: what its audit says beside the error; None without one, and in records of older versions.
         audit_line: gain and zero with which its fitted map reads the loads of its audit.
         output_level: where the output of its recording stands; None in records of older versions.
+        is_open: whether nothing that was found stands against it, whatever its forecast.
         common_line: gain and zero that were taken off its map, as audited units misread them alike; None where none.
     """
 
@@ -135,6 +136,7 @@ class MadeCalibration:
     audit_line: tuple[float, float] | None = None
     output_level: "OutputLevel | None" = None
     common_line: tuple[float, float] | None = None
+    is_open: bool = True
 
     @classmethod
     def of(cls, record: "CalibrationRecord", revision: int) -> "MadeCalibration":

@@ -9,7 +9,7 @@ from softcal.core.errors import InputError
 from softcal.core.quality.audit_plan import AuditConfig, AuditPlan, LotStatement, judge_lot, plan_audit
 from softcal.core.unit.verdict import Limit, Verdict
 from softcal.core.words.reason import DOUBT
-from softcal.db.entries import UnitEntry
+from softcal.db.entries import UnitEntry, UnitStanding
 from softcal.db.registry import Registry
 
 PLAN, STATEMENT, CONFIRMED = "audit_plan", "audit_result", "audit_doubt"
@@ -155,8 +155,19 @@ def _targets(registry: Registry, lot_id: str) -> list[UnitEntry]:
 
 
 def _accepted(registry: Registry, lot_id: str) -> dict[str, float]:
-    units = [unit for unit in _targets(registry, lot_id) if unit.verdict in ACCEPTED]
-    return {unit.serial: unit.predicted_rmse for unit in units if unit.predicted_rmse is not None}
+    """Return forecasts of the units that audits can speak for; their forecast alone may speak against them."""
+    units = {unit.serial: unit for unit in _targets(registry, lot_id) if unit.predicted_rmse is not None}
+    standings = registry.standings(lot_id, list(units))
+    return {
+        serial: float(unit.predicted_rmse or 0.0)
+        for serial, unit in units.items()
+        if unit.verdict in ACCEPTED or _is_open(standings.get(serial))
+    }
+
+
+def _is_open(standing: UnitStanding | None) -> bool:
+    made = None if standing is None else standing.made
+    return made is not None and made.is_open and made.decision.measured is None
 
 
 def confirmed_audits(registry: Registry, lot_id: str) -> dict[str, str]:

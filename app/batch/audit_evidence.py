@@ -195,7 +195,7 @@ class AuditReader:
         found = {}
         for serial, standing in self._registry.standings(lot.id, sorted(set(at) - doubtful)).items():
             made = standing.made
-            if made is None or made.decision.measured is None or made.decision.predicted.verdict not in RELEASABLE:
+            if made is None or made.decision.measured is None or not made.is_open:
                 continue
             if made.forecast_rmse and made.after_rmse:
                 found[serial] = AuditedUnit(serial, made.forecast_rmse, made.after_rmse, lot.id), at[serial], made

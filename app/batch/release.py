@@ -175,7 +175,7 @@ class _Standing:
         return {
             made.serial: made
             for made in self.made
-            if made.decision.measured is None and made.decision.predicted.verdict in RELEASABLE and made.forecast_rmse
+            if made.decision.measured is None and made.is_open and made.forecast_rmse
         }
 
     def decided(self) -> LotRelease:
@@ -312,7 +312,8 @@ def _corrected(
     if audit is None:
         return judged(record, limit) or base
     recording = unlabelled(registry.recording(base.recording_sha256))
-    scored = measured(registry.network(base.network_id), record, audit, recording, limit)
+    network = registry.network(base.network_id)
+    scored = measured(network, record, audit, recording, limit, is_newer=False)
     # What its audit says of the map as it was fitted is what the others are corrected by.
     lines = {name: base.evidence[name] for name in (AUDIT_GAIN, AUDIT_ZERO) if name in base.evidence}
     return replace(scored, own_rmse=base.own_rmse, evidence={**scored.evidence, **lines})

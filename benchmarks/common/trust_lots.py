@@ -3,7 +3,7 @@
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,21 +16,26 @@ from softcal.core.challenge.draw import draw_case
 from softcal.core.challenge.rig import Measured
 from softcal.core.challenge.sealed_lot import press_lot
 from softcal.core.errors import InputError, UnitRefused
+from softcal.core.maps.interface import Anchors
 from softcal.core.metrics import rmse
 from softcal.core.network.training import fit_network
+from softcal.core.profiles import Profile, moves, random_presses, source_profile, unit_profile
 from softcal.core.quality.widening import AuditedSamples, Widening
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.simulated_lot import LineEffects, LotDesign, simulate_lot
+from softcal.core.simulated_lot import DEPTH_MM, LineEffects, LotDesign, draw_twins, simulate_lot
+from softcal.core.twin.simulate import Twin, simulate
+from softcal.core.unit.audit_reading import OutputLevel, line_of
 from softcal.core.unit.bridge import make_bridge
 from softcal.core.unit.calibrate import UnitProblem, calibrate
-from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.calibration import OUTPUT_REST, OUTPUT_SPAN, Calibration
+from softcal.core.unit.common_misreading import LoadLine
 from softcal.core.unit.estimate import Estimate, estimate
 from softcal.core.unit.forecast import rms_load
 from softcal.core.unit.source_model import SourceModel, make_source_model
-from softcal.core.unit.verdict import Verdict, default_limit
+from softcal.core.unit.verdict import default_limit
 
-UNITS, MANY, MANY_EVERY = 14, 26, 6
-"""Units of a lot; every sixth seed has lots large enough for twenty audits."""
+UNITS, MANY, MANY_EVERY, LARGE = 14, 26, 6, 30
+"""Units of a lot; every sixth seed has lots large enough for twenty audits; units of a lot of `power_lots`."""
 
 SPREAD, DAY = LineEffects(load_spread=0.12), LineEffects(day_gain=0.08, day_zero=0.03)
 OWN = "own programme"
@@ -48,9 +53,10 @@ class FittedUnit:
         truth: RMSE against the labels of the audit.
         limit: of its lot.
         word: what the forecast and the findings say without any audit.
-        is_vetoed: whether a finding, not the forecast, sets its word to fail or retest.
+        is_vetoed: whether a finding allows no better word than fail or retest, whatever its forecast.
         knowledge: how its loads were known.
         load: RMS load above rest that its recording shows, in the reference unit.
+        rest, span: of the output of its recording; 0 of a refused unit.
         sample: (3, n) estimate, reference and half-width at evenly spaced instants of the audit; empty if refused.
     """
 
@@ -65,7 +71,19 @@ class FittedUnit:
     is_vetoed: bool
     knowledge: str = ""
     load: float = 0.0
+    rest: float = 0.0
+    span: float = 0.0
     sample: tuple[tuple[float, ...], ...] = ()
+
+    @property
+    def line(self) -> LoadLine:
+        """How it reads the loads of its audit."""
+        return LoadLine(*line_of(*np.array(self.sample)[:2]), self.level)
+
+    @property
+    def level(self) -> OutputLevel:
+        """Where the output of its recording stands."""
+        return OutputLevel(self.rest, self.span)
 
     @property
     def samples(self) -> AuditedSamples:
@@ -80,6 +98,7 @@ class RawUnit:
 
     recording: OutputRecording
     audit: LabelledRecording
+    anchors: Anchors | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +167,91 @@ def day_lots(seed: int) -> Iterator[RawLot]:
         ("another day, golden run under the load cell", lot.golden),
     ):
         yield RawLot(kind, f"{kind} {seed}", lot.source, units, golden)
+
+
+@dataclass(frozen=True)
+class Readout:
+    """Gain and zero of a day, about the rest of the source's output."""
+
+    rest_V: float
+    gain: float = 1.0
+    zero_V: float = 0.0
+
+    def __call__(self, output: NDArray[np.float64]) -> NDArray[np.float64]:
+        return self.rest_V + self.gain * (output - self.rest_V) + self.zero_V
+
+
+def power_lots(seed: int) -> Iterator[RawLot]:
+    """Yield lots whose audits or known loads show what no unlabelled recording does; all share a source.
+
+    The audits are on the source's day but in the lots that say otherwise. A known load is a weight at rest, read where
+    the unit is used: on the day of the audits.
+    """
+    rng = np.random.default_rng([seed, 60_013])
+    twins = draw_twins(rng, LARGE + 1)
+    source = _press(rng, twins[0], source_profile(rng, 170.0), "S0")
+    low, high = np.quantile(source.unlabelled.output, (0.02, 0.98))
+    same = Readout(low)
+    day = Readout(low, 1 + DAY.day_gain * rng.normal(), DAY.day_zero * (high - low) * rng.normal())
+    shared = unit_profile(rng, 60.0)
+    golden = _press(rng, twins[0], shared, "S0", day)
+    audits, later = list[LabelledRecording](), list[LabelledRecording]()
+    in_step, next_day, other, spread, spread_own = (list[OutputRecording]() for _ in range(5))
+    loads = list[Anchors]()
+    for number, twin in enumerate(twins[1:], start=1):
+        serial = f"U{number:03d}"
+        harder = _harder(twin, 1 + SPREAD.load_spread * float(np.clip(rng.normal(), -2.0, 2.0)))
+        own = random_presses(rng, 60.0, DEPTH_MM)
+        audits.append(_press(rng, twin, source_profile(rng, 120.0), serial))
+        later.append(_press(rng, twin, random_presses(rng, 120.0, DEPTH_MM), serial, day))
+        in_step.append(_press(rng, twin, source_profile(rng, 60.0), serial).unlabelled)
+        next_day.append(replace(in_step[-1], output=day(in_step[-1].output)))
+        other.append(_press(rng, twin, shared, serial, day).unlabelled)
+        spread.append(_press(rng, harder, source_profile(rng, 60.0), serial).unlabelled)
+        spread_own.append(_press(rng, harder, own, serial).unlabelled)
+        loads.append(_weights(rng, twin, same))
+    none = [None] * LARGE
+    for kind, recordings, truths, anchors, run in (
+        ("audits the next day, another programme", in_step, later, none, None),
+        ("units the next day", next_day, audits, none, None),
+        ("units the next day, another programme", other, audits, none, None),
+        ("units the next day, another programme, golden run", other, audits, none, golden.unlabelled),
+        ("units the next day, another programme, golden run under the load cell", other, audits, none, golden),
+        ("units the next day, another programme, two known loads", other, audits, loads, None),
+        ("press spread 12 %", spread, audits, none, None),
+        ("press spread 12 %, two known loads", spread, audits, loads, None),
+        ("press spread 12 %, programmes of their own, two known loads", spread_own, audits, loads, None),
+    ):
+        units = tuple(map(RawUnit, recordings, truths, anchors))
+        yield RawLot(kind, f"power {kind} {seed}", source, units, run)
+
+
+def _press(
+    rng: np.random.Generator, twin: Twin, profile: Profile, serial: str, readout: Readout | None = None
+) -> LabelledRecording:
+    rate_Hz = twin.metadata.sample_rate_Hz
+    t_s, stage_mm = profile.sample(rate_Hz)
+    force_N, output_V = simulate(twin, t_s, stage_mm, rng)
+    shown_V = output_V if readout is None else readout(output_V)
+    return LabelledRecording(OutputRecording(serial, t_s, shown_V, rate_Hz), force_N)
+
+
+def _harder(twin: Twin, factor: float) -> Twin:
+    base = twin.parameters
+    return replace(twin, parameters=replace(base, k1_N_mm=factor * base.k1_N_mm, k3_N_mm3=factor * base.k3_N_mm3))
+
+
+def _weights(rng: np.random.Generator, twin: Twin, readout: Readout) -> Anchors:
+    """Read a unit at rest with nothing on it, and under a weight of two thirds of its load at full depth."""
+    depth_mm, hold_s = 0.85 * DEPTH_MM, 3.0
+    held = moves("weights", [0.0, depth_mm], [1.0, 1.0], [hold_s, hold_s])
+    run = _press(rng, twin, held, "weights", readout)
+    count = int(0.5 * run.unlabelled.sample_rate_Hz)
+    first = int((hold_s - 0.6) * run.unlabelled.sample_rate_Hz)
+    rows = (slice(first, first + count), slice(len(run) - count, len(run)))
+    return Anchors(
+        *(np.array([values[part].mean() for part in rows]) for values in (run.unlabelled.output, run.reference))
+    )
 
 
 def measured_lots(sources: int = 3) -> Iterator[RawLot]:
@@ -225,7 +329,8 @@ def _fit_lot(lot: RawLot, models: dict[str, SourceModel]) -> Iterator[FittedUnit
     model = models[lot.source.sha256]
     bridge = None if lot.golden is None else make_bridge(model, lot.golden)
     for unit in lot.units:
-        yield _fit_unit(lot, UnitProblem(model, unit.recording, bridge=bridge), unit.audit)
+        problem = UnitProblem(model, unit.recording, anchors=unit.anchors, bridge=bridge)
+        yield _fit_unit(lot, problem, unit.audit)
 
 
 def _fit_unit(lot: RawLot, problem: UnitProblem, audit: LabelledRecording) -> FittedUnit:
@@ -240,7 +345,8 @@ def _fit_unit(lot: RawLot, problem: UnitProblem, audit: LabelledRecording) -> Fi
     forecast, predicted = calibration.forecast, calibration.decision.predicted
     rows = np.isfinite(result.estimate)
     assert forecast is not None  # noqa: S101
-    is_vetoed = predicted.verdict in (Verdict.FAIL, Verdict.RETEST) and forecast.rmse <= limit
+    assert calibration.grounds is not None  # noqa: S101
+    is_vetoed = not calibration.grounds.is_open
     return FittedUnit(
         lot.kind,
         lot.name,
@@ -251,8 +357,10 @@ def _fit_unit(lot: RawLot, problem: UnitProblem, audit: LabelledRecording) -> Fi
         limit,
         str(predicted.verdict),
         is_vetoed,
-        calibration.knowledge.kind,
+        str(calibration.knowledge),
         _load(model, calibration, recording),
+        float(calibration.evidence[OUTPUT_REST]),
+        float(calibration.evidence[OUTPUT_SPAN]),
         _sample(result, audit, rows),
     )
 

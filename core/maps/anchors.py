@@ -105,8 +105,8 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, firm: Firmn
 
     f is left out on purpose: it misreads a load at rest by its own error, and where it is flat no gain or offset of
     any size would make it read the load. A map from pairs was fitted behind f and differs from the source's levels by
-    what f misreads: there f's error is in sigma_k, and of what the loads ask for a part 1 - (clear / z)^2 is taken,
-    where z is the largest |x_k - y_k| / sigma_k: none of what the errors explain (after James and Stein 1961).
+    what f misreads: there f's error is in sigma_k, and of what the loads ask for a part 1 - 1 / z^2 is taken, with z
+    the largest |x_k - y_k| / sigma_k: none of what the errors explain (James and Stein 1961, positive part).
 
     Args:
         problem: source and network.
@@ -125,8 +125,7 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, firm: Firmn
         sigma = np.hypot(sigma, _model_error(problem))
         # Pairs pressed with another load than the source's know the gain no better than the output alone does.
         firm = firmness("", config.anchors)
-        furthest = float(np.max(np.abs(wanted - mapped) / sigma))
-        taken = 1.0 - (config.anchors.clear / max(furthest, config.anchors.clear)) ** 2
+        taken = 1.0 - 1.0 / max(float(np.max(((wanted - mapped) / sigma) ** 2)), 1.0)
     # In standard deviations of the prior, whose own residual is then the unknown itself.
     design = np.stack([firm.gain * (mapped - rest), np.full_like(mapped, level)], axis=1) / sigma[:, None]
     normal = design.T @ design + np.eye(2)

@@ -267,7 +267,6 @@ class AnchorConfig:
         near: samples of the source within this share of its range around a load show its output under it.
         least_near: so many of them at least.
         model_rows: windows of the source that the error of f is taken from.
-        clear: loads within so many standard uncertainties of a paired map change nothing, and those beyond a part.
         most_misfit: loads that lie further from the source's levels than so many standard uncertainties, whatever the
             gain and offset, contradict one another.
         beyond: a known load may lie beyond the source's range by this share of it.
@@ -288,7 +287,6 @@ class AnchorConfig:
     near: float = setting(0.05)
     least_near: int = setting(30)
     model_rows: int = setting(2000)
-    clear: float = setting(1.2, "benchmarks/trust.py --power on seeds 0 to 2; tested on seeds 100 to 102")
     most_misfit: float = setting(10.0)
     beyond: float = setting(0.1)
     same_load: float = setting(0.01)

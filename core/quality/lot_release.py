@@ -63,9 +63,10 @@ class LotRelease:
 
     def judgement(self, serial: str) -> Judgement:
         """Return what the audits of the lot say about one of the units decided on."""
-        if self.found is None:
-            return Judgement(Verdict.CONDITIONAL, (reason("not_qualified", why=self.qualification.reason),))
         rmse, limit, unit = self.forecasts[serial], self.limit.maximum_rmse, self.limit.unit
+        if self.found is None:
+            word = Verdict.FAIL if rmse > limit else Verdict.CONDITIONAL
+            return Judgement(word, (reason("not_qualified", why=self.qualification.reason),))
         facts: Mapping[str, Value] = {"rmse": rmse, "limit": limit, "unit": unit, "audits": self._audits(self.found)}
         factor, centre = self.found.factor, self.forecast_scale
         if serial in self.released:

@@ -215,8 +215,10 @@ def measured(
     audit: LabelledRecording,
     recording: OutputRecording,
     limit: Limit,
+    *,
+    is_newer: bool = True,
 ) -> CalibrationRecord:
-    """Return a calibration scored on another audit than it was made with, and judged by it; its map stays.
+    """Return a calibration scored on an audit, and judged by it; its map stays.
 
     Args:
         network: the shared network f.
@@ -224,6 +226,7 @@ def measured(
         audit: labelled recording of the unit.
         recording: the one it was calibrated from.
         limit: in force.
+        is_newer: whether the audit is another than it was made with: what barred the older one is over.
     """
     calibration, grounds = Calibration.from_record(record), record.grounds
     if grounds is None:
@@ -233,7 +236,7 @@ def measured(
     grounds = replace(
         grounds,
         measured=MeasuredError(scores, len(audit.windows)),
-        bars=tuple(why for why in grounds.bars if why.code not in (*TRIM_BARS, UNREADABLE)),
+        bars=tuple(why for why in grounds.bars if not is_newer or why.code not in (*TRIM_BARS, UNREADABLE)),
     )
     decision = grounds.decide(limit, config)
     scored = with_audit(

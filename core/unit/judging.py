@@ -8,7 +8,7 @@ from softcal.core.identity import content_sha256
 from softcal.core.unit.method import DecisionConfig
 from softcal.core.unit.scoring import Scores
 from softcal.core.unit.uncertainty import ErrorForecast
-from softcal.core.unit.verdict import Decision, Finding, Judgement, Limit, Verdict, decide, decide_audited
+from softcal.core.unit.verdict import Decision, Finding, Judgement, Limit, Verdict, decide, decide_audited, worst_of
 from softcal.core.words.reason import Reason
 
 if TYPE_CHECKING:
@@ -49,6 +49,12 @@ class Grounds:
     measured: MeasuredError | None = None
     bars: tuple[Reason, ...] = ()
     rules: tuple[str, ...] = ()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether nothing that was found stands against it: its forecast alone may, and audits can correct that."""
+        found = (*self.findings, *self.held)
+        return worst_of([Verdict.PASS, *(one.best for one in found)]).severity <= Verdict.CONDITIONAL.severity
 
     def decide(self, limit: Limit, config: DecisionConfig) -> Decision:
         """Decide against a limit in the unit of the errors."""

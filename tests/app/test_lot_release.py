@@ -148,6 +148,20 @@ def test_what_the_audits_of_a_lot_read_on_another_day_misread_alike_is_taken_off
     assert batch(folder)["release"] == release and counts == [len(registry.history(serial)) for serial in units]
 
 
+def test_a_forecast_beyond_the_limit_does_not_stand_against_what_the_audits_measured(make_lot, batch, registry_url):
+    folder = make_lot(limit_N=0.25)
+    with (folder / "lot.toml").open("a") as file:
+        file.write("[line]\nload_spread = 0.3\n")
+    (folder / "audit").rename(folder.parent / "kept")
+    before = {unit["serial"]: unit["verdict"] for unit in batch(folder)["units"]}
+    assert set(before.values()) == {"fail"}
+    # What forecasts cannot see is what audits are drawn for: the plan draws from these units, too.
+    assert main(["lot", "audit-plan", "large", "--registry", registry_url]) == 0
+    (folder.parent / "kept").rename(folder / "audit")
+    report = batch(folder)
+    assert len(report["release"]["released"]) == 4 and report["counts"]["fail"] == 0
+
+
 def test_a_lot_without_enough_audits_is_left_as_it_was_fitted(make_lot, batch, registry):
     report = batch(make_lot(day_gain=1.35, limit_N=0.4, audits=6))
     assert report["release"]["released"] == [] and report["release"]["common"] is None

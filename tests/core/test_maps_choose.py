@@ -232,7 +232,8 @@ def test_known_loads_do_not_harm_a_unit_that_is_paired_well(make, source):
     loads = np.array([0.0, 2.5])
     anchors = Anchors((0.5 + 0.1 * loads + 0.02 * loads**2 - OFFSET) / GAIN, loads)
     without, given = (after(problem, choose_map(replace(problem, anchors=a)))[0] for a in (None, anchors))
-    assert given < 1.02 * without
+    # A part of what the errors of load and network explain may be followed, never more than a tenth of its own error.
+    assert given < 1.1 * without
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])
