@@ -16,7 +16,8 @@ from softcal.core.gap.case import Case
 from softcal.core.gap.empirical import LearnedResidual, learned
 from softcal.core.gap.fit import Fit, Problem, fit
 from softcal.core.gap.floor import coloured, is_noise
-from softcal.core.gap.found_causes import (
+from softcal.core.gap.identifiability import Identifiability, identifiability, sentences
+from softcal.core.gap.named_causes import (
     IMITATED_TRUST,
     NOT_MEASURED,
     SCHEMA,
@@ -33,7 +34,6 @@ from softcal.core.gap.found_causes import (
     shares_of,
     under_its_floor,
 )
-from softcal.core.gap.identifiability import Identifiability, identifiability, sentences
 from softcal.core.gap.next_experiment import MenuEntry, NextExperiment
 from softcal.core.gap.plausibility import DataMistake
 from softcal.core.gap.posterior import log_evidences
