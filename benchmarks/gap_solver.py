@@ -17,7 +17,8 @@ from scipy.optimize import least_squares
 from softcal.core.challenge.draw import draw_case
 from softcal.core.gap.candidates import Probe, extent_of, probes
 from softcal.core.gap.coordinates import start_coordinates
-from softcal.core.gap.fit import Around, Hypothesis, Problem, _Space, fit
+from softcal.core.gap.fit import _Space, fit
+from softcal.core.gap.problem import Around, Hypothesis, Problem
 from softcal.core.gap.start import base_fit
 from softcal.core.recording import Array
 
