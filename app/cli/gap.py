@@ -13,8 +13,8 @@ from softcal.core.errors import InputError
 if TYPE_CHECKING:
     from softcal.core.gap.diagnosis import Diagnosis
     from softcal.core.gap.empirical import LearnedResidual
-    from softcal.core.gap.findings import RankedCause
     from softcal.core.gap.identifiability import Identifiability
+    from softcal.core.gap.named_causes import RankedCause
     from softcal.core.gap.plausibility import DataMistake
     from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis
     from softcal.core.gap.simulator_terms import SimulatorTerm

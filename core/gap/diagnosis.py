@@ -12,7 +12,10 @@ from softcal.core.gap.candidates import is_told, visible_effects
 from softcal.core.gap.case import Case
 from softcal.core.gap.empirical import LearnedResidual, learned, terms_of_twin
 from softcal.core.gap.explained import explained_twin, form_of, in_catalogue_form, with_constants
-from softcal.core.gap.findings import (
+from softcal.core.gap.fit import Fit
+from softcal.core.gap.floor import is_noise
+from softcal.core.gap.identifiability import Identifiability, identifiability, sentences
+from softcal.core.gap.named_causes import (
     IMITATED_TRUST,
     NOT_MEASURED,
     SCHEMA,
@@ -29,9 +32,6 @@ from softcal.core.gap.findings import (
     shares_of,
     under_its_floor,
 )
-from softcal.core.gap.fit import Fit
-from softcal.core.gap.floor import is_noise
-from softcal.core.gap.identifiability import Identifiability, identifiability, sentences
 from softcal.core.gap.next_experiment import NextExperiment, menu, propose
 from softcal.core.gap.odd_run import odd_run, odd_run_beside
 from softcal.core.gap.offsets import OFFSET_NAMES, Offsets, offsets

@@ -14,7 +14,10 @@ from softcal.core.gap import next_experiment
 from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction, rivals
 from softcal.core.gap.case import Case
 from softcal.core.gap.empirical import LearnedResidual, learned
-from softcal.core.gap.findings import (
+from softcal.core.gap.fit import Fit, fit
+from softcal.core.gap.floor import coloured, is_noise
+from softcal.core.gap.identifiability import Identifiability, identifiability, sentences
+from softcal.core.gap.named_causes import (
     IMITATED_TRUST,
     NOT_MEASURED,
     SCHEMA,
@@ -31,9 +34,6 @@ from softcal.core.gap.findings import (
     shares_of,
     under_its_floor,
 )
-from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.floor import coloured, is_noise
-from softcal.core.gap.identifiability import Identifiability, identifiability, sentences
 from softcal.core.gap.next_experiment import MenuEntry, NextExperiment
 from softcal.core.gap.plausibility import DataMistake
 from softcal.core.gap.posterior import log_evidences
