@@ -12,7 +12,7 @@ from softcal.core.gap.candidates import is_told, visible_effects
 from softcal.core.gap.case import Case
 from softcal.core.gap.empirical import LearnedResidual, learned, terms_of_twin
 from softcal.core.gap.explained import explained_twin, form_of, in_catalogue_form, with_constants
-from softcal.core.gap.fit import BASE, Fit
+from softcal.core.gap.fit import Fit
 from softcal.core.gap.floor import is_noise
 from softcal.core.gap.identifiability import Identifiability, identifiability, sentences
 from softcal.core.gap.named_causes import (
@@ -38,6 +38,7 @@ from softcal.core.gap.offsets import OFFSET_NAMES, Offsets, offsets
 from softcal.core.gap.place import likely_stages, loose_noise
 from softcal.core.gap.plausibility import DataMistake, doubts, mistakes
 from softcal.core.gap.posterior import log_evidences
+from softcal.core.gap.problem import BASE
 from softcal.core.gap.residual import Map, Regime, regimes, structure, three_maps
 from softcal.core.gap.search import EffectSearch, SearchConfig
 from softcal.core.gap.shrink import ChannelGap, Quantified, Shrink, quantify

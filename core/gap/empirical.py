@@ -16,9 +16,10 @@ from scipy.stats import t as student
 
 from softcal.core.gap.case import Mask
 from softcal.core.gap.coordinates import start_coordinates
-from softcal.core.gap.fit import Fit, Problem, fit
+from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import energy
 from softcal.core.gap.offsets import rows_of_runs
+from softcal.core.gap.problem import Problem
 from softcal.core.gap.residual import structure
 from softcal.core.gap.shrink import Shrink
 from softcal.core.recording import Array

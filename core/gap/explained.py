@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from softcal.core.gap.coordinates import start_coordinates
-from softcal.core.gap.fit import BASE, Fit, Hypothesis, fit
+from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.forms import FORMS
+from softcal.core.gap.problem import BASE, Hypothesis
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Effect, Flow, Memory
 from softcal.core.twin.empirical_terms import EmpiricalTerm

@@ -14,9 +14,10 @@ from scipy.optimize import minimize_scalar
 
 from softcal.core.gap.case import Mask
 from softcal.core.gap.colour import Colour, Stretch, log_likelihood, read_noise
-from softcal.core.gap.fit import Block, Fit, Problem
+from softcal.core.gap.fit import Fit
 from softcal.core.gap.library import variables
 from softcal.core.gap.linear import combine, dots
+from softcal.core.gap.problem import Block, Problem
 from softcal.core.gap.start import noise_levels
 from softcal.core.recording import Array
 

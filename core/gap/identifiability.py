@@ -10,9 +10,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from softcal.core.gap.coordinates import fit_scale, start_coordinates
-from softcal.core.gap.fit import Fit, Problem, fit
+from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.next_experiment import MenuEntry
 from softcal.core.gap.offsets import own_rows
+from softcal.core.gap.problem import Problem
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Parameter
 from softcal.core.words.reason import Reason, reason, several

@@ -8,9 +8,10 @@ import numpy as np
 
 from softcal.core.gap.coordinates import from_fit
 from softcal.core.gap.explained import form_of
-from softcal.core.gap.fit import Fit, Problem
+from softcal.core.gap.fit import Fit
 from softcal.core.gap.floor import coloured
 from softcal.core.gap.posterior import exact_log_evidence, probabilities
+from softcal.core.gap.problem import Problem
 from softcal.core.gap.search import EffectSearch
 from softcal.core.gap.shrink import ChannelGap, unsupported
 from softcal.core.recording import Array

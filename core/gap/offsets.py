@@ -15,7 +15,7 @@ from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.signals import compiled
 
 if TYPE_CHECKING:
-    from softcal.core.gap.fit import Problem
+    from softcal.core.gap.problem import Problem
 
 TARE = 0.03
 """Largest force at rest that counts as a cell that was not tared, as a share of the range of the force."""

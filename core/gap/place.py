@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.gap.case import Mask, Run
-from softcal.core.gap.fit import Block, Fit
+from softcal.core.gap.fit import Fit
+from softcal.core.gap.problem import Block
 from softcal.core.gap.residual import Map, suspects
 from softcal.core.gap.tone import Tone, strongest_tone
 from softcal.core.recording import Array

@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.fit import Block, Fit
+from softcal.core.gap.fit import Fit
+from softcal.core.gap.problem import Block
 from softcal.core.gap.start import base_fit
 from softcal.core.profiles import pressed
 from softcal.core.recording import Array

@@ -8,8 +8,9 @@ import numpy as np
 
 from softcal.core.gap.candidates import Probe
 from softcal.core.gap.coordinates import start_coordinates
-from softcal.core.gap.fit import Around, Fit, fit
+from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import combine, dots, energy, gram
+from softcal.core.gap.problem import Around
 from softcal.core.gap.scale import RigScale
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect

@@ -9,11 +9,12 @@ from softcal.core.gap.candidates import Probe, extent_of, probes, visible_effect
 from softcal.core.gap.case import Case
 from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.episodes import PLACERS, placed_again
-from softcal.core.gap.fit import Fit, Hypothesis, Problem, fit
+from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.floor import noise_of
 from softcal.core.gap.forms import FORMS
 from softcal.core.gap.free_form import imitated_causes
 from softcal.core.gap.posterior import Yardstick, log_evidences
+from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.gap.residual import structure
 from softcal.core.gap.screen import hiding, joined, screen
 from softcal.core.gap.start import base_fit, rough_start, with_driving_noise

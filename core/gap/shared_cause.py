@@ -9,7 +9,7 @@ from softcal.core.errors import InputError
 from softcal.core.gap.ambiguity import ADDED_LOG_ODDS, MOST_RIVALS, NEGLIGIBLE_LOG_ODDS, RIVAL_LOG_ODDS
 from softcal.core.gap.case import Case
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
-from softcal.core.gap.fit import PRIOR_ODDS, Fit, Hypothesis, Problem, fit
+from softcal.core.gap.fit import PRIOR_ODDS, Fit, fit
 from softcal.core.gap.named_causes import (
     IMITATED_TRUST,
     UNKNOWN_TRUST,
@@ -18,6 +18,7 @@ from softcal.core.gap.named_causes import (
     estimates_of,
 )
 from softcal.core.gap.posterior import Fits, Yardstick, log_evidences, misfit, penalty, probabilities
+from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.recording import Array
 
 Ids = tuple[str, ...]

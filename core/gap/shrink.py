@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from softcal.core.gap.case import Mask
-from softcal.core.gap.fit import Fit, Hypothesis, Problem, fit
+from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import combine, energy
 from softcal.core.gap.posterior import Yardstick
+from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.gap.residual import structure
 from softcal.core.recording import Array
 

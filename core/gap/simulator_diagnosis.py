@@ -14,7 +14,7 @@ from softcal.core.gap import next_experiment
 from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction, rivals
 from softcal.core.gap.case import Case
 from softcal.core.gap.empirical import LearnedResidual, learned
-from softcal.core.gap.fit import Fit, Problem, fit
+from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.floor import coloured, is_noise
 from softcal.core.gap.identifiability import Identifiability, identifiability, sentences
 from softcal.core.gap.named_causes import (
@@ -37,20 +37,13 @@ from softcal.core.gap.named_causes import (
 from softcal.core.gap.next_experiment import MenuEntry, NextExperiment
 from softcal.core.gap.plausibility import DataMistake
 from softcal.core.gap.posterior import log_evidences
+from softcal.core.gap.problem import Problem
 from softcal.core.gap.search import EffectSearch, Progress
 from softcal.core.gap.shrink import ChannelGap, Quantified, Shrink, quantify
-from softcal.core.gap.simulator import (
-    Failures,
-    Simulator,
-    SimulatorProblem,
-    SimulatorRun,
-    followed,
-    is_high,
-    is_quick,
-    planned,
-)
+from softcal.core.gap.simulator import Simulator, SimulatorRun, planned
 from softcal.core.gap.simulator_place import places_of
 from softcal.core.gap.simulator_plausibility import against_others, cut_off, shown
+from softcal.core.gap.simulator_problem import Failures, SimulatorProblem, followed, is_high, is_quick
 from softcal.core.gap.simulator_search import SimulatorSearch, base_fit
 from softcal.core.gap.simulator_terms import SimulatorTerm, terms_of
 from softcal.core.twin.effects import Effect

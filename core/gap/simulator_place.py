@@ -3,8 +3,9 @@
 import numpy as np
 
 from softcal.core.gap import next_experiment
-from softcal.core.gap.fit import Block, Fit
+from softcal.core.gap.fit import Fit
 from softcal.core.gap.named_causes import DiagnosisVerdict, GapPlace, RankedCause
+from softcal.core.gap.problem import Block
 from softcal.core.gap.residual import Regime, structure
 from softcal.core.gap.search import EffectSearch
 from softcal.core.recording import Array

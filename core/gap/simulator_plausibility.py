@@ -11,9 +11,11 @@ from itertools import combinations
 import numpy as np
 
 from softcal.core.gap.case import Case
-from softcal.core.gap.fit import Fit, Hypothesis
+from softcal.core.gap.fit import Fit
 from softcal.core.gap.plausibility import DataMistake, numbers
-from softcal.core.gap.simulator import Simulator, SimulatorProblem, SimulatorRun
+from softcal.core.gap.problem import Hypothesis
+from softcal.core.gap.simulator import Simulator, SimulatorRun
+from softcal.core.gap.simulator_problem import SimulatorProblem
 from softcal.core.gap.start import StartConfig, best_start
 from softcal.core.recording import Array
 from softcal.core.words.reason import Reason, reason

@@ -10,15 +10,14 @@ from softcal.core.errors import InputError
 from softcal.core.gap.candidates import Probe
 from softcal.core.gap.case import Case
 from softcal.core.gap.coordinates import from_fit
-from softcal.core.gap.fit import Fit, Hypothesis, Problem, fit
+from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import energy
 from softcal.core.gap.offsets import rows_of_runs
+from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.gap.screen import Lead, Tangent
 from softcal.core.gap.search import EffectSearch, Progress, SearchConfig
-from softcal.core.gap.simulator import (
-    Simulator,
-    SimulatorProblem,
-)
+from softcal.core.gap.simulator import Simulator
+from softcal.core.gap.simulator_problem import SimulatorProblem
 from softcal.core.gap.start import best_start, likeliest, noise_levels, scattered
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect

@@ -17,7 +17,8 @@ from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter
 from softcal.core.twin.signals import low_pass
 
 if TYPE_CHECKING:
-    from softcal.core.gap.simulator import Columns, Simulator, SimulatorProblem
+    from softcal.core.gap.simulator import Columns, Simulator
+    from softcal.core.gap.simulator_problem import SimulatorProblem
 
 MEMORIES = (0.01, 0.03, 0.1, 0.3)
 """Fading times of the memories, as shares of the longest run."""

@@ -10,8 +10,9 @@ from scipy.optimize import nnls
 from softcal.core.gap.case import Case
 from softcal.core.gap.coordinates import fit_scale, to_fit
 from softcal.core.gap.drive import HALF_WIDTH
-from softcal.core.gap.fit import BASE, Fit, Hypothesis, Problem, fit
+from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import energy
+from softcal.core.gap.problem import BASE, Hypothesis, Problem
 from softcal.core.gap.scale import RigScale
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Parameter

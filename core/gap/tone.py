@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softcal.core.gap.fit import Block, Fit
+from softcal.core.gap.fit import Fit
+from softcal.core.gap.problem import Block
 
 CHANCE = 1e-6
 """How seldom white noise may show a tone in one run."""

@@ -13,8 +13,9 @@ from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.diagnosis import diagnose
 from softcal.core.gap.episodes import with_intervals, with_line, with_losses
 from softcal.core.gap.explained import explained_twin, in_catalogue_form, with_constants
-from softcal.core.gap.fit import Hypothesis, fit
+from softcal.core.gap.fit import fit
 from softcal.core.gap.forms import FORMS
+from softcal.core.gap.problem import Hypothesis
 from softcal.core.gap.residual import structure
 from softcal.core.gap.start import base_fit
 from softcal.core.twin.catalogue import EFFECTS

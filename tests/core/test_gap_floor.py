@@ -12,9 +12,10 @@ from softcal.core import profiles
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.colour import Colour, ColourConfig, Stretch, filter_of, filtered, log_likelihood, read_noise
 from softcal.core.gap.diagnosis import diagnose
-from softcal.core.gap.fit import BASE as PARAMETERS
-from softcal.core.gap.fit import Hypothesis, Problem, fit, to_fit
+from softcal.core.gap.fit import fit, to_fit
 from softcal.core.gap.floor import is_noise
+from softcal.core.gap.problem import BASE as PARAMETERS
+from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.gap.start import base_fit
 from softcal.core.recording import Array
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata

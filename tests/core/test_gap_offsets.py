@@ -9,9 +9,10 @@ from scipy.signal import lfilter
 from softcal.core import profiles
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import diagnose
-from softcal.core.gap.fit import BASE as PARAMETERS
-from softcal.core.gap.fit import Hypothesis, Problem, to_fit
+from softcal.core.gap.fit import to_fit
 from softcal.core.gap.offsets import RESISTANCE, TARE, offsets
+from softcal.core.gap.problem import BASE as PARAMETERS
+from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.gap.start import base_fit
 from softcal.core.gap.tone import strongest_tone
 from softcal.core.recording import Array

@@ -1,0 +1,224 @@
+"""Recordings of a mechanism and what its simulator says of them, as one problem for a fit."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from softcal.core.gap.case import Case, Mask, Run
+from softcal.core.gap.colour import ColourConfig, COMMON_STEP_s
+from softcal.core.gap.fit import Fit
+from softcal.core.gap.library import columns_of
+from softcal.core.gap.offsets import Directions, Sizes
+from softcal.core.gap.problem import Block, Hypothesis, Problem
+from softcal.core.gap.scale import RigScale
+from softcal.core.gap.simulator import Simulator, SimulatorFailed, SimulatorRun
+from softcal.core.gap.simulator_terms import TermStep
+from softcal.core.recording import Array
+
+KNOWN = 200
+"""Answers of a simulator that are kept."""
+
+
+@dataclass
+class Failures:
+    """How often a simulator failed within the bounds of its parameters, and how it did first."""
+
+    count: int = 0
+    of: int = 0
+    first: str = ""
+
+    def record(self) -> dict[str, object] | None:
+        """Return what a report says of it; None where it never failed."""
+        return {"evaluations": self.count, "of": self.of, "first": self.first} if self.count else None
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatorProblem(Problem):
+    """Recorded channels of a mechanism as one vector, and what its simulator says of them."""
+
+    simulator: Simulator | None = None
+    failures: Failures = field(default_factory=Failures)
+    known: dict[tuple[tuple[str, float], ...], Array] = field(default_factory=dict)
+    """What the simulator said lately, by its parameters, whatever noise or samples a problem has."""
+    of_base: tuple[bool, ...] = ()
+    """Of every offset, whether the base has what all runs share of it; nothing of it is known where empty."""
+
+    @property
+    def of(self) -> Simulator:
+        """The simulator."""
+        if self.simulator is None:
+            raise ValueError("a problem of a simulator needs one")
+        return self.simulator
+
+    @cached_property
+    def channels_of_runs(self) -> list[tuple[str, ...]]:
+        return [self.of.channels for _ in self.case.runs]
+
+    def recorded(self, run: int, channel: str) -> Array:
+        return self._runs[run].columns[channel]
+
+    @cached_property
+    def is_free(self) -> Array:
+        return np.ones(len(self.of.base), dtype=np.bool_)
+
+    @cached_property
+    def scale(self) -> RigScale:
+        # A simulator states the bounds of its own parameters.
+        return RigScale()
+
+    @property
+    def is_driven_by_force(self) -> bool:
+        return False
+
+    @cached_property
+    def dither_V(self) -> float | None:
+        return None
+
+    @property
+    def scored_channels(self) -> list[str]:
+        return list(self.of.channels)
+
+    @cached_property
+    def _times_slower(self) -> float:
+        return float(np.median(np.concatenate([run.step_s[1:] for run in self.case.runs]))) / COMMON_STEP_s
+
+    @cached_property
+    def colour_config(self) -> ColourConfig:
+        return ColourConfig().slower(self._times_slower)
+
+    @property
+    def smooth_order(self) -> int:
+        return 2
+
+    def least_noise(self, channel: str) -> float:
+        return 1e-9 * max(float(np.ptp(self.measured[b.place])) for b in self.blocks if b.channel == channel)
+
+    def of_run(self, run: Run) -> Problem:
+        case = Case(self.case.serial, (run,), is_planned=True)
+        return replace(self, case=case, use=None, failures=Failures(), known={})
+
+    @cached_property
+    def largest_offsets(self) -> Array:
+        return np.array([self.of.per_run[channel][kind] for channel, kind in self.of.offsets])
+
+    @cached_property
+    def are_relative(self) -> Mask:
+        return np.array(self.of_base or [kind == "gain" for _, kind in self.of.offsets], dtype=np.bool_)
+
+    @cached_property
+    def are_bending(self) -> Mask:
+        return np.array([kind == "delay" for _, kind in self.of.offsets], dtype=np.bool_)
+
+    def _known(self, out: Array) -> Array:
+        # Where a simulator fails nothing is known: a fit must not go there.
+        return out
+
+    def clean(self, hypothesis: Hypothesis, coordinates: Array, sizes: Sizes) -> Array:
+        out = self._simulated(hypothesis, coordinates).copy()
+        for block in self.blocks if sizes else ():
+            rows = zip(self.of.offsets, sizes[block.run], strict=True)
+            mine = {kind: float(size) for (channel, kind), size in rows if channel == block.channel}
+            t_s = self.case.runs[block.run].elapsed_s
+            values = out[block.place]
+            if mine.get("delay") and np.all(np.isfinite(values)):
+                # A straight line between samples would err by more than the noise where a channel bends.
+                values = CubicSpline(t_s, values)(np.clip(t_s - mine["delay"], 0.0, t_s[-1]))
+            out[block.place] = (
+                values * (1.0 + mine.get("gain", 0.0)) + mine.get("zero", 0.0) + mine.get("drift", 0.0) * t_s
+            )
+        return out
+
+    def directions(self, hypothesis: Hypothesis, coordinates: Array, clean: Array, sizes: Sizes) -> Directions:
+        raw = self._simulated(hypothesis, coordinates)
+        return [self._along(block, clean[block.place], raw[block.place]) for block in self.blocks]
+
+    def _along(self, block: Block, clean: Array, raw: Array) -> Array | None:
+        """(k, n) change of a channel with each offset of its run; None where none is allowed."""
+        if block.channel not in self.of.per_run:
+            return None
+        t_s = self.case.runs[block.run].elapsed_s
+        of_kind = {"zero": np.ones(len(t_s)), "drift": t_s, "gain": raw, "delay": -np.gradient(clean, t_s)}
+        return np.array([of_kind[kind] * (channel == block.channel) for channel, kind in self.of.offsets])
+
+    def _simulated(self, hypothesis: Hypothesis, coordinates: Array) -> Array:
+        """Return what the simulator says, (samples,), NaN everywhere where it fails in a run."""
+        parameters = self.of.named(hypothesis, coordinates)
+        key = tuple(parameters.items())
+        if key not in self.known:
+            self.known[key] = self._run_all(parameters)
+            # The oldest goes: every part that is held back begins where the others did.
+            if len(self.known) > KNOWN:
+                del self.known[next(iter(self.known))]
+        return self._with_terms(hypothesis, coordinates, self.known[key])
+
+    def _with_terms(self, hypothesis: Hypothesis, coordinates: Array, raw: Array) -> Array:
+        """Return what the simulator says, (samples,), with the empirical terms of a hypothesis added."""
+        found = [(e.step.term, e.id) for e in hypothesis.effects if isinstance(e.step, TermStep)]
+        if not found or not np.all(np.isfinite(raw)):
+            return raw
+        out, sizes = raw.copy(), {i: coordinates[hypothesis.place_of(i)] for _, i in found}
+        for run in range(len(self.case.runs)):
+            places = {b.channel: b.place for b in self.blocks if b.run == run}
+            columns = {name: self.recorded(run, name) for name in self.of.inputs}
+            columns |= {channel: raw[place] for channel, place in places.items()}
+            for term, i in found:
+                out[places[term.place]] += sizes[i] * term.values(self.case.runs[run].t_s, columns)
+        return out
+
+    def _run_all(self, parameters: Mapping[str, float]) -> Array:
+        out = np.empty(len(self.measured))
+        last, found = -1, {}
+        self.failures.of += 1
+        for block in self.blocks:
+            if block.run != last:
+                last = block.run
+                inputs = {name: self.recorded(last, name) for name in ("t_s", *self.of.inputs)}
+                try:
+                    found = dict(self.of(inputs, parameters))
+                except SimulatorFailed as error:
+                    self.failures.count += 1
+                    self.failures.first = self.failures.first or str(error)
+                    return np.full(len(out), np.nan)
+            out[block.place] = found[block.channel]
+        return out
+
+    def followed(self, predicted: Array, channel: str) -> dict[str, dict[str, Array]]:
+        """Return groups of (samples,) columns that a residual of a channel may follow: of inputs and channels."""
+        signals = {name: [run.columns[name] for run in self._runs] for name in self.of.inputs if name != channel}
+        for name in self.of.channels:
+            signals[name] = [predicted[b.place] for b in self.blocks if b.channel == name]
+        out: dict[str, dict[str, Array]] = {}
+        for name, parts in signals.items():
+            low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)
+            for block in (b for b in self.blocks if b.channel == channel):
+                signal = (2.0 * parts[block.run] - low - high) / max(high - low, 1e-300)
+                for kind, columns in columns_of(signal, self._runs[block.run], self._times_slower).items():
+                    group = out.setdefault(f"{kind} of {name}", {})
+                    for k, column in enumerate(columns):
+                        group.setdefault(f"{k}", np.zeros(len(predicted)))[block.place] = column
+        return out
+
+    @cached_property
+    def _runs(self) -> list[SimulatorRun]:
+        return [run for run in self.case.runs if isinstance(run, SimulatorRun)]
+
+
+def followed(found: Fit, channel: str) -> list[Mapping[str, Array]]:
+    """Return groups of (samples,) columns that a residual of a channel may follow."""
+    problem = found.problem
+    return list(problem.followed(found.predicted, channel).values()) if isinstance(problem, SimulatorProblem) else []
+
+
+def is_high(found: Fit, block: Block) -> Mask:
+    """Return where a channel of a run lies above its median, (n,)."""
+    level = found.predicted[block.place]
+    return np.asarray(level > np.median(level), dtype=np.bool_)
+
+
+def is_quick(found: Fit, block: Block) -> Mask:
+    """Return where a channel of a run changes faster than usual, (n,)."""
+    rate = np.abs(np.gradient(found.predicted[block.place], found.problem.case.runs[block.run].t_s))
+    return np.asarray(rate > np.median(rate), dtype=np.bool_)
