@@ -15,7 +15,7 @@ from softcal.core.identity import content_sha256
 from softcal.core.quality.lot_release import LotRelease, release_lot
 from softcal.core.quality.lot_standing import LotStanding, UnitInLot
 from softcal.core.quality.release import least_passing
-from softcal.core.unit.calibrate import measured
+from softcal.core.unit.audited import measured
 from softcal.core.unit.calibration import AUDIT_GAIN, AUDIT_ZERO, CalibrationRecord
 from softcal.core.unit.common_misreading import CommonMisreading, corrected
 from softcal.core.unit.judging import judged

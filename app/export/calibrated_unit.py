@@ -205,7 +205,7 @@ class UnitLoader:
         stored = self.registry.calibration(serial, self.options.revision, lot_id=self.options.lot_id)
         recording = self._recording(stored)
         lot = self.registry.lot(stored.lot_id)
-        since = self._since(stored.lot_id, stored.record.recording_sha256) or stored.made_at.astimezone().date()
+        since = self._since(stored.lot_id, stored.record.recording_sha256) or stored.made_at.date()
         standing = standing_of(self.registry, stored)
         return CalibratedUnit(stored, lot, self._shared(stored), recording, since, self.options, standing)
 
@@ -219,9 +219,9 @@ class UnitLoader:
         return as_given_now(recording, before, after)
 
     def _since(self, lot_id: str, sha256: str) -> date | None:
-        """Return the day, of this machine, a recording came into the registry."""
+        """Return the UTC day a recording came into the registry."""
         entries = self.registry.recordings(lot_id)
-        return next((entry.added_at.astimezone().date() for entry in entries if entry.sha256 == sha256), None)
+        return next((entry.added_at.date() for entry in entries if entry.sha256 == sha256), None)
 
     def _shared(self, stored: StoredCalibration) -> SharedNetwork:
         network_id = stored.record.network_id

@@ -110,7 +110,7 @@ def _entry(row: Mapping[str, Any]) -> FileEntry:
 
 def write_manifest(folder: Path, manifest: Manifest, key: SigningKey | None) -> None:
     """Write the manifest, and its Ed25519 signature where a key is given; an old signature never stays beside it."""
-    content = replace(manifest, signed_on=datetime.now(UTC).astimezone().date() if key else None).text().encode()
+    content = replace(manifest, signed_on=datetime.now(UTC).date() if key else None).text().encode()
     signature = key.sign(content) if key else None
     (folder / SIGNATURE).unlink(missing_ok=True)
     write_bytes(folder / NAME, content)

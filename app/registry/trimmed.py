@@ -18,7 +18,7 @@ from softcal.app.registry.source import source_recording, unlabelled
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
 from softcal.core.maps.interface import Anchors, FitProblem, map_sha256
-from softcal.core.unit.calibrate import measured
+from softcal.core.unit.audited import measured
 from softcal.core.unit.calibration import Calibration, CalibrationRecord
 from softcal.core.unit.judging import AUDITED_BEFORE_TRIM, LIMIT_EVIDENCE, TRIM_BARS, TRIM_LEFT_OUT, TRIM_OLDER, TRIMMED
 from softcal.core.unit.method import Method

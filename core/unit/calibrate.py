@@ -25,16 +25,14 @@ from softcal.core.maps.synchrony import paired_rows
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.unit.audit_reading import line_of, output_level, read_audit
+from softcal.core.unit.audit_reading import line_of, output_level
+from softcal.core.unit.audited import with_audit
 from softcal.core.unit.bridge import Bridge
 from softcal.core.unit.budget import Reference
 from softcal.core.unit.calibration import (
-    AUDIT_GAIN,
-    AUDIT_ZERO,
     OUTPUT_REST,
     OUTPUT_SPAN,
     Calibration,
-    CalibrationRecord,
 )
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.findings import contradictions, map_findings, opening_findings
@@ -48,7 +46,7 @@ from softcal.core.unit.forecast import (
     variance_table,
 )
 from softcal.core.unit.health import OutputLimits, check_alive, health_findings, output_limits
-from softcal.core.unit.judging import TRIM_BARS, UNREADABLE, Grounds, MeasuredError, limit_evidence
+from softcal.core.unit.judging import UNREADABLE, Grounds, MeasuredError, limit_evidence
 from softcal.core.unit.line_spread import LineSpread, line_reason
 from softcal.core.unit.method import Method
 from softcal.core.unit.own_forecast import forecast_own, own_terms
@@ -186,69 +184,6 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
         reference=problem.reference,
     )
     return calibration if problem.audit is None else with_audit(model.network, calibration, problem.audit, target)
-
-
-def with_audit(
-    network: Network, calibration: Calibration, audit: LabelledRecording, recording: OutputRecording
-) -> Calibration:
-    """Return the calibration with what a labelled recording of its unit says beside the error.
-
-    Args:
-        network: the shared network f.
-        calibration: of the unit, before audits of other units scaled its interval.
-        audit: labelled recording of the unit.
-        recording: the one it was calibrated from.
-    """
-    found = estimate(network, calibration, audit.unlabelled)
-    half, rest = found.upper - found.estimate, (calibration.method or Method()).decision.audit_rest
-    reading = read_audit(found.estimate, half, audit, recording, rest)
-    return replace(
-        calibration,
-        audit=reading,
-        evidence={**calibration.evidence, AUDIT_GAIN: reading.gain, AUDIT_ZERO: reading.zero},
-    )
-
-
-def measured(
-    network: Network,
-    record: CalibrationRecord,
-    audit: LabelledRecording,
-    recording: OutputRecording,
-    limit: Limit,
-    *,
-    is_newer: bool = True,
-) -> CalibrationRecord:
-    """Return a calibration scored on an audit, and judged by it; its map stays.
-
-    Args:
-        network: the shared network f.
-        record: as it was fitted or trimmed, with its grounds.
-        audit: labelled recording of the unit.
-        recording: the one it was calibrated from.
-        limit: in force.
-        is_newer: whether the audit is another than it was made with: what barred the older one is over.
-    """
-    calibration, grounds = Calibration.from_record(record), record.grounds
-    if grounds is None:
-        raise ValueError("a calibration that kept no grounds cannot be judged again")
-    config = (calibration.method or Method()).decision
-    scores = score_map(network, calibration.unit_map, audit, None, config)
-    grounds = replace(
-        grounds,
-        measured=MeasuredError(scores, len(audit.windows)),
-        bars=tuple(why for why in grounds.bars if not is_newer or why.code not in (*TRIM_BARS, UNREADABLE)),
-    )
-    decision = grounds.decide(limit, config)
-    scored = with_audit(
-        network, replace(calibration, scores=scores, grounds=grounds, decision=decision), audit, recording
-    )
-    identity = content_sha256({}, {"base": record.input_sha256, "audit": audit.sha256, "limit": limit.to_json()})
-    found = scored.to_record(identity, record.recording_sha256, record.fit_s)
-    return replace(
-        found,
-        settings={**record.settings, **found.settings},
-        evidence={**record.evidence, **found.evidence, **limit_evidence(limit)},
-    )
 
 
 def _fit_problem(problem: UnitProblem) -> FitProblem:

@@ -31,6 +31,7 @@ ELSEWHERE = {
     "softcal demo": "tests/app/test_demo.py",
     "softcal batch lot-1 --registry sqlite:///registry.db": "tests/app/test_rig_to_lot.py",
     "--simulator": "tests/app/test_gap_simulator_page.py",
+    "--report rig.gap.json": "tests/app/test_gap_simulator_report.py",
     "--empirical": "tests/app/test_gap_empirical.py",
     "softcal gap transfer": "tests/app/test_gap_command.py",
     "softcal gap challenge": "tests/app/test_gap_challenge.py",

@@ -342,10 +342,10 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
     low, high = _covered(found, source)
     return Certificate(
         identifier=f"softcal-{record.serial}-r{unit.stored.revision}-{record.map_sha256[:8]}",
-        made_on=unit.stored.made_at.astimezone().date(),
+        made_on=unit.stored.made_at.date(),
         in_registry_since=unit.in_registry_since,
         source_since=unit.shared.source_since,
-        issued_on=unit.options.issued_on or laboratory.performance.issued_on or datetime.now(UTC).astimezone().date(),
+        issued_on=unit.options.issued_on or laboratory.performance.issued_on or datetime.now(UTC).date(),
         laboratory=laboratory,
         serial=record.serial,
         revision=unit.stored.revision,
