@@ -210,32 +210,27 @@ def _partly(report: Mapping[str, Any], say: Words) -> str:
 
 
 def _offsets(report: Mapping[str, Any], say: Words) -> str:
-    """Say what was taken off every run before anything was compared, at most in size."""
-    if report.get("simulator"):
-        return _own_offsets(report, say)
-    most = {
-        name: max((abs(one[name]) for one in report.get("offsets", ())), default=0.0)
-        for name in ("force_N", "resistance", "seat_mm")
-    }
-    if not any(most.values()):
-        return ""
-    sizes = {
-        "force": f"{most['force_N']:.3f}",
-        "resistance": f"{100 * most['resistance']:.2f}",
-        "surface": f"{1e3 * most['seat_mm']:.0f}",
-    }
-    return _note(_told(say, "gap.offsets", **sizes))
+    """Say what was taken off every run before anything was compared, at most in size; nothing of what shows as 0."""
+    told = (_own_offsets if report.get("simulator") else _rig_offsets)(report.get("offsets", ()), say)
+    return _note(_told(say, "gap.own", offsets="; ".join(told))) if told else ""
 
 
-def _own_offsets(report: Mapping[str, Any], say: Words) -> str:
-    """Say the same of the channels of a simulator."""
+def _rig_offsets(offsets: Sequence[Mapping[str, float]], say: Words) -> list[str]:
+    told = []
+    for name, scale, digits in (("force_N", 1.0, 3), ("resistance", 100.0, 2), ("seat_mm", 1000.0, 0)):
+        size = f"{scale * max((abs(one[name]) for one in offsets), default=0.0):.{digits}f}"
+        if float(size):
+            told.append(say(f"gap.own.{name}", size=size))
+    return told
+
+
+def _own_offsets(offsets: Sequence[Mapping[str, Any]], say: Words) -> list[str]:
     most: dict[tuple[str, str], float] = {}
-    for one in report.get("offsets", ()):
+    for one in offsets:
         for kind in OWN_KINDS & one.keys():
             key = (one["channel"], kind)
             most[key] = max(most.get(key, 0.0), abs(one[kind]))
-    told = [f"{channel_name(c, say)}: {say(f'gap.own.{kind}')} {size:.3g}" for (c, kind), size in sorted(most.items())]
-    return _note(_told(say, "gap.own", offsets="; ".join(told))) if told else ""
+    return [f"{channel_name(c, say)}: {say(f'gap.own.{kind}')} {size:.3g}" for (c, kind), size in sorted(most.items())]
 
 
 def _noise(report: Mapping[str, Any], say: Words) -> str:

@@ -66,6 +66,14 @@ def test_text_of_a_report_cannot_become_markup(run: RunView) -> None:
     assert "a &lt; b &amp; c" in page
 
 
+def test_what_was_taken_off_the_runs_is_said_unless_it_shows_as_nothing(run: RunView) -> None:
+    sizes = {"run": 1, "force_N": 0.03, "resistance": 1e-6, "seat_mm": 1e-5}
+    page = gap_page({**REPORT, "offsets": [sizes]}, [run], "A17", ENGLISH)
+    assert ENGLISH("gap.own.force_N", size="0.030") in page
+    for name in ("resistance", "seat_mm"):
+        assert ENGLISH(f"gap.own.{name}", size="#").partition("#")[0] not in page
+
+
 @pytest.mark.parametrize("verdict", ["no_gap", "explained", "unknown"])
 def test_every_verdict_has_its_page(run: RunView, verdict: str) -> None:
     empty = {"causes": [], "where": [], "ambiguous_with": [], "hidden_fraction": {}, "next_experiment": {}}
