@@ -224,6 +224,7 @@ def test_the_model_of_a_unit_has_every_field_of_the_command():
     assert set(UnitAnswer.model_fields) == set(unit_json(UnitEntry("L", "A", "target")))
 
 
+@pytest.mark.long
 def test_the_document_is_valid_openapi(registry, tmp_path):
     from openapi_spec_validator import validate
 

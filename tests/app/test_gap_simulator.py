@@ -80,6 +80,7 @@ def diagnosed(folder: Path, simulator: str, out: Path) -> dict[str, Any]:
 MASS = "mass_spring_damper:SIMULATOR"
 
 
+@pytest.mark.long
 def test_the_hidden_effect_of_a_swing_is_named_placed_and_sized(tmp_path: Path) -> None:
     report = diagnosed(write_rig(tmp_path / "rig", friction_N=0.4), MASS, tmp_path / "r.json")
     assert report["verdict"] == "explained" and report["causes"][0]["effect"] == "dry_friction"
