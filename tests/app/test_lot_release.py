@@ -80,6 +80,9 @@ def test_units_nobody_measured_pass_on_the_audits_of_the_others(make_lot, batch,
     scaled = second.evidence["interval_scale"] * first.arrays["interval.half_width"]
     assert np.allclose(second.arrays["interval.half_width"], np.hypot(scaled, second.evidence["interval_added"]))
     assert second.predicted_rmse == pytest.approx(first.predicted_rmse * second.evidence["forecast_scale"])
+    # What is promised of it is the bound that the audits give, not their mean.
+    assert second.settings["forecast"]["upper"] == pytest.approx(first.predicted_rmse * release["factor"])
+    assert release["factor"] > second.evidence["forecast_scale"]
     again = batch(folder)
     assert again["release"] == release
     assert len(registry.history(serial)) == 2
