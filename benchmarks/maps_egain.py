@@ -1,9 +1,11 @@
 """The paper's two eGaIn sensors, both directions: f and map from rows 0-799, tested on rows 800-1199.
 
 python benchmarks/maps_egain.py [--quick]
+python benchmarks/maps_egain.py --motion    two known loads of the unit, read while it moves: 100 drawn pairs of rows
 """
 
 import argparse
+from dataclasses import replace
 
 import numpy as np
 from common.map_methods import METHODS, egain, own_error
@@ -11,7 +13,8 @@ from common.tables import print_table
 from scipy.optimize import minimize
 
 from softcal.core.maps.affine_map import AffineMap
-from softcal.core.maps.interface import FitProblem
+from softcal.core.maps.choose import choose_map
+from softcal.core.maps.interface import Anchors, FitProblem
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
@@ -19,12 +22,20 @@ from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording
 
 FIT, TEST = (0, 800), (800, 1200)
+LEAST_APART = 0.2
+"""Share of the range by which two known loads differ."""
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="one seed instead of five")
-    seeds = range(1 if parser.parse_args().quick else 5)
+    parser.add_argument("--motion", action="store_true", help="with two known loads read in motion")
+    options = parser.parse_args()
+    if options.motion:
+        rows = [(f"{a} to {b}", *in_motion(a, b)) for a, b in (("S1", "S2"), ("S2", "S1"))]
+        print_table(("known loads in motion", "none, N", "two, median, N", "two, 90 %, N"), rows)
+        return
+    seeds = range(1 if options.quick else 5)
     columns = {direction: run(*direction, seeds) for direction in (("S1", "S2"), ("S2", "S1"))}
     first, second = columns.values()
     rows = [(name, *first[name], *second[name]) for name in first]
@@ -44,6 +55,23 @@ def run(source: str, target: str, seeds: range) -> dict[str, tuple[float, float]
             errors.setdefault(name, []).append(rmse(method(problem, test), test.window_reference))
     own = float(np.median(errors["own calibration"]))
     return {name: (float(np.median(values)), float(np.median(values)) / own) for name, values in errors.items()}
+
+
+def in_motion(source: str, target: str, draws: int = 100) -> tuple[float, float, float]:
+    """Error without known loads, and median and 90 % with two that were read anywhere in the unit's recording."""
+    train, unit, test = egain(source).part(*FIT), egain(target).part(*FIT), egain(target).part(*TEST)
+    network = fit_network(train, NetworkConfig(seed=0)).network
+    problem = FitProblem(train, network, unit.unlabelled)
+    rng, pairs = np.random.default_rng(99), []
+    while len(pairs) < draws:
+        rows = rng.integers(0, len(unit.reference), 2)
+        if abs(np.subtract(*unit.reference[rows])) > LEAST_APART * np.ptp(unit.reference):
+            pairs.append(Anchors(unit.unlabelled.output[rows], unit.reference[rows]))
+    errors = []
+    for known in (None, *pairs):
+        mapped = choose_map(replace(problem, anchors=known)).unit_map.apply(test.windows)
+        errors.append(rmse(network.evaluate(mapped), test.window_reference))
+    return errors[0], float(np.median(errors[1:])), float(np.quantile(errors[1:], 0.9))
 
 
 def labelled_affine(network: Network, unit: LabelledRecording, test: LabelledRecording) -> float:
