@@ -32,8 +32,8 @@ def main() -> None:
     parser.add_argument("--motion", action="store_true", help="with two known loads read in motion")
     options = parser.parse_args()
     if options.motion:
-        rows = [(f"{a} to {b}", *in_motion(a, b)) for a, b in (("S1", "S2"), ("S2", "S1"))]
-        print_table(("known loads in motion", "none, N", "two, median, N", "two, 90 %, N"), rows)
+        read = [(f"{a} to {b}", *in_motion(a, b)) for a, b in (("S1", "S2"), ("S2", "S1"))]
+        print_table(("known loads in motion", "none, N", "two, median, N", "two, 90 %, N"), read)
         return
     seeds = range(1 if options.quick else 5)
     columns = {direction: run(*direction, seeds) for direction in (("S1", "S2"), ("S2", "S1"))}
@@ -62,13 +62,14 @@ def in_motion(source: str, target: str, draws: int = 100) -> tuple[float, float,
     train, unit, test = egain(source).part(*FIT), egain(target).part(*FIT), egain(target).part(*TEST)
     network = fit_network(train, NetworkConfig(seed=0)).network
     problem = FitProblem(train, network, unit.unlabelled)
-    rng, pairs = np.random.default_rng(99), []
+    rng = np.random.default_rng(99)
+    pairs: list[Anchors | None] = []
     while len(pairs) < draws:
         rows = rng.integers(0, len(unit.reference), 2)
         if abs(np.subtract(*unit.reference[rows])) > LEAST_APART * np.ptp(unit.reference):
             pairs.append(Anchors(unit.unlabelled.output[rows], unit.reference[rows]))
     errors = []
-    for known in (None, *pairs):
+    for known in [None, *pairs]:
         mapped = choose_map(replace(problem, anchors=known)).unit_map.apply(test.windows)
         errors.append(rmse(network.evaluate(mapped), test.window_reference))
     return errors[0], float(np.median(errors[1:])), float(np.quantile(errors[1:], 0.9))
