@@ -291,7 +291,7 @@ def private(said: Mapping[str, str]) -> dict[str, str]:
 
 
 def private_of(kind: str, place: str = str(ROOT)) -> dict[str, str]:
-    """Return the sentences of a kind of `GOALS` with words that nobody outside knows and the glossary does not explain."""
+    """Return the sentences of a kind of `GOALS` with words that nobody outside knows, less those in the glossary."""
     if kind == "reasons":
         return private(reasons(place))
     texts = pages(place).values() if kind == "docs" else [code_texts(place)[kind]]

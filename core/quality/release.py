@@ -210,7 +210,7 @@ def least_passing(units: int, held: int, rules: ReleaseConfig = RULES) -> float:
 
 
 def audits_wanted(promise: Promise) -> int:
-    """Return how many audits of a lot make the promise hold on average for ratios of any distribution: 9 for 1 in 10."""
+    """Return how many audits of a lot make the promise hold on average for any ratios: 9 for 1 in 10."""
     return least_units(promise.risk)
 
 

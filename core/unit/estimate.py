@@ -27,8 +27,8 @@ class Estimate:
         t_s: (n,) time stamps in s.
         estimate: (n,) in `reference_unit`; NaN where no full window ends.
         lower, upper: (n,) ends of the 90 % interval, lower <= estimate <= upper.
-        flag: (n,) empty where the row is trusted, else why not. No full window: `warm-up` since the start, `gap` since a
-            gap. No usable sample or time: `invalid`. The output does not move: `stuck`; is at a rail: `saturated`.
+        flag: (n,) empty where the row is trusted, else why not. No full window: `warm-up` after the start, `gap` after
+            one. No usable sample or time: `invalid`. The output does not move: `stuck`; is at a rail: `saturated`.
             Beyond the loads of the source: `out of range`. A window unlike any of the source: `unfamiliar`.
     """
 

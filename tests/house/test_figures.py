@@ -101,6 +101,6 @@ def test_every_setting_still_stands_on_its_page(name: str) -> None:
 
 @pytest.mark.parametrize(("said", "other"), [("1.190", "1.191"), ("7.7 %", "7.9 %"), ("13 of 13", "12 of 13")])
 def test_a_figure_that_nobody_printed_is_found(said: str, other: str) -> None:
-    page = f"## Any\n\n`python benchmarks/maps_egain.py`, `python benchmarks/trust.py`: {{}}.\n"
+    page = "## Any\n\n`python benchmarks/maps_egain.py`, `python benchmarks/trust.py`: {}.\n"
     assert _strangers("results", page.format(said)) == []
     assert _strangers("results", page.format(other)) == [other]
