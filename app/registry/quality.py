@@ -56,7 +56,7 @@ def lot_capability(registry: Registry, lot_id: str, maximum: float | None = None
     Raises:
         InputError: no limit was stated, or capability must be refused.
     """
-    limit = maximum if maximum is not None else registry.lot(lot_id).limit_rmse
+    limit = maximum if maximum is not None else registry.lots.get(lot_id).limit_rmse
     if limit is None:
         raise InputError(f"lot {lot_id!r} has no stated limit; give --max")
     chart = lot_chart(registry, lot_id)
@@ -64,15 +64,15 @@ def lot_capability(registry: Registry, lot_id: str, maximum: float | None = None
 
 
 def _predicted(registry: Registry, lot_id: str) -> Array:
-    return np.array([run.predicted_rmse for run in registry.runs(lot_id) if run.predicted_rmse is not None])
+    return np.array([run.predicted_rmse for run in registry.lots.runs(lot_id) if run.predicted_rmse is not None])
 
 
 def lot_yields(registry: Registry, lot_id: str, *, conditional_is_good: bool = False) -> Yields:
     """Count the yields of a lot; golden units are left out."""
     runs: dict[str, list[UnitRun]] = {}
-    for run in registry.runs(lot_id):
+    for run in registry.lots.runs(lot_id):
         runs.setdefault(run.serial, []).append(UnitRun(run.verdict, run.reasons))
-    golden = {run.serial for run in registry.golden_runs()}
+    golden = {run.serial for run in registry.stations.golden_runs()}
     asked = Release.CONDITIONAL if conditional_is_good else Release.PASS
     good = [verdict for verdict in Verdict if asked.releases(verdict)]
     return yields(runs, golden, good)
@@ -87,7 +87,7 @@ def golden_charts(
         InputError: there are no checks with golden units.
     """
     values: dict[tuple[str, str], list[float]] = {}
-    for run in registry.golden_runs(station, serial):
+    for run in registry.stations.golden_runs(station, serial):
         values.setdefault((run.station, run.serial), []).append(run.value)
     if not values:
         raise InputError("the registry holds no checks with golden units that fit")

@@ -10,7 +10,7 @@ from softcal.db.registry import Registry
 
 def source_sha256(registry: Registry, network_id: str) -> str:
     """Return the content hash of the recording a network was trained on."""
-    return str(registry.network_entry(network_id).training["source_recording_sha256"])
+    return str(registry.networks.entry(network_id).training["source_recording_sha256"])
 
 
 def source_recording(registry: Registry, network_id: str) -> LabelledRecording:
@@ -19,7 +19,7 @@ def source_recording(registry: Registry, network_id: str) -> LabelledRecording:
     Raises:
         InputError: the network is not in the registry, or its source recording has no reference.
     """
-    source = registry.recording(source_sha256(registry, network_id))
+    source = registry.recordings.get(source_sha256(registry, network_id))
     if not isinstance(source, LabelledRecording):
         raise InputError(reason("run.bare_network", network=network_id[:12]))
     return source
@@ -27,7 +27,7 @@ def source_recording(registry: Registry, network_id: str) -> LabelledRecording:
 
 def source_model(registry: Registry, network_id: str, method: Method) -> SourceModel:
     """Return the source of a network as the units of its lot are compared with it; make it once for all of them."""
-    return make_source_model(source_recording(registry, network_id), registry.network(network_id), method=method)
+    return make_source_model(source_recording(registry, network_id), registry.networks.get(network_id), method=method)
 
 
 def unlabelled(recording: OutputRecording | LabelledRecording) -> OutputRecording:

@@ -14,6 +14,6 @@ def standing_of(registry: Registry, stored: StoredCalibration) -> UnitStanding:
     Args:
         stored: any calibration of the unit.
     """
-    found = registry.standings(stored.lot_id, [stored.serial]).get(stored.serial)
+    found = registry.pages.standings(stored.lot_id, [stored.serial]).get(stored.serial)
     nothing = UnitStanding(stored.serial, UNDECIDED, (plain("none of its calibrations is in use"),), stored.made_at)
     return nothing if found is None else found
