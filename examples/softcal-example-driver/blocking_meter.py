@@ -4,6 +4,7 @@ import socket
 from dataclasses import dataclass
 
 from lab_meter import MeterConfig, simulate
+
 from softcal.core.errors import NoReply
 from softcal.station.driver import Driver, Opening
 from softcal.station.threaded import Reading, ThreadedReader
