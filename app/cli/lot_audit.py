@@ -80,7 +80,7 @@ def _bring(options: argparse.Namespace) -> int:
     folder, replaced, then = Path(options.lot), list[str](), "they are scored, and the lot is judged"
     if (folder / "lot.toml").is_file():
         opened = open_lot_folder(folder)
-        lot = opened.lots.get
+        lot = opened.lot
         _check_rate(options.sample_rate, lot.sample_rate_Hz)
         found = look_at_audits(lot, opened.unit_paths.keys(), files, columns, options.sheet)
         replaced, then = write_audits(folder, found), f"next: softcal batch {options.lot}"

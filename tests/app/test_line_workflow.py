@@ -68,7 +68,7 @@ class Line:
 def register(registry, lot_id: str, serial: str) -> None:
     """Put a unit into a lot by its name alone."""
     with registry.database.writing() as connection:
-        registry.lots.all._add_unit(connection, lot_id, serial, "target", None)
+        registry.lots._add_unit(connection, lot_id, serial, "target", None)
 
 
 @pytest.fixture
