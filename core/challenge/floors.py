@@ -1,7 +1,7 @@
 """What a diagnosis must reach on a few fresh cases of every line, so that one that says nothing fails.
 
 The floors lie far below what is measured on many cases, and above what an answer reaches that does not look at the
-recording: with a handful of cases a line, a sound diagnosis passes but once in hundreds of times, and silence never.
+recording. With a handful of cases a line, a sound diagnosis fails once in hundreds of times, and silence never passes.
 """
 
 from collections.abc import Mapping
