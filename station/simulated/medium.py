@@ -1,8 +1,10 @@
-"""What a simulated line runs over: a pseudo terminal or a TCP socket; the host opens either as it would a device."""
+"""What a simulated line runs over, a pseudo terminal, a TCP socket or Bluetooth: the host opens it as a device."""
 
 import os
 import socket
 from typing import Protocol
+
+from softcal.station.transport import BLE
 
 
 class Medium(Protocol):
@@ -121,3 +123,11 @@ class SocketEnd:
 def serial_line() -> Medium:
     """Return what stands for a serial line on this machine: a socket where there are no pseudo terminals."""
     return PtyEnd() if os.name == "posix" else SocketEnd()
+
+
+class BleEnd(SocketEnd):
+    """The end of a board behind Bluetooth, whose packets come over the air; a host finds it by its `port`."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.port = BLE + self.port.removeprefix("tcp://")

@@ -10,9 +10,8 @@ from softcal.core.twin.simulate import Twin, TwinStream
 from softcal.station.catalogue import driver_of
 from softcal.station.config import ForceConfig, ReadoutConfig, Role, StageConfig
 from softcal.station.driver import AnyDriver, Simulated, Surroundings
-from softcal.station.simulated.ble import BleEnd
 from softcal.station.simulated.grbl import SimulatedGrbl
-from softcal.station.simulated.medium import SocketEnd
+from softcal.station.simulated.medium import BleEnd, SocketEnd
 from softcal.station.simulated.motion import Axis
 from softcal.station.simulated.rig import SimulatedRig
 from softcal.station.simulated.text_stream import CELL_COUNTS_PER_N, CELL_ZERO_COUNTS, SimulatedTextStream
