@@ -46,7 +46,6 @@ class AskedReader:
         self._next_s = 0.0
 
     def start(self) -> None:
-        """Throw away what lies in the buffers and begin to ask."""
         if self._asked_s is not None:
             self._await_late()
         self._link.discard()
@@ -73,7 +72,6 @@ class AskedReader:
         return samples
 
     def close(self) -> None:
-        """Give the port back."""
         self._link.close()
 
     def _await_late(self) -> None:

@@ -41,7 +41,6 @@ class Measurement:
     @overload
     def __get__(self, device: Instrument, owner: type) -> float: ...
     def __get__(self, device: Instrument | None, owner: type) -> Any:
-        """Ask the device."""
         if device is None:
             return self
         answer = device.ask(self.question)

@@ -179,7 +179,6 @@ class _Standing:
         }
 
     def decided(self) -> LotRelease:
-        """Decide on its units."""
         return _decided(self.evidence, self.open, self.least)
 
     def moved(self) -> list[MadeCalibration]:

@@ -69,7 +69,6 @@ class Chunk:
     tasks: tuple[UnitTask, ...]
 
     def split(self) -> "tuple[Chunk, ...]":
-        """Return a chunk for each unit."""
         return tuple(Chunk((task,)) for task in self.tasks)
 
 

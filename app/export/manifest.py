@@ -32,7 +32,6 @@ class FileEntry:
 
     @classmethod
     def of(cls, name: str, content: bytes, serial: str | None) -> "FileEntry":
-        """Describe a file by its content."""
         return cls(name, hashlib.sha256(content).hexdigest(), len(content), serial)
 
 
@@ -54,7 +53,6 @@ class Manifest:
         return replace(self, files={**self.files, entry.name: entry})
 
     def without_files(self, names: Collection[str]) -> "Manifest":
-        """Return the manifest without these files."""
         return replace(self, files={name: entry for name, entry in self.files.items() if name not in names})
 
     def with_unit(self, serial: str, facts: Mapping[str, object]) -> "Manifest":

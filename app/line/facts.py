@@ -77,7 +77,6 @@ class LotAtLine:
 
     @property
     def id(self) -> str:
-        """Name of the lot."""
         return self.lot.id
 
 
@@ -139,7 +138,6 @@ class LineFacts:
 
     @property
     def newest(self) -> LineRun | None:
-        """The newest run that is over."""
         return next((run for run in self.runs if not run[1].state.is_active), None)
 
     @property

@@ -328,7 +328,6 @@ class StationHost:
             self._answer(order)
 
     def _answer(self, order: Order) -> None:
-        """Do what is no run."""
         try:
             match order.kind:
                 case OrderKind.STOP:

@@ -58,7 +58,6 @@ class KnownTrim:
     audit: str
 
     def to_json(self) -> dict[str, object]:
-        """Return it as JSON values."""
         return {**values(self.loads), "recording": self.recording, "audit": self.audit}
 
 

@@ -173,7 +173,6 @@ class Follower:
         self._adapter.reconnect()
 
     def advance(self, t_s: Array, output: Array) -> Estimate:
-        """Take (n,) further samples and return their rows."""
         rows = self._adapter.advance(t_s, output)
         updates = self._adapter.take_updates()
         self._pending += updates

@@ -58,7 +58,6 @@ class InputScale:
         return np.clip(np.rint((output - self.zero) / self.lsb), 0, CODE_MAX).astype(np.int64)
 
     def outputs(self, codes: Integers) -> Array:
-        """Return the output each code stands for."""
         return np.asarray(self.zero + self.lsb * codes, dtype=np.float64)
 
     @classmethod
@@ -112,7 +111,6 @@ class Linear:
     offset: Array
 
     def apply(self, windows: Array) -> Array:
-        """Carry (n, TAPS) windows."""
         return windows @ self.matrix.T + self.offset
 
 
@@ -124,7 +122,6 @@ class MapForm:
     linear: Linear | Mix | None = None
 
     def apply(self, windows: Array) -> Array:
-        """Carry (n, TAPS) windows into the source's window space."""
         curved = windows if self.curve is None else self.curve.apply(windows)
         return curved if self.linear is None else self.linear.apply(curved)
 

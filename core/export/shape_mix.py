@@ -77,7 +77,6 @@ class Mix:
         return np.asarray(shapes(len(self.bias)) @ self.bias)
 
     def apply(self, windows: Array) -> Array:
-        """Carry (n, TAPS) windows."""
         return windows @ self.matrix.T + self.offset
 
     def in_counts(self, zero: float, lsb: float) -> IntegerMix:

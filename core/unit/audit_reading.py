@@ -64,7 +64,6 @@ class AuditReading:
     zero: float = 0.0
 
     def to_json(self) -> dict[str, object]:
-        """Return it as JSON values."""
         return {**vars(self), "residual": list(self.residual), "half": list(self.half)}
 
     @classmethod

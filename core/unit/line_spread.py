@@ -46,7 +46,6 @@ class LineSpread:
         return float(np.hypot(self.load, self.day))
 
     def to_json(self) -> dict[str, float]:
-        """Return it as JSON values."""
         return {"load": self.load, "day": self.day}
 
     @classmethod

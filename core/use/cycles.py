@@ -232,9 +232,7 @@ class CycleCutter:
         return cycle
 
     def state(self) -> dict[str, object]:
-        """Return all that a restart needs, as JSON values."""
         return state_of(self._now)
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from a `state()` taken earlier."""
         self._now = restored(CutterState, state)

@@ -138,7 +138,6 @@ class QueuedTransport(Batches):
 
     @property
     def unit_map(self) -> UnitMap:
-        """The map γ in force."""
         return self._map
 
     @property

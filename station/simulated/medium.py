@@ -40,7 +40,6 @@ class PtyEnd:
         self._slave = slave
 
     def read(self) -> bytes:
-        """Return everything the host has written."""
         content = b""
         try:
             # One read may give less than was written; what comes a step later would be another simulation.
@@ -50,14 +49,12 @@ class PtyEnd:
             return content
 
     def write(self, content: bytes) -> None:
-        """Hand bytes to the host."""
         try:
             os.write(self._master, content)
         except BlockingIOError:
             pass  # A host that does not read loses bytes, as on a real port.
 
     def hang_up(self) -> None:
-        """Pull the cable."""
         os.close(self._slave)
         os.close(self._master)
 
@@ -72,7 +69,6 @@ class SocketEnd:
         self.port = f"tcp://127.0.0.1:{self._server.getsockname()[1]}"
 
     def read(self) -> bytes:
-        """Return everything the host has written."""
         content, host = b"", self._connected()
         if host is None:
             return content
@@ -87,7 +83,6 @@ class SocketEnd:
         return content
 
     def write(self, content: bytes) -> None:
-        """Hand bytes to the host, where one is connected."""
         host = self._connected()
         if host is None:
             return
@@ -99,7 +94,6 @@ class SocketEnd:
             self._forget()
 
     def hang_up(self) -> None:
-        """Switch it off."""
         self._forget()
         self._server.close()
 

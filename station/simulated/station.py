@@ -113,7 +113,6 @@ class SimulatedStation:
         self.mount(Twin(BaseParameters(k1_N_mm=stiffness_N_mm, kappa_per_N=0.001), (), self.metadata))
 
     def close(self) -> None:
-        """Pull all cables."""
         for wire in (self.stage_wire, self.force_wire, self.readout_wire):
             wire.close()
 

@@ -254,7 +254,6 @@ class Certificate:
 
     @property
     def method(self) -> str:
-        """The method as it was."""
         found = METHODS.get(self.map_family, ("", f"A map of the family {self.map_family} was found"))[1]
         return (
             "A time-delay network f (15 output samples to one estimate) was trained on the source unit against its "
