@@ -19,10 +19,8 @@ class AskedReader:
 
     Args:
         name: how messages call the device.
-        unit: of the readings.
         rate_Hz: questions per second.
         link: its port.
-        question: bytes that ask for one reading.
         parse: one line, its end taken off -> one number per channel; raises `BadReply`.
         channels: numbers per reading.
         limits: of a readout: lowest and highest reading; one that stays there is saturated.

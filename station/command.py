@@ -26,7 +26,6 @@ class Measurement:
 
     Args:
         question: what is asked.
-        unit: of the number.
         doc: one sentence that begins with Get or Measure.
     """
 
@@ -58,7 +57,6 @@ class Control(Measurement):
     Args:
         question: what is asked.
         command: what is told, with one format field.
-        unit: of the number.
         limits: lowest and highest value.
         doc: one sentence that begins with Control.
     """

@@ -40,7 +40,6 @@ class AuditEvidence:
 
     Args:
         qualification: whether units may be released, and on which audits.
-        limit: of the lot.
         widening: of the 90 % intervals.
         seen: gains that the audited units of the lot read their loads with; None where there are too few.
         days: gains of golden units of the sensor model on different days; None where there are too few.

@@ -199,9 +199,6 @@ class LineRelease:
 
     The other units of the lot are read again only where the audits say something new; units that another station
     presses meanwhile count from then on. `judge_lot` decides on the whole lot.
-
-    Args:
-        registry: of the line.
     """
 
     def __init__(self, registry: Registry) -> None:

@@ -43,7 +43,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         help="watch a lot folder; set the limit of a lot; plan and judge its audit",
         description="What concerns a lot as a whole.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     watch = actions.add_parser("watch", help="calibrate units as their recordings land")
@@ -174,8 +173,7 @@ def _release(options: argparse.Namespace) -> int:
     if options.pdf is not None:
         write_bytes(options.pdf, lot_statement_pdf(facts, partial(text, options.language)))
         say(f"{options.pdf}: statement on lot {lot_id}")
-    if options.json:
-        write_json(options.json, {"schema": "softcal.lot.release/1", "lot": lot_id, **standing.to_json()})
+    write_json(options.json, {"schema": "softcal.lot.release/1", "lot": lot_id, **standing.to_json()})
     if options.json != "-" or options.csv:
         limit = decided.limit.maximum_rmse
         rows = [
@@ -202,8 +200,7 @@ def _folder(options: argparse.Namespace) -> int:
     with registry_of(options, create=False) as registry:
         written = write_lot_folder(registry, options.lot, options.out)
     say(f"{options.out}: " + ", ".join(f"{len(serials)} in {part}/" for part, serials in written.items()))
-    if options.json:
-        write_json(options.json, {"schema": "softcal.lot.folder/1", "lot": options.lot, **written})
+    write_json(options.json, {"schema": "softcal.lot.folder/1", "lot": options.lot, **written})
     return DONE
 
 
@@ -222,8 +219,7 @@ def _audit_plan(options: argparse.Namespace) -> int:
             asked = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
             audit = draw_plan(registry, lot_id, AuditConfig(**asked), reason=options.reason)
         units = sum(registry.verdict_counts(lot_id).values())
-    if options.json:
-        write_json(options.json, audit_json(audit))
+    write_json(options.json, audit_json(audit))
     if options.json != "-":
         print_table(AUDIT_HEADER, audit_rows(audit))
         print(audit_line(audit))

@@ -56,8 +56,6 @@ def export_units(
     was made gets no file at all. The other units go on.
 
     Args:
-        registry: where the calibrations are.
-        serials: which units.
         formats: names of `softcal.app.export.names.formats`.
         out: folder; files of other units in it stay, and stay in its manifest.
         options: choices for all of them.

@@ -45,7 +45,6 @@ class TrustedKey:
     """A public key somebody trusts.
 
     Args:
-        key: the key.
         name: whose it is.
         valid_from, valid_until: first day it signs, first day it no longer does; None for no such day.
     """

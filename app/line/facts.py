@@ -65,7 +65,6 @@ class LotAtLine:
     """What a line needs to know of a lot.
 
     Args:
-        lot, rules: the lot and its rules at the line.
         network: the released network, by which a unit gets its verdict; None where there is none.
         counts: its units by verdict, `none` without.
     """

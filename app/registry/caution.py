@@ -11,7 +11,6 @@ def caution(registry: Registry, stored: StoredCalibration, action: str) -> str:
     """Return the warning, and record the use; empty where the calibration passed and the unit still does.
 
     Args:
-        registry: where the use is recorded.
         stored: the calibration that is used.
         action: what is done with it, for example `estimate`.
     """

@@ -38,7 +38,6 @@ class UnitInUse:
     """All that following a unit needs from the registry.
 
     Args:
-        lot: its lot.
         revision: of the calibration it starts from.
         network: the shared network f.
         calibration: f∘γ₀ and its interval.

@@ -115,7 +115,6 @@ class TrailFilter:
 
     Args:
         text: words that all stand in a line, in any order.
-        actors, sections: one of them each.
         since, until: instants, both included.
     """
 

@@ -131,7 +131,6 @@ class CompiledMap:
     """A device form of γ and what it costs.
 
     Args:
-        form: the form.
         rms_deviation, max_deviation: of f after the form against f∘γ on the unit's own windows, in reference units.
     """
 

@@ -68,7 +68,6 @@ class Firmness:
     """How far a map may be off before any load is seen: one standard deviation each.
 
     Args:
-        gain: of the gain.
         level: of the level at rest, as a share of the source's output range.
         is_paired: whether the map was fitted to pairs behind f: it makes up for what f misreads, and is left as it is
             unless the loads contradict it.

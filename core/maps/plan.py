@@ -28,7 +28,6 @@ class TransportMap:
         stored: (m, taps) target windows of the plan.
         displacement: (m, taps) T(x_k) - x_k.
         family: name under which the catalogue rebuilds it.
-        neighbours: stored windows that an unseen one moves with.
     """
 
     stored: Array

@@ -25,7 +25,6 @@ class AuditedUnit:
     """One unit whose error was measured.
 
     Args:
-        serial: the unit.
         forecast_rmse: forecast before it was measured, in the reference unit.
         measured_rmse: RMSE against the reference, in the same.
         lot_id: lot it belongs to.
@@ -58,7 +57,6 @@ class Ratios:
         audits, lots: number of audited units, and of the lots they come from.
         centre: mean of the logarithm, over lots where there are several.
         spread: standard deviation of one more unit about it, with the spread between lots.
-        largest: largest of them all.
         count, degrees: observations behind the centre, degrees of freedom behind the spread.
     """
 
@@ -168,7 +166,6 @@ def release(
         forecasts: forecast RMSE by serial of the units that nobody measured and nothing else stands against.
         audits: of the same lot, drawn at random; or of several earlier lots.
         limit: largest acceptable RMSE.
-        promise: what is to hold for the released units.
         rules: the numbers behind it.
 
     Raises:

@@ -17,7 +17,6 @@ class OutputLevel:
     """Where the output of a unit stands in its recording, in the output's unit.
 
     Args:
-        rest: at rest.
         span: from there to its highest loads, more than 0.
     """
 
@@ -97,7 +96,6 @@ def read_audit(
     Args:
         value: (n,) estimates, NaN where there is none.
         half: (n,) half-width of their 90 % interval, before audits of other units scaled it.
-        audit: labelled recording of the unit.
         recording: of the same unit.
         rest: share of the samples at whose quantile a unit is at rest.
     """

@@ -27,7 +27,6 @@ class LoadLine:
 
     Args:
         gain: 1 where it reads them in full.
-        zero: in the reference unit.
         level: where the output of its recording stands; None where nobody kept it.
     """
 

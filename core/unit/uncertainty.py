@@ -121,7 +121,6 @@ def source_residuals(
         windows: (n, TAPS) of the source.
         reference: (n,) beside them.
         held_out: indices of windows kept out of the training.
-        config: how residuals are tabulated.
     """
     estimate = network.evaluate(windows)
     # The pattern needs many rows, its size honest ones: trained rows give the first, held-out rows the second.

@@ -93,7 +93,6 @@ class CycleCutter:
 
     Args:
         low, high: where the output turned in the calibration recording, in its unit: the first swing to cut with.
-        usual: samples of a cycle there.
         longest: most samples of a cycle; after that many the output counts as not cycling.
         config: thresholds and lengths.
     """

@@ -56,7 +56,6 @@ class _Fitted:
     """The map of a queue.
 
     Args:
-        map: γ.
         moved: by how much it moves the estimates of the queue from those of the calibration (RMS).
         chance: by how much maps of queues without drift do so.
     """

@@ -1,4 +1,4 @@
-"""What softcal says of units and verdicts, in English, and how a page of sentences is read: `core.words.reason` does."""
+"""What softcal says of units and verdicts, in English, and how a page of sentences is read for `core.words.reason`."""
 
 from collections.abc import Mapping
 
