@@ -8,9 +8,8 @@ from datetime import UTC, datetime
 import numpy as np
 
 from softcal.app.batch.audit_evidence import PROMISE, RELEASABLE, AuditEvidence, AuditReader
-from softcal.app.registry.audits import audit_of, newest_audits
 from softcal.app.registry.limit import limit_or_none, lot_limit
-from softcal.app.registry.source import source_recording, unlabelled
+from softcal.app.registry.lot_recordings import audit_of, newest_audits, source_recording, unlabelled
 from softcal.core.identity import content_sha256
 from softcal.core.quality.lot_release import LotRelease, release_lot
 from softcal.core.quality.lot_standing import LotStanding, UnitInLot

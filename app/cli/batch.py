@@ -129,7 +129,7 @@ def _write_files(registry: "Registry", report: "BatchReport", out: Path) -> None
     """Write the files of released units, and take back what an earlier, better verdict left there."""
     from softcal.app.export.calibrated_unit import ExportOptions
     from softcal.app.export.export import export_units
-    from softcal.app.export.withdraw import withdraw_units
+    from softcal.app.export.manifest import withdraw_units
     from softcal.core.unit.verdict import Release
 
     released = [unit.serial for unit in report.units if report.releases(unit)]

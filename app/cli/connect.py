@@ -76,7 +76,7 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _status(options: argparse.Namespace) -> int:
-    from softcal.app.connect.status import status_json, status_rows
+    from softcal.app.connect.forwarder import status_json, status_rows
 
     with registry_of(options, create=False) as registry:
         found = status_json(registry)

@@ -122,7 +122,7 @@ def _score(options: argparse.Namespace) -> int:
 
 def _below_floors(sheet: "ScoreSheet") -> int:
     from softcal.app.output import say
-    from softcal.core.challenge.floors import shortfalls
+    from softcal.core.challenge.score import shortfalls
 
     told = shortfalls(sheet)
     for sentence in told:

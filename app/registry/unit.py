@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from softcal.app.registry.source import source_recording, unlabelled
+from softcal.app.registry.lot_recordings import source_recording, unlabelled
 from softcal.core.lot import Lot
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.network.network import Network

@@ -7,12 +7,12 @@ import numpy as np
 
 from softcal.core.challenge.cases import RunPlan, SealedCase, full_depth_mm
 from softcal.core.challenge.catalogue_equations import CATALOGUE, CATALOGUE_FORM
-from softcal.core.challenge.floors import CASES_OF_FLOOR, FLOORS
 from softcal.core.challenge.mistakes import draw_mistake
 from softcal.core.challenge.other_forms import OTHER_FORMS
 from softcal.core.challenge.outside_equations import OUTSIDE, OUTSIDE_FORM
 from softcal.core.challenge.published import PUBLISHED_FORMS, PUBLISHED_OUTSIDE, PUBLISHED_SIZES
 from softcal.core.challenge.rig import Cause, Rig
+from softcal.core.challenge.score import CASES_OF_FLOOR, FLOORS
 from softcal.core.challenge.sizes import CATALOGUE_SIZES, OUTSIDE_SIZES, Scope
 
 Rng = np.random.Generator
