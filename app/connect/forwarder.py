@@ -107,7 +107,11 @@ class Forwarder:
         if place.not_before is not None and now < place.not_before:
             return False
         try:
-            sender = self._open()
+            if self._sender is None:
+                opened = self._destination.open_sender()
+                self._sender = opened.__enter__()
+                self._opened = opened
+            sender = self._sender
             page = events_after(self._registry, place.cursor, sender.most, settings.events)
             sender.send(page.events)
         except NotDelivered as error:
@@ -125,13 +129,6 @@ class Forwarder:
         """Return whether half of the lease is left, so that a look in the registry need not write."""
         half = timedelta(seconds=LEASE_S / 2)
         return place.holder == self.holder and place.held_until is not None and place.held_until - now > half
-
-    def _open(self) -> Sender:
-        if self._sender is None:
-            opened = self._destination.open_sender()
-            self._sender = opened.__enter__()
-            self._opened = opened
-        return self._sender
 
 
 def forward(

@@ -65,12 +65,6 @@ def printed_ohm(resistance_ohm: float) -> float:
     return float(f"{resistance_ohm:.1e}")
 
 
-def _scope(rig: Rig, peak_N: float) -> Scope:
-    peak_ohm = rig.r0_ohm / (1.0 - rig.kappa_per_N * peak_N)
-    rest_V = rig.vref_V * rig.r0_ohm / (rig.r0_ohm + rig.r_series_ohm)
-    return Scope(rig, peak_N, rest_V, rig.vref_V * peak_ohm / (peak_ohm + rig.r_series_ohm))
-
-
 def _named(rng: Rng, scope: Scope, effects: Sequence[str], scale: float = 1.0) -> tuple[Cause, ...]:
     return tuple(Cause(effect, CATALOGUE_FORM, CATALOGUE_SIZES[effect](rng, scope, scale)) for effect in effects)
 
@@ -173,7 +167,9 @@ def draw_case(seed: int, name: str, line: str) -> SealedCase:
     """
     rng = np.random.default_rng([seed, list(LINES).index(line)])
     rig, peak_N = draw_rig(rng, adc_bits=10 if line == "ten_bit" else None)
-    scope = _scope(rig, peak_N)
+    peak_ohm = rig.r0_ohm / (1.0 - rig.kappa_per_N * peak_N)
+    rest_V = rig.vref_V * rig.r0_ohm / (rig.r0_ohm + rig.r_series_ohm)
+    scope = Scope(rig, peak_N, rest_V, rig.vref_V * peak_ohm / (peak_ohm + rig.r_series_ohm))
     rig = _coloured(rng, rig, scope) if line == "coloured" else rig
     causes = LINES[line](rng, scope)
     plans = tuple(RunPlan(name_, drawn_seed(rng)) for name_ in _PROTOCOLS.get(line, FOUR_RUNS))

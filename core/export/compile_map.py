@@ -224,7 +224,8 @@ def compile_map(
     exact = network.evaluate(mapped)
     best: CompiledMap | None = None
     for form in forms(unit_map, network, windows, mapped):
-        compiled = _judged(form, network, windows, exact)
+        error = network.evaluate(form.apply(windows)) - exact
+        compiled = CompiledMap(form, float(np.sqrt(np.mean(error**2))), float(np.abs(error).max()))
         if compiled.rms_deviation <= CLEAR * limit and compiled.max_deviation <= clear:
             return compiled
         if best is None or compiled.rms_deviation < best.rms_deviation:
@@ -237,11 +238,6 @@ def compile_map(
         f"estimate by {smallest:.3g} {network.reference_unit} rms, {limit:.3g} is allowed; calibrate with another map "
         "family or allow more"
     )
-
-
-def _judged(form: MapForm, network: Network, windows: Array, exact: Array) -> CompiledMap:
-    error = network.evaluate(form.apply(windows)) - exact
-    return CompiledMap(form, float(np.sqrt(np.mean(error**2))), float(np.abs(error).max()))
 
 
 def _from_constant_windows(unit_map: UnitMap, windows: Array, knots: int) -> Curve:

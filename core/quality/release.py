@@ -175,7 +175,9 @@ def release(
     ratios, considered = audited_ratios(audits, rules), len(forecasts)
     days = days or {}
     # What is left of the limit once another day has taken its part; without golden runs the limit itself.
-    limits = {serial: _left(limit.acceptance_rmse, days.get(serial, 0.0)) for serial in forecasts}
+    limits = {
+        serial: float(np.sqrt(max(limit.acceptance_rmse**2 - days.get(serial, 0.0) ** 2, 0.0))) for serial in forecasts
+    }
     need = {serial: forecasts[serial] / limits[serial] if limits[serial] else np.inf for serial in forecasts}
     ordered = sorted(forecasts, key=lambda serial: (need[serial], serial))
     needed = np.array([need[serial] for serial in ordered])
@@ -190,10 +192,6 @@ def release(
         return PromisedRelease((), factor, ratios, considered, promise, 1.0, 1.0)
     said = _any_form(ratios, count / considered, promise) if count else (1.0, 1.0)
     return PromisedRelease(tuple(ordered[:count]), factor, ratios, considered, promise, *said)
-
-
-def _left(limit: float, day: float) -> float:
-    return float(np.sqrt(max(limit**2 - day**2, 0.0)))
 
 
 def least_passing(units: int, held: int, rules: ReleaseConfig = RULES) -> float:
