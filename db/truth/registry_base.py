@@ -83,7 +83,7 @@ class RegistryBase(OncePerCut):
         **told: Any,
     ) -> None:
         """Write a row of the audit trail, by this registry's clock; `told` is what `history.append` takes by name."""
-        at, who = self.settings.clock(), (actor or self.settings.actor)
+        at, who = self.settings.clock(), self._actor(actor)
         history.append(connection, self.origin, at, who, action, entity, key, **told)
 
     def _check_row(self, connection: Connection, table: Table, row: RowMapping) -> None:
@@ -105,6 +105,9 @@ class RegistryBase(OncePerCut):
         hidden = connection.execute(query).scalar_one_or_none()
         if hidden is not None:
             raise damaged(f"{table.name} {hidden} was not found")
+
+    def _actor(self, actor: str | None) -> str:
+        return actor or self.settings.actor
 
     def _after(self, previous: datetime | None) -> datetime:
         """Return the time now, but never before what it follows: a clock set back must not reorder the history."""
