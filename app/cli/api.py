@@ -93,7 +93,7 @@ def _openapi(options: argparse.Namespace) -> int:
 
 def _create(options: argparse.Namespace) -> int:
     with registry_of(options, create=False) as registry:
-        token, secret = registry.add_token(options.account, options.purpose, options.days)
+        token, secret = registry.tokens.add(options.account, options.purpose, options.days)
     write_json(options.json, {"schema": "softcal.api.token/1", **_token_json(token), "token": secret})
     if options.json != "-":
         print(secret)
@@ -104,7 +104,7 @@ def _create(options: argparse.Namespace) -> int:
 
 def _list(options: argparse.Namespace) -> int:
     with registry_of(options, create=False) as registry:
-        tokens, now = registry.tokens(), registry.settings.clock()
+        tokens, now = registry.tokens.all(), registry.settings.clock()
     write_json(options.json, {"schema": "softcal.api.tokens/1", "tokens": [_token_json(each) for each in tokens]})
     rows = [
         [
@@ -123,7 +123,7 @@ def _list(options: argparse.Namespace) -> int:
 
 def _withdraw(options: argparse.Namespace) -> int:
     with registry_of(options, create=False) as registry:
-        registry.withdraw_token(options.token, reason=options.reason)
+        registry.tokens.withdraw(options.token, reason=options.reason)
     write_json(options.json, {"schema": "softcal.api.withdrawn/1", "token_id": options.token})
     if options.json != "-":
         print(f"token {options.token} was withdrawn; what it was used for until now stands in the audit trail")

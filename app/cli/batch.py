@@ -82,6 +82,7 @@ def run(options: argparse.Namespace) -> int:
     from softcal.app.batch.engine import EngineChoice
     from softcal.app.batch.lot_work import BatchConfig
     from softcal.app.batch.report import TABLE_HEADER, audit_lines, report_json, table_row
+    from softcal.app.extras import lacking
     from softcal.app.files.anchors import read_anchors
     from softcal.app.files.lot_folder import open_lot_folder
     from softcal.core.unit.verdict import Release, Verdict
@@ -90,16 +91,19 @@ def run(options: argparse.Namespace) -> int:
     folder = open_lot_folder(options.lot)
     for remark in folder.remarks:
         say(f"note: {remark}")
+    lack = None if options.no_own else lacking("torch", "no own calibration is trained for comparison")
     anchors = {} if options.anchors is None else read_anchors(options.anchors, folder.unit_paths)
     config = BatchConfig(
         anchors=anchors,
         network=network_config(options),
         engine=EngineChoice(options.engine, options.jobs, options.scheduler),
-        score_own=not options.no_own,
+        score_own=not options.no_own and lack is None,
         refit=options.refit,
         release=Release(options.release),
     )
     with registry_of(options) as registry:
+        if lack:
+            say(f"note: {lack}")
         report = run_batch(folder, registry, config, batch_watch(folder.lot.reference_unit))
         if options.out is not None:
             _write_files(registry, report, options.out)

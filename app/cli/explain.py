@@ -70,7 +70,7 @@ def _print_method(options: argparse.Namespace) -> int:
     from softcal.core.unit.method import Method
 
     with registry_of(options, create=False) as registry:
-        record = registry.calibration(options.serial, options.revision, lot_id=options.lot).record
+        record = registry.calibrations.get(options.serial, options.revision, lot_id=options.lot).record
     method, ours = record.method, Method()
     if method is None:
         raise InputError(f"{options.serial}: calibrated by a version that kept no method; run the batch again")

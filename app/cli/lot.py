@@ -144,7 +144,7 @@ def _release(options: argparse.Namespace) -> int:
 
     lot_id = lot_id_of(options.lot)
     with registry_of(options, create=False) as registry:
-        registry.lot(lot_id)
+        registry.lots.get(lot_id)
         standing = lot_standing(registry, lot_id)
         if standing.decided is not None and not is_told(registry, lot_id, standing.decided):
             # What every change has judged already is only read, so that an account that may not write can ask.
@@ -202,13 +202,13 @@ def _audit_plan(options: argparse.Namespace) -> int:
 
     lot_id = lot_id_of(options.lot)
     with registry_of(options, create=False) as registry:
-        registry.lot(lot_id)
+        registry.lots.get(lot_id)
         audit = None if options.new else update_lot(registry, lot_id)
         if audit is None:
             names = ("doubtful", "random", "seed", "allowed_share")
             asked = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
             audit = draw_plan(registry, lot_id, AuditConfig(**asked), reason=options.reason)
-        units = sum(registry.verdict_counts(lot_id).values())
+        units = sum(registry.pages.verdict_counts(lot_id).values())
     write_json(options.json, audit_json(audit))
     if options.json != "-":
         print_table(AUDIT_HEADER, audit_rows(audit))
@@ -228,10 +228,10 @@ def _limit(options: argparse.Namespace) -> int:
         raise InputError("a new limit needs --reason: without one it cannot be defended")
     with registry_of(options, create=False) as registry:
         if is_new:
-            registry.set_limit(options.lot, options.rmse, reason=options.reason, expected_version=options.expect)
+            registry.lots.set_limit(options.lot, options.rmse, reason=options.reason, expected_version=options.expect)
             judge_again(registry, [options.lot])
-        unit = registry.lot(options.lot).reference_unit
-        versions = registry.limit_versions(options.lot)
+        unit = registry.lots.get(options.lot).reference_unit
+        versions = registry.lots.limit_versions(options.lot)
     if options.json:
         entries = [vars(entry) | {"made_at": entry.made_at.isoformat()} for entry in versions]
         write_json(options.json, {"schema": "softcal.lot.limit/1", "unit": unit, "versions": entries})
@@ -243,18 +243,18 @@ def _limit(options: argparse.Namespace) -> int:
 
 def _network(options: argparse.Namespace) -> int:
     with registry_of(options, create=False) as registry:
-        registry.lot(options.lot)
+        registry.lots.get(options.lot)
         if asked := options.release or options.withdraw:
             fitting = [
-                one.network.id for one in registry.network_states(options.lot) if one.network.id.startswith(asked)
+                one.network.id for one in registry.networks.states(options.lot) if one.network.id.startswith(asked)
             ]
             if len(fitting) != 1:
                 raise InputError(
                     f"{len(fitting)} networks of lot {options.lot!r} begin with {asked!r}; one was expected"
                 )
-            decide = registry.release_network if options.release else registry.withdraw_network
+            decide = registry.networks.release if options.release else registry.networks.withdraw
             decide(fitting[0], reason=options.reason)
-        states = registry.network_states(options.lot)
+        states = registry.networks.states(options.lot)
     if options.json:
         told = [{"id": one.network.id, "state": one.state} for one in states]
         write_json(options.json, {"schema": "softcal.lot.network/1", "lot": options.lot, "networks": told})
@@ -268,13 +268,13 @@ def _rules(options: argparse.Namespace) -> int:
     changes = {name: getattr(options, name) for name in ("serial_pattern", "letters", "target")}
     changes = {name: value for name, value in changes.items() if value is not None}
     with registry_of(options, create=False) as registry:
-        rules = registry.line_rules(registry.lot(options.lot))
+        rules = registry.lots.line_rules(registry.lots.get(options.lot))
         if options.retests:
             changes["retests"] = {**rules.retests, **dict(_retest(text) for text in options.retests)}
         if changes:
-            registry.set_line_rules(options.lot, replace(rules, **changes), reason=options.reason)
-        versions = registry.line_rules_versions(options.lot)
-        rules = registry.line_rules(registry.lot(options.lot))
+            registry.lots.set_line_rules(options.lot, replace(rules, **changes), reason=options.reason)
+        versions = registry.lots.line_rules_versions(options.lot)
+        rules = registry.lots.line_rules(registry.lots.get(options.lot))
     if options.json:
         entries = [vars(e) | {"made_at": e.made_at.isoformat(), "rules": e.rules.settings()} for e in versions]
         write_json(options.json, {"schema": "softcal.lot.rules/1", "now": rules.settings(), "versions": entries})

@@ -59,7 +59,7 @@ def _confirm(options: argparse.Namespace) -> int:
     lot_id = lot_id_of(options.lot)
     with registry_of(options, create=False) as registry:
         confirm(registry, lot_id, options.confirm, reason=options.reason)
-        standing = registry.standings(lot_id, [options.confirm])[options.confirm]
+        standing = registry.pages.standings(lot_id, [options.confirm])[options.confirm]
     say(f"{options.confirm}: confirmed; its verdict is {standing.verdict}: {standing.reasons[0]}")
     if options.json:
         facts = {"serial": options.confirm, "verdict": standing.verdict}
@@ -85,7 +85,7 @@ def _bring(options: argparse.Namespace) -> int:
         replaced, then = write_audits(folder, found), f"next: softcal batch {options.lot}"
     else:
         with registry_of(options, create=False) as registry:
-            lot = registry.lot(options.lot)
+            lot = registry.lots.get(options.lot)
             _check_rate(options.sample_rate, lot.sample_rate_Hz)
             found = look_at_audits(lot, target_serials(registry, lot.id), files, columns, options.sheet)
             store_audits(registry, lot.id, found)

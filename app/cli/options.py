@@ -125,7 +125,7 @@ def say_caution(registry: "Registry", unit: "tuple[str, int | None, str | None]"
     from softcal.app.registry.standing import caution
 
     serial, revision, lot_id = unit
-    if warning := caution(registry, registry.calibration(serial, revision, lot_id=lot_id), action):
+    if warning := caution(registry, registry.calibrations.get(serial, revision, lot_id=lot_id), action):
         say(warning)
 
 

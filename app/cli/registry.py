@@ -99,7 +99,7 @@ def _list(options: argparse.Namespace) -> int:
     from softcal.app.registry.listing import UNIT_HEADER, unit_json, unit_row
 
     with registry_of(options, create=False) as registry:
-        units = registry.units(options.lot)
+        units = registry.lots.units(options.lot)
     write_json(options.json, {"schema": "softcal.registry.list/1", "units": [unit_json(unit) for unit in units]})
     print_table(UNIT_HEADER, [unit_row(unit) for unit in units])
     return DONE
@@ -109,9 +109,9 @@ def _history(options: argparse.Namespace) -> int:
     from softcal.app.registry.listing import HISTORY_HEADER, history_json, history_row, only_lot
 
     with registry_of(options, create=False) as registry:
-        units = [unit for unit in registry.units(serial=options.serial) if options.lot in (None, unit.lot_id)]
+        units = [unit for unit in registry.lots.units(serial=options.serial) if options.lot in (None, unit.lot_id)]
         lot_id = only_lot(options.serial, [unit.lot_id for unit in units], options.lot)
-        revisions = registry.history(options.serial, lot_id)
+        revisions = registry.calibrations.history(options.serial, lot_id)
     if options.json:
         value = {"schema": "softcal.registry.history/1", "serial": options.serial, "lot": lot_id}
         write_json(options.json, value | {"revisions": [history_json(stored) for stored in revisions]})
@@ -173,8 +173,8 @@ def _rollback(options: argparse.Namespace) -> int:
 
     with registry_of(options, create=False) as registry:
         which = {"lot_id": options.lot, "origin": options.origin}
-        revision = registry.rollback(options.serial, options.to, reason=options.reason, **which)
-        judge_again(registry, [options.lot] if options.lot else registry.lots_of(options.serial))
+        revision = registry.calibrations.rollback(options.serial, options.to, reason=options.reason, **which)
+        judge_again(registry, [options.lot] if options.lot else registry.calibrations.lots_of(options.serial))
     line = f"{options.serial}: revision {revision} is in use, it repeats revision {options.to}"
     value = {"schema": "softcal.registry.rollback/1", "serial": options.serial, "revision": revision}
     return _answer(options, line, value | {"rolled_back_to": options.to})

@@ -40,7 +40,7 @@ def run(options: argparse.Namespace) -> int:
     with registry_of(options, create=False) as registry:
         lot_id = _lot_id(options.lot)
         view = lot_view(registry, lot_id)
-        units = [unit for unit in registry.units(lot_id) if unit.role == "target"]
+        units = [unit for unit in registry.lots.units(lot_id) if unit.role == "target"]
     out = options.out or Path(f"{lot_id}.html")
     write_text(out, lot_page(view, units, words, _made(options.language)))
     say(f"{out}: lot {lot_id}, {view.judged} of {view.total} units have a result")

@@ -326,9 +326,9 @@ def run_certificate(options: argparse.Namespace) -> int:
     with registry_of(options) as registry:
         if options.dcc is not None or any(value is not None for name, value in given.items() if name != "cell_serial"):
             certificate = certificate_from(given, options.dcc)
-            registry.add_certificate(certificate)
+            registry.stations.add_certificate(certificate)
             say(f"load cell {certificate.cell_serial}: certificate {certificate.number} is on file")
-        entries = registry.certificates(options.cell)
+        entries = registry.stations.certificates(options.cell)
     names = ("cell_serial", "number", "laboratory", "issued_on", "due_on", "capacity_N", "uncertainty_N")
     rows = [{name: getattr(entry, name) for name in names} for entry in entries]
     if options.json:

@@ -93,7 +93,7 @@ def lot_serials(registry: Registry, lot_id: str, options: ExportOptions) -> list
     Raises:
         InputError: no such lot, or no such unit in it.
     """
-    units = [unit for unit in registry.units(lot_id) if unit.revision is not None]
+    units = [unit for unit in registry.lots.units(lot_id) if unit.revision is not None]
     serials = [unit.serial for unit in units if unit.verdict and options.releases(unit.verdict)]
     if not serials:
         raise InputError(f"lot {lot_id!r} has no unit to export: {len(units)} are calibrated, none of them is released")
@@ -109,7 +109,7 @@ def _check_serials(registry: Registry, serials: Sequence[str], lot_id: str | Non
                 raise InputError(f"serials {seen[key]} and {serial} look the same to a device; export one of them")
             seen[key] = serial
     is_many = len(serials) > 1
-    known = {unit.serial for unit in registry.units(lot_id) if unit.revision is not None} if is_many else None
+    known = {unit.serial for unit in registry.lots.units(lot_id) if unit.revision is not None} if is_many else None
     unknown = [serial for serial in serials if known is not None and serial not in known]
     if unknown:
         raise InputError(f"the registry has no calibration of {', '.join(unknown[:5])}; nothing was written")

@@ -11,7 +11,7 @@ from softcal.db.registry import Registry
 
 def source_sha256(registry: Registry, network_id: str) -> str:
     """Return the content hash of the recording a network was trained on."""
-    return str(registry.network_entry(network_id).training["source_recording_sha256"])
+    return str(registry.networks.entry(network_id).training["source_recording_sha256"])
 
 
 def source_recording(registry: Registry, network_id: str) -> LabelledRecording:
@@ -20,7 +20,7 @@ def source_recording(registry: Registry, network_id: str) -> LabelledRecording:
     Raises:
         InputError: the network is not in the registry, or its source recording has no reference.
     """
-    source = registry.recording(source_sha256(registry, network_id))
+    source = registry.recordings.get(source_sha256(registry, network_id))
     if not isinstance(source, LabelledRecording):
         raise InputError(reason("run.bare_network", network=network_id[:12]))
     return source
@@ -28,7 +28,7 @@ def source_recording(registry: Registry, network_id: str) -> LabelledRecording:
 
 def source_model(registry: Registry, network_id: str, method: Method) -> SourceModel:
     """Return the source of a network as the units of its lot are compared with it; make it once for all of them."""
-    return make_source_model(source_recording(registry, network_id), registry.network(network_id), method=method)
+    return make_source_model(source_recording(registry, network_id), registry.networks.get(network_id), method=method)
 
 
 def unlabelled(recording: OutputRecording | LabelledRecording) -> OutputRecording:
@@ -42,14 +42,14 @@ def newest_audits(registry: Registry, lot_id: str, serial: str | None = None) ->
     A golden unit's labelled runs check the station and its day; they are no audits of the lot. Of a run that does not
     say which recording it is, all of its unit's are.
     """
-    runs = registry.golden_runs()
+    runs = registry.stations.golden_runs()
     checks = {run.recording_sha256 for run in runs}
-    units = {run.serial for run in runs if run.recording_sha256 is None} | {registry.lot(lot_id).source}
-    entries = registry.recordings(lot_id, serial, "audit")
+    units = {run.serial for run in runs if run.recording_sha256 is None} | {registry.lots.get(lot_id).source}
+    entries = registry.recordings.of_lot(lot_id, serial, "audit")
     return {one.serial: one for one in entries if one.serial not in units and one.sha256 not in checks}
 
 
 def audit_of(registry: Registry, entry: RecordingEntry | None) -> LabelledRecording | None:
     """Read an audit; None where there is none."""
-    found = None if entry is None else registry.recording(entry.sha256)
+    found = None if entry is None else registry.recordings.get(entry.sha256)
     return found if isinstance(found, LabelledRecording) else None

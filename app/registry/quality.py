@@ -47,7 +47,7 @@ def file_chart(path: Path, column: str) -> ControlChart:
 def lot_chart(registry: Registry, lot_id: str) -> ControlChart:
     """Make the control chart of the predicted errors of a lot's units, in the order they were calibrated."""
     return control_chart(
-        np.array([run.predicted_rmse for run in registry.runs(lot_id) if run.predicted_rmse is not None])
+        np.array([run.predicted_rmse for run in registry.lots.runs(lot_id) if run.predicted_rmse is not None])
     )
 
 
@@ -57,7 +57,7 @@ def lot_capability(registry: Registry, lot_id: str, maximum: float | None = None
     Raises:
         InputError: no limit was stated, or capability must be refused.
     """
-    limit = maximum if maximum is not None else registry.lot(lot_id).limit_rmse
+    limit = maximum if maximum is not None else registry.lots.get(lot_id).limit_rmse
     if limit is None:
         raise InputError(f"lot {lot_id!r} has no stated limit; give --max")
     chart = lot_chart(registry, lot_id)
@@ -67,9 +67,9 @@ def lot_capability(registry: Registry, lot_id: str, maximum: float | None = None
 def lot_yields(registry: Registry, lot_id: str, *, conditional_is_good: bool = False) -> Yields:
     """Count the yields of a lot; golden units are left out."""
     runs: dict[str, list[UnitRun]] = {}
-    for run in registry.runs(lot_id):
+    for run in registry.lots.runs(lot_id):
         runs.setdefault(run.serial, []).append(UnitRun(run.verdict, run.reasons))
-    golden = {run.serial for run in registry.golden_runs()}
+    golden = {run.serial for run in registry.stations.golden_runs()}
     asked = Release.CONDITIONAL if conditional_is_good else Release.PASS
     good = [verdict for verdict in Verdict if asked.releases(verdict)]
     return yields(runs, golden, good)
@@ -84,7 +84,7 @@ def golden_charts(
         InputError: there are no checks with golden units.
     """
     values: dict[tuple[str, str], list[float]] = {}
-    for run in registry.golden_runs(station, serial):
+    for run in registry.stations.golden_runs(station, serial):
         values.setdefault((run.station, run.serial), []).append(run.value)
     if not values:
         raise InputError("the registry holds no checks with golden units that fit")

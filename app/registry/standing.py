@@ -16,7 +16,7 @@ def standing_of(registry: Registry, stored: StoredCalibration) -> UnitStanding:
     Args:
         stored: any calibration of the unit.
     """
-    found = registry.standings(stored.lot_id, [stored.serial]).get(stored.serial)
+    found = registry.pages.standings(stored.lot_id, [stored.serial]).get(stored.serial)
     nothing = UnitStanding(stored.serial, UNDECIDED, (plain("none of its calibrations is in use"),), stored.made_at)
     return nothing if found is None else found
 
@@ -39,7 +39,7 @@ def caution(registry: Registry, stored: StoredCalibration, action: str) -> str:
     facts = {"verdict": told.verdict, "revision": stored.revision, "action": action}
     try:
         key, reason = (stored.lot_id, stored.serial), f"{action} of a unit that did not pass"
-        registry.add_event("use", "unit", key, facts, reason=reason)
+        registry.trail.add("use", "unit", key, facts, reason=reason)
     except RegistryError:
         # Who may only read must still be able to estimate; the line on the terminal is then all there is.
         return f"{warning}; this use could not be recorded, the registry cannot be written"

@@ -151,7 +151,7 @@ def ask_reason(key: str, label: str, action: str, fields: Callable[[], None] = l
     """Ask for the reason of a change; return it in the run in which the button was pressed, else None.
 
     The caller passes the reason and `account.actor()` on to the function of the registry that makes the change and
-    its row in the audit trail; `registry().add_event` makes a row for what changes no table.
+    its row in the audit trail; `registry().trail.add` makes a row for what changes no table.
 
     Args:
         key: unique on the page.

@@ -46,7 +46,7 @@ def lot_at_line(of: Registry, lot_id: str) -> LotAtLine:
 
 @st.cache_resource(ttl="1s", max_entries=16, show_spinner=False)
 def _marker(registry_name: str, lot_id: str) -> str:
-    return registry().change_marker(lot_id)
+    return registry().pages.change_marker(lot_id)
 
 
 @st.cache_resource(max_entries=16, show_spinner=False)

@@ -23,7 +23,7 @@ def remembered_lot_view(lot_id: str, wanted: LotFilter = EVERY_RUN) -> LotView:
     Raises:
         InputError: the lot is not in the registry.
     """
-    return _view(str(registry().database.name), lot_id, registry().change_marker(lot_id), wanted)
+    return _view(str(registry().database.name), lot_id, registry().pages.change_marker(lot_id), wanted)
 
 
 # Not cache_data: it would copy ten thousand rows at every look.

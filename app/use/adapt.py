@@ -117,14 +117,14 @@ class Follower:
         self._registry, self._keeper = registry, keeper
         self._writing: Future[int] | None = None
         self._adapter = _follower_of(registry, unit, options.config, keeper)
-        newest = registry.last_adaptation(serial, unit.revision, stream)
+        newest = registry.adaptations.last(serial, unit.revision, stream)
         # The same rows again give the same steps; those that are kept already stay as they are.
         self._kept_until = -1 if newest is None else int(newest["sample"])
         self._began: int | None = 0
         self._state_until = -1
         self._method_id = options.config.method.id
         changed: list[str] = []
-        last = registry.last_checkpoint(serial, unit.revision, stream)
+        last = registry.adaptations.last_checkpoint(serial, unit.revision, stream)
         # A file that was broken off is begun again, and so is one whose content names its stream.
         has_begun = last is not None and options.stream is not None if is_repeatable else newest is not None
         if options.resume and last is not None:
@@ -220,9 +220,9 @@ class Follower:
             new.append(state)
         self.settle()
         if new and self._keeper is None:
-            self._registry.add_adaptations(report.serial, report.revision, new)
+            self._registry.adaptations.add(report.serial, report.revision, new)
         elif new and self._keeper is not None:
-            self._writing = self._keeper.submit(self._registry.add_adaptations, report.serial, report.revision, new)
+            self._writing = self._keeper.submit(self._registry.adaptations.add, report.serial, report.revision, new)
         self._pending, self._since_maps = [], 0
 
     def _entry(self, update: MapUpdate) -> dict[str, Any]:

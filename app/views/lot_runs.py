@@ -63,7 +63,7 @@ def lot_runs(registry: Registry, lot_id: str) -> tuple[PlacedRun, ...]:
     Raises:
         InputError: the lot is not in the registry.
     """
-    return placed(registry.runs(lot_id), registry.order_queue.pressed(lot_id))
+    return placed(registry.lots.runs(lot_id), registry.order_queue.pressed(lot_id))
 
 
 def placed(runs: Sequence[RunEntry], pressed: Sequence[Pressed]) -> tuple[PlacedRun, ...]:

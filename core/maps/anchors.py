@@ -101,8 +101,8 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, firm: Firmn
 
     f is left out on purpose: it misreads a load at rest by its own error, and where it is flat no gain or offset of
     any size would make it read the load. A map from pairs was fitted behind f and differs from the source's levels by
-    what f misreads: there f's error is in sigma_k. Of what the loads ask for a part 1 - 1 / z^2 is taken, with z the
-    largest |x_k - y_k| / sigma_k: none of what the errors explain (James and Stein 1961, positive part). So loads that
+    what f misreads: there f's error is in sigma_k. Of what K loads ask for a part 1 - K / sum z_k^2 is taken, with
+    z_k = (x_k - y_k) / sigma_k: none of what the errors explain (James and Stein 1961, positive part). So loads that
     were read in motion, whose scatter is that of sigma_k, change little.
 
     Args:
@@ -122,7 +122,7 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, firm: Firmn
         sigma = np.hypot(sigma, _model_error(problem))
         # Pairs pressed with another load than the source's know the gain no better than the output alone does.
         firm = firmness("", config.anchors)
-    taken = 1.0 - 1.0 / max(float(np.max(((wanted - mapped) / sigma) ** 2)), 1.0)
+    taken = 1.0 - wanted.size / max(float(np.sum(((wanted - mapped) / sigma) ** 2)), wanted.size)
     # In standard deviations of the prior, whose own residual is then the unknown itself.
     design = np.stack([firm.gain * (mapped - rest), np.full_like(mapped, level)], axis=1) / sigma[:, None]
     normal = design.T @ design + np.eye(2)

@@ -323,7 +323,7 @@ class Method(NumberedMethod):
             section a module.
     """
 
-    version: int = setting(3, "raised by hand")
+    version: int = setting(4, "raised by hand")
     taps: int = setting(TAPS, FORMAT)
     levels: int = setting(LEVELS, FORMAT)
     confidence: float = setting(CONFIDENCE, FORMAT)

@@ -126,10 +126,10 @@ def _sign_in(screen: AppTest, url: str, role: str) -> None:
 def add_people(url: str) -> None:
     """Put one person of each role into a registry."""
     with open_registry(url) as registry:
-        known = {user.name for user in registry.users()}
+        known = {user.name for user in registry.people.all()}
         for role, (name, pin) in PINS.items():
             if name not in known:
-                registry.set_user(name, role, pin, actor="test")
+                registry.people.set(name, role, pin, actor="test")
 
 
 @pytest.fixture(scope="session")

@@ -87,7 +87,7 @@ def test_simulated_sensor_is_read_over_its_serial_protocol(bench: Path, tmp_path
     assert len(rows) > 300
     assert np.median(np.diff(rows["t_s"])) == pytest.approx(0.02, rel=0.05)
     with open_registry(f"sqlite:///{bench / 'registry.db'}") as registry:
-        kept = registry.last_adaptation("A0", 1, "sim")
+        kept = registry.adaptations.last("A0", 1, "sim")
     assert kept is not None and kept["event"] == "checkpoint"
 
 

@@ -273,7 +273,7 @@ def test_a_report_is_one_page_that_needs_nothing_else(calibrated: Path, tmp_path
 def test_a_report_escapes_what_a_lot_and_its_units_are_called(calibrated: Path) -> None:
     with open_registry(_url(calibrated)) as registry:
         view = lot_view(registry, "small")
-        units = [replace(unit, serial="<i>serial") for unit in registry.units("small")]
+        units = [replace(unit, serial="<i>serial") for unit in registry.lots.units("small")]
     named = replace(view, lot=replace(view.lot, sensor_model="<i>model"))
     page = lot_page(named, units, partial(text, "en"), "<i>made")
     assert "<i>" not in page

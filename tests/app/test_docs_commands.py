@@ -164,7 +164,7 @@ def test_a_page_runs_as_written(
     _import("S1.csv", f"{serial}.csv", "S3.csv")
     assert main(["batch", "lot-1"]) in (0, 1)
     with open_registry(f"sqlite:///{folder}/registry.db") as registry:
-        registry.set_user("MES", "operator", "2580", actor="kim")
+        registry.people.set("MES", "operator", "2580", actor="kim")
     for line in _commands(ROOT / page, re.compile("openssl gen")):
         require(shutil.which("openssl"), "no openssl")
         subprocess.run(line.replace("'&&'", "&&"), shell=True, check=True, capture_output=True)

@@ -58,7 +58,7 @@ def _units() -> None:
 
 
 def _lots() -> None:
-    say, known = words(), registry().lot_ids()
+    say, known = words(), registry().lots.ids()
     if not known:
         empty(say("empty.lots"), say("empty.lots.how"))
         return
@@ -84,7 +84,7 @@ def _choose(place: str, column: st.delta_generator.DeltaGenerator) -> str | None
     """Draw the choice of one unit; it stays in the address, so that a link leads back to it."""
     say, asked = words(), str(st.query_params.get(place, ""))
     text = str(column.text_input(say("unit.find"), key=f"compare-find-{place}", icon=":material/search:") or "").strip()
-    found = [one for one in registry().find_serials(text) if registry().history(one)]
+    found = [one for one in registry().pages.find_serials(text) if registry().calibrations.history(one)]
     if asked and asked not in found and not text:
         found = [asked, *found]
     if not found:

@@ -18,12 +18,12 @@ from softcal.db.entries import LimitEntry
 
 def render() -> None:
     say = words()
-    lot_id = lot_heading("limits", registry().lot_ids())
+    lot_id = lot_heading("limits", registry().lots.ids())
     if lot_id is None:
         return
     if done := st.session_state.pop("limit-done", ""):
         st.success(done, icon=":material/check:")
-    view, versions = remembered_lot_view(lot_id), registry().limit_versions(lot_id)
+    view, versions = remembered_lot_view(lot_id), registry().lots.limit_versions(lot_id)
     left, right = st.columns(2)
     with left, st.container(border=True):
         _change(view, versions)
@@ -76,7 +76,7 @@ def _change(view: LotView, versions: list[LimitEntry]) -> None:
     rmse = None if is_automatic else wanted
     st.session_state.pop(looked_at)
     try:
-        registry().set_limit(view.lot.id, rmse, reason=reason, actor=actor(), expected_version=version)
+        registry().lots.set_limit(view.lot.id, rmse, reason=reason, actor=actor(), expected_version=version)
         judge_again(registry(), [view.lot.id], actor())
     except InputError as error:
         st.error(in_words(error), icon=":material/error:")

@@ -23,7 +23,7 @@ EVERY_S = 3.0
 
 def render() -> None:
     st.html(line_card.style() + line_card.theme(colours()) + board_style())
-    lot_id = lot_heading("wall", registry().lot_ids())
+    lot_id = lot_heading("wall", registry().lots.ids())
     if lot_id is None:
         return
     if not units_of(lot_id):
