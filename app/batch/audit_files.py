@@ -85,7 +85,7 @@ def write_audits(folder: Path, found: Sequence[AuditFile]) -> list[str]:
 
 
 def store_audits(registry: Registry, lot_id: str, found: Sequence[AuditFile], actor: str | None = None) -> int:
-    """Keep the recordings that are not refused, and return how many; the next calibration of the lot scores them."""
+    """Keep the recordings that are not refused, and return how many; the next calibration of the lot judges by them."""
     taken = [one.recording for one in found if one.recording is not None]
     with registry.transaction():
         for recording in taken:

@@ -47,7 +47,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         "adapt",
         help="estimate over long use, the map following the drift",
         description="Estimate the reference from a long stream of a unit's output while its map follows the sensor's "
-        "drift; where drift and a change of use cannot be told apart, the map is held and the file says so.",
+        "drift. Where drift and a change of use cannot be told apart, the map is held and the file says so.",
         epilog=EXAMPLES,
     )
     parser.add_argument("source", metavar="IN", help="CSV or Parquet with t_s, output; -, serial:PORT or simulated")

@@ -22,9 +22,9 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser = commands.add_parser(
         "demo",
         help="the main job from end to end on a simulated station",
-        description="Press a simulated lot, stage, load cell and sensor spoken to over their real serial protocols; "
-        "train the shared network on the source, fit every unit's map without labels, judge, register, export, and "
-        "print a table like the paper's Table 1.",
+        description="Press a simulated lot; stage, load cell and sensor speak their real serial protocols. Train the "
+        "shared network on the source and fit every unit's map without labels. Judge, register, export, and print a "
+        "table like the paper's Table 1.",
         epilog=EXAMPLES,
     )
     parser.add_argument("--out", type=Path, default=Path("softcal-demo"), metavar="DIR", help="default: softcal-demo")

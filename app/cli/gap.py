@@ -58,8 +58,8 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser = commands.add_parser(
         "gap",
         help="diagnose the sim-to-real gap: where, which cause, how far it shrinks",
-        description="Compare the twin with recordings of a rig: where it is wrong, which effect causes it, how far the "
-        "gap shrinks when that effect is added, and what to press next.",
+        description="Compare the twin with recordings of a rig: where it is wrong, which effect causes it, how far "
+        "the gap shrinks, what to press next.",
         epilog=_EXAMPLES,
     )
     inner = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
@@ -76,8 +76,8 @@ def _add_diagnose(commands: "argparse._SubParsersAction[argparse.ArgumentParser]
     parser = commands.add_parser(
         "diagnose",
         help="find the causes of the gap in a case",
-        description="Fit the base twin and every effect of the catalogue jointly to all runs of a case and report "
-        "where the gap lies, its causes with probabilities, the shrink on held-out runs, and the next experiment.",
+        description="Fit the base twin and every effect of the catalogue together to all runs of a case. Report where "
+        "the gap lies, its causes with probabilities, the shrink on runs held back, and the next experiment.",
         epilog=_DIAGNOSE_EXAMPLES,
     )
     _add_case(parser)
@@ -90,7 +90,7 @@ def _add_check(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser = commands.add_parser(
         "check",
         help="say what the runs of a case can tell, before anything is diagnosed",
-        description="Look for mistakes in the recordings, fit the base, and say which of its parameters and which "
+        description="Look for mistakes in the recordings and fit the base. Say which of its parameters and which "
         "causes these runs can tell, which they cannot, and which run would. Nothing is diagnosed.",
         epilog=_CHECK_EXAMPLES,
     )

@@ -70,7 +70,7 @@ def _add_score(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser = commands.add_parser(
         "score",
         help="open the seal of a challenge and score the reports",
-        description="Check the seal of a challenge against its published hash, open it, and score one report per "
+        description="Check the seal of a challenge against its published hash and open it. Score one report per "
         "case: causes, sets, false alarms, abstention, stage, forecast of the shrink, calibration of probabilities.",
         epilog=_SCORE_EXAMPLES,
     )

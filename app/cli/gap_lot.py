@@ -24,8 +24,8 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser = commands.add_parser(
         "lot",
         help="diagnose many units of one lot together",
-        description="Diagnose one case per unit and add up their evidence: which causes the units share, at which size "
-        "in each, and which units do not follow. Units with an audit show how many rig recordings the twin saves.",
+        description="Diagnose one case per unit and add up their evidence. Say which causes the units share, at which "
+        "size in each, and which units do not follow. Units with an audit show how many rig recordings the twin saves.",
         epilog=_EXAMPLES,
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="one case folder per unit")

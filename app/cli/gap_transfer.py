@@ -25,8 +25,8 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser = commands.add_parser(
         "transfer",
         help="compare calibration results in simulation with those on the rig",
-        description="Calibrate a lot pressed on the rig, a lot simulated with the refitted base twin and one simulated "
-        "with the explained twin, all in the same way, and show which twin foretells the rig's results.",
+        description="Calibrate three lots in the same way: pressed on the rig, simulated with the refitted base twin, "
+        "and with the explained twin. Show which twin foretells the rig's results.",
         epilog=_EXAMPLES,
     )
     parser.add_argument("--report", type=Path, required=True, metavar="FILE", help="JSON of softcal gap diagnose")

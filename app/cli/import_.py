@@ -53,7 +53,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         help="keep the targets' references in audit/: they decide about their units, no map is fitted to them",
     )
     parser.add_argument("--rows", type=_rows, metavar="A:B", help="data rows that fit, counted from 0")
-    parser.add_argument("--audit-rows", type=_rows, metavar="A:B", help="data rows that score")
+    parser.add_argument("--audit-rows", type=_rows, metavar="A:B", help="data rows of the audit")
     parser.add_argument(
         "--most-cells", type=int, default=20_000_000, metavar="N",
         help="refuse larger tables before they are read (default 20 million; a tenth of it for Excel)",

@@ -30,7 +30,7 @@ EXAMPLES = """examples:
   softcal lot release lot-1 --pdf lot-1.pdf      what is promised about the units nobody measured, on one page
   softcal lot audit-plan lot-1 --new --random 20 --reason "first draw was lost in transit"
 
-After `lot audit` run `softcal batch` again: it scores the audits and judges the lot.
+After `lot audit` run `softcal batch` again: it measures the audited units and judges the lot.
 """
 
 

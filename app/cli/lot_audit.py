@@ -14,7 +14,7 @@ EXAMPLES = """examples:
   softcal lot audit lot-1 EG-07.csv --sample-rate 50        a table without a column of time
   softcal lot audit lot-1 --confirm EG-07 --reason "pressed again by hand, the same result"
 
-LOT is a lot folder: the recordings go into its audit/, and `softcal batch LOT` scores them. Or it is a lot of the
+LOT is a lot folder: the recordings go into its audit/, and `softcal batch LOT` judges by them. Or it is a lot of the
 registry: they are kept there, and scored at once.
 """
 

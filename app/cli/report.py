@@ -18,8 +18,8 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser = commands.add_parser(
         "report",
         help="one HTML page of a lot: verdicts, errors, process, every unit",
-        description="Write one standalone HTML page of a lot in the registry: yields, predicted and measured errors, "
-        "the control chart, why units did not pass, and every unit. It needs no network to be read.",
+        description="Write one standalone HTML page of a lot in the registry: yields, errors predicted and measured, "
+        "control chart, why units did not pass, every unit. It needs no network to be read.",
         epilog=EXAMPLES,
     )
     parser.add_argument("lot", metavar="LOT", help="id of a lot in the registry, or its lot folder")

@@ -382,7 +382,7 @@ def profile_for(kind: str, seed: int, seconds: float | None, depth_mm: float, fi
 
 @dataclass(frozen=True)
 class RecordedLot:
-    """A lot as the station records it: the source with its reference, units without, audits to score them."""
+    """A lot as the station records it: the source with its reference, units without, audits that decide about them."""
 
     source: LabelledRecording
     units: Mapping[str, OutputRecording]
@@ -410,7 +410,7 @@ def press_simulated_lot(
     Args:
         twins, serials: (number of units,) the units, the source first.
         seed: of mounting, noise and profiles.
-        times: how long each run presses; an audit is only there to score.
+        times: how long each run presses, an audit too.
         on_run: called with a sentence before each run.
 
     Raises:
@@ -428,7 +428,7 @@ def press_simulated_lot(
             tell(f"unit {serial}: pressing, output only")
             profile = unit_profile(rng, times.unit_s)
             units[serial] = record(bench, serial, profile, with_reference=False).output_recording()
-            tell(f"unit {serial}: audit with the load cell, to score")
+            tell(f"unit {serial}: audit with the load cell")
             audit = record(bench, serial, unit_profile(rng, times.audit_s), with_reference=True)
             audits[serial] = audit.labelled_recording()
     return RecordedLot(source.labelled_recording(), units, audits)

@@ -69,7 +69,7 @@ def is_trimmed_by(record: CalibrationRecord, loads: Anchors) -> bool:
 def untrimmed(registry: Registry, stored: StoredCalibration) -> StoredCalibration:
     """Return the calibration behind trims, and behind what audits of other units said: a new trim replaces them.
 
-    Those audits are asked again what the trimmed one is worth; what trims leave open does not add up.
+    Those audits are asked again what the trimmed one is worth; what trims do not settle does not add up.
     """
     evidence = stored.record.evidence
     revision = evidence.get(UNTRIMMED, evidence.get("base_revision"))

@@ -47,7 +47,7 @@ EXPERIMENTS = (*(name for name in PROTOCOLS if name not in NOT_ASKED), *SPECIAL,
 
 @dataclass(frozen=True)
 class RunPlan:
-    """One run: a protocol or an experiment of the menu, and the seed of all that is random in it."""
+    """One run: a protocol or an experiment, and the seed of all that is random in it."""
 
     protocol: str
     seed: int

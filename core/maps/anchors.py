@@ -154,7 +154,7 @@ def source_level(source: LabelledRecording, load: float, config: AnchorConfig) -
     """Return the source's output under a load, and its standard uncertainty, both in the source's output unit.
 
     A straight line through the samples whose load is near; their scatter about it is what lag, loop and drift of the
-    source leave open.
+    source do not settle.
     """
     away = source.reference - load
     span = float(np.ptp(source.reference))

@@ -71,9 +71,9 @@ class Ratios:
     def bound(self, promise: Promise, rules: ReleaseConfig = RULES) -> float:
         """Return the factor that measured / forecast of all but a share `risk` of the units stays below.
 
-        The larger of exp(mean + k SD), which holds with the promise's confidence where the ratios are near log-normal
-        (ISO 16269-6, the method of ISO 3951), and the largest ratio seen, which one unit in audits + 1 exceeds whatever
-        form the ratios have. Infinite where the audits are too few.
+        The larger of two. exp(mean + k SD) holds with the promise's confidence where the ratios are near log-normal
+        (ISO 16269-6, the method of ISO 3951). One unit in audits + 1 exceeds the largest ratio seen, for ratios of any
+        distribution. Infinite where the audits are too few.
         """
         if self.audits < rules.least_audits or (self.lots > 1 and self.lots < rules.least_lots):
             return float("inf")
@@ -205,7 +205,7 @@ def least_passing(units: int, held: int, rules: ReleaseConfig = RULES) -> float:
 
 
 def audits_wanted(promise: Promise) -> int:
-    """Return how many audits of a lot make the promise hold on average whatever form the ratios have: 9 for 1 in 10."""
+    """Return how many audits of a lot make the promise hold on average for any ratios: 9 for 1 in 10."""
     return least_units(promise.risk)
 
 
