@@ -34,7 +34,7 @@ LONG = 25
 """Words of a sentence above which it counts as long."""
 
 ROOT = Path(__file__).parents[1]
-SPOKEN = tuple(f"core/words/{name}.py" for name in ("reason", "gap_sentences", "rig_sentences"))
+SPOKEN = tuple(f"core/words/{name}.py" for name in ("sentences", "gap_sentences", "rig_sentences"))
 """Where the sentences of all reasons stand."""
 
 NESTED = {
@@ -198,10 +198,10 @@ def reasons(place: str) -> dict[str, str]:
             if Path(place).is_dir()
             else _git("show", f"{place}:{name}")
         )
-        for table in (node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Dict)):
-            for key, value in zip(table.keys, table.values, strict=True):
-                if isinstance(key, ast.Constant) and isinstance(value, ast.Constant) and isinstance(value.value, str):
-                    said[str(key.value)] = value.value
+        page = re.search(r'= sentences\("""\n(.*?)\n"""\)', text, re.DOTALL)
+        for line in page[1].replace("\n  ", " ").splitlines() if page else ():
+            if line and not line.startswith("#"):
+                code, said[code] = line.split(": ", 1)
     return said
 
 

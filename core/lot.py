@@ -61,7 +61,6 @@ class Lot:
 
     @classmethod
     def from_settings(cls, lot_id: str, settings: Mapping[str, object]) -> "Lot":
-        """Rebuild a lot from its id and `settings()`."""
         limit = settings.get("limit_rmse")
         return cls(
             id=lot_id,

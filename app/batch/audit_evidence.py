@@ -7,8 +7,8 @@ from datetime import date, datetime, timedelta
 import numpy as np
 
 from softcal.app.batch.audit import confirmed_audits, lot_audit
-from softcal.app.registry.audits import audit_of, newest_audits
 from softcal.app.registry.limit import lot_limit
+from softcal.app.registry.lot_recordings import audit_of, newest_audits
 from softcal.core.lot import Lot
 from softcal.core.quality.acceptance import Promise, tolerance_factor
 from softcal.core.quality.audit_check import doubtful_audits
@@ -40,7 +40,6 @@ class AuditEvidence:
 
     Args:
         qualification: whether units may be released, and on which audits.
-        limit: of the lot.
         widening: of the 90 % intervals.
         seen: gains that the audited units of the lot read their loads with; None where there are too few.
         days: gains of golden units of the sensor model on different days; None where there are too few.

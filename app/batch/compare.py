@@ -10,7 +10,7 @@ import numpy as np
 from softcal.app.batch.calibrating import LotFacts, UnitInputs, calibrate_unit
 from softcal.app.batch.known import KeptFacts, lot_facts
 from softcal.app.registry.golden import bridges_over
-from softcal.app.registry.source import source_model, unlabelled
+from softcal.app.registry.lot_recordings import source_model, unlabelled
 from softcal.core.maps.config import MapConfig
 from softcal.core.recording import OutputRecording
 from softcal.core.unit.calibration import CalibrationRecord

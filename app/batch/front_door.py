@@ -14,8 +14,7 @@ from softcal.app.bootstrap import data_folder
 from softcal.app.files.importing import ImportPlan, LookedAt, import_lot, look_through
 from softcal.app.files.lot_folder import FOLDER_OF, LotFolder, open_lot_folder, write_lot_toml
 from softcal.app.files.recording_file import write_recording
-from softcal.app.registry.audits import newest_audits
-from softcal.app.registry.source import source_recording
+from softcal.app.registry.lot_recordings import newest_audits, source_recording
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.network.config import NetworkConfig
 from softcal.core.recording import Array, LabelledRecording, OutputRecording

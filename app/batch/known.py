@@ -5,9 +5,9 @@ from collections.abc import Collection, Sequence
 from typing import Any
 
 from softcal.app.batch.calibrating import Known, LotFacts, Refusal, Result, UnitInputs
-from softcal.app.registry.audits import audit_of, newest_audits
 from softcal.app.registry.golden import golden_of
 from softcal.app.registry.known_loads import known_loads
+from softcal.app.registry.lot_recordings import audit_of, newest_audits
 from softcal.app.registry.reference import lot_reference
 from softcal.app.registry.trimmed import trim_kept
 from softcal.core.errors import InputError

@@ -8,9 +8,8 @@ from datetime import UTC, datetime
 import numpy as np
 
 from softcal.app.batch.audit_evidence import PROMISE, RELEASABLE, AuditEvidence, AuditReader
-from softcal.app.registry.audits import audit_of, newest_audits
 from softcal.app.registry.limit import limit_or_none, lot_limit
-from softcal.app.registry.source import source_recording, unlabelled
+from softcal.app.registry.lot_recordings import audit_of, newest_audits, source_recording, unlabelled
 from softcal.core.identity import content_sha256
 from softcal.core.quality.lot_release import LotRelease, release_lot
 from softcal.core.quality.lot_standing import LotStanding, UnitInLot
@@ -182,7 +181,6 @@ class _Standing:
         }
 
     def decided(self) -> LotRelease:
-        """Decide on its units."""
         return _decided(self.evidence, self.open, self.least)
 
     def moved(self) -> list[MadeCalibration]:
@@ -203,9 +201,6 @@ class LineRelease:
 
     The other units of the lot are read again only where the audits say something new; units that another station
     presses meanwhile count from then on. `judge_lot` decides on the whole lot.
-
-    Args:
-        registry: of the line.
     """
 
     def __init__(self, registry: Registry) -> None:

@@ -27,7 +27,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         help="people and programs, their roles and PINs",
         description="Make, change and list accounts. Every change lands in the audit trail with its reason.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     change = actions.add_parser("set", help="make an account, or change its role, its PIN or whether it is active")

@@ -49,7 +49,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         description="Estimate the reference from a long stream of a unit's output while its map follows the sensor's "
         "drift. Where drift and a change of use cannot be told apart, the map is held and the file says so.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("source", metavar="IN", help="CSV or Parquet with t_s, output; -, serial:PORT or simulated")
     parser.add_argument("--out", required=True, metavar="OUT", help="CSV or Parquet; live also - or tcp://HOST:PORT")
@@ -173,5 +172,4 @@ def _report(registry: "Registry", options: argparse.Namespace, report: "AdaptRep
     course = registry.adaptations.all(report.serial, report.stream)
     if options.html is not None:
         write_figure(registry, options.html, report, maps_of(course))
-    if options.json:
-        write_json(options.json, report_json(report, course))
+    write_json(options.json, report_json(report, course))

@@ -33,7 +33,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         help="the REST interface for other programs, and their tokens",
         description="Units, verdicts, files, lots, jobs and events for other programs, over HTTP.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     serve = actions.add_parser("serve", help="serve the REST interface until Ctrl-C")
@@ -109,8 +108,7 @@ def _document() -> dict[str, Any]:
 def _create(options: argparse.Namespace) -> int:
     with registry_of(options, create=False) as registry:
         token, secret = registry.tokens.add(options.account, options.purpose, options.days)
-    if options.json:
-        write_json(options.json, {"schema": "softcal.api.token/1", **_token_json(token), "token": secret})
+    write_json(options.json, {"schema": "softcal.api.token/1", **_token_json(token), "token": secret})
     if options.json != "-":
         print(secret)
         until = token.ends_at.astimezone()
@@ -121,8 +119,7 @@ def _create(options: argparse.Namespace) -> int:
 def _list(options: argparse.Namespace) -> int:
     with registry_of(options, create=False) as registry:
         tokens, now = registry.tokens.all(), registry.settings.clock()
-    if options.json:
-        write_json(options.json, {"schema": "softcal.api.tokens/1", "tokens": [_token_json(each) for each in tokens]})
+    write_json(options.json, {"schema": "softcal.api.tokens/1", "tokens": [_token_json(each) for each in tokens]})
     rows = [
         [
             t.token_id,
@@ -141,8 +138,7 @@ def _list(options: argparse.Namespace) -> int:
 def _withdraw(options: argparse.Namespace) -> int:
     with registry_of(options, create=False) as registry:
         registry.tokens.withdraw(options.token, reason=options.reason)
-    if options.json:
-        write_json(options.json, {"schema": "softcal.api.withdrawn/1", "token_id": options.token})
+    write_json(options.json, {"schema": "softcal.api.withdrawn/1", "token_id": options.token})
     if options.json != "-":
         print(f"token {options.token} was withdrawn; what it was used for until now stands in the audit trail")
     return DONE

@@ -36,7 +36,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         help="calibrate a lot: train or reuse f, fit every map, verdicts, registry, exports",
         description="Calibrate a lot folder. One bad unit never stops the lot; what is done is never done again.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("lot", type=Path, metavar="LOT", help="lot folder")
     add_registry(parser)
@@ -126,8 +125,7 @@ def run(options: argparse.Namespace) -> int:
     for line in audit_lines(report):
         print(shown(line))
     print(_summary(report.counts, folder.lot.reference_unit, report.wall_s))
-    if options.json:
-        write_json(options.json, report_json(report))
+    write_json(options.json, report_json(report))
     return 0 if report.has_passed else 1
 
 
@@ -135,7 +133,7 @@ def _write_files(registry: "Registry", report: "BatchReport", out: Path) -> None
     """Write the files of released units, and take back what an earlier, better verdict left there."""
     from softcal.app.export.calibrated_unit import ExportOptions
     from softcal.app.export.export import export_units
-    from softcal.app.export.withdraw import withdraw_units
+    from softcal.app.export.manifest import withdraw_units
     from softcal.core.unit.verdict import Release
 
     released = [unit.serial for unit in report.units if report.releases(unit)]

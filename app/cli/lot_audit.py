@@ -27,7 +27,6 @@ def add_audit(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
         description="Take labelled recordings of units, one file a unit and called by its serial. A file that cannot "
         "be used is named and left out, and the others are taken.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("lot", metavar="LOT", help="lot folder, or a lot in the registry")
     parser.add_argument("files", nargs="*", type=Path, metavar="FILE", help="CSV, .xlsx or Parquet; of a folder, all")

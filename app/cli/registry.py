@@ -37,7 +37,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         help="the database: list, history, verify, backup, restore, sync, rollback, upgrade",
         description="Units, maps and who did what: append-only, with a chained audit trail.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     listing = _action(actions, "list", "units with their newest verdict", _list)
@@ -90,8 +89,7 @@ def _action(
 
 def _answer(options: argparse.Namespace, line: str, value: dict[str, object]) -> int:
     """Say what was done: as JSON where asked for, else as one line on standard output."""
-    if options.json:
-        write_json(options.json, value)
+    write_json(options.json, value)
     if options.json != "-":
         print(line)
     return DONE
@@ -102,8 +100,7 @@ def _list(options: argparse.Namespace) -> int:
 
     with registry_of(options, create=False) as registry:
         units = registry.lots.units(options.lot)
-    if options.json:
-        write_json(options.json, {"schema": "softcal.registry.list/1", "units": [unit_json(unit) for unit in units]})
+    write_json(options.json, {"schema": "softcal.registry.list/1", "units": [unit_json(unit) for unit in units]})
     print_table(UNIT_HEADER, [unit_row(unit) for unit in units])
     return DONE
 
@@ -143,8 +140,7 @@ def _verify(options: argparse.Namespace) -> int:
         return _answer(options, line, value)
     for fault in found.faults:
         say(fault)
-    if options.json:
-        write_json(options.json, value)
+    write_json(options.json, value)
     raise RegistryError(f"{len(found.faults)} faults; keep the file as evidence and go back to a backup")
 
 

@@ -21,7 +21,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         description="Write one standalone HTML page of a lot in the registry: yields, errors predicted and measured, "
         "control chart, why units did not pass, every unit. It needs no network to be read.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("lot", metavar="LOT", help="id of a lot in the registry, or its lot folder")
     parser.add_argument("--out", type=Path, metavar="FILE", help="default: LOT.html")

@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path
 
 from softcal.app.export.signature import SigningKey
-from softcal.app.registry.source import source_recording, source_sha256, unlabelled
+from softcal.app.registry.lot_recordings import source_recording, source_sha256, unlabelled
 from softcal.app.registry.standing import standing_of
 from softcal.app.registry.trimmed import UNTRIMMED, untrimmed
 from softcal.core.errors import InputError, UnitRefused

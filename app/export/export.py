@@ -56,8 +56,6 @@ def export_units(
     was made gets no file at all. The other units go on.
 
     Args:
-        registry: where the calibrations are.
-        serials: which units.
         formats: names of `softcal.app.export.names.formats`.
         out: folder; files of other units in it stay, and stay in its manifest.
         options: choices for all of them.
@@ -67,7 +65,9 @@ def export_units(
         InputError: an unknown format or serial, serials a device could not tell apart, or a folder that cannot be
             written.
     """
-    writers = _writers(formats)
+    if not formats:
+        raise InputError(f"no format is given; known: {', '.join(known_formats())}")
+    writers = {name: writer_of(name) for name in dict.fromkeys(formats)}
     _check_serials(registry, serials, options.lot_id)
     key = options.signing_key
     manifest, loader = read_manifest(out), UnitLoader(registry, options)
@@ -98,12 +98,6 @@ def lot_serials(registry: Registry, lot_id: str, options: ExportOptions) -> list
     if not serials:
         raise InputError(f"lot {lot_id!r} has no unit to export: {len(units)} are calibrated, none of them is released")
     return serials
-
-
-def _writers(formats: Sequence[str]) -> dict[str, Writer]:
-    if not formats:
-        raise InputError(f"no format is given; known: {', '.join(known_formats())}")
-    return {name: writer_of(name) for name in dict.fromkeys(formats)}
 
 
 def _check_serials(registry: Registry, serials: Sequence[str], lot_id: str | None) -> None:

@@ -65,7 +65,6 @@ class LotAtLine:
     """What a line needs to know of a lot.
 
     Args:
-        lot, rules: the lot and its rules at the line.
         network: the released network, by which a unit gets its verdict; None where there is none.
         counts: its units by verdict, `none` without.
     """
@@ -77,7 +76,6 @@ class LotAtLine:
 
     @property
     def id(self) -> str:
-        """Name of the lot."""
         return self.lot.id
 
 
@@ -139,7 +137,6 @@ class LineFacts:
 
     @property
     def newest(self) -> LineRun | None:
-        """The newest run that is over."""
         return next((run for run in self.runs if not run[1].state.is_active), None)
 
     @property

@@ -18,8 +18,8 @@ from softcal.app.line.load_readings import LoadReadings, check_stated
 from softcal.app.line.serials import numbered
 from softcal.app.registry.golden import bridges_over, golden_lot, keep_golden_of, newest_golden
 from softcal.app.registry.known_loads import keep_loads
+from softcal.app.registry.lot_recordings import source_model
 from softcal.app.registry.reference import state_reference
-from softcal.app.registry.source import source_model
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
 from softcal.core.network.config import EpochReport, NetworkConfig

@@ -60,7 +60,6 @@ class Serving:
 
     @property
     def profiles(self) -> dict[OrderKind, Profile]:
-        """The profile of each kind of order."""
         source = profile_for("source", self.profile_seed, self.source_s, self.depth_mm, self.source_profile)
         unit = profile_for("unit", self.profile_seed, self.unit_s, self.depth_mm, self.unit_profile)
         return {OrderKind.SOURCE: source, OrderKind.UNIT: unit, OrderKind.GOLDEN: unit}

@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
+from softcal.app.registry.lot_recordings import source_model
 from softcal.app.registry.reference import reference_expanded
-from softcal.app.registry.source import source_model
 from softcal.core.errors import InputError
 from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import Limit, default_limit

@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from softcal.app.registry.audits import audit_of, newest_audits
 from softcal.app.registry.known_loads import values
 from softcal.app.registry.limit import lot_limit
-from softcal.app.registry.source import source_recording, unlabelled
+from softcal.app.registry.lot_recordings import audit_of, newest_audits, source_recording, unlabelled
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
 from softcal.core.maps.interface import Anchors, FitProblem, map_sha256
@@ -58,7 +57,6 @@ class KnownTrim:
     audit: str
 
     def to_json(self) -> dict[str, object]:
-        """Return it as JSON values."""
         return {**values(self.loads), "recording": self.recording, "audit": self.audit}
 
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from softcal.app.registry.source import source_recording, unlabelled
+from softcal.app.registry.lot_recordings import source_recording, unlabelled
 from softcal.core.lot import Lot
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.network.network import Network
@@ -38,7 +38,6 @@ class UnitInUse:
     """All that following a unit needs from the registry.
 
     Args:
-        lot: its lot.
         revision: of the calibration it starts from.
         network: the shared network f.
         calibration: f∘γ₀ and its interval.

@@ -13,7 +13,7 @@ import streamlit as st
 
 from softcal.app.ui.browser_memory import forget, recall, remember
 from softcal.app.ui.pins import Pauses, is_code, new_code
-from softcal.app.ui.registry_of_server import registry
+from softcal.app.ui.server_memory import registry
 from softcal.core.errors import InputError
 from softcal.core.words.reason import Reason, reason
 from softcal.db.access.people import PERMISSIONS, ROLES, may

@@ -15,7 +15,7 @@ from softcal.app.texts.catalogue import LANGUAGES, words_in
 from softcal.app.texts.reasons import all_said, said, told
 from softcal.app.ui.account import permit, person
 from softcal.app.ui.browser_memory import recall, remember
-from softcal.app.ui.registry_of_server import registry
+from softcal.app.ui.server_memory import registry
 from softcal.core.errors import SoftcalError, printable
 from softcal.core.words.reason import Reason
 from softcal.db.access.people import may

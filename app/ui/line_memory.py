@@ -8,7 +8,7 @@ import streamlit as st
 from softcal.app.line.facts import LotAtLine, Screen, read_lot
 from softcal.app.line.rig import spool_folder
 from softcal.app.ui.browser_memory import recall
-from softcal.app.ui.registry_of_server import registry
+from softcal.app.ui.server_memory import registry
 from softcal.db.registry import Registry
 
 STATION_VARIABLE = "SOFTCAL_STATION"

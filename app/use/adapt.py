@@ -13,7 +13,7 @@ from softcal.app.charts.trace import Trace
 from softcal.app.files.atomic import write_text
 from softcal.app.files.recording_file import PLAIN, ColumnNames
 from softcal.app.files.stream_file import estimate_writer, read_stream
-from softcal.app.registry.source import source_recording
+from softcal.app.registry.lot_recordings import source_recording
 from softcal.app.registry.unit import UnitInUse, unit_in_use
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
@@ -173,7 +173,6 @@ class Follower:
         self._adapter.reconnect()
 
     def advance(self, t_s: Array, output: Array) -> Estimate:
-        """Take (n,) further samples and return their rows."""
         rows = self._adapter.advance(t_s, output)
         updates = self._adapter.take_updates()
         self._pending += updates

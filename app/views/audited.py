@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softcal.app.registry.audits import audit_of, newest_audits
+from softcal.app.registry.lot_recordings import audit_of, newest_audits
 from softcal.core.lot import Lot
 from softcal.core.metrics import rmse
 from softcal.core.recording import Array

@@ -49,7 +49,6 @@ class LotFilter:
         return self == LotFilter(zone=self.zone)
 
     def takes(self, run: PlacedRun) -> bool:
-        """Whether a run is among them."""
         return (
             (self.since is None or run.day(self.zone) >= self.since)
             and (self.until is None or run.day(self.zone) <= self.until)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softcal.app.registry.source import source_model, unlabelled
+from softcal.app.registry.lot_recordings import source_model, unlabelled
 from softcal.core.lot import Lot
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration

@@ -32,11 +32,9 @@ class AnchoredMap:
         return self.inner.family
 
     def apply(self, windows: Array) -> Array:
-        """Carry (n, taps) target windows into the source's window space."""
         return self.offset + self.gain * self.inner.apply(windows)
 
     def apply_signal(self, signal: Array) -> Array:
-        """Carry every full window of a gap-free signal: (n - taps + 1, taps)."""
         return self.offset + self.gain * self.inner.apply_signal(signal)
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
@@ -45,7 +43,6 @@ class AnchoredMap:
         return self.inner.arrays() | own
 
     def settings(self) -> Settings:
-        """Return the settings of the inner map."""
         return self.inner.settings()
 
 
@@ -71,7 +68,6 @@ class Firmness:
     """How far a map may be off before any load is seen: one standard deviation each.
 
     Args:
-        gain: of the gain.
         level: of the level at rest, as a share of the source's output range.
         is_paired: whether the map was fitted to pairs behind f: it makes up for what f misreads, and is left as it is
             unless the loads contradict it.

@@ -36,5 +36,4 @@ class Between:
         return CurveMap(curve.knots, weight * curve.values + (1 - weight) * line, self.name)
 
     def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> CurveMap:
-        """Rebuild a map from its arrays."""
         return CurveMap.from_arrays(arrays, self.name)

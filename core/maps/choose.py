@@ -25,7 +25,6 @@ class ChosenMap:
     """The map of one unit and why it was taken.
 
     Args:
-        unit_map: the map γ.
         evidence: numbers and words the choice rests on; `decision` says it in one sentence.
         alternatives: other candidates by name; where they disagree with `unit_map` the estimate is uncertain.
     """

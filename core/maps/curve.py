@@ -38,24 +38,19 @@ class CurveMap:
         return np.asarray(inside + below + above)
 
     def apply(self, windows: Array) -> Array:
-        """Carry (n, taps) target windows into the source's window space."""
         return self(windows)
 
     def apply_signal(self, signal: Array) -> Array:
-        """Carry every full window of a gap-free signal: (n - taps + 1, taps)."""
         return windows(self(signal))
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Return knots and values."""
         return {"knots": self.knots, "values": self.values}
 
     def settings(self) -> Settings:
-        """Nothing beside the arrays."""
         return {}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]], family: str) -> "CurveMap":
-        """Rebuild a curve from its arrays."""
         return cls(np.asarray(arrays["knots"], np.float64), np.asarray(arrays["values"], np.float64), family)
 
 

@@ -13,7 +13,6 @@ class CellAtGate:
     """The load cell's calibration, from its certificate (a DCC or typed in).
 
     Args:
-        number: of the certificate.
         valid_until: last day on which it holds.
         capacity_N: upper end of the calibrated range.
         uncertainty_N: expanded uncertainty, k = 2.
@@ -31,7 +30,6 @@ class GoldenCheck:
 
     Args:
         at: when, with time zone.
-        serial: of the golden unit.
         is_in_control: whether it lay within its own control limits.
     """
 

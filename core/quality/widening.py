@@ -32,7 +32,6 @@ class Widening:
     added: float = 0.0
 
     def __call__(self, half: Array) -> Array:
-        """Return half-widths, widened."""
         return np.hypot(self.scale * half, self.added)
 
 

@@ -176,7 +176,6 @@ class Calibration:
     Args:
         serial: the unit's serial.
         network_id: content hash of the shared network f it belongs to.
-        unit_map: the map γ.
         interval: 90 % interval of its estimates.
         output_limits: where the raw output stops to be believable.
         forecast: error forecast without labels, in the reference unit; None where none can be made.

@@ -57,7 +57,6 @@ def estimate(network: Network, calibration: Calibration, recording: OutputRecord
     Args:
         network: the shared network f the calibration belongs to.
         calibration: of the unit that was recorded.
-        recording: its output.
 
     Raises:
         InputError: the calibration belongs to another network, or the output has another physical unit.

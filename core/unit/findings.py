@@ -50,7 +50,6 @@ def contradictions(
     A channel the wrong way round, or in another physical unit, also looks clipped or pressed by a wrong programme.
 
     Args:
-        source, target: outputs of the source and of the unit.
         limits: of the unit's output.
         method: in force.
         shared: what both outputs say about a common load; None where nobody compared them in time.

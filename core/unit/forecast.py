@@ -36,7 +36,6 @@ class MapEvidence:
     Args:
         rows: (n,) indices of the windows looked at, among the recording's full windows.
         estimate: (n,) f on the mapped windows, in the reference unit.
-        shape: of the mapped windows.
         distance: (n,) of the mapped windows from the source's support.
         disagreement: (n,) RMS difference of the other candidate maps' estimates from `estimate`.
         unmapped: (n,) f on the raw windows: what doing nothing would say.
@@ -110,7 +109,6 @@ def gather_evidence(
 
     Args:
         model: the lot's source.
-        target: recording of the unit.
         unit_map: the chosen map.
         alternatives: other candidates for the whole recording.
         resampled: the same kind of map fitted to parts of the recording.

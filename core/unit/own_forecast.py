@@ -41,8 +41,6 @@ def own_terms(
 
     Args:
         model: the lot's source.
-        target: recording of the unit.
-        unit_map: its map.
         evidence: of its map, with the budget of its forecast error.
     """
     network, budget, rows = model.network, evidence.budget, model.method.forecast.own_rows

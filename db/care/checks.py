@@ -306,7 +306,6 @@ def anchor_faults(connection: Connection, heads: dict[str, tuple[int, str]], whe
 
     Args:
         heads: number and hash of the last row of each chain.
-        where: when and where they were written down.
     """
     for origin, (seq, sha256) in heads.items():
         query = select(audit.c.hash).where(audit.c.origin == origin, audit.c.seq == seq)

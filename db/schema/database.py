@@ -112,12 +112,10 @@ class Database:
                 yield connection
 
     def rows(self, query: Executable) -> Sequence[RowMapping]:
-        """Return what a query gives."""
         with self.reading() as connection:
             return connection.execute(query).mappings().all()
 
     def row(self, query: Executable) -> RowMapping | None:
-        """Return the first row a query gives."""
         with self.reading() as connection:
             return connection.execute(query).mappings().first()
 

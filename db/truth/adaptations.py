@@ -21,7 +21,6 @@ class AdaptedUnit:
 
     Args:
         steps: how many steps the registry holds of it, on all streams, without states to resume from.
-        entry: the newest step.
     """
 
     serial: str

@@ -44,7 +44,7 @@ def busy(calibrated: str) -> str:
 
 
 def stated_events() -> set[tuple[str, str]]:
-    """Read every `add_event(action, entity, ...)` of the application, names resolved in their module."""
+    """Read every `trail.add(action, entity, ...)` of the application, names resolved in their module."""
     found = set()
     for path in sorted((Path(__file__).parents[2] / "app").rglob("*.py")):
         module = ast.parse(path.read_text("utf-8"))
@@ -55,7 +55,7 @@ def stated_events() -> set[tuple[str, str]]:
                 values = [part.value for part in ast.walk(node.value) if isinstance(part, ast.Constant)]
                 known |= dict(zip(names, map(str, values), strict=False))
         for call in ast.walk(module):
-            if isinstance(call, ast.Call) and getattr(call.func, "attr", "") == "add_event":
+            if isinstance(call, ast.Call) and ast.unparse(call.func).endswith("trail.add"):
                 actions, entities = (_words(part, known) for part in call.args[:2])
                 found |= {(action, entity) for action in actions for entity in entities}
     return found

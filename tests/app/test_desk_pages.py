@@ -16,7 +16,7 @@ from softcal.app.connect.stations import station_json
 from softcal.app.gap.desk import practise
 from softcal.app.line.facts import Screen, read_line
 from softcal.app.texts.catalogue import text
-from softcal.app.ui import lot_memory
+from softcal.app.ui import server_memory
 from softcal.app.ui.panels import told
 from softcal.app.views.line import line_view
 from softcal.app.views.lot import lot_view
@@ -348,7 +348,7 @@ def test_what_no_cause_explains_is_described_on_the_page(calibrated: str, show, 
 def test_where_every_unit_passed_the_worst_is_one_click_away(calibrated: str, show, monkeypatch) -> None:
     gone: list[dict[str, str]] = []
     monkeypatch.setattr("streamlit.switch_page", lambda page, query_params: gone.append(dict(query_params)))
-    monkeypatch.setattr(lot_memory, "lot_view", lambda *given: replace(lot_view(*given), looks=()))
+    monkeypatch.setattr(server_memory, "lot_view", lambda *given: replace(lot_view(*given), looks=()))
     screen = show(calibrated, "lot", lot="small")
     with open_registry(calibrated) as registry:
         errors = {row.serial: row.predicted_rmse or 0 for row in registry.pages.lot_errors("small")}

@@ -19,8 +19,8 @@ from softcal.app.files.recording_file import write_columns
 from softcal.app.line.pressed_run import RunKeeper
 from softcal.app.registry.known_loads import known_loads
 from softcal.app.registry.laid_out import write_lot_folder
+from softcal.app.registry.lot_recordings import source_model, unlabelled
 from softcal.app.registry.reference import lot_reference
-from softcal.app.registry.source import source_model, unlabelled
 from softcal.core.errors import InputError
 from softcal.core.maps.config import MapConfig
 from softcal.core.maps.interface import Anchors

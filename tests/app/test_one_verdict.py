@@ -23,8 +23,8 @@ from softcal.app.export.certificates.pdf import certificate_pdf
 from softcal.app.export.export import export_units, lot_serials
 from softcal.app.export.manifest import read_manifest
 from softcal.app.line.facts import Screen, read_line
-from softcal.app.registry.caution import caution
 from softcal.app.registry.quality import lot_yields
+from softcal.app.registry.standing import caution
 from softcal.app.texts.catalogue import text
 from softcal.app.views.line import LineView, line_view
 from softcal.app.views.unit import unit_view

@@ -6,8 +6,8 @@ from softcal.app.charts.compare import errors_of_lots, maps_together, predicted_
 from softcal.app.texts.reasons import all_said
 from softcal.app.ui.desk import colours, empty, instant, registry, show_figure, verdict_badge, words
 from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.lot_memory import remembered_lot_view
 from softcal.app.ui.panels import heading, table
+from softcal.app.ui.server_memory import remembered_lot_view
 from softcal.app.views.common import number
 from softcal.app.views.lot_report import MOST_LOTS, lot_rows
 from softcal.app.views.unit import UnitView, unit_view

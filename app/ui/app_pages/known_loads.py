@@ -8,7 +8,7 @@ import streamlit as st
 from softcal.app.files.anchors import read_anchors
 from softcal.app.jobs.process import start_job
 from softcal.app.registry.known_loads import UnitLoads, keep_loads, known_loads
-from softcal.app.registry.source import source_recording
+from softcal.app.registry.lot_recordings import source_recording
 from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.components.job_panel import job_panel, newest_job
 from softcal.app.ui.components.lot_upload import dropped_files, forget_files

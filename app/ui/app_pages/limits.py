@@ -8,8 +8,8 @@ from softcal.app.ui.account import actor
 from softcal.app.ui.components.rules_form import rules_form
 from softcal.app.ui.desk import ask_reason, colours, in_words, instant, registry, words
 from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.lot_memory import remembered_lot_view
 from softcal.app.ui.panels import figure_under, headline, lot_heading, table
+from softcal.app.ui.server_memory import remembered_lot_view
 from softcal.app.views.common import limit_said, number, percent
 from softcal.app.views.lot import LotView
 from softcal.core.errors import InputError

@@ -115,11 +115,7 @@ def _figures(place: DeltaGenerator, view: UnitView, names: tuple[str, ...]) -> N
     with place:
         for column, name in zip(st.columns(2), names, strict=True):
             with column:
-                _figure(view, name)
-
-
-def _figure(view: UnitView, name: str) -> None:
-    figure_under(TITLES[name], getattr(charts_unit, name)(view, colours(), words()), name)
+                figure_under(TITLES[name], getattr(charts_unit, name)(view, colours(), words()), name)
 
 
 def choose_unit() -> str | None:

@@ -10,8 +10,8 @@ import streamlit as st
 from softcal.app.ui.components import line_card
 from softcal.app.ui.components.line_card import chips_row
 from softcal.app.ui.desk import colours, errors_in_words, registry, words, zone
-from softcal.app.ui.lot_memory import remembered_lot_view
 from softcal.app.ui.panels import lot_heading, units_of
+from softcal.app.ui.server_memory import remembered_lot_view
 from softcal.app.views.alerts import alerts
 from softcal.app.views.line import TONES
 from softcal.app.views.lot_runs import LotFilter

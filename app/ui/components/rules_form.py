@@ -6,7 +6,7 @@ from typing import Any
 import streamlit as st
 
 from softcal.app.line.load_readings import check_stated
-from softcal.app.registry.source import source_recording
+from softcal.app.registry.lot_recordings import source_recording
 from softcal.app.ui.account import actor
 from softcal.app.ui.desk import ask_reason, in_words, instant, registry, words
 from softcal.app.ui.panels import table

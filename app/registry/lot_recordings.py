@@ -1,10 +1,11 @@
-"""The source behind a shared network: the one place that puts its recording, network and model together."""
+"""Recordings of a lot that the registry keeps: the source behind a shared network, and the audits that stand."""
 
 from softcal.core.errors import InputError
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.words.reason import reason
+from softcal.db.entries import RecordingEntry
 from softcal.db.registry import Registry
 
 
@@ -33,3 +34,22 @@ def source_model(registry: Registry, network_id: str, method: Method) -> SourceM
 def unlabelled(recording: OutputRecording | LabelledRecording) -> OutputRecording:
     """Return what a fit may see of a recording."""
     return recording.unlabelled if isinstance(recording, LabelledRecording) else recording
+
+
+def newest_audits(registry: Registry, lot_id: str, serial: str | None = None) -> dict[str, RecordingEntry]:
+    """Return the newest audit of each unit of a lot, or of one of them, by serial.
+
+    A golden unit's labelled runs check the station and its day; they are no audits of the lot. Of a run that does not
+    say which recording it is, all of its unit's are.
+    """
+    runs = registry.stations.golden_runs()
+    checks = {run.recording_sha256 for run in runs}
+    units = {run.serial for run in runs if run.recording_sha256 is None} | {registry.lots.get(lot_id).source}
+    entries = registry.recordings.of_lot(lot_id, serial, "audit")
+    return {one.serial: one for one in entries if one.serial not in units and one.sha256 not in checks}
+
+
+def audit_of(registry: Registry, entry: RecordingEntry | None) -> LabelledRecording | None:
+    """Read an audit; None where there is none."""
+    found = None if entry is None else registry.recordings.get(entry.sha256)
+    return found if isinstance(found, LabelledRecording) else None
