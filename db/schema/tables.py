@@ -292,11 +292,20 @@ deliveries = _table(
     "changed_at time, holder 128?, held_until time?",
 )
 
-AUDITED = tuple(
-    (
-        "lots limits line_rules units recordings networks network_releases calibrations refusals in_use "
-        "adaptations certificates golden_runs"
-    ).split()
+AUDITED = (
+    "lots",
+    "limits",
+    "line_rules",
+    "units",
+    "recordings",
+    "networks",
+    "network_releases",
+    "calibrations",
+    "refusals",
+    "in_use",
+    "adaptations",
+    "certificates",
+    "golden_runs",
 )
 """Tables whose every row has a row in the audit trail with the same values, in the order their rows may be copied."""
 
