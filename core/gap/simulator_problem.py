@@ -14,7 +14,7 @@ from softcal.core.gap.library import columns_of
 from softcal.core.gap.offsets import Directions, Sizes
 from softcal.core.gap.problem import Block, Hypothesis, Problem
 from softcal.core.gap.scale import RigScale
-from softcal.core.gap.simulator import Simulator, SimulatorFailed, SimulatorRun
+from softcal.core.gap.simulator import STRAIGHT, Simulator, SimulatorFailed, SimulatorRun
 from softcal.core.gap.simulator_terms import TermStep
 from softcal.core.recording import Array
 
@@ -102,7 +102,7 @@ class SimulatorProblem(Problem):
 
     @cached_property
     def largest_offsets(self) -> Array:
-        return np.array([self.of.per_run[channel][kind] for channel, kind in self.of.offsets])
+        return np.array([self.of.per_run[channel].get(kind, 1.0) for channel, kind in self.of.offsets])
 
     @cached_property
     def are_relative(self) -> Mask:
@@ -124,8 +124,7 @@ class SimulatorProblem(Problem):
             t_s = self.case.runs[block.run].elapsed_s
             values = out[block.place]
             if mine.get("delay") and np.all(np.isfinite(values)):
-                # A straight line between samples would err by more than the noise where a channel bends.
-                values = CubicSpline(t_s, values)(np.clip(t_s - mine["delay"], 0.0, t_s[-1]))
+                values = _late(values, t_s, mine["delay"], mine[STRAIGHT])[0]
             out[block.place] = (
                 values * (1.0 + mine.get("gain", 0.0)) + mine.get("zero", 0.0) + mine.get("drift", 0.0) * t_s
             )
@@ -133,14 +132,18 @@ class SimulatorProblem(Problem):
 
     def directions(self, hypothesis: Hypothesis, coordinates: Array, clean: Array, sizes: Sizes) -> Directions:
         raw = self._simulated(hypothesis, coordinates)
-        return [self._along(block, clean[block.place], raw[block.place]) for block in self.blocks]
+        return [self._along(b, clean[b.place], raw[b.place], sizes.get(b.run)) for b in self.blocks]
 
-    def _along(self, block: Block, clean: Array, raw: Array) -> Array | None:
+    def _along(self, block: Block, clean: Array, raw: Array, sizes: Array | None) -> Array | None:
         """(k, n) change of a channel with each offset of its run; None where none is allowed."""
         if block.channel not in self.of.per_run:
             return None
-        t_s = self.case.runs[block.run].elapsed_s
-        of_kind = {"zero": np.ones(len(t_s)), "drift": t_s, "gain": raw, "delay": -np.gradient(clean, t_s)}
+        t_s, has = self.case.runs[block.run].elapsed_s, dict.fromkeys(self.of.offsets, 0.0)
+        has |= {} if sizes is None else dict(zip(self.of.offsets, sizes, strict=True))
+        late, slope, apart = raw, np.gradient(clean, t_s), np.zeros(len(t_s))
+        if has.get((block.channel, "delay")) and np.all(np.isfinite(raw)):
+            late, slope, apart = _late(raw, t_s, has[block.channel, "delay"], has[block.channel, STRAIGHT])
+        of_kind = {"zero": np.ones(len(t_s)), "drift": t_s, "gain": late, "delay": -slope, STRAIGHT: apart}
         return np.array([of_kind[kind] * (channel == block.channel) for channel, kind in self.of.offsets])
 
     def _simulated(self, hypothesis: Hypothesis, coordinates: Array) -> Array:
@@ -204,6 +207,20 @@ class SimulatorProblem(Problem):
     @cached_property
     def _runs(self) -> list[SimulatorRun]:
         return [run for run in self.case.runs if isinstance(run, SimulatorRun)]
+
+
+def _late(values: Array, t_s: Array, delay_s: float, straight: float) -> tuple[Array, Array, Array]:
+    """Return a channel, (n,), as it is some time later, its rate of change, and straight lines less a curve.
+
+    Args:
+        straight: how far it goes by straight lines from sample to sample; by a curve elsewhere.
+    """
+    at_s = np.clip(t_s - delay_s, 0.0, t_s[-1])
+    curve = CubicSpline(t_s, values)
+    part = np.clip(np.searchsorted(t_s, at_s, side="right") - 1, 0, len(t_s) - 2)
+    rate, apart = (np.diff(values) / np.diff(t_s))[part], np.interp(at_s, t_s, values) - curve(at_s)
+    slope = (1.0 - straight) * curve(at_s, 1) + straight * rate
+    return curve(at_s) + straight * apart, slope * (t_s > delay_s), apart
 
 
 def followed(found: Fit, channel: str) -> list[Mapping[str, Array]]:

@@ -33,8 +33,8 @@ these must gain to go on."""
 MOST_PAIRS = 8
 """Pairs of causes that are tried from several starts: all of four or fewer candidates."""
 
-IMITATED = 1e-3
-"""Share of the energy of an offset common to all runs up to which the base has it as its own."""
+SHOWN_SIGMA = 5.0
+"""Standard deviations that the base may leave of the largest offset, common to all runs, which it has as its own."""
 
 
 class SimulatorSearch(EffectSearch):
@@ -155,4 +155,5 @@ def _shared_by_base(found: Fit) -> Problem:
     rows = rows_of_runs(problem, problem.directions(found.hypothesis, found.coordinates, bare.predicted, {}))
     space = Tangent(bare)
     shared = [bare.problem.whitened(row) for row in np.sum(list(rows.values()), axis=0)]
-    return replace(problem, of_base=tuple(energy(space.visible(row)) < IMITATED * energy(row) for row in shared))
+    left = np.array([energy(space.visible(row)) for row in shared]) * problem.largest_offsets**2
+    return replace(problem, of_base=tuple((left < SHOWN_SIGMA**2) & np.any(shared, axis=1)))
