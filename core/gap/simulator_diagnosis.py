@@ -52,14 +52,12 @@ from softcal.core.words.reason import Reason, reason, several
 NEAR_share = 0.02
 """Share of the gap that one cause more must take to be told as what comes nearest."""
 
-LEAST_GAIN, LEAST_SHRINK = 10.0, 0.3
-"""By how much χ² and the gap must fall on samples held back: what falls by less is no cause, whatever its evidence."""
+DOUBTED_CHANCE = 0.05
+"""How likely noise leaves as much, below which what causes leave of a gap is no noise; as all of a small gap would pass
+for noise, one right cause in twenty of a small gap is given up for it."""
 
-NOISE_SIGMA = 3.0
-"""Standard deviations of χ² up to which it is noise; chosen on plants 4 to 9 of `benchmarks/gap_plants.py`."""
-
-ENOUGH_SHRINK = 0.85
-"""Share of the gap, held out, from which causes explain it although structure is left: another equation of them."""
+ENOUGH_SHRINK = 0.9
+"""Share of the gap, held out too, from which causes explain it although something is left: another equation of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +178,7 @@ def diagnose_simulator(
     if verdict == "unknown":
         best = _nearest(search)
         quantified = quantify(search.base, best, is_given=True)
-        if not _stands(quantified):
+        if not quantified.stands:
             best = search.base
             quantified = quantify(search.base, best)
     elif verdict == "no_gap" and best.hypothesis.ids:
@@ -322,23 +320,11 @@ def menu_of(simulator: Simulator) -> list[MenuEntry]:
     return [MenuEntry(name, planned(simulator, name), one.minutes) for name, one in simulator.experiments.items()]
 
 
-def _stands(quantified: Quantified) -> bool:
-    """Whether the causes shrink the gap on samples that no fit has seen, beyond what noise does."""
-    return quantified.held_out_gain > LEAST_GAIN and quantified.shrink.held_out > LEAST_SHRINK
-
-
-def _is_within_noise(found: Fit) -> bool:
-    """Whether χ² is what noise alone leaves; structure in no condition may be a little in all of them."""
-    count = found.problem.count
-    return found.chi2 - count < NOISE_SIGMA * float(np.sqrt(2.0 * count))
-
-
-def _verdict(search: EffectSearch, group: tuple[Fit, ...], quantified: Quantified) -> DiagnosisVerdict:
+def _verdict(search: SimulatorSearch, group: tuple[Fit, ...], quantified: Quantified) -> DiagnosisVerdict:
     best, held_out = search.best, quantified.shrink.held_out
-    if not best.hypothesis.ids or not _stands(quantified):
+    if not best.hypothesis.ids or not quantified.stands:
         return "no_gap" if search.is_clean(search.base) else "unknown"
-    is_down = search.is_clean(best) and (_is_within_noise(best) or search.share(best) > ENOUGH_SHRINK)
-    if not is_down and held_out < ENOUGH_SHRINK:
+    if min(search.share(best), held_out) < ENOUGH_SHRINK and search.noise_chance(best) < DOUBTED_CHANCE:
         return "unknown"
     return "ambiguous" if len(group) > 1 else "explained"
 

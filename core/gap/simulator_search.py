@@ -11,13 +11,14 @@ from softcal.core.gap.candidates import Probe
 from softcal.core.gap.case import Case
 from softcal.core.gap.coordinates import from_fit
 from softcal.core.gap.fit import Fit, fit
+from softcal.core.gap.floor import CONFIG as FLOOR, noise_chance
 from softcal.core.gap.linear import energy
 from softcal.core.gap.offsets import rows_of_runs
 from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.gap.screen import Lead, Tangent
 from softcal.core.gap.search import EffectSearch, Progress, SearchConfig
 from softcal.core.gap.simulator import Simulator
-from softcal.core.gap.simulator_problem import SimulatorProblem
+from softcal.core.gap.simulator_problem import SimulatorProblem, followed
 from softcal.core.gap.start import best_start, likeliest, noise_levels, scattered
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
@@ -47,6 +48,13 @@ class SimulatorSearch(EffectSearch):
         self._candidates = candidates
         probes = tuple(Probe(c, row, c.is_one_sided) for c in candidates for row in c.probes(extent))
         self._begin(base, probes, (), extent, CONFIG, say)
+
+    def noise_chance(self, found: Fit) -> float:
+        """Return how likely noise alone leaves as much as a hypothesis does."""
+        return noise_chance(found, follows=followed)
+
+    def is_clean(self, found: Fit) -> bool:
+        return self.noise_chance(found) > FLOOR.chance
 
     def _rough_start(self) -> Array:
         return self.base.coordinates[self.base.hypothesis.of_base]
