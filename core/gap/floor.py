@@ -125,10 +125,15 @@ def noise_chance(found: Fit, channels: Sequence[str] = (), follows: Variables = 
 
 
 def _chance(found: Fit, channel: str, follows: Variables) -> float:
-    groups = [[*group.values(), *_elsewhere(found, channel)] for group in follows(found, channel)]
-    tests = [_strays(found, channel), _remembers(found, channel), *(_follows(found, columns) for columns in groups)]
+    # A measured force that drives the chain is smoothed: what is left of its noise has a memory, and is small.
+    tests = [_strays(found, channel)] if channel not in found.problem.colour else []
+    if not found.problem.is_driven_by_force:
+        # A filter has taken the memory out of noise that fades, and its size was read off what is left.
+        tests += [_remembers(found, channel)] if tests else []
+        groups = [[*group.values(), *_elsewhere(found, channel)] for group in follows(found, channel)]
+        tests += [_follows(found, columns) for columns in groups]
     # The worst of several tests (Bonferroni).
-    return min(1.0, len(tests) * float(ndtr(-max(tests))))
+    return min(1.0, len(tests) * float(ndtr(-max(tests)))) if tests else 1.0
 
 
 def _strays(found: Fit, channel: str) -> float:

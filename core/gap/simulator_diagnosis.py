@@ -30,9 +30,11 @@ from softcal.core.gap.named_causes import (
     estimates_of,
     gap_of_base,
     let_go,
+    nearest,
     on_unseen,
     shares_of,
     under_its_floor,
+    verdict_of,
 )
 from softcal.core.gap.next_experiment import MenuEntry, NextExperiment
 from softcal.core.gap.plausibility import DataMistake
@@ -48,16 +50,6 @@ from softcal.core.gap.simulator_search import SimulatorSearch, base_fit
 from softcal.core.gap.simulator_terms import SimulatorTerm, terms_of
 from softcal.core.twin.effects import Effect
 from softcal.core.words.reason import Reason, reason, several
-
-NEAR_share = 0.02
-"""Share of the gap that one cause more must take to be told as what comes nearest."""
-
-DOUBTED_CHANCE = 0.05
-"""How likely noise leaves as much, below which what causes leave of a gap is no noise; as all of a small gap would pass
-for noise, one right cause in twenty of a small gap is given up for it."""
-
-ENOUGH_SHRINK = 0.9
-"""Share of the gap, held out too, from which causes explain it although something is left: another equation of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,9 +166,9 @@ def diagnose_simulator(
     doubted |= idle
     say("measuring the shrink on samples no fit has seen")
     quantified = quantify(search.base, best, search.fits.values())
-    verdict = _verdict(search, group, quantified)
+    verdict = verdict_of(search, group, quantified)
     if verdict == "unknown":
-        best = _nearest(search)
+        best = nearest(search)
         quantified = quantify(search.base, best, is_given=True)
         if not quantified.stands:
             best = search.base
@@ -302,13 +294,6 @@ def _trust(quantified: Quantified, best: Fit) -> float:
     return UNKNOWN_TRUST * quantified.shrink.held_out if best.hypothesis.ids else UNKNOWN_TRUST
 
 
-def _nearest(search: EffectSearch) -> Fit:
-    """Return the hypothesis that takes most of the gap away; of those within a little of it, the simplest."""
-    most = max(search.share(found) for found in search.fits.values())
-    near = [found for found in search.fits.values() if search.share(found) >= most - NEAR_share]
-    return min(near, key=lambda found: (len(found.hypothesis.ids), found.chi2))
-
-
 def told_by(simulator: Simulator, base: Fit) -> Identifiability:
     """Return what the runs of a base fit tell of a simulator, and which of its experiments would tell the rest."""
     names = [f"{kind} of {channel}" for channel, kind in simulator.offsets]
@@ -318,15 +303,6 @@ def told_by(simulator: Simulator, base: Fit) -> Identifiability:
 def menu_of(simulator: Simulator) -> list[MenuEntry]:
     """Return the experiments of a simulator as runs that could be made."""
     return [MenuEntry(name, planned(simulator, name), one.minutes) for name, one in simulator.experiments.items()]
-
-
-def _verdict(search: SimulatorSearch, group: tuple[Fit, ...], quantified: Quantified) -> DiagnosisVerdict:
-    best, held_out = search.best, quantified.shrink.held_out
-    if not best.hypothesis.ids or not quantified.stands:
-        return "no_gap" if search.is_clean(search.base) else "unknown"
-    if min(search.share(best), held_out) < ENOUGH_SHRINK and search.noise_chance(best) < DOUBTED_CHANCE:
-        return "unknown"
-    return "ambiguous" if len(group) > 1 else "explained"
 
 
 def _causes(

@@ -11,7 +11,8 @@ from softcal.core.gap.candidates import Probe
 from softcal.core.gap.case import Case
 from softcal.core.gap.coordinates import from_fit
 from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.floor import CONFIG as FLOOR, noise_chance
+from softcal.core.gap.floor import CONFIG as FLOOR
+from softcal.core.gap.floor import noise_chance
 from softcal.core.gap.linear import energy
 from softcal.core.gap.offsets import rows_of_runs
 from softcal.core.gap.problem import Hypothesis, Problem
@@ -50,7 +51,6 @@ class SimulatorSearch(EffectSearch):
         self._begin(base, probes, (), extent, CONFIG, say)
 
     def noise_chance(self, found: Fit) -> float:
-        """Return how likely noise alone leaves as much as a hypothesis does."""
         return noise_chance(found, follows=followed)
 
     def is_clean(self, found: Fit) -> bool:
