@@ -82,7 +82,6 @@ class Order:
     Args:
         order_id: unique text, given by whoever asks; the same id twice is one order.
         station: name of the station that is meant.
-        kind: what to do.
         serial: the unit's serial, for kinds that press a unit.
         lot_id: the lot the unit belongs to.
         actor: who asked.

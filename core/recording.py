@@ -89,7 +89,6 @@ class OutputRecording:
         return {"t_s": self.t_s, "output": self.output, **stage}
 
     def settings(self) -> dict[str, float | str]:
-        """Return all that is not a column."""
         return {"serial": self.serial, "sample_rate_Hz": self.sample_rate_Hz, "output_unit": self.output_unit}
 
     def part(self, start: int, stop: int) -> "OutputRecording":
@@ -137,7 +136,6 @@ class LabelledRecording:
         return {**self.unlabelled.arrays(), "reference": self.reference}
 
     def settings(self) -> dict[str, float | str]:
-        """Return all that is not a column."""
         return {**self.unlabelled.settings(), "reference_unit": self.reference_unit}
 
     @property

@@ -99,9 +99,7 @@ class MadeCalibration:
     """One revision as a report needs it: light, so that a lot of ten thousand fits into memory.
 
     Args:
-        serial, revision: which one.
         verdict, reasons: what was decided, and why.
-        family, map_sha256: the map.
         predicted_rmse, before_rmse, after_rmse, own_rmse: in the lot's reference unit; None where there is none.
         fit_s: seconds the fit took.
         knowledge: how its loads are known.
@@ -160,7 +158,6 @@ class UnitStanding:
     """Where a unit stands: its verdict, why and since when.
 
     Args:
-        serial: the unit.
         verdict, reasons: of the calibration in use, or of a newer refusal.
         made_at: when that was stated, UTC.
         made: the calibration in use; None where the newest result is a refusal, or two maps are in conflict.
@@ -283,8 +280,6 @@ class CellCertificate:
     """A load cell's calibration certificate, as far as the station's gate and the uncertainty budget need it.
 
     Args:
-        cell_serial: serial of the load cell.
-        number: number of the certificate.
         laboratory: who issued it.
         issued_on, due_on: first day it holds, first day it no longer holds.
         capacity_N: largest force it covers.
@@ -365,7 +360,6 @@ class Token:
     Args:
         token_id: its name in commands and in the audit trail.
         account: whose role says what it may.
-        purpose: what it is for.
         created, ends_at: from when until when it holds, UTC.
         is_withdrawn: whether it was taken back.
     """

@@ -15,11 +15,9 @@ class HostClock:
     """The real clock."""
 
     def now_s(self) -> float:
-        """Return seconds since an arbitrary start; never goes backward."""
         return time.monotonic()
 
     def sleep_s(self, seconds: float) -> None:
-        """Let time pass."""
         time.sleep(max(0.0, seconds))
 
 

@@ -26,7 +26,6 @@ class Measurement:
 
     Args:
         question: what is asked.
-        unit: of the number.
         doc: one sentence that begins with Get or Measure.
     """
 
@@ -41,7 +40,6 @@ class Measurement:
     @overload
     def __get__(self, device: Instrument, owner: type) -> float: ...
     def __get__(self, device: Instrument | None, owner: type) -> Any:
-        """Ask the device."""
         if device is None:
             return self
         answer = device.ask(self.question)
@@ -59,7 +57,6 @@ class Control(Measurement):
     Args:
         question: what is asked.
         command: what is told, with one format field.
-        unit: of the number.
         limits: lowest and highest value.
         doc: one sentence that begins with Control.
     """

@@ -186,7 +186,6 @@ class StationService:
         return self._spool_folder / f"{check_serial(order.serial)}-{name}.spool"
 
     def close(self) -> None:
-        """Give the ports back."""
         self._open.close()
         self._bench = None
         self.state = StationState.OFF

@@ -68,7 +68,6 @@ class StageTrack:
         t_s: (m,) nodes, host clock.
         position_mm: (m,) position at the nodes; between them it is straight.
         residual_mm: root mean square of polls against the track.
-        largest_residual_mm: the largest of them.
     """
 
     t_s: Array

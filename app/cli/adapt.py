@@ -47,9 +47,8 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         "adapt",
         help="estimate over long use, the map following the drift",
         description="Estimate the reference from a long stream of a unit's output while its map follows the sensor's "
-        "drift; where drift and a change of use cannot be told apart, the map is held and the file says so.",
+        "drift. Where drift and a change of use cannot be told apart, the map is held and the file says so.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("source", metavar="IN", help="CSV or Parquet with t_s, output; -, serial:PORT or simulated")
     parser.add_argument("--out", required=True, metavar="OUT", help="CSV or Parquet; live also - or tcp://HOST:PORT")
@@ -170,8 +169,7 @@ def _report(registry: "Registry", options: argparse.Namespace, report: "AdaptRep
         say(f"ALARM: {report.current.alarm}")
     if options.html is None and not options.json:
         return
-    course = registry.adaptations(report.serial, report.stream)
+    course = registry.adaptations.all(report.serial, report.stream)
     if options.html is not None:
         write_figure(registry, options.html, report, maps_of(course))
-    if options.json:
-        write_json(options.json, report_json(report, course))
+    write_json(options.json, report_json(report, course))

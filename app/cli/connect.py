@@ -27,7 +27,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         help="send verdicts and alerts: webhooks, mail, MQTT, OPC UA",
         description="Bring events to other programs and people, each at least once, across restarts of both sides.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     run = actions.add_parser("run", help="serve every destination of a file until Ctrl-C")
@@ -77,12 +76,11 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _status(options: argparse.Namespace) -> int:
-    from softcal.app.connect.status import status_json, status_rows
+    from softcal.app.connect.forwarder import status_json, status_rows
 
     with registry_of(options, create=False) as registry:
         found = status_json(registry)
-    if options.json:
-        write_json(options.json, {"schema": "softcal.connect.status/1", "destinations": found})
+    write_json(options.json, {"schema": "softcal.connect.status/1", "destinations": found})
     print_table(("destination", "sent", "waits", "failed", "next try", "why", "served by"), status_rows(found))
     return DONE
 

@@ -22,11 +22,10 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser = commands.add_parser(
         "demo",
         help="the main job from end to end on a simulated station",
-        description="Press a simulated lot, stage, load cell and sensor spoken to over their real serial protocols; "
-        "train the shared network on the source, fit every unit's map without labels, judge, register, export, and "
-        "print a table like the paper's Table 1.",
+        description="Press a simulated lot; stage, load cell and sensor speak their real serial protocols. Train the "
+        "shared network on the source and fit every unit's map without labels. Judge, register, export, and print a "
+        "table like the paper's Table 1.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--out", type=Path, default=Path("softcal-demo"), metavar="DIR", help="default: softcal-demo")
     parser.add_argument("--units", type=int, default=6, metavar="N", help="target units (default 6)")
@@ -62,6 +61,5 @@ def run(options: argparse.Namespace) -> int:
     train_s = report.network.metrics["train_s"]
     print(f"\ntraining f took {train_s:.1f} s, a map {sorted(fits_s)[len(fits_s) // 2]:.3f} s (median)")
     print(f"all in all {time.monotonic() - start_s:.0f} s; registry, recordings and files are in {options.out}/")
-    if options.json:
-        write_json(options.json, report_json(report))
+    write_json(options.json, report_json(report))
     return 0 if report.has_passed else 1

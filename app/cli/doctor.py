@@ -24,7 +24,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         help="look the installation over; collect what support needs",
         description="Versions, folders, free space, the registry and its integrity: what is there and what is wrong.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_registry(parser)
     add_json(parser)
@@ -43,8 +42,7 @@ def run(options: argparse.Namespace) -> int:
     if options.out:
         logs = collect(options.out, json.dumps(report, indent=2))
         say(f"{options.out}: report and {logs} logs")
-    if options.json:
-        write_json(options.json, report)
+    write_json(options.json, report)
     if options.json != "-" or options.csv:
         print_table(("what", "found"), [(name, _text(value)) for name, value in facts.items()])
         print(f"{len(problems)} problems" if problems else "no problems found")

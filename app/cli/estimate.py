@@ -30,7 +30,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         help="estimate the reference from a unit's output",
         description="Estimate the reference from the columns t_s, output of a recording with the unit's current map.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("recording", type=Path, metavar="IN", help="CSV, Excel or Parquet with t_s, output")
     parser.add_argument("--out", required=True, type=Path, metavar="OUT", help="CSV or Parquet to write")
@@ -55,6 +54,5 @@ def run(options: argparse.Namespace) -> int:
     counts = {flag: flags.count(flag) for flag in sorted(set(flags))}
     said = ", ".join(f"{count} {flag}" for flag, count in counts.items()) or "no row flagged"
     say(f"{options.out}: {len(result.flag)} rows; {said}")
-    if options.json:
-        write_json(options.json, {"schema": "softcal.estimate/1", "rows": len(result.flag), "flags": counts})
+    write_json(options.json, {"schema": "softcal.estimate/1", "rows": len(result.flag), "flags": counts})
     return 0

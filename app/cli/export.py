@@ -47,7 +47,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         help="write calibration files for devices, PCs and auditors",
         description="Write calibration files of units, or read an export folder back and check it.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     units = parser.add_argument_group("which units")
     units.add_argument("--serial", action="append", default=[], metavar="S", help="a unit; may be repeated")
@@ -138,8 +137,7 @@ def run(options: argparse.Namespace) -> int:
     if options.check:
         result["check"], problems = _check(options)
         code = 2 if problems else code
-    if options.json:
-        write_json(options.json, result)
+    write_json(options.json, result)
     return code
 
 

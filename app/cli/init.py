@@ -32,7 +32,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         help="make a lot folder or a station file by questions",
         description="Ask what a lot or a station is, and write it down. Nothing that exists is written over.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     kinds = parser.add_subparsers(title="what to make", metavar="WHAT", required=True)
     lot = kinds.add_parser("lot", help="a folder with lot.toml, for recordings that are still to come")

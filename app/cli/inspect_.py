@@ -22,7 +22,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         help="say what a calibration file holds, and whether it is whole",
         description="Show a network or unit file (.ssc, or its JSON twin), after checking all that can be checked.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("file", type=Path, metavar="FILE", help=".ssc or .json")
     parser.add_argument("--network", type=Path, metavar="FILE", help="the network file, to run a unit's self-tests")
@@ -42,8 +41,7 @@ def run(options: argparse.Namespace) -> int:
     if network is not None and not isinstance(network, NetworkFile):
         raise InputError(f"{options.network}: a network file was expected, this one is of unit {network.serial}")
     rows = file_rows(file, network)
-    if options.json:
-        write_json(options.json, file_values(file))
+    write_json(options.json, file_values(file))
     if options.json != "-" or options.csv:
         print_table(("what", "value"), rows)
     return 0

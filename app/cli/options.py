@@ -122,10 +122,10 @@ def say_caution(registry: "Registry", unit: "tuple[str, int | None, str | None]"
     Args:
         unit: serial, revision and lot as they were asked for.
     """
-    from softcal.app.registry.caution import caution
+    from softcal.app.registry.standing import caution
 
     serial, revision, lot_id = unit
-    if warning := caution(registry, registry.calibration(serial, revision, lot_id=lot_id), action):
+    if warning := caution(registry, registry.calibrations.get(serial, revision, lot_id=lot_id), action):
         say(warning)
 
 

@@ -31,7 +31,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         help="gauge R&R, capability, yields, golden-unit trends",
         description="Numbers for quality: is the gauge good enough, is the process stable, how many units pass.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     grr = _action(actions, "grr", "gauge repeatability and reproducibility", _grr)
@@ -151,8 +150,7 @@ def _answer(
     rows: Sequence[Sequence[object]],
     closing: str,
 ) -> int:
-    if options.json:
-        write_json(options.json, value)
+    write_json(options.json, value)
     print_table(header, rows)
     if closing:
         print(closing)

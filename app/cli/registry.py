@@ -37,7 +37,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         help="the database: list, history, verify, backup, restore, sync, rollback, upgrade",
         description="Units, maps and who did what: append-only, with a chained audit trail.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     listing = _action(actions, "list", "units with their newest verdict", _list)
@@ -90,8 +89,7 @@ def _action(
 
 def _answer(options: argparse.Namespace, line: str, value: dict[str, object]) -> int:
     """Say what was done: as JSON where asked for, else as one line on standard output."""
-    if options.json:
-        write_json(options.json, value)
+    write_json(options.json, value)
     if options.json != "-":
         print(line)
     return DONE
@@ -101,9 +99,8 @@ def _list(options: argparse.Namespace) -> int:
     from softcal.app.registry.listing import UNIT_HEADER, unit_json, unit_row
 
     with registry_of(options, create=False) as registry:
-        units = registry.units(options.lot)
-    if options.json:
-        write_json(options.json, {"schema": "softcal.registry.list/1", "units": [unit_json(unit) for unit in units]})
+        units = registry.lots.units(options.lot)
+    write_json(options.json, {"schema": "softcal.registry.list/1", "units": [unit_json(unit) for unit in units]})
     print_table(UNIT_HEADER, [unit_row(unit) for unit in units])
     return DONE
 
@@ -112,9 +109,9 @@ def _history(options: argparse.Namespace) -> int:
     from softcal.app.registry.listing import HISTORY_HEADER, history_json, history_row, only_lot
 
     with registry_of(options, create=False) as registry:
-        units = [unit for unit in registry.units(serial=options.serial) if options.lot in (None, unit.lot_id)]
+        units = [unit for unit in registry.lots.units(serial=options.serial) if options.lot in (None, unit.lot_id)]
         lot_id = only_lot(options.serial, [unit.lot_id for unit in units], options.lot)
-        revisions = registry.history(options.serial, lot_id)
+        revisions = registry.calibrations.history(options.serial, lot_id)
     if options.json:
         value = {"schema": "softcal.registry.history/1", "serial": options.serial, "lot": lot_id}
         write_json(options.json, value | {"revisions": [history_json(stored) for stored in revisions]})
@@ -143,8 +140,7 @@ def _verify(options: argparse.Namespace) -> int:
         return _answer(options, line, value)
     for fault in found.faults:
         say(fault)
-    if options.json:
-        write_json(options.json, value)
+    write_json(options.json, value)
     raise RegistryError(f"{len(found.faults)} faults; keep the file as evidence and go back to a backup")
 
 
@@ -177,8 +173,8 @@ def _rollback(options: argparse.Namespace) -> int:
 
     with registry_of(options, create=False) as registry:
         which = {"lot_id": options.lot, "origin": options.origin}
-        revision = registry.rollback(options.serial, options.to, reason=options.reason, **which)
-        judge_again(registry, [options.lot] if options.lot else registry.lots_of(options.serial))
+        revision = registry.calibrations.rollback(options.serial, options.to, reason=options.reason, **which)
+        judge_again(registry, [options.lot] if options.lot else registry.calibrations.lots_of(options.serial))
     line = f"{options.serial}: revision {revision} is in use, it repeats revision {options.to}"
     value = {"schema": "softcal.registry.rollback/1", "serial": options.serial, "revision": revision}
     return _answer(options, line, value | {"rolled_back_to": options.to})

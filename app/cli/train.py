@@ -20,7 +20,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         description="Train f on the source's labelled recording and store it under its content hash. The same "
         "recording and configuration find the network trained before.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("lot", type=Path, metavar="LOT", help="lot folder")
     add_registry(parser)

@@ -21,7 +21,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         help="two or more known loads at the place of use re-anchor a unit's map",
         description="Correct gain and zero of a unit's map by known loads at its place of use.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--serial", required=True, metavar="S")
     parser.add_argument("--loads", required=True, type=Path, metavar="FILE", help="CSV or Parquet: output, reference")
@@ -45,8 +44,7 @@ def run(options: argparse.Namespace) -> int:
         "before_rmse": found.before_rmse,
         "after_rmse": found.after_rmse,
     }
-    if options.json:
-        write_json(options.json, {"schema": "softcal.trim/1", **facts, **errors})
+    write_json(options.json, {"schema": "softcal.trim/1", **facts, **errors})
     if options.json != "-":
         print(
             f"{options.serial} revision {revision}: gain times {gain:.4g} ± {found.gain_error:.1%}, "

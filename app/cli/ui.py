@@ -23,7 +23,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         help="the operator's screen and the engineer's desk",
         description="Serve the Streamlit application on this machine only and open it. Needs no internet.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_registry(parser)
     parser.add_argument("--port", type=int, default=0, help="default: the first free one from 8501")

@@ -124,7 +124,6 @@ def import_lot(plan: ImportPlan, folder: Path, on_remark: Callable[[str], None] 
     """Write a lot folder, whole or not at all, and return the serials of its target units.
 
     Args:
-        plan: what to import.
         folder: the lot folder to make.
         on_remark: told what is odd but no error, for example one recording under two serials.
 

@@ -299,7 +299,10 @@ class StationHost:
         while not self._is_over.wait(REPORT_S):
             try:
                 with self._at_desk:
-                    self._attend()
+                    if self._newest is not None:
+                        self._queue.report(self._newest)
+                    if self._active:
+                        self._listen()
                 if time.monotonic() - beaten_s >= BEAT_S:
                     beaten_s = time.monotonic()
                     self._beat_or_give_way()
@@ -307,12 +310,6 @@ class StationHost:
                 continue  # Away for a moment: the next turn tries again.
             if self._lost:
                 return
-
-    def _attend(self) -> None:
-        if self._newest is not None:
-            self._queue.report(self._newest)
-        if self._active:
-            self._listen()
 
     def _listen(self) -> None:
         """Take what a person says during a run."""
@@ -328,7 +325,6 @@ class StationHost:
             self._answer(order)
 
     def _answer(self, order: Order) -> None:
-        """Do what is no run."""
         try:
             match order.kind:
                 case OrderKind.STOP:

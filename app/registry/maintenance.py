@@ -85,7 +85,7 @@ def verify(
     """
     anchors = [*remembered(registry), *map(read_anchor, files)]
     faults = tuple(registry.verify(is_quick=is_quick, anchors=anchors, on_step=on_step))
-    heads = registry.heads()
+    heads = registry.trail.heads()
     return Verification(faults, sum(seq for seq, _ in heads.values()), heads)
 
 

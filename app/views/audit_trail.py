@@ -101,13 +101,11 @@ class Entry:
 
     @property
     def changed(self) -> str:
-        """The changes as one line."""
         told = (f"{name}: {old} → {new}" if old else f"{name}: {new}" for name, old, new in self.changes)
         return "; ".join(told)
 
     @property
     def searched(self) -> str:
-        """All its words, for a search."""
         return " ".join((self.row.actor, self.what, self.changed, self.row.reason)).lower()
 
 
@@ -117,7 +115,6 @@ class TrailFilter:
 
     Args:
         text: words that all stand in a line, in any order.
-        actors, sections: one of them each.
         since, until: instants, both included.
     """
 

@@ -230,7 +230,6 @@ class _Card:
 
     @property
     def earlier(self) -> UnitStanding | RunEntry:
-        """Where the unit that was scanned stands."""
         return self.facts.standings.get(self.facts.serial) or self.facts.results[-1]
 
     @property

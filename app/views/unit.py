@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softcal.app.registry.source import source_model, unlabelled
+from softcal.app.registry.lot_recordings import source_model, unlabelled
 from softcal.core.lot import Lot
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
@@ -63,15 +63,15 @@ def unit_view(registry: Registry, serial: str, revision: int | None = None, lot_
     Raises:
         InputError: the registry has no calibration of the serial, or no source recording of its lot.
     """
-    stored = registry.calibration(serial, revision, lot_id=lot_id)
+    stored = registry.calibrations.get(serial, revision, lot_id=lot_id)
     calibration = Calibration.from_record(stored.record)
-    network = registry.network(stored.record.network_id)
-    recording = unlabelled(registry.recording(stored.record.recording_sha256))
+    network = registry.networks.get(stored.record.network_id)
+    recording = unlabelled(registry.recordings.get(stored.record.recording_sha256))
     model = source_model(registry, network.id, calibration.method or Method())
     return UnitView(
         stored,
         calibration,
-        registry.lot(stored.lot_id),
+        registry.lots.get(stored.lot_id),
         model.source,
         recording,
         estimate(network, calibration, recording),

@@ -178,7 +178,6 @@ class NetworkFile:
         return hashlib.sha256(self._body).digest()[:8]
 
     def to_bytes(self) -> bytes:
-        """Return the file."""
         levels = self.levels
         end = b"" if levels is None else LEVELS.pack(levels.first, levels.step, *levels.counts, 0)
         return _sealed(Kind.NETWORK, 0, self.id, 0, 0, self.source_serial, self._body + end, self.minor)

@@ -285,7 +285,7 @@ def checked(case: Case) -> tuple[tuple[DataMistake, ...], Identifiability | None
 
 
 def told_by(base: Fit, depth_mm: float, force_N: float) -> Identifiability:
-    """Return what the runs of a base fit tell of the twin and its effects, and which run of the menu tells the rest."""
+    """Return what the runs of a base fit tell of the twin and its effects, and which experiment tells the rest."""
     case = base.problem.case
     return identifiability(base, visible_effects(case), menu(case, depth_mm, force_N), OFFSET_NAMES)
 

@@ -36,9 +36,9 @@ class SearchConfig:
         gain: a lead must promise this drop of χ² to be fitted (a third of it for the first effect).
         relative_gain: and this share of the χ² that the best lead promises.
         with_forms: single causes whose other realisations are tried where the catalogue's leave structure.
-        enough: share of the gap that one, two, three causes must explain to be named although structure is left: other
-            realisations of a cause leave less than a tenth, effects outside the catalogue more than a quarter, and
-            several causes together are more flexible.
+        enough: share of the gap that one, two, three causes must explain to be named although structure is left. Other
+            realisations of a cause leave less than a tenth, effects outside the catalogue more than a quarter. Several
+            causes together are more flexible.
         likely, rival: share of what the best single cause explains from which another one is tried in its other
             realisations, where structure is left and where the best one leaves none.
         patch: share of the gap that steps placed freely in time must take away.

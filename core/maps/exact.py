@@ -41,10 +41,8 @@ class Exact:
     name: str = NAME
 
     def fit(self, problem: FitProblem) -> TransportMap:
-        """Fit the map."""
         source = problem.source.windows
         return exact_map(problem.target.windows, source, source, problem.config.plan)
 
     def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> TransportMap:
-        """Rebuild a map from its arrays."""
         return TransportMap.from_arrays(arrays, settings, self.name)

@@ -69,7 +69,6 @@ class LineRules:
         return max(0, self.retests.get(verdict, 0) - max(0, tests - 1))
 
     def settings(self) -> dict[str, object]:
-        """Return the rules as JSON values."""
         told: dict[str, object] = {**vars(self), "retests": dict(self.retests)}
         del told["loads"]
         # Versions that know no loads can read rules without any.

@@ -29,7 +29,6 @@ class UnitInLot:
     """One unit of a lot.
 
     Args:
-        serial: of the unit.
         verdict: as it stands; None before the first result.
         reasons: why.
         is_measured: whether its error was measured, by an audit that counts.
@@ -72,7 +71,6 @@ class LotStanding:
     """A lot as every page, paper and program tells it.
 
     Args:
-        lot_id: of the lot.
         units: its target units, by serial.
         limit: in force; None where none is stated and no unit is calibrated yet.
         decided: on the units nobody measured; None while no unit has a forecast.

@@ -75,10 +75,8 @@ def qualify(
     unit failed: a failure withdraws everything before it.
 
     Args:
-        here: audits of this lot.
         past: audits of other lots, of any product, method and age.
         now: the time of the decision.
-        sensor_model, method_id: of this lot.
         golden_failed_at: when a golden unit last failed on the line that presses this lot.
         units: of this lot, measured or not; None where more may come than anybody knows.
     """

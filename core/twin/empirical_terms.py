@@ -203,7 +203,6 @@ class EmpiricalTerm:
 
     @property
     def unit(self) -> str:
-        """Unit of the coefficient."""
         return UNITS[self.place] + _INVERSE[VARIABLES[self.variable].unit]
 
     @property

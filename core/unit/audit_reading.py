@@ -17,7 +17,6 @@ class OutputLevel:
     """Where the output of a unit stands in its recording, in the output's unit.
 
     Args:
-        rest: at rest.
         span: from there to its highest loads, more than 0.
     """
 
@@ -64,7 +63,6 @@ class AuditReading:
     zero: float = 0.0
 
     def to_json(self) -> dict[str, object]:
-        """Return it as JSON values."""
         return {**vars(self), "residual": list(self.residual), "half": list(self.half)}
 
     @classmethod
@@ -98,7 +96,6 @@ def read_audit(
     Args:
         value: (n,) estimates, NaN where there is none.
         half: (n,) half-width of their 90 % interval, before audits of other units scaled it.
-        audit: labelled recording of the unit.
         recording: of the same unit.
         rest: share of the samples at whose quantile a unit is at rest.
     """

@@ -130,7 +130,6 @@ class Reference:
         return factor * float(np.sqrt(self.variance(np.array(load))))
 
     def to_json(self) -> dict[str, object]:
-        """Return it as JSON values."""
         return {key: value.isoformat() if isinstance(value, date) else value for key, value in vars(self).items()}
 
     @classmethod

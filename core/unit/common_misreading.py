@@ -27,7 +27,6 @@ class LoadLine:
 
     Args:
         gain: 1 where it reads them in full.
-        zero: in the reference unit.
         level: where the output of its recording stands; None where nobody kept it.
     """
 
@@ -94,7 +93,6 @@ class CommonMisreading:
         return replace(self, line=LoadLine(float(np.exp(gain)), zero))
 
     def to_json(self) -> dict[str, float]:
-        """Return it as JSON values."""
         slopes = {name: 0.0 if trend is None else trend.slope for name, trend in vars(self).items() if name in SLOPES}
         return {"gain": self.line.gain, "zero": self.line.zero, **{f"{name}_slope": slopes[name] for name in SLOPES}}
 

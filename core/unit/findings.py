@@ -50,7 +50,6 @@ def contradictions(
     A channel the wrong way round, or in another physical unit, also looks clipped or pressed by a wrong programme.
 
     Args:
-        source, target: outputs of the source and of the unit.
         limits: of the unit's output.
         method: in force.
         shared: what both outputs say about a common load; None where nobody compared them in time.
@@ -133,7 +132,7 @@ def _reach(values: Array, shares: tuple[float, float]) -> tuple[float, float]:
 
 
 def _other_use(evidence: MapEvidence, config: FindingConfig) -> Finding | None:
-    """Return a finding where the unit's mix of loads and speeds is not the source's.
+    """Return a finding where the unit's loads and speeds are not the source's.
 
     Where the stage position is known the map does not rest on that mix; else nothing firm can be said. Units under one
     load at once ran one programme.

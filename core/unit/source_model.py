@@ -19,7 +19,6 @@ class SourceModel:
     """The source of a lot as its units are compared with it.
 
     Args:
-        source: labelled recording of the source unit.
         network: the shared network f trained on it.
         residuals: what f leaves open on the source.
         shape: of the source's windows.

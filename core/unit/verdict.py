@@ -105,7 +105,6 @@ class Limit:
         return float(np.sqrt(max(self.maximum_rmse**2 - self.reference_expanded**2, 0.0)))
 
     def to_json(self) -> dict[str, object]:
-        """Return it as JSON values."""
         told = {"unit": self.unit, "maximum_rmse": self.maximum_rmse, "origin": self.origin.to_json()}
         return told | ({"reference_expanded": self.reference_expanded} if self.reference_expanded else {})
 
@@ -158,7 +157,6 @@ class Judgement:
     reasons: tuple[Reason, ...]
 
     def to_json(self) -> dict[str, object]:
-        """Return it as JSON values."""
         return {"verdict": str(self.verdict), "reasons": [one.to_json() for one in self.reasons]}
 
     @classmethod
@@ -224,7 +222,6 @@ class Decision:
         return (*self.measured.reasons, told)
 
     def to_json(self) -> dict[str, object]:
-        """Return it as JSON values."""
         others = {"measured": self.measured, "sampled": self.sampled}
         kept = {name: None if other is None else other.to_json() for name, other in others.items()}
         barred = {"bars": [one.to_json() for one in self.bars]} if self.bars else {}

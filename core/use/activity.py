@@ -23,7 +23,6 @@ class Activity:
     Args:
         level, log_scale: mean, and log standard deviation.
         shape, first_shape: (q,) standardised quantiles now, and when the activity was first seen.
-        log_speed, log_duration: of its cycles.
         rest: level of the unloaded turning point.
         rest_scatter: its standard deviation.
         has_rest: whether its cycles return to one unloaded level.

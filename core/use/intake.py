@@ -137,9 +137,7 @@ class Intake:
         return False
 
     def state(self) -> dict[str, object]:
-        """Return all that a restart needs, as JSON values."""
         return state_of(self._kept)
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from a `state()` taken earlier."""
         self._kept = restored(IntakeState, state)

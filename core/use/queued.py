@@ -56,7 +56,6 @@ class _Fitted:
     """The map of a queue.
 
     Args:
-        map: γ.
         moved: by how much it moves the estimates of the queue from those of the calibration (RMS).
         chance: by how much maps of queues without drift do so.
     """
@@ -138,7 +137,6 @@ class QueuedTransport(Batches):
 
     @property
     def unit_map(self) -> UnitMap:
-        """The map γ in force."""
         return self._map
 
     @property

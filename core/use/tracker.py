@@ -518,7 +518,6 @@ class DriftTracker:
         return Observation(cycle.end_s, verdict, reason, shift, log_gain, shift_sd, log_gain_sd, index)
 
     def state(self) -> dict[str, object]:
-        """Return all that a restart needs besides the calibrated use, as JSON values."""
         return state_of(self._now)
 
     def restore(self, state: Mapping[str, Any]) -> None:

@@ -145,7 +145,6 @@ class InUseTable(RegistryBase):
             return frozenset(connection.execute(query).scalars())
 
     def lots_of(self, serial: str) -> list[str]:
-        """Return the lots a serial stands in."""
         with self.database.reading() as connection:
             return lots_of(connection, serial)
 

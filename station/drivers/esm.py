@@ -215,7 +215,6 @@ class EsmStage:
         return EsmGauge(self.port, capacity_N, sign, rate_Hz)
 
     def close(self) -> None:
-        """Give the port back."""
         self.port.link.close()
 
     def _await_standstill(self) -> None:
@@ -279,7 +278,6 @@ class EsmGauge:
             raise CommandRefused(Reason("gauge.settings"))
 
     def start(self) -> None:
-        """Throw away what was read and begin to ask."""
         self._port.read()
         self._samples.clear()
         self._next_s = 0.0

@@ -47,7 +47,6 @@ class IndicatorCell:
         self._bad_in_a_row = 0
 
     def start(self) -> None:
-        """Throw away what lies in the buffers and begin to count."""
         self._link.discard()
         self._is_synchronised, self._bad_in_a_row = False, 0
 
@@ -73,7 +72,6 @@ class IndicatorCell:
         return samples
 
     def close(self) -> None:
-        """Give the port back."""
         self._link.close()
 
 

@@ -59,7 +59,6 @@ class LoadstarCell:
         self.native_unit = loadstar.parse_unit(self._ask(loadstar.UNITS).encode())
 
     def start(self) -> None:
-        """Throw away what lies in the buffers and begin to stream."""
         self._link.discard()
         self._is_synchronised, self._bad_in_a_row = False, 0
         self._link.write(loadstar.STREAM)
@@ -88,7 +87,6 @@ class LoadstarCell:
         return samples
 
     def close(self) -> None:
-        """End the stream and give the port back."""
         try:
             self._link.write(loadstar.PING)
         except NoReply:

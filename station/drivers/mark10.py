@@ -55,7 +55,6 @@ class Mark10Gauge:
         self._set("CUR", "N")
 
     def start(self) -> None:
-        """Throw away what lies in the buffers and begin to ask."""
         self._reader.start()
 
     def poll(self) -> list[Sample]:
@@ -68,7 +67,6 @@ class Mark10Gauge:
         return self._reader.poll()
 
     def close(self) -> None:
-        """Give the port back."""
         self._link.close()
 
     def _parse(self, line: bytes) -> tuple[float, ...]:

@@ -44,7 +44,6 @@ class SimulatedLine:
             yield bench
 
     def mount(self, serial: str) -> None:
-        """Put the unit of this serial under the stage."""
         self._phase = ""
         if self._station is not None and serial:
             self._station.mount(self._unit_of(serial))

@@ -85,7 +85,6 @@ class Axis:
         return self.time_s + self._phases[0].seconds if self._phases else math.inf
 
     def advance(self, now_s: float) -> None:
-        """Move until `now_s`."""
         while self._phases and self.next_event_s() <= now_s + 1e-12:
             phase = self._phases.popleft()
             self._integrate(phase.seconds, phase.acceleration)

@@ -112,7 +112,6 @@ class SimulatedDmm(SimulatedScpi):
         super().__init__(wire, identity, settings, measure, 0.2 / 50.0 + 0.002)
 
     def measured(self, header: str, now_s: float) -> bool:
-        """Whether it is `READ?`."""
         if header == "READ?":
             self.trigger(now_s)
         return header == "READ?"

@@ -57,11 +57,9 @@ class World:
             heappush(self._planned, (time_s, next(self._order), happening))
 
     def now_s(self) -> float:
-        """Return the simulated time in s."""
         return self._now_s
 
     def sleep_s(self, seconds: float) -> None:
-        """Let simulated time pass."""
         with self._lock:
             self._pass(self._now_s + max(0.0, seconds))
         if self._time_factor is not None:

@@ -63,11 +63,9 @@ class SimulatedZaber:
                 self._answer(command, has_checksum)
 
     def next_event_s(self) -> float:
-        """Return the time of the next thing that happens by itself."""
         return min(self.axis.next_event_s(), self.wire.next_arrival_s())
 
     def advance(self, now_s: float) -> None:
-        """Move, and let bytes reach the host."""
         self._now_s = now_s
         self.axis.advance(now_s)
         if self._is_homing and not self.axis.is_moving:

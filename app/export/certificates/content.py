@@ -111,7 +111,6 @@ class Certificate:
         identifier: unique over all certificates of a registry.
         made_on: UTC date the calibration was calculated.
         in_registry_since, source_since: UTC dates the recordings of unit and source came into the registry.
-        issued_on: date of issue.
         low, high: range that both the source's reference and the unit's own recording cover.
         forecast, measured: predicted RMSE, and that on an audit recording; None where there is none.
         limit: largest error a unit may have, and where that comes from.
@@ -254,7 +253,6 @@ class Certificate:
 
     @property
     def method(self) -> str:
-        """The method as it was."""
         found = METHODS.get(self.map_family, ("", f"A map of the family {self.map_family} was found"))[1]
         return (
             "A time-delay network f (15 output samples to one estimate) was trained on the source unit against its "

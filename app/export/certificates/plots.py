@@ -89,7 +89,6 @@ def course_plot(values: Array, levels: Sequence[Level], labels: tuple[str, str],
 
     Args:
         values: (n,).
-        levels: value and name of each line.
         labels: of the axes.
         width: on paper, in points.
     """

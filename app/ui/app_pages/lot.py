@@ -27,7 +27,7 @@ from softcal.db.access.people import may
 
 def render() -> None:
     say = words()
-    lot_id = lot_heading("lot", registry().lot_ids())
+    lot_id = lot_heading("lot", registry().lots.ids())
     if lot_id is None:
         return
     first = st.container()
@@ -132,7 +132,7 @@ def _report_pdf(view: LotView) -> bytes:
 
 @in_one_piece
 def _tell_of_report(lot_id: str) -> None:
-    registry().add_event("export", "lots", (lot_id,), {"file": "report.pdf"}, actor=actor())
+    registry().trail.add("export", "lots", (lot_id,), {"file": "report.pdf"}, actor=actor())
 
 
 LOTS = 8
@@ -153,7 +153,7 @@ def audited_panel(view: LotView) -> None:
 
 
 def _remembered_audits(view: LotView) -> AuditedView | None:
-    marker = registry().change_marker(view.lot.id)
+    marker = registry().pages.change_marker(view.lot.id)
     return _audited_view(str(registry().database.name), marker, view.lot.id, view.chosen, view)
 
 
@@ -172,7 +172,7 @@ def calibrate_again(lot_id: str) -> None:
     say = words()
     job = newest_job("calibrate", lot=lot_id)
     is_busy = job is not None and job.state.is_active
-    has_source = bool(registry().recordings(lot_id, kind="source"))
+    has_source = bool(registry().recordings.of_lot(lot_id, kind="source"))
     if may(person(), "set_up") and has_source and not is_busy:
         if st.button(say("lot.again"), icon=":material/replay:", help=say("lot.again.help"), key="calibrate-again"):
             permit("set_up")

@@ -13,12 +13,12 @@ from softcal.app.views.common import number
 from softcal.app.views.network import NetworkRow, network_rows
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
-from softcal.db.truth.network_release import RELEASED
+from softcal.db.truth.networks import RELEASED
 
 
 def render() -> None:
     say = words()
-    lots = {lot.id: lot for lot in registry().lots()}
+    lots = {lot.id: lot for lot in registry().lots.all()}
     lot_id = lot_heading("networks", list(lots))
     if lot_id is None:
         return
@@ -95,7 +95,7 @@ def _decide(row: NetworkRow, what: str) -> None:
         reason = ask_reason(f"{what}-{row.id[:12]}-{row.state}", say(f"networks.{what}.do"), "release")
     if reason is None:
         return
-    decide = registry().release_network if what == "release" else registry().withdraw_network
+    decide = registry().networks.release if what == "release" else registry().networks.withdraw
     decide(row.id, reason=reason, actor=actor())
     st.session_state[DONE] = say(f"networks.{what}.done", network=row.id[:12])
     st.rerun()

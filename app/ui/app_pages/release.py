@@ -30,7 +30,7 @@ def render() -> None:
     """Draw the page."""
     say = words()
     with errors_in_words():
-        lot_id = lot_heading("release", registry().lot_ids())
+        lot_id = lot_heading("release", registry().lots.ids())
         if lot_id is None:
             return
         if done := st.session_state.pop("release-done", ""):
@@ -97,7 +97,7 @@ def _statement(standing: LotStanding) -> None:
 
 
 def _said(decided: LotRelease, lot_id: str) -> None:
-    say, unit = words(), registry().lot(lot_id).reference_unit
+    say, unit = words(), registry().lots.get(lot_id).reference_unit
     limit = number(decided.limit.maximum_rmse, unit)
     audits = decided.audits
     st.markdown(say("release.counts", released=len(decided.released), open=len(decided.forecasts), limit=limit))
@@ -118,7 +118,7 @@ def _said(decided: LotRelease, lot_id: str) -> None:
 
 @in_one_piece
 def _tell_statement(lot_id: str) -> None:
-    registry().add_event("export", "lots", (lot_id,), {"file": "statement.pdf"}, actor=actor())
+    registry().trail.add("export", "lots", (lot_id,), {"file": "statement.pdf"}, actor=actor())
 
 
 def _archive(lot_id: str) -> None:

@@ -51,9 +51,9 @@ def render() -> None:
         return
     if done := st.session_state.pop("unit-done", ""):
         st.success(done, icon=":material/check:")
-    lots = registry().lots_of(serial)
+    lots = registry().calibrations.lots_of(serial)
     lot_id = choose(say("choose.lot"), lots, "lot") if len(lots) > 1 else lots[0]
-    history = registry().history(serial, lot_id)
+    history = registry().calibrations.history(serial, lot_id)
     if not history:
         _refused(serial, lot_id)
         return
@@ -61,15 +61,15 @@ def render() -> None:
 
 
 def _refused(serial: str, lot_id: str | None) -> None:
-    (unit,) = registry().units(lot_id, serial)
+    (unit,) = registry().lots.units(lot_id, serial)
     verdict_badge(unit.verdict)
     empty(words()("empty.calibration"), all_said(unit.reasons, words()))
-    unit_recordings(serial, registry().lot(unit.lot_id))
+    unit_recordings(serial, registry().lots.get(unit.lot_id))
 
 
 def _revision(serial: str, history: list[StoredCalibration]) -> None:
     say, lot_id = words(), history[0].lot_id
-    current = registry().calibration(serial, lot_id=lot_id).revision
+    current = registry().calibrations.get(serial, lot_id=lot_id).revision
     revisions = [entry.revision for entry in reversed(history)]
     left, right = st.columns([1, 4], vertical_alignment="bottom")
     revision = right.selectbox(say("choose.revision"), revisions, index=revisions.index(current)) or current
@@ -80,7 +80,7 @@ def _revision(serial: str, history: list[StoredCalibration]) -> None:
         verdict_badge(standing.verdict if is_refused else stored.record.verdict)
     if is_refused:
         st.markdown(f"{say('unit.refused_since')} **{all_said(standing.reasons, say)}**")
-    _verdict(stored, registry().lot(stored.lot_id).reference_unit)
+    _verdict(stored, registry().lots.get(stored.lot_id).reference_unit)
     if not rest_may_follow():
         return
     view = unit_view(registry(), serial, revision, lot_id)
@@ -115,11 +115,7 @@ def _figures(place: DeltaGenerator, view: UnitView, names: tuple[str, ...]) -> N
     with place:
         for column, name in zip(st.columns(2), names, strict=True):
             with column:
-                _figure(view, name)
-
-
-def _figure(view: UnitView, name: str) -> None:
-    figure_under(TITLES[name], getattr(charts_unit, name)(view, colours(), words()), name)
+                figure_under(TITLES[name], getattr(charts_unit, name)(view, colours(), words()), name)
 
 
 def choose_unit() -> str | None:
@@ -131,10 +127,10 @@ def choose_unit() -> str | None:
     asked = str(st.query_params.get("unit", ""))
     left, right = st.columns(2, vertical_alignment="bottom")
     text = str(left.text_input(say("unit.find"), key="unit-find", icon=":material/search:") or "").strip()
-    found = registry().find_serials(text)
+    found = registry().pages.find_serials(text)
     if not found and text:
         st.caption(say("unit.find.none", text=text))
-        found = registry().find_serials("")
+        found = registry().pages.find_serials("")
     if asked and not text and asked not in found:
         found = [asked, *found]
     if not found:
@@ -186,7 +182,7 @@ def _files(serial: str, lot_id: str, revision: int | None, name: str) -> Mapping
 @in_one_piece
 def _tell(serial: str, lot_id: str, revision: int, name: str) -> None:
     facts = {"lot_id": lot_id, "revision": revision, "file": name}
-    registry().add_event("export", "units", (serial,), facts, actor=actor())
+    registry().trail.add("export", "units", (serial,), facts, actor=actor())
 
 
 def _size(content: bytes) -> str:

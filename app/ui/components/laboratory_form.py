@@ -35,7 +35,7 @@ def laboratory_form() -> None:
         if not may(person(), "set_up"):
             st.caption(say("reason.not_allowed", role=say(f"role.{person().role}")))
             return
-        cells = {entry.cell_serial: entry for entry in registry().certificates()}
+        cells = {entry.cell_serial: entry for entry in registry().stations.certificates()}
         with st.form("laboratory", border=False):
             given = {name: _section(name, getattr(kept, name)) for name in PARTS}
             conditions = _conditions(kept.conditions)
@@ -51,7 +51,7 @@ def laboratory_form() -> None:
             st.error(in_words(error), icon=":material/error:")
             return
         keep_laboratory(stated)
-        registry().add_event("change", "laboratory", ("certificates",), {**given, "load_cell": cell}, actor=actor())
+        registry().trail.add("change", "laboratory", ("certificates",), {**given, "load_cell": cell}, actor=actor())
         st.session_state["release-done"] = say("laboratory.saved")
         st.rerun()
 

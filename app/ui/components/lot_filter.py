@@ -5,7 +5,7 @@ from datetime import date
 import streamlit as st
 
 from softcal.app.ui.desk import words, zone
-from softcal.app.ui.lot_memory import remembered_lot_view
+from softcal.app.ui.server_memory import remembered_lot_view
 from softcal.app.views.lot import LotView
 from softcal.app.views.lot_runs import DESK, LotFilter
 

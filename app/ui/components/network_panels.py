@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import streamlit as st
 
-from softcal.app.charts import network as charts_network
+from softcal.app.charts import compare as charts_compare
 from softcal.app.jobs.process import start_job
 from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.components.job_panel import job_panel, newest_job
@@ -119,7 +119,7 @@ def _compare_form(lot: Lot, rows: Sequence[NetworkRow], is_busy: bool) -> None:
 def _compared(job: Job, lot: Lot) -> None:
     say, unit = words(), lot.reference_unit
     found = job.result["rows"]
-    show_figure(charts_network.comparison(found, unit, colours(), say), f"compared-{job.job_id}")
+    show_figure(charts_compare.comparison(found, unit, colours(), say), f"compared-{job.job_id}")
     table(
         [
             {

@@ -48,7 +48,7 @@ def _rollback(serial: str, lot_id: str, older: Sequence[int]) -> None:
         if reason is None:
             return
         try:
-            registry().rollback(serial, revision, reason=reason, actor=actor(), lot_id=lot_id)
+            registry().calibrations.rollback(serial, revision, reason=reason, actor=actor(), lot_id=lot_id)
             judge_again(registry(), [lot_id], actor())
         except InputError as error:
             st.error(in_words(error), icon=":material/error:")
@@ -60,7 +60,7 @@ def _rollback(serial: str, lot_id: str, older: Sequence[int]) -> None:
 def unit_recordings(serial: str, lot: Lot) -> None:
     """Draw the unit's recordings and the curve of the one that is chosen, the newest at first."""
     say = words()
-    entries = registry().recordings(lot.id, serial)[::-1]
+    entries = registry().recordings.of_lot(lot.id, serial)[::-1]
     if not entries:
         st.caption(say("unit.recordings.none"))
         return
@@ -76,4 +76,4 @@ def unit_recordings(serial: str, lot: Lot) -> None:
     ]
     key = f"recordings-{serial}"
     chosen = entries[table_to_choose(rows, key) or 0]
-    show_figure(charts_unit.recording(registry().recording(chosen.sha256), lot, colours(), say), f"{key}-plot")
+    show_figure(charts_unit.recording(registry().recordings.get(chosen.sha256), lot, colours(), say), f"{key}-plot")
