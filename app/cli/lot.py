@@ -32,16 +32,11 @@ EXAMPLES = """examples:
 
 After `lot audit` run `softcal batch` again: it measures the audited units and judges the lot.
 """
+HELP = "set the limit of a lot; plan and judge its audit"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal lot`."""
-    parser = commands.add_parser(
-        "lot",
-        help="set the limit of a lot; plan and judge its audit",
-        description="What concerns a lot as a whole.",
-        epilog=EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """What concerns a lot as a whole."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     folder = actions.add_parser(
         "folder", help="write a lot of the registry as a lot folder, for example one that a station recorded on orders"

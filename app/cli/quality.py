@@ -22,16 +22,11 @@ EXAMPLES = """examples:
 
 A capability is refused while the process is not stable: the number would promise what nobody can keep.
 """
+HELP = "gauge R&R, capability, yields, golden-unit trends"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal quality`."""
-    parser = commands.add_parser(
-        "quality",
-        help="gauge R&R, capability, yields, golden-unit trends",
-        description="Numbers for quality: is the gauge good enough, is the process stable, how many units pass.",
-        epilog=EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Numbers for quality: is the gauge good enough, is the process stable, how many units pass."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     grr = _action(actions, "grr", "gauge repeatability and reproducibility", _grr)
     grr.add_argument("file", type=Path, metavar="CSV", help="columns unit, station, trial, value")

@@ -28,16 +28,11 @@ EXAMPLES = """examples:
 The registry is an SQLite file or a PostgreSQL database:
   --registry sqlite:///relative.db, sqlite:////absolute/file.db or postgresql://USER@HOST/DATABASE
 """
+HELP = "the database: list, history, verify, backup, restore, sync, rollback, upgrade"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal registry` and what it does."""
-    parser = commands.add_parser(
-        "registry",
-        help="the database: list, history, verify, backup, restore, sync, rollback, upgrade",
-        description="Units, maps and who did what: append-only, with a chained audit trail.",
-        epilog=EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Units, maps and who did what: append-only, with a chained audit trail."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     listing = _action(actions, "list", "units with their newest verdict", _list)
     listing.add_argument("--lot", metavar="ID", help="only this lot")
