@@ -83,6 +83,11 @@ GOALS = {
 }
 """A goal for each kind of text; `tests/house/test_plain.py` holds them."""
 
+MOST_WORDS = {"README.md": 600, "docs/operator.md": 800, "docs/long-term.md": 1200}
+"""Words of pages that are read at one go, code and tables included."""
+MOST_WORDS_OF_ALL = 45_000
+"""Words of README and of the pages of docs/, decisions left out."""
+
 
 @dataclass(frozen=True)
 class Prose:

@@ -3,7 +3,7 @@
 import argparse
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from softcal.app.cli.options import add_csv, add_json, add_registry, registry_at, registry_of, say_written
 from softcal.app.files.atomic import write_text
@@ -20,6 +20,7 @@ EXAMPLES = """examples:
   softcal api token list
   softcal api token withdraw 3f2a9c0b1d4e --reason "MES was replaced"
   softcal api openapi --out openapi.json
+  softcal api client --out softcal_client.py
 
 A token may do what the role of its account may; `softcal account` makes accounts.
 """
@@ -42,6 +43,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     openapi = actions.add_parser("openapi", help="write the OpenAPI document")
     openapi.add_argument("--out", type=Path, required=True, metavar="FILE")
     openapi.set_defaults(run=_openapi)
+    client = actions.add_parser("client", help="write a typed Python client: one file, standard library alone")
+    client.add_argument("--out", type=Path, required=True, metavar="FILE")
+    client.set_defaults(run=_client)
     _add_token(actions)
 
 
@@ -78,12 +82,22 @@ def _serve(options: argparse.Namespace) -> int:
 
 
 def _openapi(options: argparse.Namespace) -> int:
+    write_text(options.out, json.dumps(_document(), indent=2) + "\n")
+    return DONE
+
+
+def _client(options: argparse.Namespace) -> int:
+    from softcal.app.connect.client_text import client_text
+
+    write_text(options.out, client_text(_document()))
+    return DONE
+
+
+def _document() -> dict[str, Any]:
     from softcal.app.connect.rest import openapi_document, rest_app
 
     with registry_at("sqlite://") as registry:
-        text = json.dumps(openapi_document(rest_app(registry)), indent=2) + "\n"
-    write_text(options.out, text)
-    return DONE
+        return openapi_document(rest_app(registry))
 
 
 def _create(options: argparse.Namespace) -> int:

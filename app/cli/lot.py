@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from softcal.app.cli.lot_audit import add_audit
-from softcal.app.cli.options import add_csv, add_json, add_registry, registry_of
+from softcal.app.cli.options import add_csv, add_json, add_network, add_registry, network_config, registry_of
 from softcal.app.output import print_table, say, write_json
 from softcal.app.texts.catalogue import here
 from softcal.core.errors import InputError, RegistryError
@@ -18,6 +18,8 @@ MOST_TOLD = 20
 """So many units are named one by one in a terminal."""
 
 EXAMPLES = """examples:
+  softcal lot watch lot-1                        calibrate units as their recordings land, until Ctrl-C
+  softcal lot watch lot-1 --idle 60 --jobs 2     stop when nothing came for a minute
   softcal lot limit lot-1 --rmse 0.15 --reason "customer drawing, revision C"
   softcal lot limit lot-1                        every version of the limit, who set it and why
   softcal lot limit lot-1 --automatic --reason "follows the source again"
@@ -32,12 +34,20 @@ EXAMPLES = """examples:
 
 After `lot audit` run `softcal batch` again: it measures the audited units and judges the lot.
 """
-HELP = "set the limit of a lot; plan and judge its audit"
+HELP = "watch a lot folder; set the limit of a lot; plan and judge its audit"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """What concerns a lot as a whole."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
+    watch = actions.add_parser("watch", help="calibrate units as their recordings land")
+    watch.add_argument("folder", type=Path, metavar="LOT", help="lot folder")
+    add_registry(watch)
+    watch.add_argument("--every", type=float, default=2.0, metavar="S", help="seconds between two looks (default 2)")
+    watch.add_argument("--idle", type=float, metavar="S", help="stop when nothing came for so long (default: never)")
+    watch.add_argument("--jobs", type=int, default=1, metavar="N", help="worker processes (default 1)")
+    add_network(watch)
+    watch.set_defaults(run=_watch)
     folder = actions.add_parser(
         "folder", help="write a lot of the registry as a lot folder, for example one that a station recorded on orders"
     )
@@ -213,6 +223,28 @@ def _audit_plan(options: argparse.Namespace) -> int:
         else:
             print_table(PROMISE_HEADER, promise_rows(units))
     return SOME_UNIT_NOT_PASSED if audit.statement is not None and audit.statement.word == "fail" else DONE
+
+
+def _watch(options: argparse.Namespace) -> int:
+    from softcal.app.batch.engine import EngineChoice
+    from softcal.app.batch.lot_work import BatchConfig, Watch
+    from softcal.app.batch.report import TABLE_HEADER, table_row
+    from softcal.app.batch.watch import WatchConfig, watch_lot
+
+    if not options.every > 0 or (options.idle is not None and not options.idle > 0):
+        raise InputError("--every and --idle are seconds above 0")
+    batch = BatchConfig(network=network_config(options), engine=EngineChoice(jobs=options.jobs), actor="softcal lot")
+    passed = True
+    say(f"{options.folder}: waiting for recordings; Ctrl-C stops")
+    with registry_of(options) as registry:
+        config = WatchConfig(options.every, options.idle)
+        try:
+            for report in watch_lot(options.folder, registry, batch, config, Watch()):
+                print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
+                passed = passed and report.has_passed
+        except KeyboardInterrupt:
+            say("stopped; what was finished is kept")
+    return DONE if passed else SOME_UNIT_NOT_PASSED
 
 
 def _limit(options: argparse.Namespace) -> int:

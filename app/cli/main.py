@@ -15,11 +15,30 @@ from softcal.core.errors import DeviceError, InputError, RegistryError, SoftcalE
 
 DONE, SOME_UNIT_NOT_PASSED, WRONG_USE, RIG_FAILED, REGISTRY_FAILED = 0, 1, 2, 3, 4
 
-COMMANDS = tuple(
-    (
-        "demo init import_ train batch estimate explain trim adapt station export inspect_ registry lot "
-        "quality gap report ui account api connect doctor completion"
-    ).split()
+COMMANDS = (
+    "demo",
+    "init",
+    "import_",
+    "train",
+    "batch",
+    "estimate",
+    "explain",
+    "trim",
+    "adapt",
+    "station",
+    "export",
+    "inspect_",
+    "registry",
+    "lot",
+    "quality",
+    "gap",
+    "report",
+    "ui",
+    "account",
+    "api",
+    "connect",
+    "doctor",
+    "completion",
 )
 """Modules of `softcal.app.cli`, in the order of `softcal --help`; each has `HELP`, `EXAMPLES`, `arguments` and
 `run`, or actions that set it."""

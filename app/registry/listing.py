@@ -6,7 +6,20 @@ from softcal.app.texts.catalogue import here
 from softcal.core.errors import InputError
 from softcal.db.entries import StoredCalibration, UnitEntry
 
-UNIT_HEADER = tuple("lot serial role verdict rev map predicted before after own made reason".split())
+UNIT_HEADER = (
+    "lot",
+    "serial",
+    "role",
+    "verdict",
+    "rev",
+    "map",
+    "predicted",
+    "before",
+    "after",
+    "own",
+    "made",
+    "reason",
+)
 HISTORY_HEADER = (
     "rev",
     "registry",

@@ -10,13 +10,18 @@ from pathlib import Path
 from softcal.app.ui.pages import PAGES
 
 WEB_APP = Path(__file__).with_name("web_app.py")
-DRAWN_WITH = tuple(
-    (
-        "pandas pyarrow.pandas_compat plotly.graph_objs.bar plotly.graph_objs.layout "
-        "plotly.graph_objs.scatter streamlit.elements.plotly_chart streamlit.material_icon_names "
-        "streamlit.web.bootstrap streamlit.web.server.starlette.starlette_server "
-        "softcal.core.maps.catalogue softcal.db.connection"
-    ).split()
+DRAWN_WITH = (
+    "pandas",
+    "pyarrow.pandas_compat",
+    "plotly.graph_objs.bar",
+    "plotly.graph_objs.layout",
+    "plotly.graph_objs.scatter",
+    "streamlit.elements.plotly_chart",
+    "streamlit.material_icon_names",
+    "streamlit.web.bootstrap",
+    "streamlit.web.server.starlette.starlette_server",
+    "softcal.core.maps.catalogue",
+    "softcal.db.connection",
 )
 
 

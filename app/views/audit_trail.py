@@ -12,28 +12,68 @@ from softcal.db.access.people import ROLES
 from softcal.db.entries import AuditRow
 
 SECTIONS = {
-    what: heading
-    for heading, names in {
-        "rules": "limits line_rules",
-        "people": "users tokens",
-        "networks": "networks network_releases",
-        "results": "calibrations refusals in_use adaptations unit lot_release audit_plan audit_result",
-        "lots": "lots units recordings known_loads golden_of",
-        "station": "certificates golden_runs station station_gate alerts",
-        "papers": "laboratory",
-    }.items()
-    for what in names.split()
+    "limits": "rules",
+    "line_rules": "rules",
+    "users": "people",
+    "networks": "networks",
+    "network_releases": "networks",
+    "calibrations": "results",
+    "refusals": "results",
+    "in_use": "results",
+    "adaptations": "results",
+    "unit": "results",
+    "lot_release": "results",
+    "audit_plan": "results",
+    "audit_result": "results",
+    "lots": "lots",
+    "units": "lots",
+    "recordings": "lots",
+    "known_loads": "lots",
+    "golden_of": "lots",
+    "certificates": "station",
+    "golden_runs": "station",
+    "station": "station",
+    "station_gate": "station",
+    "laboratory": "papers",
+    "tokens": "people",
+    "alerts": "station",
 }
 """What a row is about → the heading an auditor looks under; files that were taken stand under `papers`."""
 
 HEADINGS = ("results", "rules", "networks", "people", "station", "papers", "lots", "registry")
 
-FIELDS = tuple(
-    (
-        "rmse limit_rmse verdict revision rolled_back_to predicted_rmse after_rmse family state role "
-        "is_active serial_pattern letters target retests loads kind passed file formats units number "
-        "due_on decided_by sensor_model source rig account purpose ends_at is_withdrawn"
-    ).split()
+FIELDS = (
+    "rmse",
+    "limit_rmse",
+    "verdict",
+    "revision",
+    "rolled_back_to",
+    "predicted_rmse",
+    "after_rmse",
+    "family",
+    "state",
+    "role",
+    "is_active",
+    "serial_pattern",
+    "letters",
+    "target",
+    "retests",
+    "loads",
+    "kind",
+    "passed",
+    "file",
+    "formats",
+    "units",
+    "number",
+    "due_on",
+    "decided_by",
+    "sensor_model",
+    "source",
+    "rig",
+    "account",
+    "purpose",
+    "ends_at",
+    "is_withdrawn",
 )
 """What of a row is said; everything else is for who asks for the row itself."""
 

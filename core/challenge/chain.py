@@ -37,11 +37,24 @@ RELAXED = 0.6
 NARROWEST = 0.05
 """Smallest 1 − κ·F a rig may reach; beyond it the channel is shut and the model has no answer."""
 
-HOOKS = tuple(
-    (
-        "position contact yielding landing elastic relaxed channel rest_resistance resistance lead "
-        "series reference voltage instant pickup limit cell"
-    ).split()
+HOOKS = (
+    "position",
+    "contact",
+    "yielding",
+    "landing",
+    "elastic",
+    "relaxed",
+    "channel",
+    "rest_resistance",
+    "resistance",
+    "lead",
+    "series",
+    "reference",
+    "voltage",
+    "instant",
+    "pickup",
+    "limit",
+    "cell",
 )
 """Where an equation acts, in the order of the chain; what it is given and gives back has the quantity of that place."""
 

@@ -5,23 +5,28 @@ from datetime import UTC, datetime
 from typing import Any
 
 from sqlalchemy import (
+    BigInteger,
     Boolean,
     CheckConstraint,
     Column,
+    Date,
     DateTime,
     Dialect,
+    Double,
+    ForeignKey,
     ForeignKeyConstraint,
     Index,
+    Integer,
+    LargeBinary,
     MetaData,
+    String,
     Table,
     Text,
     false,
 )
-from sqlalchemy.schema import SchemaItem
 from sqlalchemy.types import TypeDecorator
 
 from softcal.core.errors import RegistryError
-from softcal.db.schema.columns import PLAIN, columns
 
 SCHEMA = "0009"
 """Revision of the newest migration: what a registry must have to be used by this version."""
@@ -110,65 +115,134 @@ def canonical_json(value: object) -> str:
     return ENCODER.encode(value)
 
 
-STORED = {**PLAIN, "time": UtcTime(), "json": CanonicalJson()}
+def sha256_column(name: str, *rest: Any, **options: Any) -> Column[str]:
+    """Return a column for a content hash in hex."""
+    return Column(name, String(64), *rest, **options)
 
 
-def _table(name: str, page: str, *rest: SchemaItem) -> Table:
-    return Table(name, metadata, *columns(page, STORED), *rest)
+registry_info = Table(
+    "registry_info",
+    metadata,
+    Column("key", String(64), primary_key=True),
+    Column("value", Text, nullable=False),
+)
 
+blobs = Table(
+    "blobs",
+    metadata,
+    sha256_column("sha256", primary_key=True),
+    Column("kind", String(16), nullable=False),
+    Column("size", Integer, nullable=False),
+    Column("data", LargeBinary, nullable=False),
+)
 
-registry_info = _table("registry_info", "key 64*, value text")
-
-blobs = _table("blobs", "sha256 64*, kind 16, size int, data bytes")
-
-lots = _table(
+lots = Table(
     "lots",
-    "id 64*, source 64, sample_rate_Hz double, sensor_model text, reference_quantity text, "
-    "reference_unit text, output_unit text, added_at time",
+    metadata,
+    Column("id", String(64), primary_key=True),
+    Column("source", String(64), nullable=False),
+    Column("sample_rate_Hz", Double, nullable=False),
+    Column("sensor_model", Text, nullable=False),
+    Column("reference_quantity", Text, nullable=False),
+    Column("reference_unit", Text, nullable=False),
+    Column("output_unit", Text, nullable=False),
+    Column("added_at", UtcTime, nullable=False),
 )
 
-limits = _table(
+limits = Table(
     "limits",
-    "lot_id 64*>lots.id, version int*, origin 32*, rmse double?, made_at time, actor text, reason text",
+    metadata,
+    Column("lot_id", ForeignKey("lots.id"), primary_key=True),
+    Column("version", Integer, primary_key=True),
+    Column("origin", String(32), primary_key=True),
+    Column("rmse", Double),
+    Column("made_at", UtcTime, nullable=False),
+    Column("actor", Text, nullable=False),
+    Column("reason", Text, nullable=False),
     CheckConstraint("version >= 1", name="version"),
 )
 
-line_rules = _table(
+line_rules = Table(
     "line_rules",
-    "lot_id 64*>lots.id, version int*, origin 32*, rules json, made_at time, actor text, reason text",
+    metadata,
+    Column("lot_id", ForeignKey("lots.id"), primary_key=True),
+    Column("version", Integer, primary_key=True),
+    Column("origin", String(32), primary_key=True),
+    Column("rules", CanonicalJson, nullable=False),
+    Column("made_at", UtcTime, nullable=False),
+    Column("actor", Text, nullable=False),
+    Column("reason", Text, nullable=False),
     CheckConstraint("version >= 1", name="version"),
 )
 
-units = _table(
+units = Table(
     "units",
-    "lot_id 64*>lots.id, serial 64*, role 8, added_at time",
+    metadata,
+    Column("lot_id", ForeignKey("lots.id"), primary_key=True),
+    Column("serial", String(64), primary_key=True),
+    Column("role", String(8), nullable=False),
+    Column("added_at", UtcTime, nullable=False),
     CheckConstraint("role IN ('source', 'target')", name="role"),
     Index("ix_units_serial", "serial"),
 )
 
-recordings = _table(
+recordings = Table(
     "recordings",
-    "sha256 64*, lot_id 64*, kind 8*, serial 64, samples int, sample_rate_Hz double, "
-    "output_unit text, reference_unit text?, blob_sha256 64>blobs.sha256, added_at time",
+    metadata,
+    sha256_column("sha256", primary_key=True),
+    Column("lot_id", String(64), primary_key=True),
+    Column("kind", String(8), primary_key=True),
+    Column("serial", String(64), nullable=False),
+    Column("samples", Integer, nullable=False),
+    Column("sample_rate_Hz", Double, nullable=False),
+    Column("output_unit", Text, nullable=False),
+    Column("reference_unit", Text),
+    sha256_column("blob_sha256", ForeignKey("blobs.sha256"), nullable=False),
+    Column("added_at", UtcTime, nullable=False),
     ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
     CheckConstraint("kind IN ('source', 'unit', 'audit')", name="kind"),
     Index("ix_recordings_lot_id_serial", "lot_id", "serial"),
 )
 
-networks = _table(
+networks = Table(
     "networks",
-    "id 64*, lot_id 64>lots.id, input_sha256 64, settings json, training json, metrics json, "
-    "blob_sha256 64>blobs.sha256, added_at time",
-    Index("ix_networks_input_sha256", "input_sha256"),
+    metadata,
+    sha256_column("id", primary_key=True),
+    Column("lot_id", ForeignKey("lots.id"), nullable=False),
+    sha256_column("input_sha256", nullable=False, index=True),
+    Column("settings", CanonicalJson, nullable=False),
+    Column("training", CanonicalJson, nullable=False),
+    Column("metrics", CanonicalJson, nullable=False),
+    sha256_column("blob_sha256", ForeignKey("blobs.sha256"), nullable=False),
+    Column("added_at", UtcTime, nullable=False),
 )
 
-calibrations = _table(
+calibrations = Table(
     "calibrations",
-    "serial 64*, revision int*, origin 32*, lot_id 64, made_at time, actor text, reason text, "
-    "rolled_back_to int?, network_id 64>networks.id, family text, map_sha256 64, "
-    "blob_sha256 64>blobs.sha256, settings json, predicted_rmse double?, before_rmse double?, "
-    "after_rmse double?, own_rmse double?, fit_s double?, verdict 16, reasons json, "
-    "evidence json, input_sha256 64, recording_sha256 64",
+    metadata,
+    Column("serial", String(64), primary_key=True),
+    Column("revision", Integer, primary_key=True),
+    Column("origin", String(32), primary_key=True),
+    Column("lot_id", String(64), nullable=False),
+    Column("made_at", UtcTime, nullable=False),
+    Column("actor", Text, nullable=False),
+    Column("reason", Text, nullable=False),
+    Column("rolled_back_to", Integer),
+    Column("network_id", ForeignKey("networks.id"), nullable=False),
+    Column("family", Text, nullable=False),
+    sha256_column("map_sha256", nullable=False),
+    sha256_column("blob_sha256", ForeignKey("blobs.sha256"), nullable=False),
+    Column("settings", CanonicalJson, nullable=False),
+    Column("predicted_rmse", Double),
+    Column("before_rmse", Double),
+    Column("after_rmse", Double),
+    Column("own_rmse", Double),
+    Column("fit_s", Double),
+    Column("verdict", String(16), nullable=False),
+    Column("reasons", CanonicalJson, nullable=False),
+    Column("evidence", CanonicalJson, nullable=False),
+    sha256_column("input_sha256", nullable=False),
+    sha256_column("recording_sha256", nullable=False),
     ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
     CheckConstraint("revision >= 1", name="revision"),
     CheckConstraint("verdict IN ('pass', 'conditional', 'fail', 'retest')", name="verdict"),
@@ -176,18 +250,38 @@ calibrations = _table(
     Index("ix_calibrations_serial_input", "serial", "input_sha256"),
 )
 
-refusals = _table(
+refusals = Table(
     "refusals",
-    "lot_id 64*, serial 64*, made_at time*, origin 32*, actor text, verdict 16, reasons json, work_sha256 64?",
+    metadata,
+    Column("lot_id", String(64), primary_key=True),
+    Column("serial", String(64), primary_key=True),
+    Column("made_at", UtcTime, primary_key=True),
+    Column("origin", String(32), primary_key=True),
+    Column("actor", Text, nullable=False),
+    Column("verdict", String(16), nullable=False),
+    Column("reasons", CanonicalJson, nullable=False),
+    sha256_column("work_sha256"),
     ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
     CheckConstraint("verdict IN ('fail', 'retest')", name="verdict"),
 )
 
-in_use = _table(
+in_use = Table(
     "in_use",
-    "lot_id 64*, serial 64*, origin 32*, number int*, revision int, made_by 32, "
-    "follows_origin 32?, follows_number int?, decided_by 16, work_sha256 64?, input_sha256 64?, "
-    "made_at time, actor text, reason text",
+    metadata,
+    Column("lot_id", String(64), primary_key=True),
+    Column("serial", String(64), primary_key=True),
+    Column("origin", String(32), primary_key=True),
+    Column("number", Integer, primary_key=True),
+    Column("revision", Integer, nullable=False),
+    Column("made_by", String(32), nullable=False),
+    Column("follows_origin", String(32)),
+    Column("follows_number", Integer),
+    Column("decided_by", String(16), nullable=False),
+    sha256_column("work_sha256"),
+    sha256_column("input_sha256"),
+    Column("made_at", UtcTime, nullable=False),
+    Column("actor", Text, nullable=False),
+    Column("reason", Text, nullable=False),
     ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
     ForeignKeyConstraint(
         ["serial", "revision", "made_by"], ["calibrations.serial", "calibrations.revision", "calibrations.origin"]
@@ -199,104 +293,231 @@ in_use = _table(
 """Which calibration a unit of a lot uses, as statements: each names the one it follows. Two that nothing follows and
 that name different maps are a conflict, which a person ends."""
 
-audit = _table(
+audit = Table(
     "audit",
-    "origin 32*, seq int*, at time, actor text, action 32, entity 32, key text, before text?, "
-    "after text?, reason text, prev_hash 64, hash 64",
+    metadata,
+    Column("origin", String(32), primary_key=True),
+    Column("seq", Integer, primary_key=True),
+    Column("at", UtcTime, nullable=False),
+    Column("actor", Text, nullable=False),
+    Column("action", String(32), nullable=False),
+    Column("entity", String(32), nullable=False),
+    Column("key", Text, nullable=False),
+    Column("before", Text),
+    Column("after", Text),
+    Column("reason", Text, nullable=False),
+    sha256_column("prev_hash", nullable=False),
+    sha256_column("hash", nullable=False),
     Index("ix_audit_entity_key", "entity", "key"),
 )
 
-work_items = _table(
+work_items = Table(
     "work_items",
-    "id number*, lot_id 64, serial 64, kind 32, work_set 64, input_sha256 64, state 8, "
-    "attempts int, owner text?, lease_until time?, changed_at time",
+    metadata,
+    Column("id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True, autoincrement=True),
+    Column("lot_id", String(64), nullable=False),
+    Column("serial", String(64), nullable=False),
+    Column("kind", String(32), nullable=False),
+    sha256_column("work_set", nullable=False),
+    sha256_column("input_sha256", nullable=False),
+    Column("state", String(8), nullable=False),
+    Column("attempts", Integer, nullable=False),
+    Column("owner", Text),
+    Column("lease_until", UtcTime),
+    Column("changed_at", UtcTime, nullable=False),
     CheckConstraint("state IN ('queued', 'claimed', 'failed')", name="state"),
     Index("uq_work_items_item", "lot_id", "kind", "serial", "work_set", "input_sha256", unique=True),
     Index("ix_work_items_set_state", "lot_id", "kind", "work_set", "state", "id"),
     Index("ix_work_items_owner", "owner", "state"),
 )
 
-adaptations = _table(
+adaptations = Table(
     "adaptations",
-    "serial 64*, number int*, origin 32*, revision int, stream text, sample int, made_at time, entry json",
+    metadata,
+    Column("serial", String(64), primary_key=True),
+    Column("number", Integer, primary_key=True),
+    Column("origin", String(32), primary_key=True),
+    Column("revision", Integer, nullable=False),
+    Column("stream", Text, nullable=False),
+    Column("sample", Integer, nullable=False),
+    Column("made_at", UtcTime, nullable=False),
+    Column("entry", CanonicalJson, nullable=False),
     CheckConstraint("number >= 1", name="number"),
 )
 
-certificates = _table(
+certificates = Table(
     "certificates",
-    "cell_serial 64*, issued_on date*, origin 32*, due_on date, number text, laboratory text, "
-    "capacity_N double, uncertainty_N double, blob_sha256 64?>blobs.sha256, added_at time",
+    metadata,
+    Column("cell_serial", String(64), primary_key=True),
+    Column("issued_on", Date, primary_key=True),
+    Column("origin", String(32), primary_key=True),
+    Column("due_on", Date, nullable=False),
+    Column("number", Text, nullable=False),
+    Column("laboratory", Text, nullable=False),
+    Column("capacity_N", Double, nullable=False),
+    Column("uncertainty_N", Double, nullable=False),
+    sha256_column("blob_sha256", ForeignKey("blobs.sha256")),
+    Column("added_at", UtcTime, nullable=False),
     CheckConstraint("due_on > issued_on", name="due_on"),
 )
 
-golden_runs = _table(
+golden_runs = Table(
     "golden_runs",
-    "station 64*, serial 64*, made_at time*, origin 32*, value double, unit text, passed bool, "
-    "reasons json, actor text, recording_sha256 64?",
+    metadata,
+    Column("station", String(64), primary_key=True),
+    Column("serial", String(64), primary_key=True),
+    Column("made_at", UtcTime, primary_key=True),
+    Column("origin", String(32), primary_key=True),
+    Column("value", Double, nullable=False),
+    Column("unit", Text, nullable=False),
+    Column("passed", Boolean, nullable=False),
+    Column("reasons", CanonicalJson, nullable=False),
+    Column("actor", Text, nullable=False),
+    sha256_column("recording_sha256"),
 )
 
-users = _table(
+users = Table(
     "users",
-    "name 64*, role 16, pin_hash text, is_active bool, failures int, locked_until time?, version int, changed_at time",
+    metadata,
+    Column("name", String(64), primary_key=True),
+    Column("role", String(16), nullable=False),
+    Column("pin_hash", Text, nullable=False),
+    Column("is_active", Boolean, nullable=False),
+    Column("failures", Integer, nullable=False),
+    Column("locked_until", UtcTime),
+    Column("version", Integer, nullable=False),
+    Column("changed_at", UtcTime, nullable=False),
     CheckConstraint("role IN ('operator', 'engineer', 'quality')", name="role"),
 )
 
-orders = _table(
+orders = Table(
     "orders",
-    "order_id 64*, station 64, kind 16, serial 64, lot_id 64, actor text, reason text, "
-    "created time, state 16, phase text, fraction double, remaining_s double, code text, "
-    "message text, recording_sha256 text",
+    metadata,
+    Column("order_id", String(64), primary_key=True),
+    Column("station", String(64), nullable=False),
+    Column("kind", String(16), nullable=False),
+    Column("serial", String(64), nullable=False),
+    Column("lot_id", String(64), nullable=False),
+    Column("actor", Text, nullable=False),
+    Column("reason", Text, nullable=False),
+    Column("created", UtcTime, nullable=False),
+    Column("state", String(16), nullable=False),
+    Column("phase", Text, nullable=False),
+    Column("fraction", Double, nullable=False),
+    Column("remaining_s", Double, nullable=False),
+    Column("code", Text, nullable=False),
+    Column("message", Text, nullable=False),
+    Column("recording_sha256", Text, nullable=False),
     Column("verdict", Text, nullable=False, server_default=""),
-    *columns("changed_at time", STORED),
+    Column("changed_at", UtcTime, nullable=False),
     CheckConstraint("state IN ('queued', 'running', 'done', 'error', 'cancelled')", name="state"),
     Index("ix_orders_station", "station", "created"),
 )
 Index("uq_orders_active", orders.c.station, unique=True)
 # Of runs that are not over only. The migration says so: naming a dialect here loads both, a tenth of a second.
 
-run_signals = _table("run_signals", "order_id 64*>orders.order_id, signal json")
+run_signals = Table(
+    "run_signals",
+    metadata,
+    Column("order_id", ForeignKey("orders.order_id"), primary_key=True),
+    Column("signal", CanonicalJson, nullable=False),
+)
 
-heartbeats = _table(
+heartbeats = Table(
     "heartbeats",
-    "station 64*, state 16, at time, reasons json, process text, order_id 64",
+    metadata,
+    Column("station", String(64), primary_key=True),
+    Column("state", String(16), nullable=False),
+    Column("at", UtcTime, nullable=False),
+    Column("reasons", CanonicalJson, nullable=False),
+    Column("process", Text, nullable=False),
+    Column("order_id", String(64), nullable=False),
     Column("gate", CanonicalJson, nullable=False, server_default="[]"),
     Column("is_overridden", Boolean, nullable=False, server_default=false()),
 )
 
-line_places = _table("line_places", "station 64*, version int, place json")
+line_places = Table(
+    "line_places",
+    metadata,
+    Column("station", String(64), primary_key=True),
+    Column("version", Integer, nullable=False),
+    Column("place", CanonicalJson, nullable=False),
+)
 
-network_releases = _table(
+network_releases = Table(
     "network_releases",
-    "network_id 64*>networks.id, made_at time*, origin 32*, lot_id 64>lots.id, state 16, actor text, reason text",
+    metadata,
+    Column("network_id", ForeignKey("networks.id"), primary_key=True),
+    Column("made_at", UtcTime, primary_key=True),
+    Column("origin", String(32), primary_key=True),
+    Column("lot_id", ForeignKey("lots.id"), nullable=False),
+    Column("state", String(16), nullable=False),
+    Column("actor", Text, nullable=False),
+    Column("reason", Text, nullable=False),
     CheckConstraint("state IN ('released', 'withdrawn')", name="state"),
 )
 
-jobs = _table(
+jobs = Table(
     "jobs",
-    "job_id 32*, kind 32, request json, actor text, created time, state 16, fraction double, "
-    "message text, trace json, result json, blob_sha256 64?>blobs.sha256, is_cancel_wanted bool, "
-    "beaten_at time",
+    metadata,
+    Column("job_id", String(32), primary_key=True),
+    Column("kind", String(32), nullable=False),
+    Column("request", CanonicalJson, nullable=False),
+    Column("actor", Text, nullable=False),
+    Column("created", UtcTime, nullable=False),
+    Column("state", String(16), nullable=False),
+    Column("fraction", Double, nullable=False),
+    Column("message", Text, nullable=False),
+    Column("trace", CanonicalJson, nullable=False),
+    Column("result", CanonicalJson, nullable=False),
+    sha256_column("blob_sha256", ForeignKey("blobs.sha256")),
+    Column("is_cancel_wanted", Boolean, nullable=False),
+    Column("beaten_at", UtcTime, nullable=False),
     CheckConstraint("state IN ('queued', 'running', 'done', 'error', 'cancelled')", name="state"),
     Index("ix_jobs_kind", "kind", "created"),
 )
 
-tokens = _table(
+tokens = Table(
     "tokens",
-    "token_id 32*, sha256 64, account 64>users.name, purpose text, created time, ends_at time, is_withdrawn bool",
+    metadata,
+    Column("token_id", String(32), primary_key=True),
+    sha256_column("sha256", nullable=False),
+    Column("account", ForeignKey("users.name"), nullable=False),
+    Column("purpose", Text, nullable=False),
+    Column("created", UtcTime, nullable=False),
+    Column("ends_at", UtcTime, nullable=False),
+    Column("is_withdrawn", Boolean, nullable=False),
     Index("uq_tokens_sha256", "sha256", unique=True),
 )
 
-deliveries = _table(
+deliveries = Table(
     "deliveries",
-    "destination 64*, cursor json, delivered big, failures int, not_before time?, error text, "
-    "changed_at time, holder 128?, held_until time?",
+    metadata,
+    Column("destination", String(64), primary_key=True),
+    Column("cursor", CanonicalJson, nullable=False),
+    Column("delivered", BigInteger, nullable=False),
+    Column("failures", Integer, nullable=False),
+    Column("not_before", UtcTime),
+    Column("error", Text, nullable=False),
+    Column("changed_at", UtcTime, nullable=False),
+    Column("holder", String(128)),
+    Column("held_until", UtcTime),
 )
 
-AUDITED = tuple(
-    (
-        "lots limits line_rules units recordings networks network_releases calibrations refusals in_use "
-        "adaptations certificates golden_runs"
-    ).split()
+AUDITED = (
+    "lots",
+    "limits",
+    "line_rules",
+    "units",
+    "recordings",
+    "networks",
+    "network_releases",
+    "calibrations",
+    "refusals",
+    "in_use",
+    "adaptations",
+    "certificates",
+    "golden_runs",
 )
 """Tables whose every row has a row in the audit trail with the same values, in the order their rows may be copied."""
 

@@ -13,11 +13,19 @@ if TYPE_CHECKING:
     from softcal.core.identity import Settings
     from softcal.core.unit.calibration import CalibrationRecord
 
-PLAIN_FIELDS = tuple(
-    (
-        "serial network_id family map_sha256 predicted_rmse before_rmse after_rmse own_rmse fit_s "
-        "verdict input_sha256 recording_sha256"
-    ).split()
+PLAIN_FIELDS = (
+    "serial",
+    "network_id",
+    "family",
+    "map_sha256",
+    "predicted_rmse",
+    "before_rmse",
+    "after_rmse",
+    "own_rmse",
+    "fit_s",
+    "verdict",
+    "input_sha256",
+    "recording_sha256",
 )
 """Fields of `CalibrationRecord` that are columns as they are."""
 

@@ -55,20 +55,14 @@ def _at_every_moment(what: str, inject: Inject, *but: str) -> list[Fault]:
     return [Fault(f"{what} {when}", phase, after_s, inject) for when, (phase, after_s) in moments.items()]
 
 
-def _from_the_start(name: str, inject: Inject) -> Fault:
-    return Fault(name, "", 0.0, inject)
+def _from_the_start(name: str, inject: Inject, is_seen_late: bool = False) -> Fault:
+    return Fault(name, "", 0.0, inject, is_seen_late)
 
 
-def _late_from_the_start(name: str, inject: Inject) -> Fault:
-    return Fault(name, "", 0.0, inject, is_seen_late=True)
-
-
-def _pressing(name: str, inject: Inject, after_s: float = DOWN_S, has_cell: bool = True) -> Fault:
-    return Fault(name, PRESS, after_s, inject, False, has_cell)
-
-
-def _late(name: str, inject: Inject, after_s: float = DOWN_S, has_cell: bool = True) -> Fault:
-    return Fault(name, PRESS, after_s, inject, True, has_cell)
+def _pressing(
+    name: str, inject: Inject, after_s: float = DOWN_S, is_seen_late: bool = False, has_cell: bool = True
+) -> Fault:
+    return Fault(name, PRESS, after_s, inject, is_seen_late, has_cell)
 
 
 def _set(target: str, name: str, value: object) -> Inject:
@@ -151,12 +145,14 @@ def _of_streams() -> list[Fault]:
             _pressing(f"{device} silent", _set(wire, "is_silent", True)),
             _pressing(f"noise on the {device}'s line", _set(wire, "garbage", 1.0)),
             _from_the_start(f"{device} at another baud rate", _set(wire, "garbage", 1.0)),
-            _late(f"every third line of the {device} noise", _set(wire, "garbage", 0.3)),
-            _late(f"every third line of the {device} torn", _set(wire, "torn", 0.3)),
-            _late(f"every third line of the {device} with a flipped bit", _set(wire, "flipped", 0.3)),
+            _pressing(f"every third line of the {device} noise", _set(wire, "garbage", 0.3), is_seen_late=True),
+            _pressing(f"every third line of the {device} torn", _set(wire, "torn", 0.3), is_seen_late=True),
+            _pressing(
+                f"every third line of the {device} with a flipped bit", _set(wire, "flipped", 0.3), is_seen_late=True
+            ),
             _pressing(f"every tenth pair of the {device}'s lines in the wrong order", _set(wire, "swapped", 0.1)),
-            _late(f"{device} loses every tenth line", _set(wire, "loss", 0.1), 0.0),
-            _late(f"{device} frozen", _set(end, "is_frozen", True)),
+            _pressing(f"{device} loses every tenth line", _set(wire, "loss", 0.1), 0.0, is_seen_late=True),
+            _pressing(f"{device} frozen", _set(end, "is_frozen", True), is_seen_late=True),
             _pressing(f"{device} at half rate", _set(end, "rate_factor", 0.5)),
             _pressing(f"{device} at double rate", _set(end, "rate_factor", 2.0)),
             _pressing(f"{device} restarts", lambda station, end=end: getattr(station, end).restart()),  # type: ignore[misc]
@@ -164,7 +160,7 @@ def _of_streams() -> list[Fault]:
             _pressing(f"{device}'s clock jumps back by 3 s", _add(end, "device_ms", -3000.0)),
             _pressing(f"{device}'s clock jumps ahead by 0.3 s", _add(end, "device_ms", 300.0)),
             _pressing(f"{device}'s clock jumps ahead by 3 s", _add(end, "device_ms", 3000.0)),
-            _late(f"{device}'s readings become 0.6 s old", _add(wire, "delay_s", 0.6)),
+            _pressing(f"{device}'s readings become 0.6 s old", _add(wire, "delay_s", 0.6), is_seen_late=True),
         ]
     return faults
 
@@ -182,40 +178,58 @@ def _of_controller() -> list[Fault]:
         _from_the_start("homing switch stuck", _set("stage", "switch", "stuck")),
         _pressing("controller slow to answer", _set("stage", "delay_reply_s", 0.4)),
         _pressing("noise on the controller's line", _set("stage_wire", "garbage", 0.5)),
-        _late("every third line of the controller torn", _set("stage_wire", "torn", 0.3)),
+        _pressing("every third line of the controller torn", _set("stage_wire", "torn", 0.3), is_seen_late=True),
         _pressing("drive switched off while pressing", lambda s: s.axis.hold()),
-        _late("motor without supply while pressing", lambda s: s.rig.cut_motor()),
-        _late("motor without supply, no load cell", lambda s: s.rig.cut_motor(), has_cell=False),
-        _late("motor loses 0.5 mm between two presses", lambda s: s.rig.lose_steps(0.5), BETWEEN_S),
-        _late("motor loses 1 mm, no load cell", lambda s: s.rig.lose_steps(1.0), BETWEEN_S, has_cell=False),
+        _pressing("motor without supply while pressing", lambda s: s.rig.cut_motor(), is_seen_late=True),
+        _pressing("motor without supply, no load cell", lambda s: s.rig.cut_motor(), is_seen_late=True, has_cell=False),
+        _pressing(
+            "motor loses 0.5 mm between two presses", lambda s: s.rig.lose_steps(0.5), BETWEEN_S, is_seen_late=True
+        ),
+        _pressing(
+            "motor loses 1 mm, no load cell",
+            lambda s: s.rig.lose_steps(1.0),
+            BETWEEN_S,
+            is_seen_late=True,
+            has_cell=False,
+        ),
     ]
 
 
 def _of_cell() -> list[Fault]:
     late = (0.02, 0.05, 0.1, 0.2)
     return [
-        *(_late_from_the_start(f"load cell's line {s:g} s late", _add("force_wire", "delay_s", s)) for s in late),
-        _late("load cell's gain halves between two presses", _force(lambda x: 0.5 * x), BETWEEN_S),
-        _late("load cell's gain doubles between two presses", _force(lambda x: 2.0 * x), BETWEEN_S),
-        _late("load cell's gain halves while pressing", _force(lambda x: 0.5 * x)),
-        _late("load cell stuck but noisy", _set("rig", "force_fault", _stuck_noisy)),
-        _late("load cell hangs for 1 s while pressing", lambda station: hang(station, 1.0)),
-        _late("load cell's input floats", _set("rig", "force_fault", _floating)),
+        *(
+            _from_the_start(f"load cell's line {s:g} s late", _add("force_wire", "delay_s", s), is_seen_late=True)
+            for s in late
+        ),
+        _pressing(
+            "load cell's gain halves between two presses", _force(lambda x: 0.5 * x), BETWEEN_S, is_seen_late=True
+        ),
+        _pressing(
+            "load cell's gain doubles between two presses", _force(lambda x: 2.0 * x), BETWEEN_S, is_seen_late=True
+        ),
+        _pressing("load cell's gain halves while pressing", _force(lambda x: 0.5 * x), is_seen_late=True),
+        _pressing("load cell stuck but noisy", _set("rig", "force_fault", _stuck_noisy), is_seen_late=True),
+        _pressing("load cell hangs for 1 s while pressing", lambda station: hang(station, 1.0), is_seen_late=True),
+        _pressing("load cell's input floats", _set("rig", "force_fault", _floating), is_seen_late=True),
         _pressing("load cell saturated", _force(lambda x: 1e6)),
-        _late("load cell's amplifier clips at 3 N", _force(lambda x: min(x, 3.0)), 0.0),
-        _late_from_the_start("load cell's converter has a bit stuck", _force(_bit(1 / 9870, 13, True))),
+        _pressing("load cell's amplifier clips at 3 N", _force(lambda x: min(x, 3.0)), 0.0, is_seen_late=True),
+        _from_the_start("load cell's converter has a bit stuck", _force(_bit(1 / 9870, 13, True)), is_seen_late=True),
         _pressing("load cell bridge breaks while pressing", _force(lambda x: 0.0)),
         _from_the_start("load cell bridge dead", _force(lambda x: 0.0)),
         _from_the_start("load cell pulls where it should press", _force(lambda x: -x)),
         _pressing("load cell zero jumps in a hold", _force(lambda x: x + 3.0), HOLD_S),
-        _late("load cell zero moves while pressing", _force(lambda x: x + 3.0)),
+        _pressing("load cell zero moves while pressing", _force(lambda x: x + 3.0), is_seen_late=True),
         _from_the_start("load cell not unloaded before the run", _force(lambda x: x + 3.0)),
-        _late_from_the_start(
-            "load cell's zero drifts by 0.05 N/s", _set("rig", "force_fault", lambda t, x: x + 0.05 * t)
+        _from_the_start(
+            "load cell's zero drifts by 0.05 N/s",
+            _set("rig", "force_fault", lambda t, x: x + 0.05 * t),
+            is_seen_late=True,
         ),
-        _late(
+        _pressing(
             "flipped bits on a load cell's line without checksums",
             _without_checksum(_set("force_wire", "flipped", 0.02)),
+            is_seen_late=True,
         ),
         Fault(
             "gauge set to numbers without a unit while pressing", PRESS, DOWN_S, _numeric_mark10, force_kind="mark10"
@@ -255,20 +269,29 @@ def _of_cell() -> list[Fault]:
 
 def _of_unit() -> list[Fault]:
     return [
-        _late("readout stuck but noisy", _set("rig", "output_fault", _stuck_noisy)),
-        _late("readout stuck but noisy, no load cell", _set("rig", "output_fault", _stuck_noisy), has_cell=False),
-        _late("readout's input floats", _set("rig", "output_fault", _floating)),
-        _late("readout frozen, no load cell", _set("readout", "is_frozen", True), has_cell=False),
+        _pressing("readout stuck but noisy", _set("rig", "output_fault", _stuck_noisy), is_seen_late=True),
+        _pressing(
+            "readout stuck but noisy, no load cell",
+            _set("rig", "output_fault", _stuck_noisy),
+            is_seen_late=True,
+            has_cell=False,
+        ),
+        _pressing("readout's input floats", _set("rig", "output_fault", _floating), is_seen_late=True),
+        _pressing(
+            "readout frozen, no load cell", _set("readout", "is_frozen", True), is_seen_late=True, has_cell=False
+        ),
         _pressing("readout unplugged, no load cell", _unplug("readout_wire"), has_cell=False),
-        _late("readout's amplifier clips at 1.6 V", _output(lambda x: min(x, 1.6)), 0.0),
-        _late_from_the_start("readout's converter has bit 5 at 0", _output(_bit(5 / 1023, 5, False))),
-        _late_from_the_start("readout's converter has bit 6 at 1", _output(_bit(5 / 1023, 6, True))),
-        _late("unit's wire breaks", _output(lambda x: 5.0)),
-        _late("unit's wires touch", _output(lambda x: 0.0)),
+        _pressing("readout's amplifier clips at 1.6 V", _output(lambda x: min(x, 1.6)), 0.0, is_seen_late=True),
+        _from_the_start("readout's converter has bit 5 at 0", _output(_bit(5 / 1023, 5, False)), is_seen_late=True),
+        _from_the_start("readout's converter has bit 6 at 1", _output(_bit(5 / 1023, 6, True)), is_seen_late=True),
+        _pressing("unit's wire breaks", _output(lambda x: 5.0), is_seen_late=True),
+        _pressing("unit's wires touch", _output(lambda x: 0.0), is_seen_late=True),
         _from_the_start("unit not connected", _output(lambda x: 5.0)),
         _from_the_start("unit's wires touch from the start", _output(lambda x: 0.0)),
         _from_the_start("no unit in the fixture", _set("rig", "clearance_mm", 100.0)),
-        _late("unit falls out between two presses", _set("rig", "clearance_mm", 100.0), BETWEEN_S),
+        _pressing(
+            "unit falls out between two presses", _set("rig", "clearance_mm", 100.0), BETWEEN_S, is_seen_late=True
+        ),
         _from_the_start("something in the way of the approach", _set("rig", "clearance_mm", 2.6)),
         _from_the_start("hard object under the stage", lambda s: s.mount_rigid()),
     ]

@@ -1,12 +1,28 @@
-"""`softcal lot`: a limit has a version and a reason, and so have the rules of a lot at the line."""
+"""`softcal lot`: recordings are taken when they have landed whole, and a limit has a version and a reason."""
 
 import json
+from itertools import count
 
 import pytest
 
+from softcal.app.batch import watch
+from softcal.app.batch.lot_work import BatchConfig, Watch
+from softcal.app.batch.watch import WatchConfig, watch_lot
 from softcal.app.cli.main import main
 from softcal.core.lot import Lot
 from softcal.db.connection import open_registry
+
+ROWS = "t_s,output\n" + "".join(f"{k / 50},{k % 7}\n" for k in range(60))
+LOT = 'sample_rate_Hz = 50.0\nsource = "S0"\n[lot]\nid = "L1"\n[reference]\nunit = "N"\n[output]\nunit = "V"\n'
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for name in ("source", "units"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "lot.toml").write_text(LOT)
+    (tmp_path / "source" / "S0.csv").write_text("t_s,output,reference\n")
+    return tmp_path
 
 
 @pytest.fixture
@@ -15,6 +31,33 @@ def known_lot(tmp_path):
     with open_registry(url) as registry:
         registry.lots.add(Lot("L1", "S0", 50.0, limit_rmse=0.2))
     return url
+
+
+@pytest.mark.parametrize(
+    ("written", "batches"),
+    [
+        ({1: ("A1", ROWS[:200]), 2: ("A1", ROWS), 5: ("A2", ROWS)}, [["A1"], ["A2"]]),
+        ({0: ("A1", ROWS), 3: ("A1", ROWS + "2.0,1\n")}, [["A1"], ["A1"]]),
+    ],
+    ids=["once, when it has stopped growing", "again, when it was replaced"],
+)
+def test_a_recording_is_taken(folder, monkeypatch, written, batches):
+    taken, looks = [], count()
+    monkeypatch.setattr(watch, "run_batch", lambda lot, *_: taken.append(sorted(lot.unit_paths)))
+
+    def act(_: float) -> None:
+        serial, rows = written.get(next(looks), ("", ""))
+        if serial:
+            (folder / "units" / f"{serial}.csv").write_text(rows)
+
+    act(0.0)
+    list(watch_lot(folder, None, BatchConfig(), WatchConfig(1.0, idle_s=3.0, sleep=act), Watch()))
+    assert taken == batches
+
+
+def test_a_folder_that_is_no_lot_is_named(tmp_path, capsys):
+    assert main(["lot", "watch", str(tmp_path), "--registry", f"sqlite:///{tmp_path / 'r.db'}"]) == 2
+    assert "lot.toml" in capsys.readouterr().err
 
 
 def test_a_limit_needs_a_reason_and_keeps_its_versions(known_lot, capsys):

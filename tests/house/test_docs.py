@@ -50,6 +50,23 @@ def test_every_link_leads_to_a_file():
     assert missing == []
 
 
+def _anchors(page: Path) -> set[str]:
+    """Return the places of a page that a link can lead to, as the site and code hosts name them."""
+    text = re.sub(r"^ *```.*?^ *```", "", page.read_text("utf-8"), flags=re.MULTILINE | re.DOTALL)
+    titles = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+def test_every_link_leads_to_a_heading_that_is_there():
+    missing = [
+        (page.name, link, anchor)
+        for page in [*DOCS, ROOT / "CHANGELOG.md"]
+        for link, anchor in re.findall(r"\]\(([^)#\s]*)#([^)\s]+)\)", page.read_text("utf-8"))
+        if "://" not in link and anchor not in _anchors(page.parent / link if link else page)
+    ]
+    assert missing == []
+
+
 SHOWN = [
     (page, *found)
     for page in DOCS

@@ -41,6 +41,12 @@ def test_few_sentences_are_long_and_few_words_unknown(kind: str) -> None:
     assert len(read.unknown) <= goal.unknown, sorted(read.unknown)
 
 
+def test_the_documents_are_short() -> None:
+    words = {name: len(text.split()) for name, text in reading().pages(str(ROOT)).items() if "decisions" not in name}
+    assert sum(words.values()) <= reading().MOST_WORDS_OF_ALL
+    assert {page: words[page] for page, most in reading().MOST_WORDS.items() if words[page] > most} == {}
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_text_has_a_word_that_nobody_outside_knows(kind: str) -> None:
     assert reading().private_of(kind) == {}

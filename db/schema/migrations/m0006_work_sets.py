@@ -3,8 +3,6 @@
 import sqlalchemy as sa
 from alembic import op
 
-from softcal.db.schema.columns import make_table
-
 revision = "0006"
 down_revision = "0005"
 
@@ -12,11 +10,23 @@ down_revision = "0005"
 def upgrade() -> None:
     """Make the table anew. It holds work under way and no history, and no version before this one used it."""
     op.drop_table("work_items")
-    make_table(
+    op.create_table(
         "work_items",
-        "id number*, lot_id 64, serial 64, kind 32, work_set 64, input_sha256 64, state 8, "
-        "attempts int, owner text?, lease_until time?, result text?, error text?, changed_at time",
+        sa.Column("id", sa.BigInteger().with_variant(sa.Integer(), "sqlite"), autoincrement=True, nullable=False),
+        sa.Column("lot_id", sa.String(length=64), nullable=False),
+        sa.Column("serial", sa.String(length=64), nullable=False),
+        sa.Column("kind", sa.String(length=32), nullable=False),
+        sa.Column("work_set", sa.String(length=64), nullable=False),
+        sa.Column("input_sha256", sa.String(length=64), nullable=False),
+        sa.Column("state", sa.String(length=8), nullable=False),
+        sa.Column("attempts", sa.Integer(), nullable=False),
+        sa.Column("owner", sa.Text(), nullable=True),
+        sa.Column("lease_until", sa.DateTime(timezone=True), nullable=True),
+        sa.Column("result", sa.Text(), nullable=True),
+        sa.Column("error", sa.Text(), nullable=True),
+        sa.Column("changed_at", sa.DateTime(timezone=True), nullable=False),
         sa.CheckConstraint("state IN ('queued', 'claimed', 'done', 'failed')", name="ck_work_items_state"),
+        sa.PrimaryKeyConstraint("id", name="pk_work_items"),
     )
     op.create_index(
         "uq_work_items_item", "work_items", ["lot_id", "kind", "serial", "work_set", "input_sha256"], unique=True

@@ -1,8 +1,7 @@
 """Programs sign in with tokens; what is sent elsewhere knows how far it is."""
 
+import sqlalchemy as sa
 from alembic import op
-
-from softcal.db.schema.columns import make_table
 
 revision = "0008"
 down_revision = "0007"
@@ -10,12 +9,27 @@ down_revision = "0007"
 
 def upgrade() -> None:
     """Make the tables of this step."""
-    make_table(
+    op.create_table(
         "tokens",
-        "token_id 32*, sha256 64, account 64>users.name, purpose text, created time, ends_at time, is_withdrawn bool",
+        sa.Column("token_id", sa.String(length=32), nullable=False),
+        sa.Column("sha256", sa.String(length=64), nullable=False),
+        sa.Column("account", sa.String(length=64), nullable=False),
+        sa.Column("purpose", sa.Text(), nullable=False),
+        sa.Column("created", sa.DateTime(timezone=True), nullable=False),
+        sa.Column("ends_at", sa.DateTime(timezone=True), nullable=False),
+        sa.Column("is_withdrawn", sa.Boolean(), nullable=False),
+        sa.ForeignKeyConstraint(["account"], ["users.name"], name="fk_tokens_account_users"),
+        sa.PrimaryKeyConstraint("token_id", name="pk_tokens"),
     )
     op.create_index("uq_tokens_sha256", "tokens", ["sha256"], unique=True)
-    make_table(
+    op.create_table(
         "deliveries",
-        "destination 64*, cursor text, delivered big, failures int, not_before time?, error text, changed_at time",
+        sa.Column("destination", sa.String(length=64), nullable=False),
+        sa.Column("cursor", sa.Text(), nullable=False),
+        sa.Column("delivered", sa.BigInteger(), nullable=False),
+        sa.Column("failures", sa.Integer(), nullable=False),
+        sa.Column("not_before", sa.DateTime(timezone=True), nullable=True),
+        sa.Column("error", sa.Text(), nullable=False),
+        sa.Column("changed_at", sa.DateTime(timezone=True), nullable=False),
+        sa.PrimaryKeyConstraint("destination", name="pk_deliveries"),
     )

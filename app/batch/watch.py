@@ -1,0 +1,74 @@
+"""Calibrate units as their recordings land in a lot folder."""
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from softcal.app.batch.batch import run_batch
+from softcal.app.batch.lot_work import BatchConfig, Watch
+from softcal.app.batch.report import BatchReport
+from softcal.app.files.lot_folder import LotFolder, open_lot_folder
+from softcal.db.registry import Registry
+
+Seen = dict[str, tuple[int, int]]
+
+
+@dataclass(frozen=True)
+class WatchConfig:
+    """How a folder is watched.
+
+    Args:
+        every_s: seconds between two looks.
+        idle_s: stop when nothing came for so long; None goes on until it is stopped.
+        sleep: waits; a test gives its own.
+    """
+
+    every_s: float = 2.0
+    idle_s: float | None = None
+    sleep: Callable[[float], None] = time.sleep
+
+
+def watch_lot(
+    path: Path, registry: Registry, batch: BatchConfig, config: WatchConfig, progress: Watch
+) -> Iterator[BatchReport]:
+    """Give a report each time new recordings were calibrated.
+
+    A file is taken when its size and time were the same at two looks, so that a copy under way is not read by half. A
+    file that is replaced by another recording is calibrated again, as a new revision.
+
+    Raises:
+        InputError: the folder is no lot, or its source cannot be used.
+    """
+    before: Seen = {}
+    done: Seen = {}
+    idle_s = 0.0
+    while True:
+        folder = open_lot_folder(path)
+        now = _seen(folder)
+        new = {serial for serial, state in now.items() if before.get(serial) == state != done.get(serial)}
+        if new:
+            yield run_batch(_only(folder, new), registry, batch, progress)
+            done |= {serial: now[serial] for serial in new}
+        is_settling = any(before.get(serial) != state for serial, state in now.items())
+        idle_s = 0.0 if new or is_settling else idle_s + config.every_s
+        if config.idle_s is not None and idle_s >= config.idle_s:
+            return
+        before = now
+        config.sleep(config.every_s)
+
+
+def _seen(folder: LotFolder) -> Seen:
+    seen: Seen = {}
+    for serial, path in folder.unit_paths.items():
+        try:
+            stat = path.stat()
+        except FileNotFoundError:
+            continue
+        seen[serial] = (stat.st_size, stat.st_mtime_ns)
+    return seen
+
+
+def _only(folder: LotFolder, serials: set[str]) -> LotFolder:
+    paths: Mapping[str, Path] = {serial: path for serial, path in folder.unit_paths.items() if serial in serials}
+    return replace(folder, unit_paths=paths)
