@@ -21,6 +21,7 @@ from softcal.station.proof import (
     check_output_gain,
     lag_s,
 )
+from softcal.station.safety import CLOCK_SHARE
 from softcal.station.spool import SpooledRun
 from softcal.station.trajectory import DrivenMove, StageTrack, Trapezoid, reconstruct
 
@@ -32,9 +33,6 @@ LONGEST_GAP_S = 0.25
 
 FIT_SAMPLES = 3000
 """Enough of a run for a fit of force and depth: how late the load cell is, and whether one law holds."""
-
-LARGEST_DRIFT = 0.02
-"""A device clock further off than this is broken, or its rate is declared wrong."""
 
 
 @dataclass(frozen=True)
@@ -241,7 +239,7 @@ def _fitted(device_s: Array, samples: Sequence[Sample], name: str) -> ClockFit:
     if samples[0].device_s is None:
         return ClockFit(0.0, 1.0, 0.0, 0.0)
     fit = fit_clock(device_s, np.array([sample.host_s for sample in samples]))
-    if abs(fit.rate - 1) > LARGEST_DRIFT:
+    if abs(fit.rate - 1) > CLOCK_SHARE:
         raise BadReply(reason("rig.clock", device=named(name), percent=100 * (fit.rate - 1)))
     return fit
 

@@ -109,20 +109,12 @@ SENTENCES: Mapping[str, str] = {
         "{device}: its readings have become {age_s:.2f} s old; check hub, cable and what else the computer does, then "
         "start the run again"
     ),
-    "rig.frozen": (
-        "{device}: its reading stands still while the stage moves; it is frozen, or not connected to the unit; check "
-        "its cable ({level:.4g} {unit} over {frozen_mm:g} mm)"
-    ),
     "rig.rail": (
         "{device}: at the end of its range for {rail_s:g} s; check the unit's connector (open or short circuit)"
     ),
     "rig.rate": (
-        "{device}: sends at another rate than expected; check its firmware, or ask the engineer to correct the station "
-        "file ({seen_Hz:.3g} Hz, expected {rate_Hz:g} Hz)"
-    ),
-    "rig.missing": (
-        "{device}: some samples did not come; check its cable and whether it still sends at its rate (missing: {lost}, "
-        "samples: {count})"
+        "{device}: loses samples or sends at another rate; check cable and firmware, or ask the engineer to correct the "
+        "station file ({count} in {span_s:.2f} s, expected {rate_Hz:g} Hz)"
     ),
     "rig.no_position.known": "stage: does not say where it is; check its cable",
     "rig.defect": "a defect of softcal ended the run; its log has more",
