@@ -19,9 +19,10 @@ SUDDEN_N, LASTS_S = 1.0, 0.25
 """A force that grows by this much while the stage homes, or from one sample to the next while it stands, is none of the
 unit's. What lasts so long (a stage that stands, a reading at its rail, lines that come late) is no accident."""
 
-STUCK_MM, STUCK_OUTPUT_MM, STUCK_MEAN_S, STUCK_NOISES, STUCK_SAMPLES = 1.2, 1.6, 0.1, 6.0, 6
+STUCK_MM, STUCK_OUTPUT_MM, FROZEN, STUCK_MEAN_S, STUCK_NOISES, STUCK_SAMPLES = 1.2, 1.6, 0.6, 0.1, 6.0, 6
 """The mean over so long must change by this many times its noise while the stage moves so far on the unit (a load cell,
-a sensor's output). A slow channel has few samples in a fast press: from fewer than these nothing is said."""
+a sensor's output); over this share of the way it must change at all. A slow channel has few samples in a fast press:
+from fewer than these nothing is said."""
 
 CLOCK_SHARE = 0.02
 """A device clock further off than this share is broken, or its rate is declared wrong."""
@@ -114,14 +115,14 @@ class StuckWatch:
 
     Args:
         name: of the device, as messages call it.
-        noise: standard deviation of the channel while nothing is pressed.
+        noise: standard deviation of the channel while nothing is pressed; 0 where any change will do.
         rate_Hz: of the channel.
         stuck_mm: how far the stage may move on the unit before the channel must follow.
     """
 
     def __init__(self, name: str, noise: float, rate_Hz: float, stuck_mm: float = STUCK_MM) -> None:
         self._stuck_mm = stuck_mm
-        averaged = max(1, round(STUCK_MEAN_S * rate_Hz))
+        averaged = max(1, round(STUCK_MEAN_S * rate_Hz)) if noise else 1
         self._name, self._least = name, STUCK_NOISES * noise / np.sqrt(averaged)
         self._recent: deque[float] = deque(maxlen=averaged)
         self._count, self._low, self._high = 0, float("inf"), float("-inf")
@@ -141,7 +142,7 @@ class StuckWatch:
         if len(self._recent) < (self._recent.maxlen or 1):
             return
         self._count += 1
-        mean = float(np.mean(self._recent))
+        mean = math.fsum(self._recent) / len(self._recent)
         self._low, self._high = min(self._low, mean), max(self._high, mean)
         self._shallow_mm, self._deep_mm = min(self._shallow_mm, pressed_mm), max(self._deep_mm, pressed_mm)
         if self._high - self._low > self._least:

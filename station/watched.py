@@ -16,6 +16,7 @@ from softcal.station.interfaces import Sample, StagePosition
 from softcal.station.interlock import Moves, StageWatch, State
 from softcal.station.motion import TICK_S, Motion
 from softcal.station.safety import (
+    FROZEN,
     STUCK_MM,
     STUCK_OUTPUT_MM,
     SUDDEN_N,
@@ -84,7 +85,7 @@ class WatchedBench:
         self._follow_watch = FollowWatch(bench.config.fixture.contact_N)
         self._jump_watch = JumpWatch()
         self._streams: dict[str, StreamWatch] = {}
-        self._stuck: dict[StageWatch, StuckWatch] = {}
+        self._stuck: dict[StageWatch, tuple[StuckWatch, StuckWatch]] = {}
         self._lowest_N, self._expected_N = float("inf"), self.bounds.limit_N
         force = bench.config.force
         if force is None or force.is_latency_stated:
@@ -175,7 +176,8 @@ class WatchedBench:
             (StageWatch.STUCK_CELL, self.bench.force, self.readings.force, STUCK_MM),
         ):
             if reader is not None:
-                self._stuck[watch] = StuckWatch(reader.name, noise_of(samples), reader.rate_Hz, stuck_mm)
+                noisy = StuckWatch(reader.name, noise_of(samples), reader.rate_Hz, stuck_mm)
+                self._stuck[watch] = noisy, StuckWatch(reader.name, 0.0, reader.rate_Hz, FROZEN * stuck_mm)
         self.enter(State.FEELING)
 
     def learn_latency(self, late_s: float) -> None:
@@ -282,8 +284,8 @@ class WatchedBench:
             for sample in samples:
                 if StageWatch.STREAM in on:
                     self._streams[name].check(sample)
-                if stuck in on:
-                    self._stuck[stuck].check(sample.values[0], pressed_mm)
+                for watch in self._stuck[stuck] if stuck in on else ():
+                    watch.check(sample.values[0], pressed_mm)
             if StageWatch.STREAM in on and name in self._streams:
                 self._streams[name].check_silence(now_s)
         if StageWatch.DEPTH in on:

@@ -101,7 +101,7 @@ SENTENCES: Mapping[str, str] = {
         "mounting, keep hands off the rig"
     ),
     "rig.stuck": (
-        "{device}: stays at {level:.4g} while the stage moves {stuck_mm:g} mm on the unit; check the motor's supply, "
+        "{device}: stays at {level:.4g} while the stage moves {stuck_mm:.1f} mm on the unit; check the motor's supply, "
         "the channel and its cable"
     ),
     "rig.silent": "{device}: nothing for {seconds:.2f} s; check its cable and supply, then start the run again",
@@ -113,8 +113,8 @@ SENTENCES: Mapping[str, str] = {
         "{device}: at the end of its range for {rail_s:g} s; check the unit's connector (open or short circuit)"
     ),
     "rig.rate": (
-        "{device}: loses samples or sends at another rate; check cable and firmware, or ask the engineer to correct the "
-        "station file ({count} in {span_s:.2f} s, expected {rate_Hz:g} Hz)"
+        "{device}: loses samples or sends at another rate; check cable and firmware, or ask the engineer to correct "
+        "the station file ({count} in {span_s:.2f} s, expected {rate_Hz:g} Hz)"
     ),
     "rig.no_position.known": "stage: does not say where it is; check its cable",
     "rig.defect": "a defect of softcal ended the run; its log has more",

@@ -221,10 +221,10 @@ def test_a_watch_is_on_where_the_table_names_it_and_nowhere_else(watch, monkeypa
         watched.known = Learned(0.0, 0.0, 0.5, 1.0, 1.0, 0.0)
         watched.motion._interlock.state = State.SEARCHING
         watched.expect_contact(0.5)
-        mine = watched._stuck.get(watch)
+        mine = watched._stuck.get(watch, ())
 
         def stop(self, *shown):
-            if mine is None or self is mine:
+            if not mine or self in mine:
                 raise Stopped
 
         monkeypatch.setattr(owner, method, stop)

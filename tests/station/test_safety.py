@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from softcal.core.errors import BadReply
-from softcal.station.safety import MISSING_S, PRESSED_MM, STUCK_MEAN_S, STUCK_MM, FollowWatch, StuckWatch
+from softcal.station.safety import FROZEN, MISSING_S, PRESSED_MM, STUCK_MM, FollowWatch, StuckWatch
 
 RATE_HZ = 50.0
 STALL_S = 0.1
@@ -15,7 +15,7 @@ STALL_S = 0.1
 
 def pressed_until_raised(speed_mm_s: float, slope_V_mm: float, lsb_V: float, seed: int) -> float | None:
     """Press 3 mm deep past a watch, lines held back by stalls; return the depth at which it raised, if it did."""
-    rng, watch = np.random.default_rng(seed), StuckWatch("sensor readout", 0.0, RATE_HZ)
+    rng, watch = np.random.default_rng(seed), StuckWatch("sensor readout", 0.0, RATE_HZ, FROZEN * STUCK_MM)
     taken_s = np.arange(0.0, 3.0 / speed_mm_s, 1.0 / RATE_HZ)
     seen_s = taken_s + 0.001
     for k in range(len(seen_s)):
@@ -41,17 +41,16 @@ def test_a_channel_that_never_changes_is_frozen(speed_mm_s: float, seed: int) ->
     raised_mm = pressed_until_raised(speed_mm_s, slope_V_mm=0.0, lsb_V=0.01, seed=seed)
     assert raised_mm is not None
     # The first line may come late, and the one that tells as well.
-    assert raised_mm <= STUCK_MM + speed_mm_s * (STUCK_MEAN_S + 2 * STALL_S + 2 / RATE_HZ)
+    assert raised_mm <= FROZEN * STUCK_MM + speed_mm_s * (2 * STALL_S + 2 / RATE_HZ)
 
 
 def test_one_late_line_is_no_frozen_channel() -> None:
-    watch = StuckWatch("sensor readout", 0.0, RATE_HZ)
-    for _ in range(6):
-        watch.check(1.559, 0.50)
-    watch.check(1.559, 1.75)
+    watch = StuckWatch("sensor readout", 0.0, RATE_HZ, FROZEN * STUCK_MM)
+    watch.check(1.559, 0.50)
+    watch.check(1.559, 1.25)
     with pytest.raises(BadReply):
         for _ in range(10):
-            watch.check(1.559, 1.75)
+            watch.check(1.559, 1.25)
 
 
 def follow(watch: FollowWatch, way: list[tuple[float, float]], began_s: float = 0.0) -> float | None:
