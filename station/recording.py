@@ -185,7 +185,7 @@ def assemble(raw: Raw, facts: RunFacts) -> StationRecording:
         late_s = facts.force_late_s
         if not facts.is_latency_stated and abs(behind_s - late_s) > LATE_S:
             late_s = behind_s
-        _check_gain(raw.force, cell, track, facts, late_s)
+        _check_cell(raw, cell, sensor, track, facts, late_s)
         force_N = _force_at(host_s, raw.force, cell, facts, late_s)
     return StationRecording(
         facts.serial,
@@ -276,16 +276,18 @@ def _enough(samples: Indices) -> Indices:
     return samples[:: max(1, len(samples) // FIT_SAMPLES)]
 
 
-def _check_gain(samples: Sequence[Sample], cell: ClockFit, track: StageTrack, facts: RunFacts, late_s: float) -> None:
+def _check_cell(raw: Raw, cell: ClockFit, sensor: ClockFit, track: StageTrack, facts: RunFacts, late_s: float) -> None:
     """Compare all presses, the slow one before the profile too: a gain may change while the first one begins."""
-    device_s, force_N = _columns(samples)
+    device_s, force_N = _columns(raw.force)
     force_s = cell.to_host(device_s) - late_s
     inside = _in_presses(force_s, facts)
     if not len(inside):
         return
     check_gain(track.at(force_s[inside]) - facts.zero_mm, force_N[inside, 0] - facts.zero_N)
     inside = _enough(inside)
-    check_law(force_s[inside], force_N[inside, 0] - facts.zero_N, track.at, facts.contact_mm, facts.zero_mm)
+    sensor_s, output = _columns(raw.output)
+    shown = np.interp(force_s[inside], sensor.to_host(sensor_s), output[:, 0])
+    check_law(force_s[inside], force_N[inside, 0] - facts.zero_N, shown, track.at, facts.contact_mm)
 
 
 def _force_at(host_s: Array, samples: Sequence[Sample], cell: ClockFit, facts: RunFacts, late_s: float) -> Array:
