@@ -66,13 +66,9 @@ SENTENCES: Mapping[str, str] = {
         "load cell: one press shows another force than the next at equal depth; check the cell's amplifier, its "
         "mounting and the unit's seat, then press again ({ratio:.2f} x)"
     ),
-    "rig.changes": (
-        "load cell: its gain, zero or delay changes {at_s:.1f} s after the first press began; check its plug, its "
-        "amplifier and its mounting, then press again"
-    ),
     "rig.odd_force": (
-        "load cell: its force does not fit the depth during a press; check the cell's plug and amplifier, and whether "
-        "something touches unit or stage; then press again ({off_N:+.2f} N, {at_s:.1f} s after the first press began)"
+        "load cell: its force does not fit depth and output; check its plug and amplifier, and whether something touches "
+        "unit or stage; then press again ({at_s:.1f} s after the first press began)"
     ),
     "rig.output_gain": (
         "sensor readout: one press changes the output more than the next at equal depth; check the motor for lost "
