@@ -139,12 +139,12 @@ def check_law(
     by_force = np.column_stack([np.ones_like(t_s), _basis(t_s, grid_s, np.interp(grid_s, t_s, force_N))])
     _check_moments(t_s, by_depth, force_N)
     explained = np.minimum(_explained(t_s, by_depth, force_N), _explained(t_s, by_force, output))
-    if np.max(explained) > CHANGED:
+    if len(t_s) > MOMENTS and np.max(explained) > CHANGED:
         raise BadReply(reason("rig.odd_force", at_s=float(_moments(t_s)[np.argmax(explained)] - t_s[0])))
 
 
 def _explained(t_s: Array, basis: Array, values: Array) -> Array:
-    """Return what share of a law's misfit a gain, a zero or a delay explains that changes at each moment, (MOMENTS,)."""
+    """Return what share of a law's misfit a gain, a zero or a delay that changes explains, at each of the moments."""
     q, _ = np.linalg.qr(basis)
     fitted = q @ (q.T @ values)
     left, is_after, squares = values - fitted, t_s[:, None] > _moments(t_s), []
@@ -281,7 +281,7 @@ def _basis(t_s: Array, grid_s: Array, value: Array) -> Array:
 
 
 def _law(value: Array) -> list[Array]:
-    """Return what a soft unit's force may be made of by the depth, or an output by the force: powers, and those that relax."""
+    """Return what a force may be made of by the depth, or an output by the force: powers, and those that relax."""
     share = value / max(float(np.max(value)), 1e-9)
     columns = [share**power for power in POWERS]
     for time_s in RELAXATION_S:

@@ -67,8 +67,8 @@ SENTENCES: Mapping[str, str] = {
         "mounting and the unit's seat, then press again ({ratio:.2f} x)"
     ),
     "rig.odd_force": (
-        "load cell: its force does not fit depth and output; check its plug and amplifier, and whether something touches "
-        "unit or stage; then press again ({at_s:.1f} s after the first press began)"
+        "load cell: its force does not fit depth and output; check its plug and amplifier, and whether something "
+        "touches unit or stage; then press again ({at_s:.1f} s after the first press began)"
     ),
     "rig.output_gain": (
         "sensor readout: one press changes the output more than the next at equal depth; check the motor for lost "
