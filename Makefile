@@ -63,7 +63,7 @@ $(VENV)/.made:
 
 $(DEMO): $(VENV)/.made pyproject.toml uv.lock
 	@echo 'Installing what softcal needs to run: about 0.45 GB to download, 1.8 GB in $(VENV).'
-	$(call install,--extra station)
+	$(call install,--extra station --extra train --extra twin)
 	touch $@
 
 $(STAMP): $(VENV)/.made pyproject.toml uv.lock
@@ -86,7 +86,7 @@ lock: $(VENV)/.made
 
 # What an image runs beside softcal, as CycloneDX: names, versions, hashes.
 sbom: $(VENV)/.made
-	$(UV) export --quiet --frozen --no-emit-project --no-default-groups --format cyclonedx1.5 --extra ui --extra station \
+	$(UV) export --quiet --frozen --no-emit-project --no-default-groups --format cyclonedx1.5 --extra train --extra twin --extra ui --extra station \
 	  --extra documents --extra postgresql --extra connect --output-file sbom.cdx.json
 
 clean:

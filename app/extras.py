@@ -1,6 +1,10 @@
 """Which extra brings a library that only some tasks need."""
 
+from importlib.util import find_spec
+
 EXTRA_OF = {
+    "torch": "train",
+    "numba": "twin",
     "plotly": "documents",
     "starlette": "ui",
     "streamlit": "ui",
@@ -31,4 +35,13 @@ def missing_extra(error: ModuleNotFoundError) -> str | None:
     module = (error.name or "").partition(".")[0]
     if module not in EXTRA_OF:
         return None
-    return f"this needs {module}, which is not installed; install it: pip install 'softcal[{EXTRA_OF[module]}]'"
+    return f"this needs {module}, which is not installed; install it: {_install(module)}"
+
+
+def lacking(module: str, task: str) -> str | None:
+    """Return the line that says why a task is left out, None where its library is there."""
+    return None if find_spec(module) else f"{task}: {module} is not installed; install it: {_install(module)}"
+
+
+def _install(module: str) -> str:
+    return f"pip install 'softcal[{EXTRA_OF[module]}]'"

@@ -65,7 +65,10 @@ def start_logging(**context: str) -> Any:
     import structlog
 
     folder = log_folder()
-    _remove_old(folder)
+    oldest = time.time() - KEPT_DAYS * 86_400
+    for path in folder.glob("softcal-*.jsonl"):
+        if path.stat().st_mtime < oldest:
+            path.unlink(missing_ok=True)
     structlog.configure(
         processors=[
             structlog.contextvars.merge_contextvars,
@@ -140,10 +143,3 @@ def without_secrets(logger: object, method: str, event: MutableMapping[str, Any]
 def masked(text: str) -> str:
     """Return a text with the passwords in its URLs masked."""
     return PASSWORD_IN_QUERY.sub(r"\1***", PASSWORD_IN_URL.sub(r"\1:***@", text))
-
-
-def _remove_old(folder: Path) -> None:
-    oldest = time.time() - KEPT_DAYS * 86_400
-    for path in folder.glob("softcal-*.jsonl"):
-        if path.stat().st_mtime < oldest:
-            path.unlink(missing_ok=True)

@@ -128,13 +128,15 @@ def _cell(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else shown(str(value)).replace("\n", " ")
 
 
-def write_json(target: str, value: Mapping[str, object]) -> None:
-    """Write a result as JSON into a file, or on standard output where the target is `-`. NaN is refused.
+def write_json(target: str | None, value: Mapping[str, object]) -> None:
+    """Write a result as JSON into a file, on standard output for `-`, nowhere without a target. NaN is refused.
 
     Every answer is an object whose first key, `schema`, names what the others are: `softcal.NAME/VERSION`.
     """
     if next(iter(value), "") != "schema":
         raise ValueError(f"an answer begins with its schema, this one with {next(iter(value), None)!r}")
+    if not target:
+        return
     text = json.dumps(value, indent=2, allow_nan=False) + "\n"
     if target == "-":
         (_ANSWER.get().stdout or sys.stdout).write(text)
@@ -147,7 +149,6 @@ class ProgressLine:
 
     Args:
         what: what is counted, in the plural.
-        total: how many there are.
         done: how many were done before; they count for the share and not for the speed.
     """
 

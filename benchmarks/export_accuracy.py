@@ -184,7 +184,7 @@ def demo_sizes(path: Path) -> Iterator[list[str]]:
     """Every calibrated unit of a registry, with its own network."""
     with open_registry(f"sqlite:///{path.resolve()}") as registry:
         loader = UnitLoader(registry, ExportOptions(failed_too=True))
-        for entry in registry.units():
+        for entry in registry.lots.units():
             if entry.revision is not None:
                 unit = loader.load(entry.serial)
                 yield by_size("demo", unit.facts, unit.network, unit.shared.file, "mN")

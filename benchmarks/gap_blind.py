@@ -17,9 +17,8 @@ from pathlib import Path
 from softcal.app.cli.main import main as softcal
 from softcal.app.gap.challenge import open_challenge
 from softcal.core.challenge.draw import SEED_BITS
-from softcal.core.challenge.floors import FLOORS, shortfalls
 from softcal.core.challenge.judge import Judged, read_answer
-from softcal.core.challenge.score import ScoreSheet, score_reports
+from softcal.core.challenge.score import FLOORS, ScoreSheet, score_reports, shortfalls
 
 CASES = 4
 FORM_CASES = 8

@@ -11,10 +11,10 @@ import argparse
 from collections.abc import Sequence
 
 import numpy as np
+from common.lot_draw import draw_lot
 from gap import as_case
 
 from softcal.core.challenge.cases import SealedCase
-from softcal.core.challenge.lot_draw import draw_lot
 from softcal.core.gap.shared_cause import LotDiagnosis, diagnose_lot
 from softcal.core.gap.worth import CalibrationWorth, calibration_worth
 

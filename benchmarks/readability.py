@@ -3,6 +3,7 @@
 python benchmarks/readability.py BEFORE AFTER [--pages NAME ...]
 python benchmarks/readability.py BEFORE AFTER --reasons        # the sentences of core/words instead of the pages
 python benchmarks/readability.py BEFORE AFTER --code           # help texts and docstrings
+python benchmarks/readability.py BEFORE AFTER --goals          # the goal of each kind, and what is found
 
 BEFORE and AFTER are revisions of git, or folders that hold README.md and docs/. Only prose is judged: headings, code,
 tables and pictures are not, and a word in backticks is one word of one syllable. Words in tables are counted beside it,
@@ -25,6 +26,7 @@ import subprocess
 import tarfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from itertools import product
 from pathlib import Path
 
@@ -32,7 +34,7 @@ LONG = 25
 """Words of a sentence above which it counts as long."""
 
 ROOT = Path(__file__).parents[1]
-SPOKEN = tuple(f"core/words/{name}.py" for name in ("reason", "gap_sentences", "rig_sentences"))
+SPOKEN = tuple(f"core/words/{name}.py" for name in ("sentences", "gap_sentences", "rig_sentences"))
 """Where the sentences of all reasons stand."""
 
 NESTED = {
@@ -61,6 +63,33 @@ PRIVATE = (
 
 
 @dataclass(frozen=True)
+class Goal:
+    """What the texts of one kind may not exceed.
+
+    Args:
+        long: share of the sentences with more than `LONG` words.
+        unknown: words, each once, that are neither basic nor in the glossary.
+    """
+
+    long: float
+    unknown: int
+
+
+GOALS = {
+    "docs": Goal(0.01, 1030),
+    "reasons": Goal(0.0, 185),
+    "help": Goal(0.0, 200),
+    "docstrings": Goal(0.02, 2000),
+}
+"""A goal for each kind of text; `tests/house/test_plain.py` holds them."""
+
+MOST_WORDS = {"README.md": 600, "docs/operator.md": 800, "docs/long-term.md": 1200}
+"""Words of pages that are read at one go, code and tables included."""
+MOST_WORDS_OF_ALL = 45_000
+"""Words of README and of the pages of docs/, decisions left out."""
+
+
+@dataclass(frozen=True)
 class Prose:
     """Counts of one page, or of several."""
 
@@ -86,13 +115,17 @@ class Prose:
 
 def prose(text: str) -> Prose:
     """Count the prose of a page of Markdown."""
-    text = re.sub(r"^ *```.*?^ *```", "", text, flags=re.MULTILINE | re.DOTALL)
-    tables = " ".join(re.findall(r"^\|.*$", text, re.MULTILINE))
+    tables = " ".join(re.findall(r"^\|.*$", _without_blocks(text), re.MULTILINE))
     return sum(map(_paragraph, _paragraphs(text)), Prose(in_tables=len(re.findall(r"\b[A-Za-z]{2,}\b", tables))))
+
+
+def _without_blocks(text: str) -> str:
+    return re.sub(r"^ *```.*?^ *```", "", text, flags=re.MULTILINE | re.DOTALL)
 
 
 def _paragraphs(text: str) -> Iterable[str]:
     """Yield paragraphs and items of lists, without what is no prose."""
+    text = _without_blocks(text)
     lines: list[str] = []
     for line in [*text.splitlines(), ""]:
         item = re.match(r"\s*(?:[-*]|\d+\.)\s+", line)
@@ -105,23 +138,16 @@ def _paragraphs(text: str) -> Iterable[str]:
             lines.append(line[item.end() :] if item else line.strip())
 
 
-def long_sentences(text: str) -> list[str]:
-    """Return the sentences of a page that have more words than `LONG`, the longest first."""
-    text = re.sub(r"^ *```.*?^ *```", "", text, flags=re.MULTILINE | re.DOTALL)
-    found = [one for paragraph in _paragraphs(text) for one in re.split(r"(?<=[.!?:])\s+", paragraph)]
-    return sorted((s for s in found if len(_paragraph_words(s)) > LONG), key=lambda s: -len(_paragraph_words(s)))
-
-
-def _paragraph_words(text: str) -> list[str]:
-    text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", re.sub(r"`[^`]*`", "code", text))
-    return re.findall(r"[^\W\d_][\w'’-]*", text)
+def _sentences(paragraph: str) -> list[str]:
+    """Return the sentences of a paragraph, a word in backticks as "code" and a link as its text."""
+    text = re.sub(r"`[^`]*`", "code", paragraph)
+    text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", text).replace("*", "")
+    text = re.sub(r"\b(e\.g|i\.e|vs|eq|al|Fig)\.", r"\1", text)
+    return re.split(r"(?<=[.!?])\s+", text)
 
 
 def _paragraph(text: str) -> Prose:
-    text = re.sub(r"`[^`]*`", "code", text)
-    text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", text).replace("*", "")
-    text = re.sub(r"\b(e\.g|i\.e|vs|eq|al|Fig)\.", r"\1", text)
-    found = [re.findall(r"[^\W\d_][\w'’-]*", part) for part in re.split(r"(?<=[.!?])\s+", text)]
+    found = [re.findall(r"[^\W\d_][\w'’-]*", part) for part in _sentences(text)]
     sentences = [words for words in found if words]
     syllables = sum(_syllables(word) for words in sentences for word in words)
     long = sum(len(words) > LONG for words in sentences)
@@ -172,10 +198,10 @@ def reasons(place: str) -> dict[str, str]:
             if Path(place).is_dir()
             else _git("show", f"{place}:{name}")
         )
-        for table in (node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Dict)):
-            for key, value in zip(table.keys, table.values, strict=True):
-                if isinstance(key, ast.Constant) and isinstance(value, ast.Constant) and isinstance(value.value, str):
-                    said[str(key.value)] = value.value
+        page = re.search(r'= sentences\("""\n(.*?)\n"""\)', text, re.DOTALL)
+        for line in page[1].replace("\n  ", " ").splitlines() if page else ():
+            if line and not line.startswith("#"):
+                code, said[code] = line.split(": ", 1)
     return said
 
 
@@ -215,8 +241,21 @@ def reader(said: Mapping[str, str], known: frozenset[str]) -> Spoken:
     return sum((_read(spoken(said, code), known) for code in said), Spoken())
 
 
+def reader_of(kind: str, place: str = str(ROOT)) -> Spoken:
+    """Read all texts of a kind of `GOALS`."""
+    known = known_words()
+    if kind == "reasons":
+        return reader(reasons(place), known)
+    texts = pages(place).values() if kind == "docs" else [code_texts(place)[kind]]
+    paragraphs = (paragraph for text in texts for paragraph in _paragraphs(text))
+    return sum((_spoken_of([s for s in _sentences(p) if _words(s)], known) for p in paragraphs), Spoken())
+
+
 def _read(text: str, known: frozenset[str]) -> Spoken:
-    found = sentences_of(text)
+    return _spoken_of(sentences_of(text), known)
+
+
+def _spoken_of(found: list[str], known: frozenset[str]) -> Spoken:
     words = [_words(one) for one in found]
     long = tuple(one.strip() for one, of in zip(found, words, strict=True) if len(of) > LONG)
     unknown = frozenset(word for of in words for word in map(str.lower, of) if not _is_known(word, known))
@@ -242,13 +281,27 @@ def known_words() -> frozenset[str]:
     """Return the basic words and those of the glossary."""
     basic = (ROOT / "benchmarks/basic_words.txt").read_text(encoding="utf-8")
     basic = " ".join(line for line in basic.splitlines() if not line.startswith("#"))
-    glossary = re.findall(r"^- \*\*([^*]+)\*\*", (ROOT / "docs/glossary.md").read_text(encoding="utf-8"), re.MULTILINE)
-    return frozenset(word.lower() for word in [*basic.split(), *(w for term in glossary for w in _words(term))])
+    return frozenset(map(str.lower, [*basic.split(), *(word for term in glossary_terms() for word in _words(term))]))
+
+
+def glossary_terms() -> frozenset[str]:
+    """Return the terms that the glossary explains."""
+    entries = re.findall(r"^- \*\*([^*]+)\*\*", (ROOT / "docs/glossary.md").read_text(encoding="utf-8"), re.MULTILINE)
+    return frozenset(term.lower().replace("held out", "held-out") for entry in entries for term in entry.split(", "))
 
 
 def private(said: Mapping[str, str]) -> dict[str, str]:
-    """Return the reasons with words that nobody outside knows: code → those words."""
+    """Return the texts with words that nobody outside knows: name → the last of those words."""
     return {code: word for code, text in said.items() for word in PRIVATE if word in text.lower()}
+
+
+def private_of(kind: str, place: str = str(ROOT)) -> dict[str, str]:
+    """Return the sentences of a kind of `GOALS` with words that nobody outside knows, less those in the glossary."""
+    if kind == "reasons":
+        return private(reasons(place))
+    texts = pages(place).values() if kind == "docs" else [code_texts(place)[kind]]
+    sentences = {s: s for text in texts for paragraph in _paragraphs(text) for s in _sentences(paragraph)}
+    return {said: word for said, word in private(sentences).items() if word not in glossary_terms()}
 
 
 VERBS = "belongs|does|ends|explains|goes|has|is|its|moves|needs|reads|signs|speaks|stands|this|times|was"
@@ -292,6 +345,7 @@ def pages(place: str) -> dict[str, str]:
     return {name: _git("show", f"{place}:{name}") for name in names if name.endswith(".md")}
 
 
+@cache
 def code_texts(place: str) -> dict[str, str]:
     """Return what the code of a folder or of a revision says to people: `help` of commands, and `docstrings`."""
     said = {"help": list[str](), "docstrings": list[str]()}
@@ -336,7 +390,11 @@ def main() -> None:
     parser.add_argument("--pages", nargs="+", metavar="NAME", help="these pages alone, such as docs/gap.md")
     parser.add_argument("--reasons", action="store_true", help="the sentences of all reasons, in place of the pages")
     parser.add_argument("--code", action="store_true", help="help texts and docstrings, in place of the pages")
+    parser.add_argument("--goals", action="store_true", help="what is found of each kind of text beside its goal")
     arguments = parser.parse_args()
+    if arguments.goals:
+        _print_goals(arguments.before, arguments.after)
+        return
     if arguments.reasons:
         _print_reasons(arguments.before, arguments.after)
         return
@@ -351,6 +409,16 @@ def main() -> None:
                 print(f"| {name} | {when} | {prose(texts[name]).row()} |")
     for when, texts in (("before", before), ("after", after)):
         print(f"| all | {when} | {sum((prose(texts[n]) for n in kept if n in texts), Prose()).row()} |")
+
+
+def _print_goals(*places: str) -> None:
+    print("| kind | when | sentences | longer than 25 | goal | unknown words | goal | private |")
+    print("|---|---|---|---|---|---|---|---|")
+    for kind, goal in GOALS.items():
+        for when, place in zip(("before", "after"), places, strict=True):
+            read = reader_of(kind, place)
+            found = f"{len(read.long)} | {goal.long:.0%} | {len(read.unknown)} | {goal.unknown}"
+            print(f"| {kind} | {when} | {read.sentences} | {found} | {len(private_of(kind, place))} |")
 
 
 def _print_reasons(*places: str) -> None:

@@ -37,6 +37,7 @@ from softcal.db.queues.work_queue import WorkSet
 from softcal.db.registry import Registry
 from softcal.db.schema.arrays import READ_BLOB
 from softcal.db.schema.tables import metadata
+from softcal.db.truth.registry_base import RegistryBase
 
 UNITS = 24
 KINDS = {2: "index, inner", 5: "table, inner", 10: "index, leaf", 13: "table, leaf"}
@@ -58,21 +59,21 @@ def make(path: Path, units: int = UNITS) -> None:
         network_id = begin_lot(registry)
         for k in range(units):
             serial, output = f"U{k:03d}", np.random.default_rng(k).normal(size=400)
-            registry.add_recording("bench", OutputRecording(serial, np.arange(400) / 50.0, output, 50.0), "unit")
+            registry.recordings.add("bench", OutputRecording(serial, np.arange(400) / 50.0, output, 50.0), "unit")
             for number in (1, 2):
-                registry.add_calibration("bench", record(serial, 10 * k + number, network_id))
-        registry.rollback("U003", 1, reason="remounted")
-        registry.add_refusal("bench", "U004", "retest", (plain("cable"),))
-        registry.set_limit("bench", 0.2, reason="agreed")
-        registry.set_line_rules("bench", LineRules(), reason="first lot")
-        registry.add_adaptations("U001", 1, [{"stream": "s", "sample": k, "gain": 1.0 + k} for k in range(3)])
-        registry.add_golden_run(GoldenRun("s1", "G1", datetime(2026, 5, 4, tzinfo=UTC), 0.01, "N", True))
-        registry.add_certificate(
+                registry.calibrations.add("bench", record(serial, 10 * k + number, network_id))
+        registry.calibrations.rollback("U003", 1, reason="remounted")
+        registry.calibrations.refuse("bench", "U004", "retest", (plain("cable"),))
+        registry.lots.set_limit("bench", 0.2, reason="agreed")
+        registry.lots.set_line_rules("bench", LineRules(), reason="first lot")
+        registry.adaptations.add("U001", 1, [{"stream": "s", "sample": k, "gain": 1.0 + k} for k in range(3)])
+        registry.stations.add_golden_run(GoldenRun("s1", "G1", datetime(2026, 5, 4, tzinfo=UTC), 0.01, "N", True))
+        registry.stations.add_certificate(
             CellCertificate("C1", "7", "lab", date(2026, 1, 1), date(2027, 1, 1), 50.0, 0.01, b"document")
         )
-        registry.withdraw_network(network_id, reason="to be trained again")
+        registry.networks.withdraw(network_id, reason="to be trained again")
         for name, role in (("kim", "operator"), ("lee", "quality")):
-            registry.set_user(name, role, "2580", actor="lee")
+            registry.people.set(name, role, "2580", actor="lee")
         registry.work_queue.enqueue(WorkSet("bench", "a" * 64), {f"U{k:03d}": "b" * 64 for k in range(units)})
         registry.order_queue.place(Order("o1", "s1", OrderKind.UNIT, "U001", "bench", "kim", "", datetime.now(UTC)))
         registry.job_board.place("gap", {"case": 1}, "kim")
@@ -85,9 +86,14 @@ def make(path: Path, units: int = UNITS) -> None:
 
 def answers(registry: Registry) -> object:
     """Return all that people are told: of each unit its map in use and history, limits, rules, networks, people."""
-    told: list[object] = [registry.units(), registry.lots(), registry.limit_versions("bench"), registry.users()]
-    for unit in registry.units("bench"):
-        for ask in (registry.calibration, lambda serial: registry.history(serial)[-1]):
+    told: list[object] = [
+        registry.lots.units(),
+        registry.lots.all(),
+        registry.lots.limit_versions("bench"),
+        registry.people.all(),
+    ]
+    for unit in registry.lots.units("bench"):
+        for ask in (registry.calibrations.get, lambda serial: registry.calibrations.history(serial)[-1]):
             try:
                 stored = ask(unit.serial)
             except (InputError, IndexError) as error:
@@ -95,10 +101,14 @@ def answers(registry: Registry) -> object:
                 continue
             arrays = {name: array.tobytes() for name, array in stored.record.arrays.items()}
             told.append((stored.revision, stored.origin, stored.is_current, vars(stored.record) | {"arrays": arrays}))
-    for network in registry.networks():
-        told.append({name: a.tobytes() for name, a in registry.network(network.id).arrays().items()})
-    told += [registry.network_states("bench"), registry.line_rules_versions("bench"), registry.golden_runs()]
-    return [*told, registry.certificates("C1"), registry.adaptations("U001")]
+    for network in registry.networks.all():
+        told.append({name: a.tobytes() for name, a in registry.networks.get(network.id).arrays().items()})
+    told += [
+        registry.networks.states("bench"),
+        registry.lots.line_rules_versions("bench"),
+        registry.stations.golden_runs(),
+    ]
+    return [*told, registry.stations.certificates("C1"), registry.adaptations.all("U001")]
 
 
 def whole(registry: Registry) -> bool:
@@ -255,8 +265,8 @@ def blind() -> Iterator[None]:
     """Turn the checks off: a benchmark that tells nothing then tells nothing ever."""
     nothing: Callable[..., object] = lambda *_, **__: iter(())  # noqa: E731
     with contextlib.ExitStack() as stack:
-        stack.enter_context(mock.patch.object(Registry, "_check_row", lambda *_: None))
-        stack.enter_context(mock.patch.object(Registry, "_check_hidden", lambda *_: None))
+        stack.enter_context(mock.patch.object(RegistryBase, "_check_row", lambda *_: None))
+        stack.enter_context(mock.patch.object(RegistryBase, "_check_hidden", lambda *_: None))
         stack.enter_context(mock.patch("softcal.db.schema.arrays.get_bytes", _bytes_as_they_are))
         stack.enter_context(mock.patch("softcal.db.truth.history.chain_faults", nothing))
         for name in (

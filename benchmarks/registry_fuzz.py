@@ -92,7 +92,7 @@ class ArchiveFuzz(Fuzz):
         with open_registry(f"sqlite:///{folder / 'registry.db'}") as registry:
             network_id = begin_lot(registry)
             for number in range(6):
-                registry.add_calibration("bench", record(f"U{number}", number, network_id))
+                registry.calibrations.add("bench", record(f"U{number}", number, network_id))
             back_up(registry.database, folder / "backup.db")
         self._content = (folder / "backup.db").read_bytes()
 
@@ -106,10 +106,10 @@ class ArchiveFuzz(Fuzz):
             self._count("refused" if len(str(error).splitlines()) == 1 else "traceback", str(error))
             if into.exists():
                 with open_registry(f"sqlite:///{into}") as registry:
-                    self._count("left", str(error)) if registry.lots() else None
+                    self._count("left", str(error)) if registry.lots.all() else None
         else:
             with open_registry(f"sqlite:///{into}", create=False) as registry:
-                self._count("wrong" if registry.verify() or len(registry.units("bench")) != 7 else "made", "")
+                self._count("wrong" if registry.verify() or len(registry.lots.units("bench")) != 7 else "made", "")
         for left in self._folder.glob("*d.db*"):
             left.unlink() if left.name.startswith(("broken", "restored")) else None
 

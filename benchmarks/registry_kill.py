@@ -76,8 +76,8 @@ def write_forever(url: str, network_id: str, start: int, acknowledge: Acknowledg
         for number in range(start, start + 1_000_000):
             serial = f"K{number % 5}"
             with registry.transaction():
-                revision = registry.add_calibration("bench", record(serial, number, network_id))
-                registry.add_event("export", "exports", (serial, revision), {})
+                revision = registry.calibrations.add("bench", record(serial, number, network_id))
+                registry.trail.add("export", "exports", (serial, revision), {})
             acknowledge(f"{serial} {revision}")
 
 
@@ -91,7 +91,7 @@ def kill_writers(kind: str, kills: int, moments: random.Random) -> tuple[object,
             start = turn * 1_000_000
             acknowledged |= set(killed(partial(write_forever, url, network_id, start), moments, 0.4))
         with open_registry(url, create=False) as registry:
-            trail, kept, faults = registry.audit_rows(), revisions(registry), registry.verify()
+            trail, kept, faults = registry.trail.rows(), revisions(registry), registry.verify()
     halves = sum(row.action == "calibrate" for row in trail) - sum(row.action == "export" for row in trail)
     return "writer", kind, kills, len(acknowledged), len(acknowledged - set(kept)), halves, 0, len(faults)
 
@@ -125,7 +125,7 @@ def kill_batches(kind: str, kills: int, moments: random.Random) -> tuple[object,
         batch(url, folder, acknowledged.append)
         with open_registry(url, create=False) as registry:
             kept, faults = revisions(registry), registry.verify()
-            entries = registry.units(folder.lot.id)
+            entries = registry.lots.units(folder.lot.id)
     refused = [f"{unit.serial} refused" for unit in entries if unit.verdict and unit.revision is None]
     lost = set(acknowledged) - set(kept) - set(refused)
     unfinished = len(folder.unit_paths) - sum(unit.role == "target" and unit.verdict is not None for unit in entries)

@@ -37,15 +37,15 @@ def fill(registry: Registry, units: int) -> None:
     for start in range(0, units, CHUNK):
         with registry.transaction():
             for number in range(start, min(start + CHUNK, units)):
-                registry.add_calibration("bench", record(f"U{number:06d}", number, network_id))
+                registry.calibrations.add("bench", record(f"U{number:06d}", number, network_id))
 
 
 def measure(kind: str, units: int) -> tuple[object, ...]:
     """Fill a registry and measure what a person waits for."""
     with fresh_url(kind) as url, open_registry(url) as registry, tempfile.TemporaryDirectory() as folder:
         fill_s = timed(lambda: fill(registry, units))
-        list_s = timed(lambda: registry.units("bench"), 5)
-        unit_s = timed(lambda: registry.calibration(f"U{units // 2:06d}"), 21)
+        list_s = timed(lambda: registry.lots.units("bench"), 5)
+        unit_s = timed(lambda: registry.calibrations.get(f"U{units // 2:06d}"), 21)
         quick_s = timed(lambda: registry.verify(is_quick=True), 5)
         verify_s = timed(registry.verify)
         backup = Path(folder) / "backup.db"

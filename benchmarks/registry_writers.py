@@ -56,7 +56,7 @@ def write(arguments: tuple[str, str, int, float]) -> tuple[Written, list[str]]:
             if start_s >= until_s:
                 return written, errors
             try:
-                revision = registry.add_calibration("bench", record(serial, writer * 1_000_000 + number, network_id))
+                revision = registry.calibrations.add("bench", record(serial, writer * 1_000_000 + number, network_id))
                 written.append((serial, revision, time.perf_counter() - start_s))
             except Exception as error:
                 errors.append(str(error))
@@ -75,7 +75,11 @@ def measure(kind: str, writers: int, seconds: float) -> tuple[object, ...]:
         latencies_ms = 1e3 * np.array([latency for written, _ in answers for *_, latency in written])
         errors = [error for _, failed in answers for error in failed]
         with open_registry(url, create=False) as registry:
-            kept = {(s, c.revision) for s in {serial for serial, _ in acknowledged} for c in registry.history(s)}
+            kept = {
+                (s, c.revision)
+                for s in {serial for serial, _ in acknowledged}
+                for c in registry.calibrations.history(s)
+            }
             faults = registry.verify()
     lost = len(acknowledged) - len(set(acknowledged) & kept)
     median, high, worst = np.percentile(latencies_ms, [50, 99, 100])

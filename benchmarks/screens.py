@@ -82,10 +82,10 @@ def fill(registry: Registry, units: int) -> None:
     for start in range(0, units, CHUNK):
         with registry.transaction():
             for number in range(start, min(start + CHUNK, units)):
-                registry.add_calibration(LOT, result(known, number, float(abs(rng.normal(0.08, 0.012)))))
-    registry.set_limit(LOT, 0.12, reason="benchmark")
-    registry.set_user(QUALITY, "quality", QUALITY_PIN, actor="installation")
-    registry.set_user(NAME, "engineer", PIN, actor=QUALITY)
+                registry.calibrations.add(LOT, result(known, number, float(abs(rng.normal(0.08, 0.012)))))
+    registry.lots.set_limit(LOT, 0.12, reason="benchmark")
+    registry.people.set(QUALITY, "quality", QUALITY_PIN, actor="installation")
+    registry.people.set(NAME, "engineer", PIN, actor=QUALITY)
 
 
 def result(known: CalibrationRecord, number: int, error: float) -> CalibrationRecord:
@@ -102,11 +102,11 @@ def add_simulated_unit(registry: Registry) -> CalibrationRecord:
     """Register a lot with its source, a trained network and one recording; return the calibration of that recording."""
     sim = simulate_lot(1, LotDesign(good=1))
     trained = fit_network(sim.source, NetworkConfig(hidden=(24, 12), max_epochs=30))
-    registry.add_lot(Lot(LOT, sim.source.serial, 50.0))
-    source_sha256 = registry.add_recording(LOT, sim.source, "source")
-    registry.add_network(LOT, trained.network, {}, {"source_recording_sha256": source_sha256}, "f" * 64)
+    registry.lots.add(Lot(LOT, sim.source.serial, 50.0))
+    source_sha256 = registry.recordings.add(LOT, sim.source, "source")
+    registry.networks.add(LOT, trained.network, {}, {"source_recording_sha256": source_sha256}, "f" * 64)
     recording = sim.units[0].recording
-    sha256 = registry.add_recording(LOT, recording, "unit")
+    sha256 = registry.recordings.add(LOT, recording, "unit")
     model = make_source_model(sim.source, trained.network)
     found = calibrate(UnitProblem(model, recording))
     return found.to_record(input_sha256="e" * 64, recording_sha256=sha256)
@@ -160,11 +160,11 @@ def cookies_of(browser: Browser, address: str, name: str, pin: str) -> list:
 
 def queries(registry: Registry) -> Iterator[tuple[str, Callable[[], object]]]:
     """Give what the lot page asks of the registry."""
-    yield "verdict counts", lambda: registry.verdict_counts(LOT)
-    yield "errors of all units", lambda: registry.lot_errors(LOT)
-    yield "one page, worst first", lambda: registry.unit_page(LOT, UnitFilter(sort="severity"))
-    yield "one page, by serial", lambda: registry.unit_page(LOT, UnitFilter(text="0042"))
-    yield "did anything change?", lambda: registry.change_marker(LOT)
+    yield "verdict counts", lambda: registry.pages.verdict_counts(LOT)
+    yield "errors of all units", lambda: registry.pages.lot_errors(LOT)
+    yield "one page, worst first", lambda: registry.pages.unit_page(LOT, UnitFilter(sort="severity"))
+    yield "one page, by serial", lambda: registry.pages.unit_page(LOT, UnitFilter(text="0042"))
+    yield "did anything change?", lambda: registry.pages.change_marker(LOT)
     yield "the whole view, once per change", lambda: lot_view(registry, LOT)
 
 

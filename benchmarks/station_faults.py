@@ -15,15 +15,15 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-
-from softcal.station.simulated.faults import FAULTS
-from softcal.station.simulated.trial import (
+from common.fault_trial import (
     DISK_MOMENTS,
     FaultOutcome,
     run_with_dead_host,
     run_with_fault,
     run_with_full_disk,
 )
+
+from softcal.station.simulated.faults import FAULTS
 
 HEADER = (
     "| fault | seen in | after, s | stage stands after, s | largest force, N | recorded | what the operator reads |"

@@ -6,11 +6,12 @@ python benchmarks/station_host_dies.py [--quick]
 import argparse
 import itertools
 
+from common.law_unit import ForceLaw
+from common.rig_trial import RigCase, press_until_gone
+
 from softcal.core.profiles import ramps
 from softcal.station.config import UNKNOWN_S
 from softcal.station.seconds import FEELING
-from softcal.station.simulated.law_unit import ForceLaw
-from softcal.station.simulated.rig_trial import RigCase, press_until_gone
 
 STOP_MM = 0.5
 PLACES_MM = (-0.02, -0.005, -0.002, 0.0, 0.001, 0.002, 0.003)

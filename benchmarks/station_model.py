@@ -6,8 +6,9 @@ python benchmarks/station_model.py [--faults N]
 import argparse
 import time
 
+from common.station_runs import MOST_FAULTS, broken_property, explore
+
 from softcal.station.interlock import TABLE
-from softcal.station.simulated.explore import MOST_FAULTS, broken_property, explore
 
 
 def main() -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from common.proof_trial import GoodRig, draw_good_rig, press_good_rig
 
 from softcal.core.errors import SoftcalError
 from softcal.station.acquisition import RunProgress
@@ -22,7 +23,6 @@ from softcal.station.interfaces import Sample
 from softcal.station.recording import Raw, RunFacts, assemble
 from softcal.station.seconds import PRESSING
 from softcal.station.simulated.faults import hang
-from softcal.station.simulated.proof_trial import GoodRig, draw_good_rig, press_good_rig
 from softcal.station.simulated.station import SimulatedStation
 from softcal.station.spool import SpooledRun, read_spool
 

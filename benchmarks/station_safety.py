@@ -15,11 +15,12 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from common.law_unit import ForceLaw
+from common.rig_trial import RigCase, RigOutcome, press
+
 from softcal.core.profiles import ramps
 from softcal.station.bounds import FULL, REACTION_S, ForceBounds, Reaction
 from softcal.station.config import LATEST_S, UNKNOWN_S, FixtureConfig
-from softcal.station.simulated.law_unit import ForceLaw
-from softcal.station.simulated.rig_trial import RigCase, RigOutcome, press
 
 ACCELERATIONS, STOPS, SPEEDS = (10.0, 50.0, 500.0), (1.0, 20.0, 100.0, 1000.0), (1.0, 5.0, 20.0)
 CELLS = tuple(itertools.product((80.0, 10.0), (0.0, 0.1, 0.5)))

@@ -94,7 +94,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         url = f"sqlite:///{folder}/r.db"
         with open_registry(url) as registry, serving(registry, Path(folder)) as rig:
-            registry.add_lot(Lot(LOT, "A0", 50.0))
+            registry.lots.add(Lot(LOT, "A0", 50.0))
             way = pressed_key(url) if options.browser else sent_key(url) if options.request else placed(rig)
             with loaded(options.load), way as tell, busy(options.writer, url):
                 report([(phase, [stop_in(rig, phase, tell) for _ in range(options.rounds)]) for phase in PHASES])

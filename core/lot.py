@@ -26,13 +26,11 @@ def check_serial(serial: str) -> str:
 
 @dataclass(frozen=True)
 class Lot:
-    """The units made together, calibrated against one source unit.
+    """The units made together, calibrated against a source unit or several.
 
     Args:
-        id: name of the lot.
-        source: serial of the source unit.
+        source: serial of the first source unit.
         sample_rate_Hz: nominal sample rate of every recording of the lot.
-        sensor_model: what kind of sensor it is.
         reference_quantity, reference_unit: what the source's reference measures, for example force in N.
         output_unit: physical unit of the sensor output.
         limit_rmse: largest acceptable error of a unit in `reference_unit`; None leaves it to the source's own error.
@@ -61,7 +59,6 @@ class Lot:
 
     @classmethod
     def from_settings(cls, lot_id: str, settings: Mapping[str, object]) -> "Lot":
-        """Rebuild a lot from its id and `settings()`."""
         limit = settings.get("limit_rmse")
         return cls(
             id=lot_id,

@@ -6,11 +6,15 @@ make the same result mean two things.
 
 import os
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import EntryPoint, EntryPoints, entry_points
+from typing import Generic, TypeVar, cast
 
 from softcal.core.errors import InputError
+
+Thing = TypeVar("Thing")
 
 
 def installed(group: str) -> list[EntryPoint]:
@@ -48,20 +52,47 @@ def loaded(point: EntryPoint, kind: str) -> object:
         raise InputError(f"{who(point, kind)}: cannot be loaded ({error}); repair or uninstall the package") from error
 
 
-def several(point: EntryPoint, kind: str, is_kind: Callable[[object], bool], expected: str) -> list[object]:
-    """Load one thing or a list of them and check that each is of the kind.
+@dataclass(frozen=True)
+class PluginKind(Generic[Thing]):
+    """One kind of thing that packages bring along: an entry point names one, or a list of them.
 
-    Raises:
-        InputError: it cannot be loaded, or is something else.
+    Args:
+        group: of the entry points.
+        kind, expected: what it is and what was expected, in words, for messages.
+        is_kind: whether a thing is one.
+        name_of: the name that no two of them may have.
     """
-    found = loaded(point, kind)
-    things = [found] if is_kind(found) or not isinstance(found, Iterable) else list(found)
-    for thing in things:
-        if not is_kind(thing):
-            raise InputError(
-                f"{who(point, kind)}: is {type(thing).__name__}; {expected}, or a list of them, was expected"
-            )
-    return things
+
+    group: str
+    kind: str
+    expected: str
+    is_kind: Callable[[object], bool]
+    name_of: Callable[[Thing], str]
+
+    def beside(
+        self, own: Mapping[str, Thing], points: Iterable[EntryPoint] | None = None, taken: Collection[str] = ()
+    ) -> dict[str, Thing]:
+        """Return softcal's own things and those of plug-ins, the plug-ins last, by name.
+
+        Args:
+            points: None for those of all installed packages.
+            taken: names that no plug-in may have, besides those of its own.
+
+        Raises:
+            InputError: one cannot be loaded, is something else, or takes a name that is taken.
+        """
+        every = dict(own)
+        for point in installed(self.group) if points is None else points:
+            found = loaded(point, self.kind)
+            for thing in [found] if self.is_kind(found) or not isinstance(found, Iterable) else list(found):
+                if not self.is_kind(thing):
+                    wrong = f"is {type(thing).__name__}; {self.expected}, or a list of them, was expected"
+                    raise InputError(f"{who(point, self.kind)}: {wrong}")
+                name = self.name_of(cast(Thing, thing))
+                if name in every or name in taken:
+                    raise InputError(f"{who(point, self.kind)}: the name {name!r} is taken already; give it another")
+                every[name] = cast(Thing, thing)
+        return every
 
 
 def who(point: EntryPoint, kind: str) -> str:

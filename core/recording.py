@@ -84,12 +84,10 @@ class OutputRecording:
         return content_sha256(self.arrays(), self.settings())
 
     def arrays(self) -> dict[str, Array]:
-        """Return the columns under their names in files."""
         stage = {} if self.stage_mm is None else {"stage_mm": self.stage_mm}
         return {"t_s": self.t_s, "output": self.output, **stage}
 
     def settings(self) -> dict[str, float | str]:
-        """Return all that is not a column."""
         return {"serial": self.serial, "sample_rate_Hz": self.sample_rate_Hz, "output_unit": self.output_unit}
 
     def part(self, start: int, stop: int) -> "OutputRecording":
@@ -133,11 +131,9 @@ class LabelledRecording:
         return content_sha256(self.arrays(), self.settings())
 
     def arrays(self) -> dict[str, Array]:
-        """Return the columns under their names in files."""
         return {**self.unlabelled.arrays(), "reference": self.reference}
 
     def settings(self) -> dict[str, float | str]:
-        """Return all that is not a column."""
         return {**self.unlabelled.settings(), "reference_unit": self.reference_unit}
 
     @property

@@ -67,8 +67,6 @@ class StoredCalibration:
     """One revision in the history of a serial.
 
     Args:
-        record: the calibration itself.
-        lot_id: lot it was made in.
         revision: 1, 2, 3 ... per serial.
         made_at: UTC; never before the revision it follows.
         actor, reason: who made it, and why.
@@ -99,9 +97,7 @@ class MadeCalibration:
     """One revision as a report needs it: light, so that a lot of ten thousand fits into memory.
 
     Args:
-        serial, revision: which one.
         verdict, reasons: what was decided, and why.
-        family, map_sha256: the map.
         predicted_rmse, before_rmse, after_rmse, own_rmse: in the lot's reference unit; None where there is none.
         fit_s: seconds the fit took.
         knowledge: how its loads are known.
@@ -140,14 +136,12 @@ class MadeCalibration:
 
     @classmethod
     def of(cls, record: "CalibrationRecord", revision: int) -> "MadeCalibration":
-        """Return what a report needs of a calibration."""
         same = (one.name for one in fields(cls) if one.name not in ("revision", "knowledge"))
         plain = {name: getattr(record, name) for name in same}
         return cls(**plain, revision=revision, knowledge=str(record.knowledge))
 
     @property
     def is_audited(self) -> bool:
-        """Whether its error was measured."""
         return self.decision.is_audited
 
 
@@ -160,7 +154,6 @@ class UnitStanding:
     """Where a unit stands: its verdict, why and since when.
 
     Args:
-        serial: the unit.
         verdict, reasons: of the calibration in use, or of a newer refusal.
         made_at: when that was stated, UTC.
         made: the calibration in use; None where the newest result is a refusal, or two maps are in conflict.
@@ -179,9 +172,7 @@ class NetworkEntry:
 
     Args:
         id: content hash of the network.
-        lot_id: lot it was trained for.
         input_sha256: content hash of what it was trained from.
-        training: settings of the training.
         metrics: what the training reached.
         added_at: UTC.
     """
@@ -201,7 +192,6 @@ class RecordingEntry:
     Args:
         sha256: content hash, with serial, rate and units.
         kind: source, unit or audit.
-        samples: number of samples.
         reference_unit: None where it has no reference.
     """
 
@@ -283,8 +273,6 @@ class CellCertificate:
     """A load cell's calibration certificate, as far as the station's gate and the uncertainty budget need it.
 
     Args:
-        cell_serial: serial of the load cell.
-        number: number of the certificate.
         laboratory: who issued it.
         issued_on, due_on: first day it holds, first day it no longer holds.
         capacity_N: largest force it covers.
@@ -308,7 +296,6 @@ class CellCertificate:
             raise InputError(f"certificate {self.number}: capacity and uncertainty must be positive numbers of N")
 
     def is_valid(self, on: date) -> bool:
-        """Whether it holds on this day."""
         return self.issued_on <= on < self.due_on
 
 
@@ -317,12 +304,10 @@ class GoldenRun:
     """One check of a station with a golden unit.
 
     Args:
-        station, serial: which station pressed which golden unit.
         made_at: UTC.
         value: what is charted, for example the mean error against the unit's own calibration, in `unit`.
         passed: whether it was inside the limits that held then; `reasons` say why not.
         actor: who did it.
-        recording_sha256: its recording, where it was kept.
     """
 
     station: str
@@ -365,7 +350,6 @@ class Token:
     Args:
         token_id: its name in commands and in the audit trail.
         account: whose role says what it may.
-        purpose: what it is for.
         created, ends_at: from when until when it holds, UTC.
         is_withdrawn: whether it was taken back.
     """

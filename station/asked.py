@@ -19,10 +19,7 @@ class AskedReader:
 
     Args:
         name: how messages call the device.
-        unit: of the readings.
         rate_Hz: questions per second.
-        link: its port.
-        question: bytes that ask for one reading.
         parse: one line, its end taken off -> one number per channel; raises `BadReply`.
         channels: numbers per reading.
         limits: of a readout: lowest and highest reading; one that stays there is saturated.
@@ -46,7 +43,6 @@ class AskedReader:
         self._next_s = 0.0
 
     def start(self) -> None:
-        """Throw away what lies in the buffers and begin to ask."""
         if self._asked_s is not None:
             self._await_late()
         self._link.discard()
@@ -73,7 +69,6 @@ class AskedReader:
         return samples
 
     def close(self) -> None:
-        """Give the port back."""
         self._link.close()
 
     def _await_late(self) -> None:

@@ -3,12 +3,11 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 
 from softcal.core.errors import DeviceError, NoReply
-from softcal.core.twin.simulate import Twin
 from softcal.core.words.reason import Reason, several
 from softcal.station.catalogue import driver_of
 from softcal.station.clock import HostClock
@@ -24,7 +23,10 @@ from softcal.station.config import (
 )
 from softcal.station.driver import Opening
 from softcal.station.interfaces import Clock, ForceReader, Readout, Stage
-from softcal.station.simulated.station import SimulatedStation
+
+if TYPE_CHECKING:
+    from softcal.core.twin.simulate import Twin
+    from softcal.station.simulated.station import SimulatedStation
 
 SIMULATED_NAME = "simulated"
 """Name of every simulated station: nothing it measures is traceable."""
@@ -81,14 +83,14 @@ def open_bench(config: StationConfig, clock: Clock | None = None) -> Iterator[Be
 
 @contextmanager
 def open_simulated_bench(
-    unit: Twin | None = None,
+    unit: "Twin | None" = None,
     seed: int = 0,
     time_factor: float | None = None,
     stage_kind: str = StageConfig.kind,
     force_kind: str = ForceConfig.kind,
-    beside: Sequence[Twin] = (),
+    beside: "Sequence[Twin]" = (),
     readout_kind: str = ReadoutConfig.kind,
-) -> Iterator[tuple[Bench, SimulatedStation]]:
+) -> "Iterator[tuple[Bench, SimulatedStation]]":
     """Open the same drivers on simulated far ends, each behind its own serial line.
 
     Args:
@@ -102,6 +104,10 @@ def open_simulated_bench(
     Returns:
         The bench, and the simulated station with its fault switches.
     """
+    # The simulator is an extra: a real rig does without it.
+    from softcal.core.twin.simulate import Twin
+    from softcal.station.simulated.station import SimulatedStation
+
     twin = unit or Twin()
     rng = np.random.default_rng(seed)
     station = SimulatedStation(twin, rng, time_factor, stage_kind, force_kind, beside, readout_kind)
@@ -113,7 +119,7 @@ def open_simulated_bench(
         yield stack.enter_context(open_bench(simulated_config(station), clock)), station
 
 
-def simulated_config(station: SimulatedStation) -> StationConfig:
+def simulated_config(station: "SimulatedStation") -> StationConfig:
     """Return the station file that belongs to a simulated station."""
     fixture = FixtureConfig()
     return StationConfig(

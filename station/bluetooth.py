@@ -54,7 +54,6 @@ class BleTransport:
             raise OSError(f"{type(error).__name__}: {error}".rstrip(": ")) from error
 
     def read(self) -> bytes:
-        """Return everything that has arrived."""
         content = b""
         while self._arrived:
             content += self._arrived.popleft()

@@ -15,11 +15,9 @@ class HostClock:
     """The real clock."""
 
     def now_s(self) -> float:
-        """Return seconds since an arbitrary start; never goes backward."""
         return time.monotonic()
 
     def sleep_s(self, seconds: float) -> None:
-        """Let time pass."""
         time.sleep(max(0.0, seconds))
 
 
@@ -119,7 +117,6 @@ def residual_offset_s(leading: Array, following: Array, rate_Hz: float, reach_s:
     Args:
         leading: (n,) signal on a uniform grid.
         following: (n,) signal on the same grid.
-        rate_Hz: of the grid.
         reach_s: largest offset that is looked for.
 
     Returns:

@@ -25,8 +25,6 @@ class Measurement:
     """A number that can only be read.
 
     Args:
-        question: what is asked.
-        unit: of the number.
         doc: one sentence that begins with Get or Measure.
     """
 
@@ -41,7 +39,6 @@ class Measurement:
     @overload
     def __get__(self, device: Instrument, owner: type) -> float: ...
     def __get__(self, device: Instrument | None, owner: type) -> Any:
-        """Ask the device."""
         if device is None:
             return self
         answer = device.ask(self.question)
@@ -57,9 +54,7 @@ class Control(Measurement):
     """A number that can be read and set, within limits; outside of them nothing is sent.
 
     Args:
-        question: what is asked.
         command: what is told, with one format field.
-        unit: of the number.
         limits: lowest and highest value.
         doc: one sentence that begins with Control.
     """

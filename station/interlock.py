@@ -54,8 +54,11 @@ class StageWatch(StrEnum):
 
 
 class Moves(StrEnum):
-    """What the stage may do: stand, home, go up; or go down as well, so fast that a stop on the stiffest thing holds
-    when it is noticed by its touch (FREE) or by the force limit (UNKNOWN), or a stop on what was felt (KNOWN)."""
+    """What the stage may do: stand, home, go up; or go down as well, so fast that a stop holds.
+
+    That is a stop on the stiffest thing, noticed by its touch (FREE) or by the force limit (UNKNOWN), or a stop on what
+    was felt (KNOWN).
+    """
 
     NONE = "none"
     HOME = "home"

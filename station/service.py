@@ -78,9 +78,7 @@ class StationService:
 
     Args:
         open_bench: opens the devices; called again after an acknowledged fault, since ports may have died.
-        profiles: profile per kind of order.
         spool_folder: where samples go as they come.
-        hooks: the host.
     """
 
     def __init__(
@@ -186,7 +184,6 @@ class StationService:
         return self._spool_folder / f"{check_serial(order.serial)}-{name}.spool"
 
     def close(self) -> None:
-        """Give the ports back."""
         self._open.close()
         self._bench = None
         self.state = StationState.OFF

@@ -83,7 +83,6 @@ class SerialTransport:
         self._serial.write(content)
 
     def read(self) -> bytes:
-        """Return everything that has arrived."""
         content = b""
         # One read may give less than has arrived (a tty hands over what its line discipline has taken so far).
         while piece := self._serial.read(65536):
@@ -91,7 +90,6 @@ class SerialTransport:
         return content
 
     def close(self) -> None:
-        """Give the port back."""
         try:
             self._serial.close()
         except (serial.SerialException, OSError):
@@ -123,7 +121,6 @@ class TcpTransport:
         self._socket.sendall(content)
 
     def read(self) -> bytes:
-        """Return everything that has arrived."""
         content = b""
         self._socket.settimeout(0.0)
         try:
@@ -136,7 +133,6 @@ class TcpTransport:
         raise ConnectionResetError("the device closed the connection")
 
     def close(self) -> None:
-        """End the connection."""
         self._socket.close()
 
 
@@ -179,7 +175,6 @@ class VisaTransport:
         self._to_send.put(content)
 
     def read(self) -> bytes:
-        """Return the answers that have come."""
         content = b""
         while self._arrived:
             content += self._arrived.popleft()

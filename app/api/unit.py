@@ -192,7 +192,7 @@ class Unit:
         if not Path(path).is_file():
             raise InputError(f"{path}: there is no such file")
         with open_registry(f"sqlite:///{Path(path)}") as registry:
-            units = {unit.serial for lot in registry.lot_ids() for unit in registry.units(lot) if unit.revision}
+            units = {unit.serial for lot in registry.lots.ids() for unit in registry.lots.units(lot) if unit.revision}
             if serial is None and len(units) != 1:
                 raise InputError(f"{path} holds {len(units)} calibrated units; name one of them by serial=")
             return cls.from_registry(registry, serial or units.pop())
@@ -242,11 +242,11 @@ class Unit:
         )
         lot = lot if self.kept is None else self.kept.lot
         with open_registry(f"sqlite:///{folder / _FILE}", create=True) as registry:
-            registry.add_lot(lot)
-            training = {"source_recording_sha256": registry.add_recording(lot.id, source, "source")}
-            registry.add_network(lot.id, self.network, {}, training, self.network.id)
-            registry.add_recording(lot.id, self.recording, "unit")
-            registry.add_calibration(lot.id, record)
+            registry.lots.add(lot)
+            training = {"source_recording_sha256": registry.recordings.add(lot.id, source, "source")}
+            registry.networks.add(lot.id, self.network, {}, training, self.network.id)
+            registry.recordings.add(lot.id, self.recording, "unit")
+            registry.calibrations.add(lot.id, record)
             yield registry
 
     @classmethod

@@ -60,7 +60,7 @@ def draw_plan(
     Raises:
         InputError: no unit of the lot was accepted yet, or a plan stands and no reason was given.
     """
-    if registry.events(PLAN, (lot_id,)) and not reason.strip():
+    if registry.trail.of(PLAN, (lot_id,)) and not reason.strip():
         raise InputError(f"lot {lot_id!r} has an audit plan; a new draw needs a reason")
     accepted = _accepted(registry, lot_id)
     if not accepted:
@@ -72,13 +72,13 @@ def draw_plan(
         "forecasts": {serial: accepted[serial] for serial in plan.serials},
         "limit": lot_limit(registry, lot_id).to_json(),
     }
-    registry.add_event("draw", PLAN, (lot_id,), facts, reason=reason, actor=actor)
+    registry.trail.add("draw", PLAN, (lot_id,), facts, reason=reason, actor=actor)
     return _standing(registry, lot_id, facts)
 
 
 def lot_audit(registry: Registry, lot_id: str) -> LotAudit | None:
     """Return the newest audit plan of a lot with what was measured since; None where none was drawn."""
-    drawn = registry.events(PLAN, (lot_id,))
+    drawn = registry.trail.of(PLAN, (lot_id,))
     return _standing(registry, lot_id, json.loads(drawn[-1].after or "{}")) if drawn else None
 
 
@@ -87,10 +87,10 @@ def update_lot(registry: Registry, lot_id: str, actor: str | None = None) -> Lot
     audit = lot_audit(registry, lot_id)
     if audit is None or audit.statement is None:
         return audit
-    told = [json.loads(row.after or "{}") for row in registry.events(STATEMENT, (lot_id,))]
+    told = [json.loads(row.after or "{}") for row in registry.trail.of(STATEMENT, (lot_id,))]
     facts = {"statement": statement_json(audit.statement), "measured": dict(audit.measured)}
     if not told or told[-1] != json.loads(json.dumps(facts)):
-        registry.add_event("judge", STATEMENT, (lot_id,), facts, actor=actor)
+        registry.trail.add("judge", STATEMENT, (lot_id,), facts, actor=actor)
     return audit
 
 
@@ -151,13 +151,13 @@ def _standing(registry: Registry, lot_id: str, facts: Mapping[str, object]) -> L
 
 
 def _targets(registry: Registry, lot_id: str) -> list[UnitEntry]:
-    return [unit for unit in registry.units(lot_id) if unit.role == "target"]
+    return [unit for unit in registry.lots.units(lot_id) if unit.role == "target"]
 
 
 def _accepted(registry: Registry, lot_id: str) -> dict[str, float]:
     """Return forecasts of the units that audits can speak for; their forecast alone may speak against them."""
     units = {unit.serial: unit for unit in _targets(registry, lot_id) if unit.predicted_rmse is not None}
-    standings = registry.standings(lot_id, list(units))
+    standings = registry.pages.standings(lot_id, list(units))
     return {
         serial: float(unit.predicted_rmse or 0.0)
         for serial, unit in units.items()
@@ -172,7 +172,7 @@ def _is_open(standing: UnitStanding | None) -> bool:
 
 def confirmed_audits(registry: Registry, lot_id: str) -> dict[str, str]:
     """Return the audits that a person confirmed in spite of a doubt: by serial, the hash of their output."""
-    told = (json.loads(row.after or "{}") for row in registry.events(CONFIRMED, (lot_id,)))
+    told = (json.loads(row.after or "{}") for row in registry.trail.of(CONFIRMED, (lot_id,)))
     return {str(one["serial"]): str(one["output_sha256"]) for one in told}
 
 
@@ -182,11 +182,11 @@ def confirm_audit(registry: Registry, lot_id: str, serial: str, *, reason: str, 
     Raises:
         InputError: nobody doubts it, or no reason was given.
     """
-    standing = registry.standings(lot_id, [serial]).get(serial)
+    standing = registry.pages.standings(lot_id, [serial]).get(serial)
     made = None if standing is None else standing.made
     if made is None or made.audit is None or made.decision.doubt is None:
         raise InputError(f"the audit of {serial} in lot {lot_id!r} is not in doubt; there is nothing to confirm")
     if not reason.strip():
         raise InputError(f"say why the audit of {serial} is right in spite of the doubt; a reason was expected")
     facts = {"serial": serial, "output_sha256": made.audit.output_sha256, "doubt": made.decision.doubt.to_json()}
-    registry.add_event("confirm", CONFIRMED, (lot_id,), facts, reason=reason, actor=actor)
+    registry.trail.add("confirm", CONFIRMED, (lot_id,), facts, reason=reason, actor=actor)

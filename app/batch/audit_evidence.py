@@ -7,8 +7,8 @@ from datetime import date, datetime, timedelta
 import numpy as np
 
 from softcal.app.batch.audit import confirmed_audits, lot_audit
-from softcal.app.registry.audits import audit_of, newest_audits
 from softcal.app.registry.limit import lot_limit
+from softcal.app.registry.lot_recordings import audit_of, newest_audits
 from softcal.core.lot import Lot
 from softcal.core.quality.acceptance import Promise, tolerance_factor
 from softcal.core.quality.audit_check import doubtful_audits
@@ -40,7 +40,6 @@ class AuditEvidence:
 
     Args:
         qualification: whether units may be released, and on which audits.
-        limit: of the lot.
         widening: of the 90 % intervals.
         seen: gains that the audited units of the lot read their loads with; None where there are too few.
         days: gains of golden units of the sensor model on different days; None where there are too few.
@@ -78,11 +77,7 @@ Audited = Mapping[str, tuple[AuditedUnit, datetime, MadeCalibration]]
 
 
 class AuditReader:
-    """Reads what audits say. Calibrations keep it; of an older version's the recording is read, once.
-
-    Args:
-        registry: where audits are kept.
-    """
+    """Reads what audits say. Calibrations keep it; of an older version's the recording is read, once."""
 
     def __init__(self, registry: Registry) -> None:
         self._registry = registry
@@ -96,7 +91,7 @@ class AuditReader:
             method_id: of the forecasts that the audits are to speak for.
             now: the time of the decision.
         """
-        registry, lot = self._registry, self._registry.lot(lot_id)
+        registry, lot = self._registry, self._registry.lots.get(lot_id)
         audited = self._audited(lot)
         readings = {serial: self._reading(lot_id, made) for serial, (_, _, made) in audited.items()}
         confirmed = confirmed_audits(registry, lot_id)
@@ -132,16 +127,16 @@ class AuditReader:
 
     def _units(self, lot: Lot) -> int:
         """Return how many units the lot has, or is planned to have where a line was told so."""
-        planned = self._registry.line_rules(lot).target or 0
-        return max(planned, sum(self._registry.verdict_counts(lot.id).values()))
+        planned = self._registry.lots.line_rules(lot).target or 0
+        return max(planned, sum(self._registry.pages.verdict_counts(lot.id).values()))
 
     def _days(self, lot: Lot, now: datetime) -> SeenGains | None:
         """Return the gains of golden units of this sensor model, one a day, each about its unit's own mean."""
         gains: list[float] = []
         since = now - timedelta(days=RULES.lasts_days)
-        for serial in sorted({run.serial for run in self._registry.golden_runs(since=since)}):
-            for known in self._registry.lots_of(serial):
-                if lot.sensor_model and self._registry.lot(known).sensor_model == lot.sensor_model:
+        for serial in sorted({run.serial for run in self._registry.stations.golden_runs(since=since)}):
+            for known in self._registry.calibrations.lots_of(serial):
+                if lot.sensor_model and self._registry.lots.get(known).sensor_model == lot.sensor_model:
                     by_day = self._gains_by_day(known, serial, now)
                     gains += [gain / float(np.mean(by_day)) for gain in by_day]
         return seen_gains(gains)
@@ -152,12 +147,12 @@ class AuditReader:
         if reader is None:
             return []
         reads_with, gain = reader
-        for entry in registry.recordings(lot_id, serial, "audit"):
+        for entry in registry.recordings.of_lot(lot_id, serial, "audit"):
             if now - entry.added_at > timedelta(days=RULES.lasts_days):
                 continue
             key = entry.sha256, reads_with
             if key not in self._golden:
-                recording = registry.recording(entry.sha256)
+                recording = registry.recordings.get(entry.sha256)
                 if not isinstance(recording, LabelledRecording):
                     continue
                 self._golden[key] = gain(recording)
@@ -167,23 +162,24 @@ class AuditReader:
     def _reader_of(self, lot_id: str, serial: str) -> tuple[str, Callable[[LabelledRecording], float]] | None:
         """Return what reads a golden unit's runs, and its identity; None where nothing does."""
         registry = self._registry
-        if serial == registry.lot(lot_id).source:
-            state = registry.released_network(lot_id)
+        if serial == registry.lots.get(lot_id).source:
+            state = registry.networks.released(lot_id)
             if state is None:
                 return None
-            f = registry.network(state.network.id)
+            f = registry.networks.get(state.network.id)
             # The source has no map: f alone reads its runs.
             return state.network.id, lambda run: line_of(f.evaluate(run.windows), run.window_reference)[0]
-        record = registry.calibration(serial, lot_id=lot_id).record
-        network, calibration = registry.network(record.network_id), Calibration.from_record(record)
+        record = registry.calibrations.get(serial, lot_id=lot_id).record
+        network, calibration = registry.networks.get(record.network_id), Calibration.from_record(record)
         return record.input_sha256, lambda run: read_gain(network, calibration, run)
 
     def _golden_failed_at(self, lot: Lot) -> datetime | None:
         """Return when a golden unit last failed; one of another sensor model says nothing about this one."""
         registry = self._registry
-        failed = [run for run in registry.golden_runs() if not run.passed]
+        failed = [run for run in registry.stations.golden_runs() if not run.passed]
         models = {
-            run.serial: {registry.lot(known).sensor_model for known in registry.lots_of(run.serial)} for run in failed
+            run.serial: {registry.lots.get(known).sensor_model for known in registry.calibrations.lots_of(run.serial)}
+            for run in failed
         }
         mine = (run.made_at for run in failed if not models[run.serial] or lot.sensor_model in models[run.serial])
         return max(mine, default=None)
@@ -194,7 +190,7 @@ class AuditReader:
         at = {serial: entry.added_at for serial, entry in newest_audits(self._registry, lot.id).items()}
         doubtful = set() if plan is None else set(plan.plan.doubtful)
         found = {}
-        for serial, standing in self._registry.standings(lot.id, sorted(set(at) - doubtful)).items():
+        for serial, standing in self._registry.pages.standings(lot.id, sorted(set(at) - doubtful)).items():
             made = standing.made
             if made is None or made.decision.measured is None or not made.is_open:
                 continue
@@ -205,7 +201,7 @@ class AuditReader:
     def _past(self, lot: Lot) -> list[PastAudit]:
         """Return the audits of all other lots of the sensor model."""
         found = []
-        for other in self._registry.lots():
+        for other in self._registry.lots.all():
             if other.id == lot.id or not lot.sensor_model or other.sensor_model != lot.sensor_model:
                 continue
             for audit, at, made in self._audited(other).values():
@@ -219,7 +215,7 @@ class AuditReader:
         readings = []
         for audit in qualification.audits[: RULES.most_audits]:
             lot = audit.lot_id or lot_id
-            standing = self._registry.standings(lot, [audit.serial]).get(audit.serial)
+            standing = self._registry.pages.standings(lot, [audit.serial]).get(audit.serial)
             if standing is not None and standing.made is not None:
                 readings.append(self._reading(lot, standing.made))
         units = [AuditedSamples(np.array(r.residual), np.array(r.half)) for r in readings if r is not None]
@@ -236,8 +232,8 @@ class AuditReader:
         recording = audit_of(registry, newest_audits(registry, lot_id, serial).get(serial))
         if recording is None:
             return None
-        record = registry.calibration(serial, lot_id=lot_id).record
-        fitted_on = registry.recording(record.recording_sha256)
+        record = registry.calibrations.get(serial, lot_id=lot_id).record
+        fitted_on = registry.recordings.get(record.recording_sha256)
         unlabelled = fitted_on.unlabelled if isinstance(fitted_on, LabelledRecording) else fitted_on
-        network, calibration = registry.network(record.network_id), Calibration.from_record(record)
+        network, calibration = registry.networks.get(record.network_id), Calibration.from_record(record)
         return with_audit(network, calibration, recording, unlabelled).audit

@@ -18,8 +18,6 @@ class AuditFile:
     """What would become of one table.
 
     Args:
-        file: its name.
-        serial: of the unit it would audit.
         recording: None where it is refused.
         refusal: why; None where it is taken.
     """
@@ -38,7 +36,6 @@ def look_at_audits(
     Args:
         units: serials of the lot's target units.
         files: one per unit, called by its serial, or wide ones with a column per unit.
-        columns: which columns hold what.
         sheet: of Excel files; None takes the first.
     """
     plan = ImportPlan(files, columns, lot, audit=True, sheet=sheet)
@@ -51,7 +48,7 @@ def target_serials(registry: Registry, lot_id: str) -> set[str]:
     Raises:
         InputError: the lot is not in the registry.
     """
-    return {unit.serial for unit in registry.units(lot_id) if unit.role == "target"}
+    return {unit.serial for unit in registry.lots.units(lot_id) if unit.role == "target"}
 
 
 def _looked(one: LookedAt, units: Collection[str]) -> AuditFile:
@@ -85,9 +82,9 @@ def write_audits(folder: Path, found: Sequence[AuditFile]) -> list[str]:
 
 
 def store_audits(registry: Registry, lot_id: str, found: Sequence[AuditFile], actor: str | None = None) -> int:
-    """Keep the recordings that are not refused, and return how many; the next calibration of the lot scores them."""
+    """Keep the recordings that are not refused, and return how many; the next calibration of the lot judges by them."""
     taken = [one.recording for one in found if one.recording is not None]
     with registry.transaction():
         for recording in taken:
-            registry.add_recording(lot_id, recording, "audit", actor=actor)
+            registry.recordings.add(lot_id, recording, "audit", actor=actor)
     return len(taken)

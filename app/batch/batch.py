@@ -40,7 +40,7 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     for other in folder.read_more_sources():
         found = train_or_find(folder.lot, other, registry, config.network, config.actor, watch.on_epoch)
         models.append(make_source_model(other, found.network, method=config.method))
-    lot, run = registry.lot(folder.lot.id), folder.read_golden()
+    lot, run = registry.lots.get(folder.lot.id), folder.read_golden()
     state_line(registry, lot.id, folder.line, config.actor)
     state_sources(registry, lot.id, [model.network.id for model in models[1:]], config.actor)
     state_reference(registry, lot.id, folder.reference, source, config.actor)
@@ -77,6 +77,6 @@ def _keep_beside(registry: Registry, work: LotWork, folder: LotFolder, run: Gold
     loads = {sha256: (serial, config.anchors[serial]) for serial, sha256 in of.items()}
     keep_loads(registry, lot_id, loads, "file", actor=actor)
     if isinstance(run, LabelledRecording):
-        golden = registry.add_recording(lot_id, run, "audit", actor=actor)
+        golden = registry.recordings.add(lot_id, run, "audit", actor=actor)
         pressed = {sha256: (serial, golden) for serial, sha256 in work.recordings(list(folder.unit_paths)).items()}
         keep_golden_of(registry, lot_id, pressed, actor=actor)

@@ -10,7 +10,7 @@ import numpy as np
 from softcal.app.batch.calibrating import LotFacts, UnitInputs, calibrate_unit
 from softcal.app.batch.known import KeptFacts, lot_facts
 from softcal.app.registry.golden import bridges_over
-from softcal.app.registry.source import source_model, unlabelled
+from softcal.app.registry.lot_recordings import source_model, unlabelled
 from softcal.core.maps.config import MapConfig
 from softcal.core.recording import OutputRecording
 from softcal.core.unit.calibration import CalibrationRecord
@@ -32,12 +32,12 @@ def compare_on_lot(registry: Registry, request: Mapping[str, Any], tell: Tell) -
     Raises:
         InputError: a lot, network or source recording is not in the registry.
     """
-    lot = registry.lot(request["lot"])
-    newest = {entry.serial: entry.sha256 for entry in registry.recordings(lot.id, kind="unit")}
+    lot = registry.lots.get(request["lot"])
+    newest = {entry.serial: entry.sha256 for entry in registry.recordings.of_lot(lot.id, kind="unit")}
     kept = KeptFacts(registry, lot.id, list(newest))
     # Those with an audit first: they say most.
     chosen = sorted(newest, key=lambda serial: (serial not in kept.audits, serial))[: int(request["units"])]
-    units = [(unlabelled(registry.recording(newest[serial])), kept.of(serial)) for serial in chosen]
+    units = [(unlabelled(registry.recordings.get(newest[serial])), kept.of(serial)) for serial in chosen]
     pairs = [(network, family) for network in request["networks"] for family in request["families"]]
     rows = []
     for k, (network_id, family) in enumerate(pairs):

@@ -14,8 +14,7 @@ from softcal.app.bootstrap import data_folder
 from softcal.app.files.importing import ImportPlan, LookedAt, import_lot, look_through
 from softcal.app.files.lot_folder import FOLDER_OF, LotFolder, open_lot_folder, write_lot_toml
 from softcal.app.files.recording_file import write_recording
-from softcal.app.registry.audits import newest_audits
-from softcal.app.registry.source import source_recording
+from softcal.app.registry.lot_recordings import newest_audits, source_recording
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.network.config import NetworkConfig
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
@@ -95,13 +94,13 @@ def store_lot(registry: Registry, plan: ImportPlan, actor: str) -> Path:
     Raises:
         InputError: the registry knows a lot of this name, or a file cannot be used.
     """
-    if plan.lot.id in registry.lot_ids():
+    if plan.lot.id in registry.lots.ids():
         raise InputError(f"lot {plan.lot.id!r} is in the registry already; choose another name for the new lot")
     folder = lots_folder() / plan.lot.id
     # Without a lot in the registry it is left from one that came to nothing.
     shutil.rmtree(folder, ignore_errors=True)
     import_lot(plan, folder)
-    registry.add_lot(plan.lot, actor=actor)
+    registry.lots.add(plan.lot, actor=actor)
     return folder
 
 
@@ -115,8 +114,10 @@ def lot_files(registry: Registry, lot_id: str, tell: Callable[[int, int], None])
     Raises:
         InputError: the lot has no source recording.
     """
-    lot, stored = registry.lot(lot_id), lots_folder() / lot_id
-    newest = {(entry.kind, entry.serial): entry for entry in registry.recordings(lot_id) if entry.kind != "audit"}
+    lot, stored = registry.lots.get(lot_id), lots_folder() / lot_id
+    newest = {
+        (entry.kind, entry.serial): entry for entry in registry.recordings.of_lot(lot_id) if entry.kind != "audit"
+    }
     newest |= {("audit", serial): entry for serial, entry in newest_audits(registry, lot_id).items()}
     with tempfile.TemporaryDirectory(prefix="softcal-lot-") as place:
         folder = Path(place) / "lot"
@@ -127,7 +128,7 @@ def lot_files(registry: Registry, lot_id: str, tell: Callable[[int, int], None])
         write_lot_toml(folder, lot, more_sources=others)
         for number, ((kind, serial), entry) in enumerate(newest.items()):
             tell(number, len(newest))
-            _write(folder / FOLDER_OF[kind], serial, registry.recording(entry.sha256))
+            _write(folder / FOLDER_OF[kind], serial, registry.recordings.get(entry.sha256))
         yield open_lot_folder(folder)
 
 
@@ -142,5 +143,5 @@ def _write(folder: Path, serial: str, recording: OutputRecording | LabelledRecor
 
 def network_of(registry: Registry, lot_id: str) -> NetworkConfig:
     """Return how the network in use was trained, so that a lot is calibrated again with it; the usual one without."""
-    state = registry.released_network(lot_id)
+    state = registry.networks.released(lot_id)
     return config_of(state.network) if state else NetworkConfig()

@@ -31,7 +31,6 @@ def each_alone(work: Work, limit_s: float, shared: SharedWork, chunk: Chunk) -> 
     """Work on the units of a chunk one by one; what goes wrong with one is its result.
 
     Args:
-        work: does the work of a chunk.
         limit_s: seconds after which the work on a unit is broken off.
     """
     start_s = time.process_time()

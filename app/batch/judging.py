@@ -31,11 +31,11 @@ def judge_leaning(registry: Registry, lot_id: str, actor: str | None = None) -> 
 
     An audit or golden unit that failed withdraws what they were released on.
     """
-    model = registry.lot(lot_id).sensor_model
-    for lot in registry.lots():
+    model = registry.lots.get(lot_id).sensor_model
+    for lot in registry.lots.all():
         if not model or lot.sensor_model != model or lot.id == lot_id:
             continue
-        told = registry.events(STATEMENT, (lot.id,))
+        told = registry.trail.of(STATEMENT, (lot.id,))
         if told and json.loads(told[-1].after or "{}").get("qualification") == EARLIER_LOTS:
             judge_lot(registry, lot.id, actor)
 
@@ -45,6 +45,6 @@ def judge_stale(registry: Registry, actor: str | None = None) -> list[str]:
 
     Two registries that come together may bring a limit to units that were judged without it.
     """
-    lots = sorted({unit.lot_id for unit in registry.units() if is_stale(unit)})
+    lots = sorted({unit.lot_id for unit in registry.lots.units() if is_stale(unit)})
     judge_again(registry, lots, actor)
     return lots

@@ -5,9 +5,9 @@ from collections.abc import Collection, Sequence
 from typing import Any
 
 from softcal.app.batch.calibrating import Known, LotFacts, Refusal, Result, UnitInputs
-from softcal.app.registry.audits import audit_of, newest_audits
 from softcal.app.registry.golden import golden_of
 from softcal.app.registry.known_loads import known_loads
+from softcal.app.registry.lot_recordings import audit_of, newest_audits
 from softcal.app.registry.reference import lot_reference
 from softcal.app.registry.trimmed import trim_kept
 from softcal.core.errors import InputError
@@ -26,24 +26,24 @@ LINE, SOURCES = "line_spread", "lot_sources"
 def state_line(registry: Registry, lot_id: str, line: LineSpread | None, actor: str | None = None) -> None:
     """Keep how differently a line presses units, where a lot folder states it anew."""
     if line is not None and line != stated_line(registry, lot_id):
-        registry.add_event("state", LINE, (lot_id,), line.to_json(), reason="stated with the lot", actor=actor)
+        registry.trail.add("state", LINE, (lot_id,), line.to_json(), reason="stated with the lot", actor=actor)
 
 
 def stated_line(registry: Registry, lot_id: str) -> LineSpread | None:
     """Return what was stated last for a lot; None where nothing was."""
-    told = registry.events(LINE, (lot_id,))
+    told = registry.trail.of(LINE, (lot_id,))
     return LineSpread.of(json.loads(told[-1].after or "{}")) if told else None
 
 
 def state_sources(registry: Registry, lot_id: str, networks: Sequence[str], actor: str | None = None) -> None:
     """Keep the networks of the further sources that a lot folder names, where they are others than before."""
     if list(networks) != stated_sources(registry, lot_id):
-        registry.add_event("state", SOURCES, (lot_id,), {"networks": list(networks)}, actor=actor)
+        registry.trail.add("state", SOURCES, (lot_id,), {"networks": list(networks)}, actor=actor)
 
 
 def stated_sources(registry: Registry, lot_id: str) -> list[str]:
     """Return the networks of a lot's further sources, in its order; empty where it has its own source alone."""
-    told = registry.events(SOURCES, (lot_id,))
+    told = registry.trail.of(SOURCES, (lot_id,))
     networks: list[str] = json.loads(told[-1].after or "{}")["networks"] if told else []
     return networks
 
@@ -130,13 +130,13 @@ def keep_result(
     """
     if isinstance(result, Refusal):
         why = (result.reason,)
-        registry.add_refusal(lot_id, serial, str(result.verdict), why, actor=actor, work_sha256=work_sha256)
+        registry.calibrations.refuse(lot_id, serial, str(result.verdict), why, actor=actor, work_sha256=work_sha256)
     elif isinstance(result, Known):
         if not put_back(registry, lot_id, serial, result.input_sha256, by, actor=actor, work_sha256=work_sha256):
             raise InputError(f"{serial}: its calibration vanished from the registry; run `registry verify`")
     else:
         with trim_kept(registry, lot_id, serial, actor):
-            registry.add_calibration(lot_id, result, actor, reason, decided_by=by, work_sha256=work_sha256)
+            registry.calibrations.add(lot_id, result, actor, reason, decided_by=by, work_sha256=work_sha256)
 
 
 def put_back(
@@ -155,4 +155,4 @@ def put_back(
         by, work_sha256: as of `keep_result`.
     """
     with trim_kept(registry, lot_id, serial, actor):
-        return registry.put_in_use(lot_id, serial, input_sha256, by, actor=actor, work_sha256=work_sha256)
+        return registry.calibrations.put_in_use(lot_id, serial, input_sha256, by, actor=actor, work_sha256=work_sha256)

@@ -107,7 +107,6 @@ class Watch:
     Args:
         on_epoch: every epoch of a training.
         on_start: how many units the lot has.
-        on_unit: every result of this batch.
         on_done: how many units of the lot are done so far, by this batch and others.
         on_wait: how many units others hold, while there is nothing else to do.
     """
@@ -124,7 +123,6 @@ class LotWork:
 
     Args:
         facts: what the lot's units are calibrated with.
-        kept: what the registry has about each of them.
     """
 
     def __init__(
@@ -184,9 +182,9 @@ class LotWork:
         Where the same work was calibrated before, that calibration is put into use again without working on the files.
         """
         asked = {serial: self._works[serial] for serial in serials if serial not in self._ended}
-        decided = self._registry.decided_works(self._lot_id, list(asked))
+        decided = self._registry.calibrations.decided_works(self._lot_id, list(asked))
         left = {serial: work for serial, work in asked.items() if decided.get(serial) != work}
-        for serial, input_sha256 in self._registry.inputs_of_works(self._lot_id, left).items():
+        for serial, input_sha256 in self._registry.calibrations.inputs_of_works(self._lot_id, left).items():
             told = {"work_sha256": left[serial], "actor": self._config.actor}
             if put_back(self._registry, self._lot_id, serial, input_sha256, "batch", **told):
                 del left[serial]
@@ -195,19 +193,19 @@ class LotWork:
 
     def _refuse(self, serial: str, reason: str, work_sha256: str | None = None) -> None:
         told = {"actor": self._config.actor, "work_sha256": work_sha256}
-        self._registry.add_refusal(self._lot_id, serial, str(Verdict.RETEST), (plain(reason),), **told)
+        self._registry.calibrations.refuse(self._lot_id, serial, str(Verdict.RETEST), (plain(reason),), **told)
         self._ended.add(serial)
 
     def told(self, serials: Sequence[str]) -> dict[str, UnitResult]:
         """Return where units stand in the registry now."""
-        standings = self._registry.standings(self._lot_id, serials)
+        standings = self._registry.pages.standings(self._lot_id, serials)
         return {s: self._result(s, standings.get(s)) for s in serials}
 
     def recordings(self, serials: Sequence[str]) -> dict[str, str]:
         """Return the hash of the recording that each unit was calibrated from; one without a calibration has none."""
         left = [serial for serial in serials if serial not in self._recordings]
         made = [serial for serial, result in self.told(left).items() if result.made is not None]
-        stored = {s: self._registry.calibration(s, lot_id=self._lot_id).record.recording_sha256 for s in made}
+        stored = {s: self._registry.calibrations.get(s, lot_id=self._lot_id).record.recording_sha256 for s in made}
         return stored | {serial: self._recordings[serial] for serial in serials if serial in self._recordings}
 
     def _result(self, serial: str, standing: UnitStanding | None) -> UnitResult:
@@ -290,7 +288,7 @@ class LotWork:
 
     def _tasks(self, items: list[WorkItem]) -> Iterator[UnitTask]:
         serials = [item.serial for item in items]
-        known = {} if self._config.refit else self._registry.known_inputs(self._lot_id, serials)
+        known = {} if self._config.refit else self._registry.calibrations.known_inputs(self._lot_id, serials)
         for item in items:
             try:
                 held = self._held.pop(item.serial, None)
@@ -341,7 +339,7 @@ class LotWork:
         registry, result, work = self._registry, unit.result, self._works.get(unit.serial)
         for recording, kind in ((unit.recording, "unit"), (unit.audit, "audit")):
             if recording is not None:
-                registry.add_recording(self._lot_id, recording, kind, actor=self._config.actor)
+                registry.recordings.add(self._lot_id, recording, kind, actor=self._config.actor)
         if isinstance(result, PassingRefusal):
             work = None
             facts = {"lot": self._lot_id, "serial": unit.serial, "reason": str(result.reason)}

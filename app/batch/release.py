@@ -8,9 +8,8 @@ from datetime import UTC, datetime
 import numpy as np
 
 from softcal.app.batch.audit_evidence import PROMISE, RELEASABLE, AuditEvidence, AuditReader
-from softcal.app.registry.audits import audit_of, newest_audits
 from softcal.app.registry.limit import limit_or_none, lot_limit
-from softcal.app.registry.source import source_recording, unlabelled
+from softcal.app.registry.lot_recordings import audit_of, newest_audits, source_recording, unlabelled
 from softcal.core.identity import content_sha256
 from softcal.core.quality.lot_release import LotRelease, release_lot
 from softcal.core.quality.lot_standing import LotStanding, UnitInLot
@@ -90,11 +89,11 @@ def lot_standing(registry: Registry, lot_id: str, now: datetime | None = None) -
     Raises:
         InputError: the lot is not in the registry.
     """
-    registry.lot(lot_id)
+    registry.lots.get(lot_id)
     units, limit = _whole_lot(registry, lot_id), limit_or_none(registry, lot_id)
     standing = _standing(registry, lot_id, now or datetime.now(UTC), units)
-    audits, passed = newest_audits(registry, lot_id), registry.passed_once(lot_id)
-    targets = [unit.serial for unit in registry.units(lot_id) if unit.role == "target"]
+    audits, passed = newest_audits(registry, lot_id), registry.calibrations.passed_once(lot_id)
+    targets = [unit.serial for unit in registry.lots.units(lot_id) if unit.role == "target"]
     rows = [_in_lot(serial, units.get(serial), audits.get(serial), serial in passed) for serial in targets]
     return LotStanding(lot_id, rows, limit, None if standing is None else standing.decided())
 
@@ -117,15 +116,18 @@ def is_stale(unit: UnitEntry) -> bool:
 def _measure_anew(registry: Registry, lot_id: str, actor: str | None) -> None:
     """Score the units in use on their newest audits, where another one, or none, was scored; nothing is fitted."""
     entries = newest_audits(registry, lot_id)
-    for serial, standing in registry.standings(lot_id, list(entries)).items():
+    for serial, standing in registry.pages.standings(lot_id, list(entries)).items():
         made, entry = standing.made, entries[serial]
         if made is None or (made.audit is not None and made.audit.recording_sha256 in ("", entry.sha256)):
             continue
-        audit, base = audit_of(registry, entry), _base(registry, lot_id, registry.calibration(serial, lot_id=lot_id))
+        audit, base = (
+            audit_of(registry, entry),
+            _base(registry, lot_id, registry.calibrations.get(serial, lot_id=lot_id)),
+        )
         if audit is None or base.grounds is None or base.grounds.rules:
             continue
-        recording = unlabelled(registry.recording(base.recording_sha256))
-        record = measured(registry.network(base.network_id), base, audit, recording, lot_limit(registry, lot_id))
+        recording = unlabelled(registry.recordings.get(base.recording_sha256))
+        record = measured(registry.networks.get(base.network_id), base, audit, recording, lot_limit(registry, lot_id))
         # It is fitted as it was; what others say is asked again.
         evidence = {name: value for name, value in record.evidence.items() if name != BASE}
         record = replace(record, evidence=evidence)
@@ -134,13 +136,13 @@ def _measure_anew(registry: Registry, lot_id: str, actor: str | None) -> None:
 
 def _judge_anew(registry: Registry, lot_id: str, actor: str | None) -> None:
     """Judge the units whose verdict was given against another limit; one that has to be fitted for it stays stale."""
-    stale = [unit.serial for unit in registry.units(lot_id) if is_stale(unit)]
+    stale = [unit.serial for unit in registry.lots.units(lot_id) if is_stale(unit)]
     if not stale:
         return
     limit = lot_limit(registry, lot_id)
     with registry.transaction():
         for serial in stale:
-            record = judged(_base(registry, lot_id, registry.calibration(serial, lot_id=lot_id)), limit)
+            record = judged(_base(registry, lot_id, registry.calibrations.get(serial, lot_id=lot_id)), limit)
             if record is not None:
                 _put(registry, lot_id, record, "judged against another limit", actor)
 
@@ -161,7 +163,6 @@ class _Standing:
     """What is known of a lot: the evidence it is decided on, and its units as they were then or came since.
 
     Args:
-        made: their calibrations.
         least: number of unmeasured ones that must pass.
     """
 
@@ -179,7 +180,6 @@ class _Standing:
         }
 
     def decided(self) -> LotRelease:
-        """Decide on its units."""
         return _decided(self.evidence, self.open, self.least)
 
     def moved(self) -> list[MadeCalibration]:
@@ -200,9 +200,6 @@ class LineRelease:
 
     The other units of the lot are read again only where the audits say something new; units that another station
     presses meanwhile count from then on. `judge_lot` decides on the whole lot.
-
-    Args:
-        registry: of the line.
     """
 
     def __init__(self, registry: Registry) -> None:
@@ -212,7 +209,7 @@ class LineRelease:
     def press(self, lot_id: str, serial: str, actor: str | None = None, now: datetime | None = None) -> None:
         """Decide on a unit that was calibrated just now, and keep what changed."""
         registry = self._registry
-        pressed = _made(registry.standings(lot_id, [serial]))
+        pressed = _made(registry.pages.standings(lot_id, [serial]))
         if not pressed:
             self._standing.pop(lot_id, None)
             return
@@ -237,7 +234,9 @@ class LineRelease:
 
 
 def _whole_lot(registry: Registry, lot_id: str) -> Mapping[str, UnitStanding]:
-    return registry.standings(lot_id, [unit.serial for unit in registry.units(lot_id) if unit.role == "target"])
+    return registry.pages.standings(
+        lot_id, [unit.serial for unit in registry.lots.units(lot_id) if unit.role == "target"]
+    )
 
 
 def _made(units: Mapping[str, UnitStanding]) -> list[MadeCalibration]:
@@ -287,7 +286,7 @@ def _keep(
     is_as_it_was = doubt is None and known.sampled is None and known.doubt is None
     if not is_released and is_as_it_was and not _is_to_correct(made, evidence):
         return
-    base = _base(registry, lot_id, registry.calibration(made.serial, lot_id=lot_id))
+    base = _base(registry, lot_id, registry.calibrations.get(made.serial, lot_id=lot_id))
     record = _corrected(registry, lot_id, base, evidence.common_of(made), evidence.limit)
     if doubt is not None:
         record = doubted_record(record, doubt)
@@ -311,8 +310,8 @@ def _corrected(
         audit = audit_of(registry, newest_audits(registry, lot_id, base.serial).get(base.serial))
     if audit is None:
         return judged(record, limit) or base
-    recording = unlabelled(registry.recording(base.recording_sha256))
-    network = registry.network(base.network_id)
+    recording = unlabelled(registry.recordings.get(base.recording_sha256))
+    network = registry.networks.get(base.network_id)
     scored = measured(network, record, audit, recording, limit, is_newer=False)
     # What its audit says of the map as it was fitted is what the others are corrected by.
     lines = {name: base.evidence[name] for name in (AUDIT_GAIN, AUDIT_ZERO) if name in base.evidence}
@@ -321,11 +320,11 @@ def _corrected(
 
 def _put(registry: Registry, lot_id: str, record: CalibrationRecord, why: str, actor: str | None) -> None:
     """Put a judgement into use, as a revision of its own where it was not kept before."""
-    known = registry.find_calibration(record.serial, record.input_sha256, lot_id=lot_id)
+    known = registry.calibrations.find(record.serial, record.input_sha256, lot_id=lot_id)
     if known is None:
-        registry.add_calibration(lot_id, record, actor=actor, reason=why, decided_by="release")
+        registry.calibrations.add(lot_id, record, actor=actor, reason=why, decided_by="release")
     elif not known.is_current:
-        registry.decide(known, "release", actor=actor, reason=why)
+        registry.calibrations.decide(known, "release", actor=actor, reason=why)
 
 
 def _base(registry: Registry, lot_id: str, stored: StoredCalibration) -> CalibrationRecord:
@@ -334,7 +333,7 @@ def _base(registry: Registry, lot_id: str, stored: StoredCalibration) -> Calibra
     revision = record.evidence.get(BASE)
     if revision is None:
         return replace(record, evidence={**record.evidence, BASE: float(stored.revision)})
-    base = registry.calibration(record.serial, int(revision), lot_id=lot_id).record
+    base = registry.calibrations.get(record.serial, int(revision), lot_id=lot_id).record
     return replace(base, evidence={**base.evidence, BASE: revision})
 
 
@@ -354,7 +353,6 @@ def judged_record(base: CalibrationRecord, decided: LotRelease) -> CalibrationRe
     """Return a calibration with what the audits of its lot say: forecast and interval scaled, the judgement beside.
 
     Args:
-        base: as it was fitted.
         decided: on its lot; the unit must be among `forecasts`.
     """
     judgement = decided.judgement(base.serial)
@@ -384,7 +382,7 @@ def judged_record(base: CalibrationRecord, decided: LotRelease) -> CalibrationRe
 
 def is_told(registry: Registry, lot_id: str, decided: LotRelease) -> bool:
     """Return whether this very decision is the last that was kept: then units and files follow it already."""
-    told = registry.events(STATEMENT, (lot_id,))
+    told = registry.trail.of(STATEMENT, (lot_id,))
     return bool(told) and json.loads(told[-1].after or "{}") == json.loads(json.dumps(decided.to_json()))
 
 
@@ -392,4 +390,4 @@ def _tell(registry: Registry, lot_id: str, decided: LotRelease, actor: str | Non
     """Keep the statement, where it says something new."""
     if not is_told(registry, lot_id, decided):
         facts = decided.to_json()
-        registry.add_event("release" if decided.released else "withhold", STATEMENT, (lot_id,), facts, actor=actor)
+        registry.trail.add("release" if decided.released else "withhold", STATEMENT, (lot_id,), facts, actor=actor)

@@ -17,7 +17,6 @@ class UnitResult:
     """One row of the report.
 
     Args:
-        serial: the unit.
         verdict: pass, conditional, fail or retest.
         reasons: why, most important first.
         made: its calibration; None for a unit that could not be read or mapped.
@@ -46,7 +45,6 @@ class BatchReport:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Units by verdict."""
         words = [unit.verdict for unit in self.units]
         return {str(word): words.count(word) for word in VERDICTS}
 

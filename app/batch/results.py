@@ -50,9 +50,9 @@ def lot_results(registry: Registry, lot_id: str, release: Release = Release.PASS
     Raises:
         InputError: the lot is not in the registry.
     """
-    lot = registry.lot(lot_id)
-    serials = sorted(unit.serial for unit in registry.units(lot_id) if unit.role == "target")
-    standings = registry.standings(lot_id, serials)
+    lot = registry.lots.get(lot_id)
+    serials = sorted(unit.serial for unit in registry.lots.units(lot_id) if unit.role == "target")
+    standings = registry.pages.standings(lot_id, serials)
     rows = [_row(lot_id, serial, standings.get(serial), release) for serial in serials]
     facts = {
         "schema": SCHEMA_NAME,

@@ -24,7 +24,6 @@ class TrainedOrFound:
     """The shared network of a lot.
 
     Args:
-        network: f.
         is_new: whether it was trained now; otherwise the registry had it.
         metrics: errors on the validation blocks of the source and how long training took, in named units.
     """
@@ -46,16 +45,16 @@ def train_or_find(
 
     Where another process trains the same just now, its network is waited for.
     """
-    registry.add_lot(lot, actor=actor)
-    recording_sha256 = registry.add_recording(lot.id, source, "source", actor=actor)
+    registry.lots.add(lot, actor=actor)
+    recording_sha256 = registry.recordings.add(lot.id, source, "source", actor=actor)
     input_sha256 = content_sha256({}, {"source": recording_sha256, "config": asdict(config)})
-    found = registry.find_network(input_sha256)
+    found = registry.networks.find(input_sha256)
     if found is not None:
         return _registered(registry, found, False)
     with Claims(registry, WorkSet(lot.id, input_sha256, "train")) as claims:
         claims.queue.enqueue(claims.work, {source.serial: input_sha256})
         mine = _turn(claims)
-        found = registry.find_network(input_sha256)
+        found = registry.networks.find(input_sha256)
         if found is not None:
             return _registered(registry, found, False)
         start_s = time.perf_counter()
@@ -67,7 +66,7 @@ def train_or_find(
         }
         training = {"config": asdict(config), "source_recording_sha256": recording_sha256}
         # Who loses its lease finds the other one's network there; the id that comes back is the one to go on with.
-        id_ = registry.add_network(lot.id, trained.network, metrics, training, input_sha256, actor=actor)
+        id_ = registry.networks.add(lot.id, trained.network, metrics, training, input_sha256, actor=actor)
         for item in mine:
             claims.queue.finish(claims.owner, [item.id])
     note("network", lot=lot.id, network=id_, **metrics)
@@ -82,5 +81,5 @@ def _turn(claims: Claims) -> list[WorkItem]:
 
 
 def _registered(registry: Registry, network_id: str, is_new: bool) -> TrainedOrFound:
-    metrics = {name: float(str(value)) for name, value in registry.network_entry(network_id).metrics.items()}
-    return TrainedOrFound(registry.network(network_id), is_new, metrics)
+    metrics = {name: float(str(value)) for name, value in registry.networks.entry(network_id).metrics.items()}
+    return TrainedOrFound(registry.networks.get(network_id), is_new, metrics)

@@ -27,7 +27,6 @@ class UnitTask:
 
     Args:
         item_id: its item in the work queue.
-        serial: the unit.
         recording: its file; None where it could not be read, and `problem` says why.
         audit: file of its labelled recording, which decides and fits nothing; outranks the one among `facts`.
         facts: what else is known of the unit.
@@ -69,7 +68,6 @@ class Chunk:
     tasks: tuple[UnitTask, ...]
 
     def split(self) -> "tuple[Chunk, ...]":
-        """Return a chunk for each unit."""
         return tuple(Chunk((task,)) for task in self.tasks)
 
 

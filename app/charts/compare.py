@@ -1,6 +1,7 @@
-"""Two units in one picture: their maps, and how wide their intervals are over the load."""
+"""What is compared in one picture: maps and intervals of two units, errors of networks and map families."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -67,3 +68,23 @@ def errors_of_lots(views: Sequence[LotView], colours: Palette, words: Words) -> 
     figure.update_xaxes(type="category").update_yaxes(range=[0.0, 1.1 * max(ends) or 1.0])
     units = sorted({view.lot.reference_unit for view in views})
     return styled(figure, colours, words("choose.lot"), f"{words('column.predicted')} [{', '.join(units)}]")
+
+
+def comparison(rows: Sequence[Mapping[str, Any]], unit: str, colours: Palette, words: Words) -> go.Figure:
+    """Draw the median error of every family with every network: measured where audits are, forecast beside it."""
+    networks = list(dict.fromkeys(row["network"] for row in rows))
+    figure = go.Figure()
+    series = (("after", colours.mapped), ("predicted", colours.source))
+    for name, colour in series:
+        for k, network in enumerate(networks):
+            mine = [row for row in rows if row["network"] == network and row[name] is not None]
+            if not mine:
+                continue
+            figure.add_bar(
+                x=[row["family"] for row in mine],
+                y=[row[name] for row in mine],
+                name=f"{words(f'column.{name}')}, {network[:8]}",
+                marker={"color": colour, "opacity": 1.0 - 0.45 * (k / max(1, len(networks) - 1))},
+            )
+    figure.update_yaxes(rangemode="tozero").update_layout(barmode="group", bargroupgap=0.1)
+    return styled(figure, colours, words("column.family"), f"{words('networks.median')} [{unit}]")

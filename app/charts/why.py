@@ -26,12 +26,12 @@ PARTS, LOADS, INTERVAL, TIME = (1, 1), (1, 2), (2, 1), (2, 2)
 def why_figure(view: UnitView, colours: Palette, words: Words) -> go.Figure:
     """Draw verdict and reasons above four panels.
 
-    What the predicted error is made of, with its 95 % interval and the limit; how the unit's loads are distributed with
-    and without its map beside the source's; the half width of the 90 % interval by load and direction over the
-    source's; and the estimate over time with the windows that are unlike any of the source marked.
+    The first shows what the predicted error is made of, with its 95 % interval and the limit. The second shows how the
+    unit's loads are distributed with and without its map, beside the source's. The third is the half width of the 90 %
+    interval by load and direction over the source's. The last is the estimate over time, where windows unlike any of
+    the source are marked.
 
     Args:
-        view: one revision of a unit.
         colours, words: of the screen; `palette("light")` and a text function on the command line.
     """
     named = [words(f"why.{name}") for name in ("parts", "loads", "interval", "time")]

@@ -18,17 +18,11 @@ EXAMPLES = """examples:
 
 Operators need no account. The page People shows and changes the same accounts.
 """
+HELP = "people and programs, their roles and PINs"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal account`."""
-    parser = commands.add_parser(
-        "account",
-        help="people and programs, their roles and PINs",
-        description="Make, change and list accounts. Every change lands in the audit trail with its reason.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Make, change and list accounts. Every change lands in the audit trail with its reason."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     change = actions.add_parser("set", help="make an account, or change its role, its PIN or whether it is active")
     change.add_argument("name", metavar="NAME")
@@ -51,12 +45,12 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
 def _set(options: argparse.Namespace) -> int:
     name = options.name.strip()
     with registry_of(options, create=False) as registry:
-        known = next((user for user in registry.users() if user.name == name), None)
+        known = next((user for user in registry.people.all() if user.name == name), None)
         if known is None and options.role is None:
             raise InputError(f"{name!r} has no account yet; --role says what it may: {', '.join(ROLES)}")
         pin = _pin(options) if known is None or options.new_pin or options.pin_file else None
         is_active = options.active or (not options.inactive and (known is None or known.is_active))
-        user = registry.set_user(
+        user = registry.people.set(
             name,
             options.role or known.role,  # type: ignore[union-attr]
             pin,
@@ -93,7 +87,7 @@ def _pin(options: argparse.Namespace) -> str:
 
 def _list(options: argparse.Namespace) -> int:
     with registry_of(options, create=False) as registry:
-        users = registry.users()
+        users = registry.people.all()
     if options.json:
         told = [{"name": user.name, "role": user.role, "is_active": user.is_active} for user in users]
         write_json(options.json, {"schema": "softcal.accounts/1", "accounts": told})

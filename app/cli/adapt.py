@@ -39,18 +39,13 @@ Only t_s and output of IN are read. Row k of OUT depends on rows up to k alone; 
 (`recalibrate` once a calibration with a reference is due), and whether its map is `unwatched` (nothing to compare the
 use with yet), `held` (use or drift, which cannot be told) or `followed`. Damaged samples are flagged and move nothing.
 """
+HELP = "estimate over long use, the map following the drift"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal adapt`."""
-    parser = commands.add_parser(
-        "adapt",
-        help="estimate over long use, the map following the drift",
-        description="Estimate the reference from a long stream of a unit's output while its map follows the sensor's "
-        "drift; where drift and a change of use cannot be told apart, the map is held and the file says so.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Estimate the reference from a long stream of a unit's output while its map follows the sensor's drift. Where
+    drift and a change of use cannot be told apart, the map is held and the file says so.
+    """
     parser.add_argument("source", metavar="IN", help="CSV or Parquet with t_s, output; -, serial:PORT or simulated")
     parser.add_argument("--out", required=True, metavar="OUT", help="CSV or Parquet; live also - or tcp://HOST:PORT")
     parser.add_argument("--serial", required=True, metavar="S")
@@ -77,7 +72,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     add_lot_of_serial(parser)
     add_registry(parser)
     add_json(parser)
-    parser.set_defaults(run=run)
 
 
 MODE_HELP = (
@@ -170,8 +164,7 @@ def _report(registry: "Registry", options: argparse.Namespace, report: "AdaptRep
         say(f"ALARM: {report.current.alarm}")
     if options.html is None and not options.json:
         return
-    course = registry.adaptations(report.serial, report.stream)
+    course = registry.adaptations.all(report.serial, report.stream)
     if options.html is not None:
         write_figure(registry, options.html, report, maps_of(course))
-    if options.json:
-        write_json(options.json, report_json(report, course))
+    write_json(options.json, report_json(report, course))

@@ -3,7 +3,7 @@
 import argparse
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from softcal.app.cli.options import add_csv, add_json, add_registry, registry_at, registry_of, say_written
 from softcal.app.files.atomic import write_text
@@ -20,20 +20,15 @@ EXAMPLES = """examples:
   softcal api token list
   softcal api token withdraw 3f2a9c0b1d4e --reason "MES was replaced"
   softcal api openapi --out openapi.json
+  softcal api client --out softcal_client.py
 
 A token may do what the role of its account may; `softcal account` makes accounts.
 """
+HELP = "the REST interface for other programs, and their tokens"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal api`."""
-    parser = commands.add_parser(
-        "api",
-        help="the REST interface for other programs, and their tokens",
-        description="Units, verdicts, files, lots, jobs and events for other programs, over HTTP.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Units, verdicts, files, lots, jobs and events for other programs, over HTTP."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     serve = actions.add_parser("serve", help="serve the REST interface until Ctrl-C")
     add_registry(serve)
@@ -48,6 +43,9 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     openapi = actions.add_parser("openapi", help="write the OpenAPI document")
     openapi.add_argument("--out", type=Path, required=True, metavar="FILE")
     openapi.set_defaults(run=_openapi)
+    client = actions.add_parser("client", help="write a typed Python client: one file, standard library alone")
+    client.add_argument("--out", type=Path, required=True, metavar="FILE")
+    client.set_defaults(run=_client)
     _add_token(actions)
 
 
@@ -84,19 +82,28 @@ def _serve(options: argparse.Namespace) -> int:
 
 
 def _openapi(options: argparse.Namespace) -> int:
+    write_text(options.out, json.dumps(_document(), indent=2) + "\n")
+    return DONE
+
+
+def _client(options: argparse.Namespace) -> int:
+    from softcal.app.connect.client_text import client_text
+
+    write_text(options.out, client_text(_document()))
+    return DONE
+
+
+def _document() -> dict[str, Any]:
     from softcal.app.connect.rest import openapi_document, rest_app
 
     with registry_at("sqlite://") as registry:
-        text = json.dumps(openapi_document(rest_app(registry)), indent=2) + "\n"
-    write_text(options.out, text)
-    return DONE
+        return openapi_document(rest_app(registry))
 
 
 def _create(options: argparse.Namespace) -> int:
     with registry_of(options, create=False) as registry:
-        token, secret = registry.add_token(options.account, options.purpose, options.days)
-    if options.json:
-        write_json(options.json, {"schema": "softcal.api.token/1", **_token_json(token), "token": secret})
+        token, secret = registry.tokens.add(options.account, options.purpose, options.days)
+    write_json(options.json, {"schema": "softcal.api.token/1", **_token_json(token), "token": secret})
     if options.json != "-":
         print(secret)
         until = token.ends_at.astimezone()
@@ -106,9 +113,8 @@ def _create(options: argparse.Namespace) -> int:
 
 def _list(options: argparse.Namespace) -> int:
     with registry_of(options, create=False) as registry:
-        tokens, now = registry.tokens(), registry.settings.clock()
-    if options.json:
-        write_json(options.json, {"schema": "softcal.api.tokens/1", "tokens": [_token_json(each) for each in tokens]})
+        tokens, now = registry.tokens.all(), registry.settings.clock()
+    write_json(options.json, {"schema": "softcal.api.tokens/1", "tokens": [_token_json(each) for each in tokens]})
     rows = [
         [
             t.token_id,
@@ -126,9 +132,8 @@ def _list(options: argparse.Namespace) -> int:
 
 def _withdraw(options: argparse.Namespace) -> int:
     with registry_of(options, create=False) as registry:
-        registry.withdraw_token(options.token, reason=options.reason)
-    if options.json:
-        write_json(options.json, {"schema": "softcal.api.withdrawn/1", "token_id": options.token})
+        registry.tokens.withdraw(options.token, reason=options.reason)
+    write_json(options.json, {"schema": "softcal.api.withdrawn/1", "token_id": options.token})
     if options.json != "-":
         print(f"token {options.token} was withdrawn; what it was used for until now stands in the audit trail")
     return DONE

@@ -27,17 +27,11 @@ EXAMPLES = """examples:
 Stopped in the middle? Run the same command again: finished units are kept.
 Exit code 0: every unit passed; 1: done, but some unit did not pass.
 """
+HELP = "calibrate a lot: train or reuse f, fit every map, verdicts, registry, exports"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal batch`."""
-    parser = commands.add_parser(
-        "batch",
-        help="calibrate a lot: train or reuse f, fit every map, verdicts, registry, exports",
-        description="Calibrate a lot folder. One bad unit never stops the lot; what is done is never done again.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Calibrate a lot folder. One bad unit never stops the lot; what is done is never done again."""
     parser.add_argument("lot", type=Path, metavar="LOT", help="lot folder")
     add_registry(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="write calibration files of the released units here")
@@ -68,7 +62,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     add_network(parser)
     add_json(parser)
     add_csv(parser)
-    parser.set_defaults(run=run)
 
 
 def _parquet(text: str) -> Path:
@@ -83,6 +76,7 @@ def run(options: argparse.Namespace) -> int:
     from softcal.app.batch.engine import EngineChoice
     from softcal.app.batch.lot_work import BatchConfig
     from softcal.app.batch.report import TABLE_HEADER, audit_lines, report_json, table_row
+    from softcal.app.extras import lacking
     from softcal.app.files.anchors import read_anchors
     from softcal.app.files.lot_folder import open_lot_folder
     from softcal.core.unit.verdict import Release, Verdict
@@ -91,16 +85,19 @@ def run(options: argparse.Namespace) -> int:
     folder = open_lot_folder(options.lot)
     for remark in folder.remarks:
         say(f"note: {remark}")
+    lack = None if options.no_own else lacking("torch", "no own calibration is trained for comparison")
     anchors = {} if options.anchors is None else read_anchors(options.anchors, folder.unit_paths)
     config = BatchConfig(
         anchors=anchors,
         network=network_config(options),
         engine=EngineChoice(options.engine, options.jobs, options.scheduler),
-        score_own=not options.no_own,
+        score_own=not options.no_own and lack is None,
         refit=options.refit,
         release=Release(options.release),
     )
     with registry_of(options) as registry:
+        if lack:
+            say(f"note: {lack}")
         report = run_batch(folder, registry, config, batch_watch(folder.lot.reference_unit))
         if options.out is not None:
             _write_files(registry, report, options.out)
@@ -122,8 +119,7 @@ def run(options: argparse.Namespace) -> int:
     for line in audit_lines(report):
         print(shown(line))
     print(_summary(report.counts, folder.lot.reference_unit, report.wall_s))
-    if options.json:
-        write_json(options.json, report_json(report))
+    write_json(options.json, report_json(report))
     return 0 if report.has_passed else 1
 
 
@@ -131,7 +127,7 @@ def _write_files(registry: "Registry", report: "BatchReport", out: Path) -> None
     """Write the files of released units, and take back what an earlier, better verdict left there."""
     from softcal.app.export.calibrated_unit import ExportOptions
     from softcal.app.export.export import export_units
-    from softcal.app.export.withdraw import withdraw_units
+    from softcal.app.export.manifest import withdraw_units
     from softcal.core.unit.verdict import Release
 
     released = [unit.serial for unit in report.units if report.releases(unit)]

@@ -18,17 +18,11 @@ EXAMPLES = """examples:
   softcal connect status                                how far every destination is, and what is wrong
   softcal adapt --serial A1 - --out - | softcal connect estimates plant.toml --serial A1
 """
+HELP = "send verdicts and alerts: webhooks, mail, MQTT, OPC UA"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal connect`."""
-    parser = commands.add_parser(
-        "connect",
-        help="send verdicts and alerts: webhooks, mail, MQTT, OPC UA",
-        description="Bring events to other programs and people, each at least once, across restarts of both sides.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Bring events to other programs and people, each at least once, across restarts of both sides."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     run = actions.add_parser("run", help="serve every destination of a file until Ctrl-C")
     run.add_argument("file", type=Path, metavar="FILE", help="TOML with the destinations")
@@ -77,12 +71,11 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _status(options: argparse.Namespace) -> int:
-    from softcal.app.connect.status import status_json, status_rows
+    from softcal.app.connect.forwarder import status_json, status_rows
 
     with registry_of(options, create=False) as registry:
         found = status_json(registry)
-    if options.json:
-        write_json(options.json, {"schema": "softcal.connect.status/1", "destinations": found})
+    write_json(options.json, {"schema": "softcal.connect.status/1", "destinations": found})
     print_table(("destination", "sent", "waits", "failed", "next try", "why", "served by"), status_rows(found))
     return DONE
 

@@ -15,22 +15,15 @@ EXAMPLES = """examples:
 
 No password, PIN or recording goes into the report; logs go in with the passwords of URLs masked.
 """
+HELP = "look the installation over; collect what support needs"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal doctor`."""
-    parser = commands.add_parser(
-        "doctor",
-        help="look the installation over; collect what support needs",
-        description="Versions, folders, free space, the registry and its integrity: what is there and what is wrong.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Versions, folders, free space, the registry and its integrity: what is there and what is wrong."""
     add_registry(parser)
     add_json(parser)
     add_csv(parser)
     parser.add_argument("--out", type=Path, metavar="ZIP", help="write report and logs into one file for support")
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -43,8 +36,7 @@ def run(options: argparse.Namespace) -> int:
     if options.out:
         logs = collect(options.out, json.dumps(report, indent=2))
         say(f"{options.out}: report and {logs} logs")
-    if options.json:
-        write_json(options.json, report)
+    write_json(options.json, report)
     if options.json != "-" or options.csv:
         print_table(("what", "found"), [(name, _text(value)) for name, value in facts.items()])
         print(f"{len(problems)} problems" if problems else "no problems found")

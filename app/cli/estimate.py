@@ -21,17 +21,11 @@ EXAMPLES = """examples:
 
 Columns of the result: t_s, estimate, lower, upper (a 90 % interval), flag (why a row is not to be trusted).
 """
+HELP = "estimate the reference from a unit's output"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal estimate`."""
-    parser = commands.add_parser(
-        "estimate",
-        help="estimate the reference from a unit's output",
-        description="Estimate the reference from the columns t_s, output of a recording with the unit's current map.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Estimate the reference from the columns t_s, output of a recording with the unit's current map."""
     parser.add_argument("recording", type=Path, metavar="IN", help="CSV, Excel or Parquet with t_s, output")
     parser.add_argument("--out", required=True, type=Path, metavar="OUT", help="CSV or Parquet to write")
     parser.add_argument("--serial", required=True, metavar="S")
@@ -40,7 +34,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     add_lot_of_serial(parser)
     add_registry(parser)
     add_json(parser)
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -55,6 +48,5 @@ def run(options: argparse.Namespace) -> int:
     counts = {flag: flags.count(flag) for flag in sorted(set(flags))}
     said = ", ".join(f"{count} {flag}" for flag, count in counts.items()) or "no row flagged"
     say(f"{options.out}: {len(result.flag)} rows; {said}")
-    if options.json:
-        write_json(options.json, {"schema": "softcal.estimate/1", "rows": len(result.flag), "flags": counts})
+    write_json(options.json, {"schema": "softcal.estimate/1", "rows": len(result.flag), "flags": counts})
     return 0

@@ -12,17 +12,11 @@ EXAMPLES = """examples:
   softcal explain --serial A1 --method                every number it was calibrated with, and where each comes from
   softcal batch lot-1 --plots why                     a figure of every unit
 """
+HELP = "why the verdict of a unit is what it is: reasons, error budget, one figure"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal explain`."""
-    parser = commands.add_parser(
-        "explain",
-        help="why the verdict of a unit is what it is: reasons, error budget, one figure",
-        description="Show what a unit's verdict rests on: reasons, what the predicted error is made of, limit.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Show what a unit's verdict rests on: reasons, what the predicted error is made of, limit."""
     parser.add_argument("--serial", required=True, metavar="S")
     parser.add_argument("--revision", type=int, metavar="N", help="an older map; default: the current one")
     parser.add_argument("--method", action="store_true", help="print every number of the method, with its origin")
@@ -31,7 +25,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     add_registry(parser)
     add_json(parser)
     add_csv(parser)
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -55,8 +48,7 @@ def run(options: argparse.Namespace) -> int:
     if standing.made is None:
         since = joined(standing.reasons)
         say(f"note: {options.serial} is {standing.verdict} since: {since}; explained is the map it had before")
-    if options.json:
-        write_json(options.json, facts)
+    write_json(options.json, facts)
     if options.json != "-" or options.csv:
         decision = view.calibration.decision
         why = joined(decision.reasons)
@@ -72,7 +64,7 @@ def _print_method(options: argparse.Namespace) -> int:
     from softcal.core.unit.method import Method
 
     with registry_of(options, create=False) as registry:
-        record = registry.calibration(options.serial, options.revision, lot_id=options.lot).record
+        record = registry.calibrations.get(options.serial, options.revision, lot_id=options.lot).record
     method, ours = record.method, Method()
     if method is None:
         raise InputError(f"{options.serial}: calibrated by a version that kept no method; run the batch again")

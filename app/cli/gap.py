@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from softcal.core.twin.parameters import ReadoutMetadata
     from softcal.core.twin.simulate import Twin
 
-_EXAMPLES = """examples:
+EXAMPLES = """examples:
   softcal gap diagnose rig-7 --json rig-7.gap.json --page rig-7.html
   softcal gap apply --report rig-7.gap.json --out rig-7.twin.json
   softcal gap transfer --report rig-7.gap.json --lot lot-1
@@ -51,18 +51,13 @@ _APPLY_EXAMPLES = """examples:
   softcal station unit --simulated --twin rig-7.twin.json --serial A1 --out A1.csv
   softcal demo --twin rig-7.twin.json
 """
+HELP = "diagnose the sim-to-real gap: where, which cause, how far it shrinks"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal gap` and its commands."""
-    parser = commands.add_parser(
-        "gap",
-        help="diagnose the sim-to-real gap: where, which cause, how far it shrinks",
-        description="Compare the twin with recordings of a rig: where it is wrong, which effect causes it, how far the "
-        "gap shrinks when that effect is added, and what to press next.",
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Compare the twin with recordings of a rig: where it is wrong, which effect causes it, how far the gap shrinks,
+    what to press next.
+    """
     inner = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     _add_diagnose(inner)
     _add_check(inner)
@@ -77,10 +72,9 @@ def _add_diagnose(commands: "argparse._SubParsersAction[argparse.ArgumentParser]
     parser = commands.add_parser(
         "diagnose",
         help="find the causes of the gap in a case",
-        description="Fit the base twin and every effect of the catalogue jointly to all runs of a case and report "
-        "where the gap lies, its causes with probabilities, the shrink on held-out runs, and the next experiment.",
+        description="Fit the base twin and every effect of the catalogue together to all runs of a case. Report where "
+        "the gap lies, its causes with probabilities, the shrink on runs held back, and the next experiment.",
         epilog=_DIAGNOSE_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     _add_case(parser)
     add_json(parser)
@@ -92,10 +86,9 @@ def _add_check(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser = commands.add_parser(
         "check",
         help="say what the runs of a case can tell, before anything is diagnosed",
-        description="Look for mistakes in the recordings, fit the base, and say which of its parameters and which "
+        description="Look for mistakes in the recordings and fit the base. Say which of its parameters and which "
         "causes these runs can tell, which they cannot, and which run would. Nothing is diagnosed.",
         epilog=_CHECK_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     _add_case(parser)
     add_json(parser)
@@ -125,7 +118,6 @@ def _add_apply(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         description="Diagnose a case and write base parameters, noise and named causes as a twin that the simulated "
         "station and simulated lots can load.",
         epilog=_APPLY_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("case", type=Path, nargs="?", metavar="CASE", help=_CASE_HELP)
     parser.add_argument("--report", type=Path, metavar="FILE", help="take the twin of this report instead of CASE")
@@ -204,8 +196,7 @@ def _diagnose_simulator(options: argparse.Namespace) -> int:
 
     _refuse_electronics(options)
     diagnosis = diagnose_with(options.case, load_simulator(options.simulator), say)
-    if options.json:
-        write_json(options.json, diagnosis.report())
+    write_json(options.json, diagnosis.report())
     if options.page:
         write_simulator_page(options.page, diagnosis)
     if options.json != "-":
@@ -276,8 +267,7 @@ def _apply_parameters(options: argparse.Namespace, report: Mapping[str, object],
     told = ", ".join(f"{name} = {value:.4g}" for name, value in found.items())
     said = "nothing explains the gap, so they are those of the refitted base alone: " if is_bare else ""
     say(f"parameters of {report['simulator']} written to {options.out}: {said}{told}")
-    if options.json:
-        write_json(options.json, dict(report))
+    write_json(options.json, dict(report))
     return 0
 
 

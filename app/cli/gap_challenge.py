@@ -39,7 +39,6 @@ def _add_challenge(commands: "argparse._SubParsersAction[argparse.ArgumentParser
         "no code with the twin. The labels go into a file of their own; its SHA-256 is printed and published with "
         "the cases before anybody diagnoses them.",
         epilog=_CHALLENGE_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--cases", type=int, required=True, metavar="N", help="how many cases")
     parser.add_argument("--seed", type=int, help="seed of the draw (default: a secret one, kept in the seal)")
@@ -56,7 +55,6 @@ def _add_ask(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
         description="Run one more experiment on a sealed rig, with the same hidden causes. The recording is added to "
         "the case as runs/asked-<n>; diagnose the case again to see whether the ambiguity is gone.",
         epilog=_ASK_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("folder", type=Path, metavar="DIR", help="folder of the challenge")
     parser.add_argument("case", metavar="CASE", help="name of the case")
@@ -72,10 +70,9 @@ def _add_score(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser = commands.add_parser(
         "score",
         help="open the seal of a challenge and score the reports",
-        description="Check the seal of a challenge against its published hash, open it, and score one report per "
+        description="Check the seal of a challenge against its published hash and open it. Score one report per "
         "case: causes, sets, false alarms, abstention, stage, forecast of the shrink, calibration of probabilities.",
         epilog=_SCORE_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("folder", type=Path, metavar="DIR", help="folder of the challenge")
     parser.add_argument("--reports", type=Path, required=True, metavar="DIR", help="folder with CASE.json per case")
@@ -115,8 +112,7 @@ def _score(options: argparse.Namespace) -> int:
     from softcal.app.output import say, write_json
 
     sheet = score_challenge(options.folder, options.reports, options.seal)
-    if options.json:
-        write_json(options.json, sheet.to_record())
+    write_json(options.json, sheet.to_record())
     for judged in (j for j in sheet.judged if j.unread):
         say(f"counted as wrong: {judged.unread}")
     if options.json != "-":
@@ -126,7 +122,7 @@ def _score(options: argparse.Namespace) -> int:
 
 def _below_floors(sheet: "ScoreSheet") -> int:
     from softcal.app.output import say
-    from softcal.core.challenge.floors import shortfalls
+    from softcal.core.challenge.score import shortfalls
 
     told = shortfalls(sheet)
     for sentence in told:

@@ -19,10 +19,9 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser = commands.add_parser(
         "effects",
         help="list the effects a diagnosis can name",
-        description="List the catalogue of effects: where each acts, its equation, what it needs to be seen, which "
-        "effects it hides behind and which runs show it. Effects of installed plug-ins stand last.",
+        description="List the catalogue of effects: where each acts, its equation, what it needs to be seen, "
+        "what it hides behind and which runs show it. Effects of installed plug-ins stand last.",
         epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_json(parser)
     add_csv(parser)

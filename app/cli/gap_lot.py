@@ -24,10 +24,9 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser = commands.add_parser(
         "lot",
         help="diagnose many units of one lot together",
-        description="Diagnose one case per unit and add up their evidence: which causes the units share, at which size "
-        "in each, and which units do not follow. Units with an audit show how many rig recordings the twin saves.",
+        description="Diagnose one case per unit and add up their evidence. Say which causes the units share, at which "
+        "size in each, and which units do not follow. Units with an audit show how many rig recordings the twin saves.",
         epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="one case folder per unit")
     add_json(parser)
@@ -39,8 +38,7 @@ def _lot(options: argparse.Namespace) -> int:
     from softcal.app.output import say, write_json
 
     found = diagnose_lot_folder(options.folder, say)
-    if options.json:
-        write_json(options.json, found.record())
+    write_json(options.json, found.record())
     if options.json != "-":
         _show(found.diagnosis)
         _show_worth(found.calibration)

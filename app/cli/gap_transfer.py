@@ -25,10 +25,9 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser = commands.add_parser(
         "transfer",
         help="compare calibration results in simulation with those on the rig",
-        description="Calibrate a lot pressed on the rig, a lot simulated with the refitted base twin and one simulated "
-        "with the explained twin, all in the same way, and show which twin foretells the rig's results.",
+        description="Calibrate three lots in the same way: pressed on the rig, simulated with the refitted base twin, "
+        "and with the explained twin. Show which twin foretells the rig's results.",
         epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--report", type=Path, required=True, metavar="FILE", help="JSON of softcal gap diagnose")
     parser.add_argument("--lot", type=Path, required=True, metavar="DIR", help="lot folder with audits, from the rig")
@@ -42,8 +41,7 @@ def _transfer(options: argparse.Namespace) -> int:
     from softcal.app.output import print_table, say, write_json
 
     found = check_transfer(options.report, options.lot, options.seed, say)
-    if options.json:
-        write_json(options.json, found.to_record())
+    write_json(options.json, found.to_record())
     if options.json != "-":
         header = ("median over units", "rig", "base twin", "explained twin", "base off by", "explained off by")
         print_table(header, [(_WORDS[n], *v, f"{b:.0%}", f"{e:.0%}") for n, *v, b, e in found.rows()])

@@ -15,18 +15,13 @@ EXAMPLES = """examples:
         --time-column t_s --reference-quantity pressure --reference-unit bar --output-unit count --out lot-2
 then: softcal batch lot-1
 """
+HELP = "make a lot folder out of CSV, Excel or Parquet files"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal import`."""
-    parser = commands.add_parser(
-        "import",
-        help="make a lot folder out of CSV, Excel or Parquet files",
-        description="Make a lot folder: one file per unit, or one wide file with a column per unit. Nothing is "
-        "written unless every file can be used.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Make a lot folder: one file per unit, or one wide file with a column per unit. Nothing is written unless every
+    file can be used.
+    """
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="CSV, .xlsx or Parquet; of a folder, all")
     parser.add_argument("--out", required=True, type=Path, help="lot folder to make; must not exist yet")
     parser.add_argument(
@@ -54,7 +49,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         help="keep the targets' references in audit/: they decide about their units, no map is fitted to them",
     )
     parser.add_argument("--rows", type=_rows, metavar="A:B", help="data rows that fit, counted from 0")
-    parser.add_argument("--audit-rows", type=_rows, metavar="A:B", help="data rows that score")
+    parser.add_argument("--audit-rows", type=_rows, metavar="A:B", help="data rows of the audit")
     parser.add_argument(
         "--most-cells", type=int, default=20_000_000, metavar="N",
         help="refuse larger tables before they are read (default 20 million; a tenth of it for Excel)",
@@ -65,7 +60,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument("--output-unit", default="V")
     parser.add_argument("--limit", type=float, metavar="RMSE", help="largest acceptable error, in the reference unit")
     parser.add_argument("--json", metavar="FILE", help="machine-readable result; - for standard output")
-    parser.set_defaults(run=run)
 
 
 def _rows(text: str) -> tuple[int, int]:
@@ -106,6 +100,5 @@ def run(options: argparse.Namespace) -> int:
     )  # fmt: skip
     units = import_lot(plan, options.out, lambda remark: say(f"note: {remark}"))
     say(f"{options.out}: lot {lot.id!r}, source {', '.join(options.source)}, {len(units)} target units, {rate_Hz:g} Hz")
-    if options.json:
-        write_json(options.json, {"schema": "softcal.import/1", "lot": lot.id, "source": lot.source, "units": units})
+    write_json(options.json, {"schema": "softcal.import/1", "lot": lot.id, "source": lot.source, "units": units})
     return 0

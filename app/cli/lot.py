@@ -32,19 +32,13 @@ EXAMPLES = """examples:
   softcal lot release lot-1 --pdf lot-1.pdf      what is promised about the units nobody measured, on one page
   softcal lot audit-plan lot-1 --new --random 20 --reason "first draw was lost in transit"
 
-After `lot audit` run `softcal batch` again: it scores the audits and judges the lot.
+After `lot audit` run `softcal batch` again: it measures the audited units and judges the lot.
 """
+HELP = "watch a lot folder; set the limit of a lot; plan and judge its audit"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal lot`."""
-    parser = commands.add_parser(
-        "lot",
-        help="watch a lot folder; set the limit of a lot; plan and judge its audit",
-        description="What concerns a lot as a whole.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """What concerns a lot as a whole."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     watch = actions.add_parser("watch", help="calibrate units as their recordings land")
     watch.add_argument("folder", type=Path, metavar="LOT", help="lot folder")
@@ -155,7 +149,7 @@ def _release(options: argparse.Namespace) -> int:
 
     lot_id = lot_id_of(options.lot)
     with registry_of(options, create=False) as registry:
-        registry.lot(lot_id)
+        registry.lots.get(lot_id)
         standing = lot_standing(registry, lot_id)
         if standing.decided is not None and not is_told(registry, lot_id, standing.decided):
             # What every change has judged already is only read, so that an account that may not write can ask.
@@ -174,8 +168,7 @@ def _release(options: argparse.Namespace) -> int:
     if options.pdf is not None:
         write_bytes(options.pdf, lot_statement_pdf(facts, partial(text, options.language)))
         say(f"{options.pdf}: statement on lot {lot_id}")
-    if options.json:
-        write_json(options.json, {"schema": "softcal.lot.release/1", "lot": lot_id, **standing.to_json()})
+    write_json(options.json, {"schema": "softcal.lot.release/1", "lot": lot_id, **standing.to_json()})
     if options.json != "-" or options.csv:
         limit = decided.limit.maximum_rmse
         rows = [
@@ -202,8 +195,7 @@ def _folder(options: argparse.Namespace) -> int:
     with registry_of(options, create=False) as registry:
         written = write_lot_folder(registry, options.lot, options.out)
     say(f"{options.out}: " + ", ".join(f"{len(serials)} in {part}/" for part, serials in written.items()))
-    if options.json:
-        write_json(options.json, {"schema": "softcal.lot.folder/1", "lot": options.lot, **written})
+    write_json(options.json, {"schema": "softcal.lot.folder/1", "lot": options.lot, **written})
     return DONE
 
 
@@ -215,15 +207,14 @@ def _audit_plan(options: argparse.Namespace) -> int:
 
     lot_id = lot_id_of(options.lot)
     with registry_of(options, create=False) as registry:
-        registry.lot(lot_id)
+        registry.lots.get(lot_id)
         audit = None if options.new else update_lot(registry, lot_id)
         if audit is None:
             names = ("doubtful", "random", "seed", "allowed_share")
             asked = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
             audit = draw_plan(registry, lot_id, AuditConfig(**asked), reason=options.reason)
-        units = sum(registry.verdict_counts(lot_id).values())
-    if options.json:
-        write_json(options.json, audit_json(audit))
+        units = sum(registry.pages.verdict_counts(lot_id).values())
+    write_json(options.json, audit_json(audit))
     if options.json != "-":
         print_table(AUDIT_HEADER, audit_rows(audit))
         print(audit_line(audit))
@@ -264,10 +255,10 @@ def _limit(options: argparse.Namespace) -> int:
         raise InputError("a new limit needs --reason: without one it cannot be defended")
     with registry_of(options, create=False) as registry:
         if is_new:
-            registry.set_limit(options.lot, options.rmse, reason=options.reason, expected_version=options.expect)
+            registry.lots.set_limit(options.lot, options.rmse, reason=options.reason, expected_version=options.expect)
             judge_again(registry, [options.lot])
-        unit = registry.lot(options.lot).reference_unit
-        versions = registry.limit_versions(options.lot)
+        unit = registry.lots.get(options.lot).reference_unit
+        versions = registry.lots.limit_versions(options.lot)
     if options.json:
         entries = [vars(entry) | {"made_at": entry.made_at.isoformat()} for entry in versions]
         write_json(options.json, {"schema": "softcal.lot.limit/1", "unit": unit, "versions": entries})
@@ -279,18 +270,18 @@ def _limit(options: argparse.Namespace) -> int:
 
 def _network(options: argparse.Namespace) -> int:
     with registry_of(options, create=False) as registry:
-        registry.lot(options.lot)
+        registry.lots.get(options.lot)
         if asked := options.release or options.withdraw:
             fitting = [
-                one.network.id for one in registry.network_states(options.lot) if one.network.id.startswith(asked)
+                one.network.id for one in registry.networks.states(options.lot) if one.network.id.startswith(asked)
             ]
             if len(fitting) != 1:
                 raise InputError(
                     f"{len(fitting)} networks of lot {options.lot!r} begin with {asked!r}; one was expected"
                 )
-            decide = registry.release_network if options.release else registry.withdraw_network
+            decide = registry.networks.release if options.release else registry.networks.withdraw
             decide(fitting[0], reason=options.reason)
-        states = registry.network_states(options.lot)
+        states = registry.networks.states(options.lot)
     if options.json:
         told = [{"id": one.network.id, "state": one.state} for one in states]
         write_json(options.json, {"schema": "softcal.lot.network/1", "lot": options.lot, "networks": told})
@@ -304,13 +295,13 @@ def _rules(options: argparse.Namespace) -> int:
     changes = {name: getattr(options, name) for name in ("serial_pattern", "letters", "target")}
     changes = {name: value for name, value in changes.items() if value is not None}
     with registry_of(options, create=False) as registry:
-        rules = registry.line_rules(registry.lot(options.lot))
+        rules = registry.lots.line_rules(registry.lots.get(options.lot))
         if options.retests:
             changes["retests"] = {**rules.retests, **dict(_retest(text) for text in options.retests)}
         if changes:
-            registry.set_line_rules(options.lot, replace(rules, **changes), reason=options.reason)
-        versions = registry.line_rules_versions(options.lot)
-        rules = registry.line_rules(registry.lot(options.lot))
+            registry.lots.set_line_rules(options.lot, replace(rules, **changes), reason=options.reason)
+        versions = registry.lots.line_rules_versions(options.lot)
+        rules = registry.lots.line_rules(registry.lots.get(options.lot))
     if options.json:
         entries = [vars(e) | {"made_at": e.made_at.isoformat(), "rules": e.rules.settings()} for e in versions]
         write_json(options.json, {"schema": "softcal.lot.rules/1", "now": rules.settings(), "versions": entries})

@@ -14,7 +14,7 @@ EXAMPLES = """examples:
   softcal lot audit lot-1 EG-07.csv --sample-rate 50        a table without a column of time
   softcal lot audit lot-1 --confirm EG-07 --reason "pressed again by hand, the same result"
 
-LOT is a lot folder: the recordings go into its audit/, and `softcal batch LOT` scores them. Or it is a lot of the
+LOT is a lot folder: the recordings go into its audit/, and `softcal batch LOT` judges by them. Or it is a lot of the
 registry: they are kept there, and scored at once.
 """
 
@@ -27,7 +27,6 @@ def add_audit(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
         description="Take labelled recordings of units, one file a unit and called by its serial. A file that cannot "
         "be used is named and left out, and the others are taken.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("lot", metavar="LOT", help="lot folder, or a lot in the registry")
     parser.add_argument("files", nargs="*", type=Path, metavar="FILE", help="CSV, .xlsx or Parquet; of a folder, all")
@@ -60,7 +59,7 @@ def _confirm(options: argparse.Namespace) -> int:
     lot_id = lot_id_of(options.lot)
     with registry_of(options, create=False) as registry:
         confirm(registry, lot_id, options.confirm, reason=options.reason)
-        standing = registry.standings(lot_id, [options.confirm])[options.confirm]
+        standing = registry.pages.standings(lot_id, [options.confirm])[options.confirm]
     say(f"{options.confirm}: confirmed; its verdict is {standing.verdict}: {standing.reasons[0]}")
     if options.json:
         facts = {"serial": options.confirm, "verdict": standing.verdict}
@@ -86,7 +85,7 @@ def _bring(options: argparse.Namespace) -> int:
         replaced, then = write_audits(folder, found), f"next: softcal batch {options.lot}"
     else:
         with registry_of(options, create=False) as registry:
-            lot = registry.lot(options.lot)
+            lot = registry.lots.get(options.lot)
             _check_rate(options.sample_rate, lot.sample_rate_Hz)
             found = look_at_audits(lot, target_serials(registry, lot.id), files, columns, options.sheet)
             store_audits(registry, lot.id, found)

@@ -7,7 +7,11 @@ from typing import Any, NoReturn
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what a mistyped command, option or choice may have been meant to be."""
+    """Says what a mistyped command, option or choice may have been meant to be; keeps the lines of examples."""
+
+    def __init__(self, *, epilog: str | None = None, **options: Any) -> None:
+        shape = argparse.RawDescriptionHelpFormatter if "\n" in (epilog or "") else argparse.HelpFormatter
+        super().__init__(epilog=epilog, formatter_class=shape, **options)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         try:

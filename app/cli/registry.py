@@ -3,11 +3,20 @@
 import argparse
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal.app.bootstrap import registry_url
-from softcal.app.cli.options import add_csv, add_json, add_lot_of_serial, add_registry, registry_of, say_written
+from softcal.app.cli.options import (
+    add_action,
+    add_csv,
+    add_json,
+    add_lot_of_serial,
+    add_registry,
+    registry_of,
+    say_written,
+)
 from softcal.app.output import print_table, say, shown, write_json
 from softcal.core.errors import RegistryError
 
@@ -28,70 +37,51 @@ EXAMPLES = """examples:
 The registry is an SQLite file or a PostgreSQL database:
   --registry sqlite:///relative.db, sqlite:////absolute/file.db or postgresql://USER@HOST/DATABASE
 """
+HELP = "the database: list, history, verify, backup, restore, sync, rollback, upgrade"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal registry` and what it does."""
-    parser = commands.add_parser(
-        "registry",
-        help="the database: list, history, verify, backup, restore, sync, rollback, upgrade",
-        description="Units, maps and who did what: append-only, with a chained audit trail.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Units, maps and who did what: append-only, with a chained audit trail."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
-    listing = _action(actions, "list", "units with their newest verdict", _list)
+    action = partial(add_action, actions, (add_registry, add_json))
+    listing = action("list", "units with their newest verdict", _list)
     listing.add_argument("--lot", metavar="ID", help="only this lot")
     add_csv(listing)
-    history = _action(actions, "history", "every revision of a unit's map", _history)
+    history = action("history", "every revision of a unit's map", _history)
     history.add_argument("--serial", required=True)
     add_lot_of_serial(history)
     add_csv(history)
-    verify = _action(actions, "verify", "check every stored byte, every row, the schema and the audit trail", _verify)
+    verify = action("verify", "check every stored byte, every row, the schema and the audit trail", _verify)
     verify.add_argument("--quick", action="store_true", help="leave out pages and blobs")
     verify.add_argument(
         "--against", action="append", type=Path, default=[], metavar="FILE",
         help="a backup, or audit.json of an export: nothing that it knows may be gone; may be repeated",
     )  # fmt: skip
-    backup = _action(actions, "backup", "write one consistent copy while the registry is in use", _backup)
+    backup = action("backup", "write one consistent copy while the registry is in use", _backup)
     backup.add_argument("file", type=Path, metavar="FILE", help="new SQLite file")
-    restore = _action(actions, "restore", "fill an empty registry from a backup", _restore)
+    restore = action("restore", "fill an empty registry from a backup", _restore)
     restore.add_argument("file", type=Path, metavar="FILE", help="a backup")
-    rollback = _action(actions, "rollback", "bring an older revision back into use", _rollback)
+    rollback = action("rollback", "bring an older revision back into use", _rollback)
     rollback.add_argument("--serial", required=True)
     add_lot_of_serial(rollback)
     rollback.add_argument("--to", required=True, type=int, metavar="REVISION")
     rollback.add_argument("--origin", metavar="REGISTRY", help="who made it, where two registries made this revision")
     rollback.add_argument("--reason", required=True, help="lands in the audit trail")
-    sync = _action(actions, "sync", "bring a station's registry and the line's together, both ways", _sync)
+    sync = action("sync", "bring a station's registry and the line's together, both ways", _sync)
     sync.add_argument("--with", required=True, dest="other", metavar="URL", help="the other registry")
-    grants = _action(actions, "grants", "print the SQL that gives a PostgreSQL role what the line needs", _grants)
+    grants = action("grants", "print the SQL that gives a PostgreSQL role what the line needs", _grants)
     grants.add_argument("--line", default="softcal_line", metavar="ROLE", help="may calibrate; default softcal_line")
     grants.add_argument(
         "--manager", default="softcal_manager", metavar="ROLE",
         help="may also set people, limits, rules and certificates; default softcal_manager",
     )  # fmt: skip
     grants.add_argument("--reader", default="softcal_reader", metavar="ROLE", help="may read; default softcal_reader")
-    _action(actions, "upgrade", "bring the tables to this version (SQLite: after a backup)", _upgrade)
-
-
-def _action(
-    actions: "argparse._SubParsersAction[argparse.ArgumentParser]",
-    name: str,
-    summary: str,
-    action: Callable[[argparse.Namespace], int],
-) -> argparse.ArgumentParser:
-    parser = actions.add_parser(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.")
-    add_registry(parser)
-    add_json(parser)
-    parser.set_defaults(run=action)
-    return parser
+    action("upgrade", "bring the tables to this version (SQLite: after a backup)", _upgrade)
 
 
 def _answer(options: argparse.Namespace, line: str, value: dict[str, object]) -> int:
     """Say what was done: as JSON where asked for, else as one line on standard output."""
-    if options.json:
-        write_json(options.json, value)
+    write_json(options.json, value)
     if options.json != "-":
         print(line)
     return DONE
@@ -101,9 +91,8 @@ def _list(options: argparse.Namespace) -> int:
     from softcal.app.registry.listing import UNIT_HEADER, unit_json, unit_row
 
     with registry_of(options, create=False) as registry:
-        units = registry.units(options.lot)
-    if options.json:
-        write_json(options.json, {"schema": "softcal.registry.list/1", "units": [unit_json(unit) for unit in units]})
+        units = registry.lots.units(options.lot)
+    write_json(options.json, {"schema": "softcal.registry.list/1", "units": [unit_json(unit) for unit in units]})
     print_table(UNIT_HEADER, [unit_row(unit) for unit in units])
     return DONE
 
@@ -112,9 +101,9 @@ def _history(options: argparse.Namespace) -> int:
     from softcal.app.registry.listing import HISTORY_HEADER, history_json, history_row, only_lot
 
     with registry_of(options, create=False) as registry:
-        units = [unit for unit in registry.units(serial=options.serial) if options.lot in (None, unit.lot_id)]
+        units = [unit for unit in registry.lots.units(serial=options.serial) if options.lot in (None, unit.lot_id)]
         lot_id = only_lot(options.serial, [unit.lot_id for unit in units], options.lot)
-        revisions = registry.history(options.serial, lot_id)
+        revisions = registry.calibrations.history(options.serial, lot_id)
     if options.json:
         value = {"schema": "softcal.registry.history/1", "serial": options.serial, "lot": lot_id}
         write_json(options.json, value | {"revisions": [history_json(stored) for stored in revisions]})
@@ -143,8 +132,7 @@ def _verify(options: argparse.Namespace) -> int:
         return _answer(options, line, value)
     for fault in found.faults:
         say(fault)
-    if options.json:
-        write_json(options.json, value)
+    write_json(options.json, value)
     raise RegistryError(f"{len(found.faults)} faults; keep the file as evidence and go back to a backup")
 
 
@@ -177,8 +165,8 @@ def _rollback(options: argparse.Namespace) -> int:
 
     with registry_of(options, create=False) as registry:
         which = {"lot_id": options.lot, "origin": options.origin}
-        revision = registry.rollback(options.serial, options.to, reason=options.reason, **which)
-        judge_again(registry, [options.lot] if options.lot else registry.lots_of(options.serial))
+        revision = registry.calibrations.rollback(options.serial, options.to, reason=options.reason, **which)
+        judge_again(registry, [options.lot] if options.lot else registry.calibrations.lots_of(options.serial))
     line = f"{options.serial}: revision {revision} is in use, it repeats revision {options.to}"
     value = {"schema": "softcal.registry.rollback/1", "serial": options.serial, "revision": revision}
     return _answer(options, line, value | {"rolled_back_to": options.to})

@@ -44,17 +44,11 @@ Exit code 3: a device is missing or failed; the stage was stopped and no file wa
 """
 
 SPOOL_HELP = "where samples go as they come; default: the user's data folder"
+HELP = "the rig: find devices, self-test, press and record a unit"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal station` and its actions."""
-    parser = commands.add_parser(
-        "station",
-        help="the rig: find devices, self-test, press and record a unit",
-        description="The rig: find its devices, test it, press a unit with a profile and record it.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """The rig: find its devices, test it, press a unit with a profile and record it."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     _add_check(actions)
     for kind, what in (("source", "with the load cell: output and reference"), ("unit", "output only")):
@@ -72,7 +66,6 @@ def _add_check(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -
         help="find ports, identify devices, test them, and say everything that is missing",
         description="Find the devices, read every channel, home the stage and move it by 2 mm. All faults at once.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     check.add_argument("--port", action="append", default=[], metavar="PORT", help="look at this port only; repeatable")
     _add_station(check)
@@ -89,7 +82,6 @@ def _add_press(actions: "argparse._SubParsersAction[argparse.ArgumentParser]", k
         help=f"press a {name} and record it {what}",
         description=f"Home, find contact, press with the {kind} profile and record {what}. Whole or not at all.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     press.add_argument("--serial", nargs="+", required=True, metavar="S", help="serial; one per channel of the readout")
     press.add_argument("--out", type=Path, required=True, metavar="FILE", help="CSV or Parquet; a folder for channels")
@@ -112,7 +104,6 @@ def _add_profiles(actions: "argparse._SubParsersAction[argparse.ArgumentParser]"
         help="the stage profiles there are, and how long each takes",
         description="List the built-in profiles, or write one as a file to edit and give to --profile.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     profiles.add_argument("--depth", type=positive, default=3.5, metavar="MM", help="deepest press (default 3.5 mm)")
     profiles.add_argument("--profile-seed", type=int, default=0, help="draws the random presses (default 0)")
@@ -127,7 +118,6 @@ def _add_calibrate_cell(actions: "argparse._SubParsersAction[argparse.ArgumentPa
         help="find the scale of the load cell with dead weights",
         description="Asks for one weight after the other, reads the cell, and writes its scale into the station file.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     calibrate.add_argument("--station", type=Path, required=True, metavar="FILE", help="station file; it is updated")
     calibrate.add_argument(
@@ -143,7 +133,6 @@ def _add_recover(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
         help="write what runs that were cut off had read",
         description="Read the spools: finished runs become recordings, all others files marked as aborted.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     recover.add_argument("--spool", type=Path, metavar="DIR", help=SPOOL_HELP)
     recover.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the files")
@@ -158,7 +147,6 @@ def _add_drivers(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
         description="List every driver: those of softcal and those of installed packages. Exit code 3 when a package's "
         "driver cannot be loaded.",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     drivers.add_argument("--kind", metavar="KIND", help="this kind only, with what its keys mean")
     add_json(drivers)
@@ -201,8 +189,7 @@ def run_check(options: argparse.Namespace) -> int:
         if not check.findings:
             say(f"{options.write}: one port is still open, marked CHOOSE; nothing was tested, fill it in first")
             return 3
-    if options.json:
-        write_json(options.json, check.as_json())
+    write_json(options.json, check.as_json())
     faults = [finding for finding in check.findings if not finding.is_good]
     for finding in faults:
         say(f"{finding.device}, {finding.what}: {finding.cure}")
@@ -247,8 +234,7 @@ def run_profiles(options: argparse.Namespace) -> int:
     print_table(
         ("profile", "seconds", "presses", "deepest, mm", "fastest, mm/s"), [tuple(row.values()) for row in rows]
     )
-    if options.json:
-        write_json(options.json, {"schema": "softcal.station-profiles/1", "profiles": rows})
+    write_json(options.json, {"schema": "softcal.station-profiles/1", "profiles": rows})
     return 0
 
 
@@ -266,8 +252,7 @@ def run_press(options: argparse.Namespace) -> int:
         say(f"{path}: {len(run.recording.t_s)} samples in {run.seconds:.0f} s of station time")
     for remark in run.remarks:
         say(remark)
-    if options.json:
-        write_json(options.json, run_json(run))
+    write_json(options.json, run_json(run))
     return 0
 
 
@@ -327,8 +312,7 @@ def run_drivers(options: argparse.Namespace) -> int:
     found = [offer for offer in offers() if options.kind in (None, offer.kind)]
     if not found:
         raise InputError(f"no driver of kind {options.kind!r}; `softcal station drivers` lists them all")
-    if options.json:
-        write_json(options.json, {"schema": "softcal.station-drivers/1", "drivers": [_driver_json(o) for o in found]})
+    write_json(options.json, {"schema": "softcal.station-drivers/1", "drivers": [_driver_json(o) for o in found]})
     print_table(("section", "kind", "for", "port", "from"), [_driver_row(offer) for offer in found])
     for offer in found:
         if offer.driver is None:

@@ -62,7 +62,6 @@ def _action(
         help=what,
         description=description,
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
 
 
@@ -220,8 +219,7 @@ def run_order(options: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             queue.place(Order(uuid.uuid4().hex, options.name, OrderKind.STOP, actor=facts[2]))
             progress = _followed(registry, options.name, order_id)
-    if options.json:
-        write_json(options.json, _order_json(options, progress))
+    write_json(options.json, _order_json(options, progress))
     say(f"{f'{kind} {options.serial}'.strip()}: {progress.verdict or progress.state}: {progress.text}")
     if progress.state is not RunState.DONE:
         return 2 if progress.code == "E-ORDER" else 3
@@ -276,8 +274,7 @@ def run_status(options: argparse.Namespace) -> int:
         if options.name and not beats:
             raise InputError(f"station {options.name!r} never gave a sign of life in this registry")
         rows = [_status(registry, beat, quarantine(registry, beat.station, datetime.now(UTC))) for beat in beats]
-    if options.json:
-        write_json(options.json, {"schema": "softcal.station-status/1", "stations": rows})
+    write_json(options.json, {"schema": "softcal.station-status/1", "stations": rows})
     if not beats:
         say("no station yet; start one with `softcal station serve`")
     for row in rows:
@@ -329,9 +326,9 @@ def run_certificate(options: argparse.Namespace) -> int:
     with registry_of(options) as registry:
         if options.dcc is not None or any(value is not None for name, value in given.items() if name != "cell_serial"):
             certificate = certificate_from(given, options.dcc)
-            registry.add_certificate(certificate)
+            registry.stations.add_certificate(certificate)
             say(f"load cell {certificate.cell_serial}: certificate {certificate.number} is on file")
-        entries = registry.certificates(options.cell)
+        entries = registry.stations.certificates(options.cell)
     names = ("cell_serial", "number", "laboratory", "issued_on", "due_on", "capacity_N", "uncertainty_N")
     rows = [{name: getattr(entry, name) for name in names} for entry in entries]
     if options.json:

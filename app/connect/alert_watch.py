@@ -43,16 +43,16 @@ class AlertWatch:
         with self._registry.transaction():
             known = open_alerts(self._registry)
             for key in found.keys() - known.keys():
-                self._registry.add_event("raise", "alerts", key, told(*found[key]), actor=WATCHER)
+                self._registry.trail.add("raise", "alerts", key, told(*found[key]), actor=WATCHER)
             for key in known.keys() - found.keys():
-                self._registry.add_event("clear", "alerts", key, known[key], actor=WATCHER)
+                self._registry.trail.add("clear", "alerts", key, known[key], actor=WATCHER)
         return len(found.keys() ^ known.keys())
 
 
 def open_alerts(registry: Registry) -> dict[AlertKey, dict[str, Any]]:
     """Return the alerts that were raised and not cleared, by key, as they were told."""
     found: dict[AlertKey, dict[str, Any]] = {}
-    for row in registry.events_of_kind(ALERTS):
+    for row in registry.trail.of_kind(ALERTS):
         kind, lot_id, about = json.loads(row.key)
         found.pop((kind, lot_id, about), None)
         if row.action == "raise":

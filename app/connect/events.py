@@ -43,7 +43,6 @@ class RegistryEvent:
         at: when, UTC.
         subject: what it is about, as a path.
         data: JSON values.
-        after: cursor behind this event.
     """
 
     event_id: str
@@ -98,7 +97,7 @@ def lots_judged_since(registry: Registry, cursor: Cursor | None) -> tuple[set[st
     """Return the lots with a new verdict behind a cursor, and the cursor now; None takes all lots."""
     if cursor is None:
         now = registry.outbox.end()
-        return set(registry.lot_ids()), now
+        return set(registry.lots.ids()), now
     lots, place = set(), dict(cursor)
     while rows := registry.outbox.after(place, ROWS_AT_ONCE):
         lots |= {json.loads(row.after or "{}")["lot_id"] for row in rows if kind_of(row) == VERDICT}
@@ -136,7 +135,7 @@ def _verdict(registry: Registry, entity: str, told: Mapping[str, Any]) -> dict[s
     made, revision = dict(told), None
     if entity == "in_use":
         revision = told["revision"]
-        rows = registry.events("calibrations", (serial, revision, told["made_by"]))
+        rows = registry.trail.of("calibrations", (serial, revision, told["made_by"]))
         made = json.loads(rows[0].after or "{}")
     reasons = [Reason.of(kept) for kept in made["reasons"]]
     data = {
@@ -159,7 +158,7 @@ def _undecided(registry: Registry, lot_id: str, serial: str) -> dict[str, Any]:
     """Return what stands against a verdict: two registries that put different maps into use."""
     if len(registry.outbox.end()) < 2:
         return {}
-    now = next((unit for unit in registry.units(lot_id, serial) if unit.is_conflict), None)
+    now = next((unit for unit in registry.lots.units(lot_id, serial) if unit.is_conflict), None)
     if now is None:
         return {}
     reasons = {"reasons": [str(why) for why in now.reasons], "reason_codes": [why.code for why in now.reasons]}

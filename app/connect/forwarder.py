@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from typing import Protocol
+from typing import Any, Protocol
 
 from softcal.app.connect.events import RegistryEvent, events_after
 from softcal.app.connect.settings import DestinationSettings
@@ -89,7 +89,6 @@ class Forwarder:
             self._registry.outbox.release(self.holder)
 
     def close(self) -> None:
-        """Close the sender, if it is open."""
         opened, self._opened, self._sender = self._opened, None, None
         if opened is not None:
             opened.__exit__(None, None, None)
@@ -107,7 +106,11 @@ class Forwarder:
         if place.not_before is not None and now < place.not_before:
             return False
         try:
-            sender = self._open()
+            if self._sender is None:
+                opened = self._destination.open_sender()
+                self._sender = opened.__enter__()
+                self._opened = opened
+            sender = self._sender
             page = events_after(self._registry, place.cursor, sender.most, settings.events)
             sender.send(page.events)
         except NotDelivered as error:
@@ -125,13 +128,6 @@ class Forwarder:
         """Return whether half of the lease is left, so that a look in the registry need not write."""
         half = timedelta(seconds=LEASE_S / 2)
         return place.holder == self.holder and place.held_until is not None and place.held_until - now > half
-
-    def _open(self) -> Sender:
-        if self._sender is None:
-            opened = self._destination.open_sender()
-            self._sender = opened.__enter__()
-            self._opened = opened
-        return self._sender
 
 
 def forward(
@@ -152,3 +148,26 @@ def forward(
                 has_more = False
             if not has_more:
                 over.wait(every_s)
+
+
+def status_json(registry: Registry) -> list[dict[str, Any]]:
+    """Return where every destination stands. `waits`: changes behind its cursor, whichever of them it will get."""
+    end = registry.outbox.end()
+    return [
+        {
+            "destination": one.destination,
+            "sent": one.delivered,
+            "waits": sum(seq - one.cursor.get(origin, 0) for origin, seq in end.items()),
+            "failures": one.failures,
+            "next_try": one.not_before and one.not_before.isoformat(),
+            "error": one.error or None,
+            "served_by": one.holder,
+        }
+        for one in registry.outbox.deliveries()
+    ]
+
+
+def status_rows(found: list[dict[str, Any]]) -> list[list[object]]:
+    """Return the rows of the table a person reads."""
+    names = ("destination", "sent", "waits", "failures", "next_try", "error", "served_by")
+    return [[one[name] for name in names] for one in found]

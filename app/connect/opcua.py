@@ -53,7 +53,7 @@ class _Accounts:
         if self._is_open:
             return Peer(role=UserRole.User)
         try:
-            user = self._registry.user_of_token(password or "")
+            user = self._registry.tokens.user_of(password or "")
         except SoftcalError:
             return None
         return Peer(role=UserRole.User, name=user.name) if user.name == username and may(user, "look") else None
@@ -103,7 +103,11 @@ class OpcUaServer:
         registry = self._registry
         changed, self._cursor = lots_judged_since(registry, self._cursor)
         stations = [station_json(registry, beat) for beat in registry.order_queue.stations()]
-        return cursor_text(self._cursor), stations, {lot_id: registry.verdict_counts(lot_id) for lot_id in changed}
+        return (
+            cursor_text(self._cursor),
+            stations,
+            {lot_id: registry.pages.verdict_counts(lot_id) for lot_id in changed},
+        )
 
     async def _counts(self, place: str, counts: dict[str, int]) -> None:
         for name, verdict in VERDICTS.items():

@@ -53,7 +53,7 @@ def _user(registry: Known, given: Annotated[HTTPAuthorizationCredentials | None,
     if given is None:
         raise HTTPException(401, "sign in with a token: `Authorization: Bearer TOKEN`", SIGN_IN)
     try:
-        return registry.user_of_token(given.credentials)
+        return registry.tokens.user_of(given.credentials)
     except InputError as error:
         raise HTTPException(401, str(error), SIGN_IN) from error
 
@@ -96,16 +96,16 @@ def me(user: SignedIn) -> dict[str, Any]:
 @routes.get("/lots", response_model=answers.LotPageAnswer, tags=["lots"])
 def lots(registry: Known, _: Looking, after: str = "", limit: Limit = 50) -> dict[str, Any]:
     """List the lots by id."""
-    behind = [lot_id for lot_id in registry.lot_ids() if lot_id > after]
+    behind = [lot_id for lot_id in registry.lots.ids() if lot_id > after]
     shown = behind[:limit]
-    found = [_lot_json(registry, registry.lot(lot_id)) for lot_id in shown]
+    found = [_lot_json(registry, registry.lots.get(lot_id)) for lot_id in shown]
     return {"lots": found, "next": shown[-1] if len(behind) > limit else None}
 
 
 @routes.get("/lots/{lot}", response_model=answers.LotAnswer, responses=_may_fail(404), tags=["lots"])
 def lot_of(registry: Known, _: Looking, lot: LotId) -> dict[str, Any]:
     """Tell of one lot."""
-    return _lot_json(registry, registry.lot(lot))
+    return _lot_json(registry, registry.lots.get(lot))
 
 
 @routes.get("/lots/{lot}/release", response_model=answers.ReleaseAnswer, responses=_may_fail(404), tags=["lots"])
@@ -130,7 +130,7 @@ def units(
     limit: Limit = 50,
 ) -> dict[str, Any]:
     """List the target units of a lot with their verdicts, filtered and sorted."""
-    found = registry.unit_page(lot, UnitFilter(tuple(verdict), text, sort, descending), page, limit)
+    found = registry.pages.unit_page(lot, UnitFilter(tuple(verdict), text, sort, descending), page, limit)
     following = page + 1 if page * limit < found.total else None
     return {"units": [unit_json(unit) for unit in found.units], "total": found.total, "next": following}
 
@@ -150,7 +150,7 @@ def unit_of_lot(registry: Known, _: Looking, lot: LotId, serial: Serial) -> dict
 def revisions(registry: Known, _: Looking, lot: LotId, serial: Serial) -> dict[str, Any]:
     """Tell every calibration of a unit, and which one is in use."""
     _unit(registry, lot, serial)
-    found = [history_json(stored) for stored in registry.history(serial, lot)]
+    found = [history_json(stored) for stored in registry.calibrations.history(serial, lot)]
     return {"lot": lot, "serial": serial, "revisions": found}
 
 
@@ -194,7 +194,7 @@ def results(registry: Known, _: Looking, lot: LotId) -> Response:
 @routes.get("/units/{serial}", response_model=answers.UnitsAnswer, responses=_may_fail(404), tags=["units"])
 def unit(registry: Known, _: Looking, serial: Serial) -> dict[str, Any]:
     """Tell of a serial in every lot it stands in."""
-    return {"units": [unit_json(one) for one in registry.units(serial=serial)]}
+    return {"units": [unit_json(one) for one in registry.lots.units(serial=serial)]}
 
 
 @routes.post(
@@ -210,7 +210,7 @@ def start(
     ] = None,
 ) -> dict[str, Any]:
     """Start a batch over a lot. Ask the job how far it is; a key makes it safe to ask twice."""
-    registry.lot(wanted.lot)
+    registry.lots.get(wanted.lot)
     request, board = {"lot": wanted.lot}, registry.job_board
     job_id = None if idempotency_key is None else _job_id(user.name, idempotency_key)
     known = None if job_id is None else board.find(job_id)
@@ -292,12 +292,12 @@ def alerts(registry: Known, _: Looking) -> dict[str, Any]:
 
 
 def _lot_json(registry: Registry, lot: Lot) -> dict[str, Any]:
-    return {"lot": lot.id, **lot.settings(), "counts": registry.verdict_counts(lot.id)}
+    return {"lot": lot.id, **lot.settings(), "counts": registry.pages.verdict_counts(lot.id)}
 
 
 def _unit(registry: Registry, lot_id: str, serial: str) -> Any:
-    registry.lot(lot_id)
-    found = next(iter(registry.units(lot_id, serial)), None)
+    registry.lots.get(lot_id)
+    found = next(iter(registry.lots.units(lot_id, serial)), None)
     if found is None:
         raise HTTPException(404, f"serial {serial!r} is not in lot {lot_id!r}")
     return found

@@ -27,13 +27,13 @@ def station_json(registry: Registry, beat: Heartbeat) -> dict[str, Any]:
         "last_serial": judged.serial if judged else None,
         "last_verdict": _verdict_now(registry, judged) if judged else None,
         "lot": lot_id or None,
-        "counts": registry.verdict_counts(lot_id) if lot_id in registry.lot_ids() else {},
+        "counts": registry.pages.verdict_counts(lot_id) if lot_id in registry.lots.ids() else {},
     }
 
 
 def _verdict_now(registry: Registry, order: Order) -> str | None:
     """Return the verdict as every page says it now; the run keeps what was decided when the unit was pressed."""
-    standing = registry.standings(order.lot_id, [order.serial]).get(order.serial)
+    standing = registry.pages.standings(order.lot_id, [order.serial]).get(order.serial)
     return None if standing is None else standing.verdict
 
 

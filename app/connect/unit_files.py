@@ -29,5 +29,5 @@ def unit_archive(
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in contents.items():
             archive.writestr(zipfile.ZipInfo(name), content)
-    registry.add_event("export", "units", (serial,), {"lot_id": lot_id, "formats": [file_format]}, actor=actor)
+    registry.trail.add("export", "units", (serial,), {"lot_id": lot_id, "formats": [file_format]}, actor=actor)
     return packed.getvalue()

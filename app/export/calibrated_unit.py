@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path
 
 from softcal.app.export.signature import SigningKey
-from softcal.app.registry.source import source_recording, source_sha256, unlabelled
+from softcal.app.registry.lot_recordings import source_recording, source_sha256, unlabelled
 from softcal.app.registry.standing import standing_of
 from softcal.app.registry.trimmed import UNTRIMMED, untrimmed
 from softcal.core.errors import InputError, UnitRefused
@@ -91,7 +91,6 @@ class SharedNetwork:
 
     @cached_property
     def file(self) -> NetworkFile:
-        """The shared device file of the lot."""
         return build_network_file(self.network, self.source)
 
 
@@ -123,7 +122,6 @@ class CalibratedUnit:
 
     @cached_property
     def calibration(self) -> Calibration:
-        """The calibration, ready to estimate with."""
         return Calibration.from_record(self.stored.record)
 
     @cached_property
@@ -202,16 +200,16 @@ class UnitLoader:
 
     def load(self, serial: str) -> CalibratedUnit:
         """Read one unit; `InputError` where the registry does not know it."""
-        stored = self.registry.calibration(serial, self.options.revision, lot_id=self.options.lot_id)
+        stored = self.registry.calibrations.get(serial, self.options.revision, lot_id=self.options.lot_id)
         recording = self._recording(stored)
-        lot = self.registry.lot(stored.lot_id)
+        lot = self.registry.lots.get(stored.lot_id)
         since = self._since(stored.lot_id, stored.record.recording_sha256) or stored.made_at.date()
         standing = standing_of(self.registry, stored)
         return CalibratedUnit(stored, lot, self._shared(stored), recording, since, self.options, standing)
 
     def _recording(self, stored: StoredCalibration) -> OutputRecording:
         """Return the unit's own recording, as it would give it since its trim."""
-        recording = unlabelled(self.registry.recording(stored.record.recording_sha256))
+        recording = unlabelled(self.registry.recordings.get(stored.record.recording_sha256))
         if UNTRIMMED not in stored.record.evidence:
             return recording
         base = untrimmed(self.registry, stored)
@@ -220,13 +218,13 @@ class UnitLoader:
 
     def _since(self, lot_id: str, sha256: str) -> date | None:
         """Return the UTC day a recording came into the registry."""
-        entries = self.registry.recordings(lot_id)
+        entries = self.registry.recordings.of_lot(lot_id)
         return next((entry.added_at.date() for entry in entries if entry.sha256 == sha256), None)
 
     def _shared(self, stored: StoredCalibration) -> SharedNetwork:
         network_id = stored.record.network_id
         if network_id not in self._networks:
             sha256, source = source_sha256(self.registry, network_id), source_recording(self.registry, network_id)
-            since = self._since(self.registry.network_entry(network_id).lot_id, sha256)
-            self._networks[network_id] = SharedNetwork(self.registry.network(network_id), source, sha256, since)
+            since = self._since(self.registry.networks.entry(network_id).lot_id, sha256)
+            self._networks[network_id] = SharedNetwork(self.registry.networks.get(network_id), source, sha256, since)
         return self._networks[network_id]

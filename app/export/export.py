@@ -23,7 +23,6 @@ class ExportedUnit:
     """What was written for one unit, or why something was not.
 
     Args:
-        serial, revision, verdict: which calibration.
         files: names of the files in the folder.
         refusal: why files that give numbers were not written; None where all were.
         device: sizes and errors of the device form; empty where none was asked for or it was refused.
@@ -56,18 +55,17 @@ def export_units(
     was made gets no file at all. The other units go on.
 
     Args:
-        registry: where the calibrations are.
-        serials: which units.
         formats: names of `softcal.app.export.names.formats`.
         out: folder; files of other units in it stay, and stay in its manifest.
-        options: choices for all of them.
         on_unit: told after each unit.
 
     Raises:
         InputError: an unknown format or serial, serials a device could not tell apart, or a folder that cannot be
             written.
     """
-    writers = _writers(formats)
+    if not formats:
+        raise InputError(f"no format is given; known: {', '.join(known_formats())}")
+    writers = {name: writer_of(name) for name in dict.fromkeys(formats)}
     _check_serials(registry, serials, options.lot_id)
     key = options.signing_key
     manifest, loader = read_manifest(out), UnitLoader(registry, options)
@@ -93,17 +91,11 @@ def lot_serials(registry: Registry, lot_id: str, options: ExportOptions) -> list
     Raises:
         InputError: no such lot, or no such unit in it.
     """
-    units = [unit for unit in registry.units(lot_id) if unit.revision is not None]
+    units = [unit for unit in registry.lots.units(lot_id) if unit.revision is not None]
     serials = [unit.serial for unit in units if unit.verdict and options.releases(unit.verdict)]
     if not serials:
         raise InputError(f"lot {lot_id!r} has no unit to export: {len(units)} are calibrated, none of them is released")
     return serials
-
-
-def _writers(formats: Sequence[str]) -> dict[str, Writer]:
-    if not formats:
-        raise InputError(f"no format is given; known: {', '.join(known_formats())}")
-    return {name: writer_of(name) for name in dict.fromkeys(formats)}
 
 
 def _check_serials(registry: Registry, serials: Sequence[str], lot_id: str | None) -> None:
@@ -115,7 +107,7 @@ def _check_serials(registry: Registry, serials: Sequence[str], lot_id: str | Non
                 raise InputError(f"serials {seen[key]} and {serial} look the same to a device; export one of them")
             seen[key] = serial
     is_many = len(serials) > 1
-    known = {unit.serial for unit in registry.units(lot_id) if unit.revision is not None} if is_many else None
+    known = {unit.serial for unit in registry.lots.units(lot_id) if unit.revision is not None} if is_many else None
     unknown = [serial for serial in serials if known is not None and serial not in known]
     if unknown:
         raise InputError(f"the registry has no calibration of {', '.join(unknown[:5])}; nothing was written")

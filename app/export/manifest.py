@@ -1,4 +1,7 @@
-"""The manifest of an export folder: every file with its hash, every unit with what it is; signed with a key."""
+"""The manifest of an export folder: every file with its hash, every unit with what it is; signed with a key.
+
+Files of units that are no longer released are taken back here: a later verdict that is worse wins.
+"""
 
 import hashlib
 import json
@@ -32,7 +35,6 @@ class FileEntry:
 
     @classmethod
     def of(cls, name: str, content: bytes, serial: str | None) -> "FileEntry":
-        """Describe a file by its content."""
         return cls(name, hashlib.sha256(content).hexdigest(), len(content), serial)
 
 
@@ -54,11 +56,9 @@ class Manifest:
         return replace(self, files={**self.files, entry.name: entry})
 
     def without_files(self, names: Collection[str]) -> "Manifest":
-        """Return the manifest without these files."""
         return replace(self, files={name: entry for name, entry in self.files.items() if name not in names})
 
     def with_unit(self, serial: str, facts: Mapping[str, object]) -> "Manifest":
-        """Return the manifest with one more unit, or newer facts of it."""
         return replace(self, units={**self.units, serial: facts})
 
     def text(self) -> str:
@@ -116,3 +116,25 @@ def write_manifest(folder: Path, manifest: Manifest, key: SigningKey | None) -> 
     write_bytes(folder / NAME, content)
     if signature is not None:
         write_bytes(folder / SIGNATURE, signature)
+
+
+def withdraw_units(folder: Path, released: Collection[str], verdicts: Mapping[str, str]) -> list[str]:
+    """Remove the files of units that are not released, and say so in the manifest; return their serials.
+
+    Args:
+        folder: an export folder; nothing happens where there is none yet.
+        released: serials whose files stay.
+        verdicts: today's word of every unit that may have files here.
+    """
+    manifest = read_manifest(folder)
+    gone = [serial for serial in manifest.units if serial in verdicts and serial not in released]
+    for serial in gone:
+        names = [name for name, entry in manifest.files.items() if entry.serial == serial]
+        for name in names:
+            (folder / name).unlink(missing_ok=True)
+        facts = {**manifest.units[serial], "verdict": verdicts[serial], "withdrawn": bool(names)}
+        manifest = manifest.without_files(names).with_unit(serial, facts)
+    if gone:
+        # A signature of the folder as it was would vouch for files that are gone.
+        write_manifest(folder, manifest, None)
+    return gone

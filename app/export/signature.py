@@ -45,8 +45,6 @@ class TrustedKey:
     """A public key somebody trusts.
 
     Args:
-        key: the key.
-        name: whose it is.
         valid_from, valid_until: first day it signs, first day it no longer does; None for no such day.
     """
 
@@ -57,7 +55,6 @@ class TrustedKey:
 
     @property
     def label(self) -> str:
-        """Name and fingerprint."""
         return f"{self.name} ({fingerprint(self.key)})"
 
     @property
@@ -65,7 +62,6 @@ class TrustedKey:
         return self.valid_from is not None or self.valid_until is not None
 
     def signs_on(self, day: date) -> bool:
-        """Whether it may sign on this day."""
         is_early = self.valid_from is not None and day < self.valid_from
         return not is_early and (self.valid_until is None or day < self.valid_until)
 

@@ -23,7 +23,6 @@ class ColumnNames:
     """Which columns of a table hold a recording's output and time.
 
     Args:
-        output: name of the output column.
         time: name of the column of time in s; None makes the time from `rate_Hz`.
         rate_Hz: samples a second, where there is no column of time.
 
@@ -166,7 +165,6 @@ def read_labelled(
 
     Args:
         sample_rate_Hz: the declared rate; None takes the median rate of the time stamps.
-        units: of output and reference.
         content: the bytes of the file where somebody has read them already.
     """
     output_unit, reference_unit = units

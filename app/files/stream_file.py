@@ -146,7 +146,6 @@ class EstimateWriter:
         self._parquet: ParquetWriter | None = None
 
     def write(self, rows: Estimate) -> None:
-        """Append rows."""
         import pandas as pd
 
         columns: dict[str, Any] = {name: getattr(rows, name) for name in ("t_s", "estimate", "lower", "upper", "flag")}
@@ -167,7 +166,6 @@ class EstimateWriter:
         self._parquet.write_table(table)
 
     def close(self) -> None:
-        """Finish the file."""
         if self._parquet is not None:
             self._parquet.close()
 

@@ -83,7 +83,7 @@ def train(registry: Registry, job: Job, tell: Teller) -> Outcome:
     from softcal.app.batch.train import train_or_find
 
     request = job.request
-    lot = registry.lot(request["lot"])
+    lot = registry.lots.get(request["lot"])
     config = NetworkConfig(
         hidden=tuple(request["hidden"]),
         seed=request["seed"],
@@ -111,10 +111,10 @@ def newest_source(registry: Registry, lot_id: str) -> LabelledRecording:
     Raises:
         InputError: there is none yet.
     """
-    entries = registry.recordings(lot_id, kind="source")
+    entries = registry.recordings.of_lot(lot_id, kind="source")
     if not entries:
         raise InputError(f"lot {lot_id!r} has no source recording; press its source unit first")
-    source = registry.recording(entries[-1].sha256)
+    source = registry.recordings.get(entries[-1].sha256)
     if not isinstance(source, LabelledRecording):
         raise ValueError("a source recording without reference")
     return source

@@ -98,7 +98,7 @@ def archive(registry: Registry, job: Job, tell: Teller) -> Outcome:
 
     request = job.request
     lot_id = request["lot"]
-    known = [unit.serial for unit in registry.units(lot_id) if unit.role == "target" and unit.revision is not None]
+    known = [unit.serial for unit in registry.lots.units(lot_id) if unit.role == "target" and unit.revision is not None]
     serials = request["serials"] or known
     if not serials:
         raise InputError(f"lot {lot_id!r} has no calibrated unit yet; there is nothing to pack")
@@ -121,7 +121,7 @@ def archive(registry: Registry, job: Job, tell: Teller) -> Outcome:
                 into.write(file, file.name)
         shutil.move(packed, archive_path(job))
     facts = {"lot": lot_id, "units": len(serials), "formats": request["formats"]}
-    registry.add_event("export", "lots", (lot_id,), facts, actor=job.actor)
+    registry.trail.add("export", "lots", (lot_id,), facts, actor=job.actor)
     refused = [[unit.serial, unit.refusal] for unit in exported if unit.refusal]
     return Outcome("", {"lot": lot_id, "units": len(exported), "refused": refused})
 

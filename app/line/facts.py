@@ -14,7 +14,7 @@ from softcal.core.unit.verdict import Verdict
 from softcal.db.entries import RunEntry, UnitStanding
 from softcal.db.queues.order_queue import SILENT_AFTER
 from softcal.db.registry import Registry
-from softcal.db.truth.network_release import NetworkState
+from softcal.db.truth.networks import NetworkState
 
 NEWEST_RUNS = 40
 HUNG_AFTER = timedelta(seconds=15)
@@ -65,7 +65,6 @@ class LotAtLine:
     """What a line needs to know of a lot.
 
     Args:
-        lot, rules: the lot and its rules at the line.
         network: the released network, by which a unit gets its verdict; None where there is none.
         counts: its units by verdict, `none` without.
     """
@@ -77,7 +76,6 @@ class LotAtLine:
 
     @property
     def id(self) -> str:
-        """Name of the lot."""
         return self.lot.id
 
 
@@ -86,11 +84,9 @@ class LineFacts:
     """Where a line stands.
 
     Args:
-        now: this instant.
         stations: every station that ever gave a sign of life.
         heartbeat: of the chosen one; None where there is none.
         is_alive: whether its process lives; None where that cannot be seen from here.
-        lots: of the registry.
         lot: chosen or last used.
         active: the run that occupies the station.
         runs: newest runs of the station, newest first.
@@ -139,7 +135,6 @@ class LineFacts:
 
     @property
     def newest(self) -> LineRun | None:
-        """The newest run that is over."""
         return next((run for run in self.runs if not run[1].state.is_active), None)
 
     @property
@@ -176,7 +171,6 @@ class LineFacts:
 
     @property
     def is_golden(self) -> bool:
-        """Whether the unit that waits is a golden one."""
         return bool(self.serial) and self.place.is_golden
 
     @property
@@ -235,7 +229,7 @@ def read_line(
     queue, now = registry.order_queue, datetime.now(UTC)
     beats = queue.stations()
     chosen = [beat for beat in beats if beat.station == screen.station] or (beats if len(beats) == 1 else [])
-    facts = LineFacts(now, tuple(b.station for b in beats), lots=tuple(registry.lot_ids()))
+    facts = LineFacts(now, tuple(b.station for b in beats), lots=tuple(registry.lots.ids()))
     if chosen:
         facts = _at_station(registry, facts, chosen[0])
     last_lot = next((run[0].lot_id for run in facts.runs if run[0].lot_id), "")
@@ -245,7 +239,7 @@ def read_line(
         return facts
     facts = replace(facts, lot=(look_at_lot or read_lot)(registry, lot_id))
     subject = facts.serial or (facts.newest[0].serial if facts.newest else "")
-    results = tuple(registry.runs(lot_id, subject)) if subject else ()
+    results = tuple(registry.lots.runs(lot_id, subject)) if subject else ()
     return replace(facts, results=results, standings=_standings(registry, facts, lot_id))
 
 
@@ -253,10 +247,10 @@ def _standings(registry: Registry, facts: LineFacts, lot_id: str) -> dict[str, U
     """Return where the units stand that the line shows; a run of several units stands under the serial of each."""
     over = [run for run in facts.runs if run[0].lot_id == lot_id and run[1].state is RunState.DONE][:SHOWN_RUNS]
     shown = list(dict.fromkeys((*filter(None, [facts.serial]), *(order.serial for order, _ in over))))
-    found = registry.standings(lot_id, shown) if shown else {}
+    found = registry.pages.standings(lot_id, shown) if shown else {}
     judged = {order.serial for order, done in over if done.verdict and order.serial not in found}
     several = [numbered(serial, k) for serial in judged for k in range(MOST_AT_ONCE)]
-    return {**found, **registry.standings(lot_id, several)} if several else found
+    return {**found, **registry.pages.standings(lot_id, several)} if several else found
 
 
 def standing_of(facts: LineFacts, run: LineRun) -> tuple[UnitStanding, ...]:
@@ -281,6 +275,6 @@ def _at_station(registry: Registry, facts: LineFacts, beat: Heartbeat) -> LineFa
 
 def read_lot(registry: Registry, lot_id: str) -> LotAtLine:
     """Read what a line needs to know of a lot."""
-    lot = registry.lot(lot_id)
-    counts = registry.verdict_counts(lot.id)
-    return LotAtLine(lot, registry.line_rules(lot), registry.released_network(lot.id), counts)
+    lot = registry.lots.get(lot_id)
+    counts = registry.pages.verdict_counts(lot.id)
+    return LotAtLine(lot, registry.lots.line_rules(lot), registry.networks.released(lot.id), counts)

@@ -61,7 +61,6 @@ class StationGate:
 
     Args:
         registry: knows certificates and golden runs.
-        station: name of the station.
         config: its load cell and safety bounds.
         rules: how strict the line is.
     """
@@ -73,7 +72,7 @@ class StationGate:
     def __call__(self, kind: OrderKind, rig: RigFacts) -> Gate:
         """Return whether an order of this kind may run now."""
         now, rules, config = datetime.now(UTC), self._rules, self._config
-        golden = self._registry.golden_runs(self._station, since=now - rules.shift)
+        golden = self._registry.stations.golden_runs(self._station, since=now - rules.shift)
         facts = StationFacts(
             now=now,
             certificate=_certificate(self._registry, config),
@@ -100,7 +99,7 @@ class StationGate:
             raise InputError(Reason("gate.needs_reason"))
         until = datetime.now(UTC) + self._rules.shift
         facts = {"until": until.isoformat()}
-        self._registry.add_event(
+        self._registry.trail.add(
             "override", "station_gate", (self._station,), facts, reason=reason, actor=actor or None
         )
         self._override = Override(actor, reason, until)
@@ -121,7 +120,6 @@ def check_golden(
     within three sigma of its own control chart, before that below the limit of its lot.
 
     Args:
-        recording_sha256: its recording, where it is kept.
         source: where the golden unit is the source of a lot itself, which f reads without a map.
 
     Raises:
@@ -129,7 +127,7 @@ def check_golden(
     """
     unit, serial = recording.reference_unit, recording.serial
     value, widest = _error(registry, recording, source)
-    earlier = [run.value for run in registry.golden_runs(station, serial) if run.passed]
+    earlier = [run.value for run in registry.stations.golden_runs(station, serial) if run.passed]
     is_known = len(earlier) >= FIRST_RUNS
     largest = control_chart(np.array(earlier)).upper if is_known else widest
     what = Reason("golden.own_limit" if is_known else "golden.lot_limit")
@@ -141,14 +139,14 @@ def check_golden(
         except InputError as error:
             reasons = (*reasons, error.reason)
     run = GoldenRun(station, serial, datetime.now(UTC), value, unit, not reasons, reasons, actor, recording_sha256)
-    registry.add_golden_run(run)
+    registry.stations.add_golden_run(run)
     return run
 
 
 def _error(registry: Registry, recording: LabelledRecording, source: SourceModel | None) -> tuple[float, float]:
     """Return the RMS error of a golden unit's estimates, and the largest that its lot allows."""
     if source is not None:
-        stated = (lot.limit_rmse for lot in registry.lots() if lot.source == recording.serial)
+        stated = (lot.limit_rmse for lot in registry.lots.all() if lot.source == recording.serial)
         limit = next((limit for limit in stated if limit is not None), None)
         widest = default_limit(recording.reference_unit, source.held_out_rmse, source.method.decision).maximum_rmse
         return rmse(source.network.evaluate(recording.windows), recording.window_reference), limit or widest
@@ -166,13 +164,13 @@ def quarantine(registry: Registry, station: str, now: datetime) -> tuple[str, ..
         for order, progress in registry.order_queue.runs(station, 10_000)
         if order.kind is OrderKind.UNIT and progress.recording_sha256 and order.created is not None
     ]
-    return quarantined(pressed, [_check(run) for run in registry.golden_runs(station)], now)
+    return quarantined(pressed, [_check(run) for run in registry.stations.golden_runs(station)], now)
 
 
 def _certificate(registry: Registry, config: StationConfig) -> CellAtGate | None:
     if config.force is None:
         return None
-    entries = registry.certificates(config.force.serial)
+    entries = registry.stations.certificates(config.force.serial)
     if not entries:
         return None
     newest = entries[-1]

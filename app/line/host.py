@@ -96,7 +96,6 @@ class StationHost:
 
     Args:
         queue: where orders come from and progress goes.
-        station: name of the station.
         keeper: takes finished runs.
         override: takes an engineer's decision to open the gate: who and why.
         make_service: the service for its two hooks, progress and stop; it is started by `run`.
@@ -299,7 +298,10 @@ class StationHost:
         while not self._is_over.wait(REPORT_S):
             try:
                 with self._at_desk:
-                    self._attend()
+                    if self._newest is not None:
+                        self._queue.report(self._newest)
+                    if self._active:
+                        self._listen()
                 if time.monotonic() - beaten_s >= BEAT_S:
                     beaten_s = time.monotonic()
                     self._beat_or_give_way()
@@ -307,12 +309,6 @@ class StationHost:
                 continue  # Away for a moment: the next turn tries again.
             if self._lost:
                 return
-
-    def _attend(self) -> None:
-        if self._newest is not None:
-            self._queue.report(self._newest)
-        if self._active:
-            self._listen()
 
     def _listen(self) -> None:
         """Take what a person says during a run."""
@@ -328,7 +324,6 @@ class StationHost:
             self._answer(order)
 
     def _answer(self, order: Order) -> None:
-        """Do what is no run."""
         try:
             match order.kind:
                 case OrderKind.STOP:

@@ -48,7 +48,6 @@ def take_scan(registry: Registry, screen: Screen, text: str, actor: str = "") ->
     """Do what a scan means; what it led to stands at the line, for every screen.
 
     Args:
-        screen: where it was scanned.
         text: as the scanner typed it.
         actor: who has shown who they are at this screen; "" leaves it to the badge.
 
@@ -160,7 +159,7 @@ def _badge(registry: Registry, facts: LineFacts, name: str) -> Place:
     """Take the name of the operator from a badge; a name that opens more than the line needs its PIN."""
     if not name:
         return _told(facts, Note("badge_off", {}, False), replace(facts.place, operator="", badged_at=None))
-    is_other = any(user.name.lower() == name.lower() and user.role != "operator" for user in registry.users())
+    is_other = any(user.name.lower() == name.lower() and user.role != "operator" for user in registry.people.all())
     if is_other:
         return _told(facts, Note("badge_needs_pin", {"name": name[:60]}))
     badged = replace(facts.place, operator=name[:60], badged_at=facts.now)
@@ -174,7 +173,7 @@ def _unit(registry: Registry, facts: LineFacts, scan: Scan) -> Place | Note:
         return Note("unreadable", {"text": scan.value[:40]})
     if scan.kind == "lot":
         return _choose_lot(facts, emptied, scan.value)
-    if scan.kind == "golden" or scan.value in {run.serial for run in registry.golden_runs(facts.station)}:
+    if scan.kind == "golden" or scan.value in {run.serial for run in registry.stations.golden_runs(facts.station)}:
         return replace(emptied, serial=scan.value, is_golden=True)
     if facts.lot is None:
         return Note("no_lot", {"serial": scan.value[:40]})
@@ -214,7 +213,7 @@ def _serial_refusal(registry: Registry, lot: LotAtLine, serial: str) -> Note | N
 def _other_lot(registry: Registry, lot: LotAtLine, serial: str) -> str:
     """Return the lot that a serial belongs to instead of this one: it stands there already, or only fits there."""
     try:
-        known = {unit.lot_id for unit in registry.units(serial=serial)}
+        known = {unit.lot_id for unit in registry.lots.units(serial=serial)}
     except InputError:
         known = set()
     if lot.id in known:
@@ -223,7 +222,7 @@ def _other_lot(registry: Registry, lot: LotAtLine, serial: str) -> str:
         return sorted(known)[0]
     if lot.rules.fits(serial):
         return ""
-    rules = ((other.id, registry.line_rules(other)) for other in registry.lots() if other.id != lot.id)
+    rules = ((other.id, registry.lots.line_rules(other)) for other in registry.lots.all() if other.id != lot.id)
     return next((lot_id for lot_id, other in rules if other.serial_pattern and other.fits(other.spelled(serial))), "")
 
 

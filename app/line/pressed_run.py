@@ -18,8 +18,8 @@ from softcal.app.line.load_readings import LoadReadings, check_stated
 from softcal.app.line.serials import numbered
 from softcal.app.registry.golden import bridges_over, golden_lot, keep_golden_of, newest_golden
 from softcal.app.registry.known_loads import keep_loads
+from softcal.app.registry.lot_recordings import source_model
 from softcal.app.registry.reference import state_reference
-from softcal.app.registry.source import source_model
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
 from softcal.core.network.config import EpochReport, NetworkConfig
@@ -50,7 +50,6 @@ class RunKeeper:
 
     Args:
         registry: where recordings, networks and verdicts go.
-        station: name of the station.
         network: how f is trained from a source's recording.
         method: every number of the calibration.
         reference: what the station compares sources with; None where nobody said.
@@ -85,14 +84,14 @@ class RunKeeper:
         check_serial(order.serial)
         if order.kind is OrderKind.GOLDEN:
             if golden_lot(self._registry, order.serial) is None:
-                self._registry.calibration(order.serial)
+                self._registry.calibrations.get(order.serial)
             return
         if not order.lot_id:
             raise InputError(reason("run.no_lot", serial=order.serial))
         if order.kind is OrderKind.SOURCE and self._known_lot(order.lot_id) is None:
             Lot(order.lot_id, order.serial, 1.0)  # refuses an id that cannot be one
             return
-        source = self._registry.lot(order.lot_id).source
+        source = self._registry.lots.get(order.lot_id).source
         if (order.serial == source) != (order.kind is OrderKind.SOURCE):
             raise InputError(
                 reason("run.wrong_kind", lot=order.lot_id, source=source, serial=order.serial, kind=str(order.kind))
@@ -104,8 +103,6 @@ class RunKeeper:
         """Store a finished run and do what follows from it; return how the order ended.
 
         Args:
-            order: what was asked.
-            recording: what was pressed.
             tell: takes progress while a network is trained or a unit calibrated.
 
         Raises:
@@ -121,12 +118,12 @@ class RunKeeper:
         if order.kind is OrderKind.SOURCE:
             return self._keep_source(order, recording, tell, done)
         units = _units(order, recording)
-        loads = self._registry.line_rules(self._registry.lot(order.lot_id)).loads
+        loads = self._registry.lots.line_rules(self._registry.lots.get(order.lot_id)).loads
         if loads:
             if len(units) > 1:
                 raise InputError(reason("load.several", count=len(units)))
-            sha256 = self._registry.add_recording(order.lot_id, units[0], "unit", actor=order.actor or None)
-            unit = self._registry.lot(order.lot_id).reference_unit
+            sha256 = self._registry.recordings.add(order.lot_id, units[0], "unit", actor=order.actor or None)
+            unit = self._registry.lots.get(order.lot_id).reference_unit
             return replace(done, message=(self._loads.begin(order, units[0], loads, unit),), recording_sha256=sha256)
         tell(Progress(order.order_id, RunState.RUNNING, CALIBRATING, 0.99, 1.0))
         kept = [self._keep_unit(order, unit) for unit in units]
@@ -154,8 +151,8 @@ class RunKeeper:
 
     def _check_loads(self, lot_id: str) -> None:
         """Raise `InputError` where the loads that a lot asks for could not be used; nothing has moved yet."""
-        lot = self._registry.lot(lot_id)
-        entry, loads = released_network(self._registry, lot_id), self._registry.line_rules(lot).loads
+        lot = self._registry.lots.get(lot_id)
+        entry, loads = released_network(self._registry, lot_id), self._registry.lots.line_rules(lot).loads
         if entry is not None and loads:
             check_stated(loads, self._source_model(entry.id).source, self._method.map.anchors)
 
@@ -164,8 +161,8 @@ class RunKeeper:
         own_lot = golden_lot(self._registry, order.serial)
         entry = None if own_lot is None else released_network(self._registry, own_lot)
         source = None if entry is None else self._source_model(entry.id)
-        lot_id = own_lot or self._registry.calibration(order.serial).lot_id
-        sha256 = self._registry.add_recording(lot_id, labelled, "audit", actor=order.actor or None)
+        lot_id = own_lot or self._registry.calibrations.get(order.serial).lot_id
+        sha256 = self._registry.recordings.add(lot_id, labelled, "audit", actor=order.actor or None)
         run = check_golden(self._registry, self._station, labelled, order.actor, recording_sha256=sha256, source=source)
         judge_again(self._registry, [lot_id], order.actor or None)
         done = replace(done, recording_sha256=sha256, verdict="pass" if run.passed else "fail")
@@ -173,7 +170,7 @@ class RunKeeper:
             return replace(done, message=(Reason("golden.good"),))
         held = quarantine(self._registry, self._station, run.made_at)
         facts = {"units": list(held), "golden": order.serial}
-        self._registry.add_event("quarantine", "station", (self._station,), facts, reason=joined(run.reasons))
+        self._registry.trail.add("quarantine", "station", (self._station,), facts, reason=joined(run.reasons))
         return replace(
             done, message=(*run.reasons, reason("golden.held", serials=", ".join(held) or Reason("golden.none")))
         )
@@ -208,23 +205,23 @@ class RunKeeper:
 
     def _keep_unit(self, order: Order, unit: OutputRecording) -> tuple[str, Outcome | None]:
         registry, actor = self._registry, order.actor or None
-        sha256 = registry.add_recording(order.lot_id, unit, "unit", actor=actor)
+        sha256 = registry.recordings.add(order.lot_id, unit, "unit", actor=actor)
         entry = released_network(registry, order.lot_id)
         if entry is None:
             return sha256, None
-        lot = registry.lot(order.lot_id)
+        lot = registry.lots.get(order.lot_id)
         golden = newest_golden(registry, self._station, lot.source, datetime.now(UTC) - self._sitting)
         if golden is not None:
             keep_golden_of(registry, lot.id, {sha256: (unit.serial, golden)}, actor=actor)
         kept = KeptFacts(registry, lot.id, [unit.serial])
         facts = self._lot_facts(lot, entry, kept.golden.get(unit.serial, {}).get(sha256))
-        done = registry.known_inputs(lot.id, [unit.serial]).get(unit.serial, ())
+        done = registry.calibrations.known_inputs(lot.id, [unit.serial]).get(unit.serial, ())
         made = calibrate_unit(facts, unit, kept.of(unit.serial), done)
         why = order.reason or f"pressed on {self._station}"
         keep_result(registry, lot.id, unit.serial, made, "line", actor=actor, reason=why)
         if not isinstance(made, Refusal):
             self._release.press(lot.id, unit.serial, actor)
-        standing = registry.standings(lot.id, [unit.serial])[unit.serial]
+        standing = registry.pages.standings(lot.id, [unit.serial])[unit.serial]
         return sha256, (standing.verdict, standing.reasons)
 
     def _lot_facts(self, lot: Lot, entry: NetworkEntry, golden: str | None) -> LotFacts:
@@ -235,12 +232,12 @@ class RunKeeper:
         return facts if golden is None else replace(facts, bridges=self._bridges(entry.id, golden))
 
     def _known_lot(self, lot_id: str) -> Lot | None:
-        return next((lot for lot in self._registry.lots() if lot.id == lot_id), None)
+        return next((lot for lot in self._registry.lots.all() if lot.id == lot_id), None)
 
 
 def released_network(registry: Registry, lot_id: str) -> NetworkEntry | None:
     """Return the shared network of a lot that its units are judged by, None where none is released."""
-    state = registry.released_network(lot_id)
+    state = registry.networks.released(lot_id)
     return state.network if state else None
 
 

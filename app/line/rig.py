@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,8 +17,6 @@ from softcal.core.errors import InputError, NoReply
 from softcal.core.lot import Lot, check_serial
 from softcal.core.profiles import Profile, source_profile, unit_profile
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.twin.simulate import Twin
-from softcal.core.twin.spread import draw_lot
 from softcal.core.unit.budget import SIMULATED, Reference
 from softcal.core.words.reason import Reason, reason, several
 from softcal.station.acquisition import OnProgress, record
@@ -36,6 +35,9 @@ from softcal.station.recording import StationRecording
 from softcal.station.self_test import SelfTestItem, self_test
 from softcal.station.spool import Spool
 
+if TYPE_CHECKING:
+    from softcal.core.twin.simulate import Twin
+
 SERIALS_APART = ","
 """Between the serials of several channels in the header of a spool; no serial contains it."""
 
@@ -45,7 +47,7 @@ PARTS = {"stage": Reason("part.stage"), "readout": Reason("part.readout"), "forc
 
 @contextmanager
 def chosen_bench(
-    station_file: Path | None, simulated_seed: int | None, simulated_channels: int = 1, twin: Twin | None = None
+    station_file: Path | None, simulated_seed: int | None, simulated_channels: int = 1, twin: "Twin | None" = None
 ) -> Iterator[Bench]:
     """Open the simulated bench where a seed is given, else the one the station file describes.
 
@@ -70,7 +72,9 @@ def chosen_bench(
             yield bench
 
 
-def _units_like(twin: Twin | None, seed: int, count: int) -> tuple[Twin, ...]:
+def _units_like(twin: "Twin | None", seed: int, count: int) -> "tuple[Twin, ...]":
+    from softcal.core.twin.spread import draw_lot
+
     rng = np.random.default_rng(seed)
     if twin is None:
         return draw_lot(rng, count)
@@ -167,7 +171,6 @@ class StationCheck:
     findings: tuple[SelfTestItem, ...]
 
     def as_json(self) -> dict[str, object]:
-        """Return the report as JSON values."""
         return {
             "schema": "softcal.station-check/1",
             "station": self.config.name,
@@ -242,7 +245,6 @@ def record_to_files(
     """Press once and write one file per channel, whole or not at all.
 
     Args:
-        serials: one per channel of the readout.
         out: the file; with several channels the folder.
         spool_folder: samples go there as they come; removed again when the files are written.
 
@@ -378,7 +380,7 @@ def profile_for(kind: str, seed: int, seconds: float | None, depth_mm: float, fi
 
 @dataclass(frozen=True)
 class RecordedLot:
-    """A lot as the station records it: the source with its reference, units without, audits to score them."""
+    """A lot as the station records it: the source with its reference, units without, audits that decide about them."""
 
     source: LabelledRecording
     units: Mapping[str, OutputRecording]
@@ -395,7 +397,7 @@ class PressTimes:
 
 
 def press_simulated_lot(
-    twins: Sequence[Twin],
+    twins: "Sequence[Twin]",
     serials: Sequence[str],
     seed: int = 0,
     times: PressTimes | None = None,
@@ -406,7 +408,7 @@ def press_simulated_lot(
     Args:
         twins, serials: (number of units,) the units, the source first.
         seed: of mounting, noise and profiles.
-        times: how long each run presses; an audit is only there to score.
+        times: how long each run presses, an audit too.
         on_run: called with a sentence before each run.
 
     Raises:
@@ -424,7 +426,7 @@ def press_simulated_lot(
             tell(f"unit {serial}: pressing, output only")
             profile = unit_profile(rng, times.unit_s)
             units[serial] = record(bench, serial, profile, with_reference=False).output_recording()
-            tell(f"unit {serial}: audit with the load cell, to score")
+            tell(f"unit {serial}: audit with the load cell")
             audit = record(bench, serial, unit_profile(rng, times.audit_s), with_reference=True)
             audits[serial] = audit.labelled_recording()
     return RecordedLot(source.labelled_recording(), units, audits)

@@ -15,9 +15,6 @@ def is_unheard_of(registry: Registry, lot: Lot, rules: LineRules, serial: str, p
 
     A unit that the lot knows is not asked for. Where the lot's units were registered by name, every other one is. Else
     it must fit the lot's rule or, where nobody set one, look like the source or like a unit pressed of late.
-
-    Args:
-        pressed: serials pressed of late in this lot.
     """
     if _is_of_lot(registry, lot, serial):
         return False
@@ -33,15 +30,15 @@ def shape(serial: str) -> str:
 
 def _is_of_lot(registry: Registry, lot: Lot, serial: str) -> bool:
     try:
-        return any(unit.lot_id == lot.id for unit in registry.units(serial=serial))
+        return any(unit.lot_id == lot.id for unit in registry.lots.units(serial=serial))
     except InputError:
         return False
 
 
 def _is_planned_by_name(registry: Registry, lot: Lot) -> bool:
     """Whether the lot holds a unit that was registered and never recorded."""
-    waiting = registry.unit_page(lot.id, UnitFilter(verdicts=("none",)), size=1).units
-    return any(not registry.recordings(lot.id, unit.serial) for unit in waiting)
+    waiting = registry.pages.unit_page(lot.id, UnitFilter(verdicts=("none",)), size=1).units
+    return any(not registry.recordings.of_lot(lot.id, unit.serial) for unit in waiting)
 
 
 def numbered(serial: str, channel: int) -> str:

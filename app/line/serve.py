@@ -16,13 +16,11 @@ from softcal.core.errors import InputError
 from softcal.core.network.config import NetworkConfig
 from softcal.core.orders import OrderKind, Progress
 from softcal.core.profiles import Profile
-from softcal.core.simulated_lot import twin_of
 from softcal.core.unit.budget import SIMULATED
 from softcal.db.registry import Registry
 from softcal.station.bench import SIMULATED_NAME, Bench, open_bench
 from softcal.station.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig, read_station_file
 from softcal.station.service import Hooks, StationService
-from softcal.station.simulated.line import SimulatedLine
 
 SIMULATED_RIG = StationConfig(
     StageConfig(""), ReadoutConfig(""), ForceConfig("", serial="SIM-CELL"), name=SIMULATED_NAME
@@ -39,9 +37,7 @@ class Serving:
         station_file: the rig; None for the simulated one.
         simulated_seed: of the simulated rig and its lot of units; None for a real one.
         speed: simulated seconds per second.
-        source_s, unit_s, depth_mm, profile_seed: of the profiles it presses with.
         source_profile, unit_profile: files of profiles, where others are wanted.
-        rules: how strict its gate is.
         override: an engineer's reason to run in spite of the gate; "" where there is none.
         network: how f is trained from a source's recording.
     """
@@ -62,7 +58,6 @@ class Serving:
 
     @property
     def profiles(self) -> dict[OrderKind, Profile]:
-        """The profile of each kind of order."""
         source = profile_for("source", self.profile_seed, self.source_s, self.depth_mm, self.source_profile)
         unit = profile_for("unit", self.profile_seed, self.unit_s, self.depth_mm, self.unit_profile)
         return {OrderKind.SOURCE: source, OrderKind.UNIT: unit, OrderKind.GOLDEN: unit}
@@ -98,6 +93,9 @@ def serve(registry: Registry, serving: Serving, spools: Path, goes_on: Callable[
 
 def _rig(serving: Serving) -> tuple[StationConfig, Fixture, Callable[[], AbstractContextManager[Bench]]]:
     if serving.simulated_seed is not None:
+        from softcal.core.simulated_lot import twin_of
+        from softcal.station.simulated.line import SimulatedLine
+
         line = SimulatedLine(partial(twin_of, serving.simulated_seed), serving.simulated_seed, serving.speed)
         return SIMULATED_RIG, line, line.open
     if serving.station_file is None:

@@ -17,7 +17,7 @@ SCHEMA = "softcal.audit-heads/1"
 def anchor_json(registry: Registry, why: str) -> dict[str, object]:
     """Return the last row of every chain as JSON values, to be kept beside what is exported or backed up."""
     at = datetime.now(UTC).isoformat(timespec="seconds")
-    return {"schema": SCHEMA, "registry": registry.origin, "at": at, "why": why, "heads": registry.heads()}
+    return {"schema": SCHEMA, "registry": registry.origin, "at": at, "why": why, "heads": registry.trail.heads()}
 
 
 def remember(registry: Registry, why: str) -> None:

@@ -67,11 +67,11 @@ def _folders(problems: list[str]) -> Facts:
 def _registry(url_option: str | None, problems: list[str]) -> Facts:
     facts: Facts = {"url": masked(registry_url(url_option))}
     with open_chosen_registry(url_option, create=False) as registry:
-        units = registry.units()
+        units = registry.lots.units()
         stations = {beat.station: f"{beat.state}, last seen {here(beat.at)}"
                     for beat in registry.order_queue.stations()}  # fmt: skip
         faults = registry.verify()
-        facts |= {"origin": registry.origin, "lots": len(registry.lots()), "units": len(units)}
+        facts |= {"origin": registry.origin, "lots": len(registry.lots.all()), "units": len(units)}
         facts |= {"work_items": registry.work_queue.counts(), "stations": stations, "faults": faults}
     problems += [f"registry: {fault}" for fault in faults[:5]]
     return facts

@@ -20,7 +20,7 @@ ENTITY = "golden_of"
 def golden_of(registry: Registry, lot_id: str, serials: Collection[str]) -> Mapping[str, tuple[str, str]]:
     """Return, by the hash of a unit's recording, its serial and the hash of the golden run it belongs to."""
     found: dict[str, tuple[str, str]] = {}
-    for row in registry.events_of(ENTITY, [(lot_id, serial) for serial in sorted(serials)]):
+    for row in registry.trail.of_several(ENTITY, [(lot_id, serial) for serial in sorted(serials)]):
         told: dict[str, Any] = json.loads(row.after or "{}")
         found |= {sha256: (told["serial"], golden) for sha256, golden in told["recordings"].items()}
     return found
@@ -40,14 +40,14 @@ def keep_golden_of(
         return
     with registry.transaction():
         for sha256, (serial, golden) in new.items():
-            registry.add_event(
+            registry.trail.add(
                 "state", ENTITY, (lot_id, serial), {"serial": serial, "recordings": {sha256: golden}}, actor=actor
             )
 
 
 def newest_golden(registry: Registry, station: str, source: str, since: datetime) -> str | None:
     """Return the hash of the newest golden run of a source on a station that passed, None where there is none."""
-    runs = registry.golden_runs(station, source, since)
+    runs = registry.stations.golden_runs(station, source, since)
     return next((run.recording_sha256 for run in reversed(runs) if run.passed and run.recording_sha256), None)
 
 
@@ -57,7 +57,7 @@ def bridge_over(registry: Registry, model: SourceModel, golden_sha256: str) -> B
     Raises:
         InputError: it is not in the registry, or this network cannot read it.
     """
-    return make_bridge(model, registry.recording(golden_sha256))
+    return make_bridge(model, registry.recordings.get(golden_sha256))
 
 
 def bridges_over(registry: Registry, model: SourceModel, golden: Iterable[str]) -> dict[str, Bridge | str]:
@@ -73,5 +73,5 @@ def bridges_over(registry: Registry, model: SourceModel, golden: Iterable[str]) 
 
 def golden_lot(registry: Registry, serial: str) -> str | None:
     """Return a lot whose source a serial is and whose network is released; None where it is no source."""
-    lots = (lot.id for lot in registry.lots() if lot.source == serial)
-    return next((lot for lot in lots if registry.released_network(lot) is not None), None)
+    lots = (lot.id for lot in registry.lots.all() if lot.source == serial)
+    return next((lot for lot in lots if registry.networks.released(lot) is not None), None)

@@ -44,10 +44,10 @@ def known_loads(registry: Registry, lot_id: str, serials: Collection[str] | None
         serials: of these units of the lot; None is all that have a recording.
     """
     if serials is None:
-        serials = {entry.serial for entry in registry.recordings(lot_id, kind="unit")}
+        serials = {entry.serial for entry in registry.recordings.of_lot(lot_id, kind="unit")}
     found: dict[str, UnitLoads] = {}
     # Older versions kept those of several units in one row of the lot.
-    for row in registry.events_of(ENTITY, [(lot_id,), *((lot_id, serial) for serial in sorted(serials))]):
+    for row in registry.trail.of_several(ENTITY, [(lot_id,), *((lot_id, serial) for serial in sorted(serials))]):
         told: dict[str, Any] = json.loads(row.after or "{}")
         for sha256, one in told["recordings"].items():
             if one["serial"] not in serials:
@@ -81,7 +81,7 @@ def keep_loads(
     with registry.transaction():
         for serial, facts in by_unit.items():
             told = {"where": where, "recordings": facts}
-            registry.add_event("state", ENTITY, (lot_id, serial), told, actor=actor)
+            registry.trail.add("state", ENTITY, (lot_id, serial), told, actor=actor)
     return len(new)
 
 

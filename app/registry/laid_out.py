@@ -26,8 +26,8 @@ def write_lot_folder(registry: Registry, lot_id: str, folder: Path) -> dict[str,
     Raises:
         InputError: no such lot, its source has no recording, or the folder exists and is not empty.
     """
-    lot = registry.lot(lot_id)
-    newest = {(entry.kind, entry.serial): entry.sha256 for entry in registry.recordings(lot_id)}
+    lot = registry.lots.get(lot_id)
+    newest = {(entry.kind, entry.serial): entry.sha256 for entry in registry.recordings.of_lot(lot_id)}
     if ("source", lot.source) not in newest:
         raise InputError(f"lot {lot_id!r}: its source {lot.source} has no recording yet; press it first")
     written: dict[str, list[str]] = {part: [] for part in FOLDER_OF.values()}
@@ -36,11 +36,11 @@ def write_lot_folder(registry: Registry, lot_id: str, folder: Path) -> dict[str,
         for (kind, serial), sha256 in newest.items():
             if (kind, serial) == ("audit", lot.source):
                 continue
-            write_recording(part / FOLDER_OF[kind] / f"{serial}.csv", registry.recording(sha256))
+            write_recording(part / FOLDER_OF[kind] / f"{serial}.csv", registry.recordings.get(sha256))
             written[FOLDER_OF[kind]].append(serial)
         pressed = {sha256: serial for (kind, serial), sha256 in newest.items() if kind == "unit"}
         if golden := _one_golden(registry, lot_id, pressed):
-            write_recording(part / GOLDEN / f"{lot.source}.csv", registry.recording(golden))
+            write_recording(part / GOLDEN / f"{lot.source}.csv", registry.recordings.get(golden))
             written[GOLDEN] = [lot.source]
         kept = known_loads(registry, lot_id, set(pressed.values()))
         loads = {s: kept[sha].loads for (kind, s), sha in newest.items() if kind == "unit" and sha in kept}

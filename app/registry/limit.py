@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
+from softcal.app.registry.lot_recordings import source_model
 from softcal.app.registry.reference import reference_expanded
-from softcal.app.registry.source import source_model
 from softcal.core.errors import InputError
 from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import Limit, default_limit
@@ -17,14 +17,14 @@ def lot_limit(registry: Registry, lot_id: str) -> Limit:
     Raises:
         InputError: none was stated, and no unit was calibrated yet.
     """
-    lot, expanded = registry.lot(lot_id), reference_expanded(registry, lot_id)
+    lot, expanded = registry.lots.get(lot_id), reference_expanded(registry, lot_id)
     if lot.limit_rmse is not None:
         return Limit(lot.reference_unit, lot.limit_rmse, reference_expanded=expanded)
-    units = registry.units(lot_id)
+    units = registry.lots.units(lot_id)
     serial = next((unit.serial for unit in units if unit.role == "target" and unit.revision is not None), None)
     if serial is None:
         raise InputError(f"lot {lot_id!r} states no limit and has no calibrated unit yet; calibrate its units first")
-    record = registry.calibration(serial, lot_id=lot_id).record
+    record = registry.calibrations.get(serial, lot_id=lot_id).record
     judged = Limit(lot.reference_unit, record.limit_rmse or 1.0, plain(str(record.evidence["limit_origin"])), expanded)
     if judged.is_stated or record.limit_rmse is None:
         # Its limit was taken back since.

@@ -60,7 +60,6 @@ class Verification:
     """What `registry verify` found.
 
     Args:
-        faults: a line each.
         audit_rows: rows of the audit trail, of all chains.
         heads: number and hash of the last row of each chain; written down elsewhere they prove that nothing was cut.
     """
@@ -85,7 +84,7 @@ def verify(
     """
     anchors = [*remembered(registry), *map(read_anchor, files)]
     faults = tuple(registry.verify(is_quick=is_quick, anchors=anchors, on_step=on_step))
-    heads = registry.heads()
+    heads = registry.trail.heads()
     return Verification(faults, sum(seq for seq, _ in heads.values()), heads)
 
 

@@ -11,7 +11,6 @@ from softcal.core.errors import InputError
 from softcal.core.quality.control_chart import Capability, ControlChart, capability, control_chart
 from softcal.core.quality.gauge_study import GaugeStudy, study_by_anova, study_by_ranges
 from softcal.core.quality.yields import Share, UnitRun, Yields, kind, yields
-from softcal.core.recording import Array
 from softcal.core.unit.verdict import Release, Verdict
 from softcal.db.registry import Registry
 
@@ -47,7 +46,9 @@ def file_chart(path: Path, column: str) -> ControlChart:
 
 def lot_chart(registry: Registry, lot_id: str) -> ControlChart:
     """Make the control chart of the predicted errors of a lot's units, in the order they were calibrated."""
-    return control_chart(_predicted(registry, lot_id))
+    return control_chart(
+        np.array([run.predicted_rmse for run in registry.lots.runs(lot_id) if run.predicted_rmse is not None])
+    )
 
 
 def lot_capability(registry: Registry, lot_id: str, maximum: float | None = None) -> tuple[ControlChart, Capability]:
@@ -56,23 +57,19 @@ def lot_capability(registry: Registry, lot_id: str, maximum: float | None = None
     Raises:
         InputError: no limit was stated, or capability must be refused.
     """
-    limit = maximum if maximum is not None else registry.lot(lot_id).limit_rmse
+    limit = maximum if maximum is not None else registry.lots.get(lot_id).limit_rmse
     if limit is None:
         raise InputError(f"lot {lot_id!r} has no stated limit; give --max")
     chart = lot_chart(registry, lot_id)
     return chart, capability(chart, None, limit)
 
 
-def _predicted(registry: Registry, lot_id: str) -> Array:
-    return np.array([run.predicted_rmse for run in registry.runs(lot_id) if run.predicted_rmse is not None])
-
-
 def lot_yields(registry: Registry, lot_id: str, *, conditional_is_good: bool = False) -> Yields:
     """Count the yields of a lot; golden units are left out."""
     runs: dict[str, list[UnitRun]] = {}
-    for run in registry.runs(lot_id):
+    for run in registry.lots.runs(lot_id):
         runs.setdefault(run.serial, []).append(UnitRun(run.verdict, run.reasons))
-    golden = {run.serial for run in registry.golden_runs()}
+    golden = {run.serial for run in registry.stations.golden_runs()}
     asked = Release.CONDITIONAL if conditional_is_good else Release.PASS
     good = [verdict for verdict in Verdict if asked.releases(verdict)]
     return yields(runs, golden, good)
@@ -87,7 +84,7 @@ def golden_charts(
         InputError: there are no checks with golden units.
     """
     values: dict[tuple[str, str], list[float]] = {}
-    for run in registry.golden_runs(station, serial):
+    for run in registry.stations.golden_runs(station, serial):
         values.setdefault((run.station, run.serial), []).append(run.value)
     if not values:
         raise InputError("the registry holds no checks with golden units that fit")

@@ -30,7 +30,7 @@ def state_reference(
     found = stated if stated.is_simulated else _completed(registry, lot_id, stated)
     facts = {"reference": found.to_json(), "source_rms": float(np.sqrt(np.mean(source.reference**2)))}
     if facts != _stated(registry, lot_id):
-        registry.add_event("state", ENTITY, (lot_id,), facts, actor=actor)
+        registry.trail.add("state", ENTITY, (lot_id,), facts, actor=actor)
     return found
 
 
@@ -49,20 +49,20 @@ def reference_expanded(registry: Registry, lot_id: str) -> float:
 
 
 def _stated(registry: Registry, lot_id: str) -> dict[str, Any] | None:
-    told = registry.events(ENTITY, (lot_id,))
+    told = registry.trail.of(ENTITY, (lot_id,))
     facts: dict[str, Any] | None = json.loads(told[-1].after or "{}") if told else None
     return facts
 
 
 def _completed(registry: Registry, lot_id: str, stated: Reference) -> Reference:
     if stated.used_on is None:
-        sources = registry.recordings(lot_id, kind="source")
+        sources = registry.recordings.of_lot(lot_id, kind="source")
         used_at = sources[-1].added_at if sources else datetime.now(UTC)
         stated = replace(stated, used_on=used_at.astimezone().date())
     if stated.certificate or not stated.cell or stated.used_on is None:
         return stated
-    known = registry.certificate(stated.cell, stated.used_on) or next(
-        reversed(registry.certificates(stated.cell)), None
+    known = registry.stations.certificate(stated.cell, stated.used_on) or next(
+        reversed(registry.stations.certificates(stated.cell)), None
     )
     if known is None:
         return stated

@@ -3,17 +3,39 @@
 Whoever gives out files, warns at use or shows a verdict asks here, so that all of them say the same word.
 """
 
+from softcal.core.errors import RegistryError
+from softcal.core.unit.verdict import Verdict
 from softcal.core.words.reason import plain
 from softcal.db.entries import UNDECIDED, StoredCalibration, UnitStanding
 from softcal.db.registry import Registry
 
 
 def standing_of(registry: Registry, stored: StoredCalibration) -> UnitStanding:
-    """Return how the unit of a calibration stands now; without `made`, its newest result is no calibration.
-
-    Args:
-        stored: any calibration of the unit.
-    """
-    found = registry.standings(stored.lot_id, [stored.serial]).get(stored.serial)
+    """Return how the unit of a calibration stands now; without `made`, its newest result is no calibration."""
+    found = registry.pages.standings(stored.lot_id, [stored.serial]).get(stored.serial)
     nothing = UnitStanding(stored.serial, UNDECIDED, (plain("none of its calibrations is in use"),), stored.made_at)
     return nothing if found is None else found
+
+
+def caution(registry: Registry, stored: StoredCalibration, action: str) -> str:
+    """Return the warning, and record the use; empty where the calibration passed and the unit still does.
+
+    Args:
+        action: what is done with it, for example `estimate`.
+    """
+    standing = standing_of(registry, stored)
+    # An older calibration that passed is cautioned against where the unit does not pass any more.
+    is_bad = standing.made is not None and stored.record.verdict != Verdict.PASS
+    told = stored.record if is_bad else standing
+    if told.verdict == Verdict.PASS:
+        return ""
+    why = str(told.reasons[0]) if told.reasons else "no reason is stored"
+    warning = f"warning: unit {stored.serial} has the verdict {told.verdict}: {why}"
+    facts = {"verdict": told.verdict, "revision": stored.revision, "action": action}
+    try:
+        key, reason = (stored.lot_id, stored.serial), f"{action} of a unit that did not pass"
+        registry.trail.add("use", "unit", key, facts, reason=reason)
+    except RegistryError:
+        # Who may only read must still be able to estimate; the line on the terminal is then all there is.
+        return f"{warning}; this use could not be recorded, the registry cannot be written"
+    return warning

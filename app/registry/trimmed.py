@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from softcal.app.registry.audits import audit_of, newest_audits
 from softcal.app.registry.known_loads import values
 from softcal.app.registry.limit import lot_limit
-from softcal.app.registry.source import source_recording, unlabelled
+from softcal.app.registry.lot_recordings import audit_of, newest_audits, source_recording, unlabelled
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
 from softcal.core.maps.interface import Anchors, FitProblem, map_sha256
@@ -58,7 +57,6 @@ class KnownTrim:
     audit: str
 
     def to_json(self) -> dict[str, object]:
-        """Return it as JSON values."""
         return {**values(self.loads), "recording": self.recording, "audit": self.audit}
 
 
@@ -71,13 +69,13 @@ def is_trimmed_by(record: CalibrationRecord, loads: Anchors) -> bool:
 def untrimmed(registry: Registry, stored: StoredCalibration) -> StoredCalibration:
     """Return the calibration behind trims, and behind what audits of other units said: a new trim replaces them.
 
-    Those audits are asked again what the trimmed one is worth; what trims leave open does not add up.
+    Those audits are asked again what the trimmed one is worth; what trims do not settle does not add up.
     """
     evidence = stored.record.evidence
     revision = evidence.get(UNTRIMMED, evidence.get("base_revision"))
     if revision is None:
         return stored
-    return registry.calibration(stored.serial, int(revision), lot_id=stored.lot_id)
+    return registry.calibrations.get(stored.serial, int(revision), lot_id=stored.lot_id)
 
 
 def keep_trim(registry: Registry, stored: StoredCalibration, loads: Anchors, actor: str | None = None) -> Trimmed:
@@ -98,15 +96,15 @@ def trim_kept(registry: Registry, lot_id: str, serial: str, actor: str | None = 
     with registry.transaction():
         yield
         if known is not None:
-            _carry(registry, registry.calibration(serial, lot_id=lot_id), known, actor)
+            _carry(registry, registry.calibrations.get(serial, lot_id=lot_id), known, actor)
 
 
 def _known_trim(registry: Registry, lot_id: str, serial: str) -> KnownTrim | None:
     """Return what the calibration in use of a unit was trimmed by; None where it was not."""
-    if not registry.was_decided_by(DECIDED_BY, lot_id, serial):
+    if not registry.calibrations.was_decided_by(DECIDED_BY, lot_id, serial):
         return None
     try:
-        stored = registry.calibration(serial, lot_id=lot_id)
+        stored = registry.calibrations.get(serial, lot_id=lot_id)
     except InputError:
         # Two registries put different maps into use: a person decides first.
         return None
@@ -142,7 +140,10 @@ def _carry(registry: Registry, stored: StoredCalibration, known: KnownTrim, acto
 def _trimmed(registry: Registry, stored: StoredCalibration, known: KnownTrim, why: str, actor: str | None) -> Trimmed:
     base = untrimmed(registry, stored)
     record = base.record
-    f, recording = registry.network(record.network_id), unlabelled(registry.recording(record.recording_sha256))
+    f, recording = (
+        registry.networks.get(record.network_id),
+        unlabelled(registry.recordings.get(record.recording_sha256)),
+    )
     problem = FitProblem(
         source_recording(registry, record.network_id), f, recording, config=(record.method or Method()).map
     )
@@ -155,7 +156,7 @@ def _trimmed(registry: Registry, stored: StoredCalibration, known: KnownTrim, wh
     audit = None if entry is None or entry.sha256 == known.audit else audit_of(registry, entry)
     if audit is not None and trimmed.grounds is not None and not trimmed.grounds.rules:
         trimmed = measured(f, trimmed, audit, recording, lot_limit(registry, stored.lot_id))
-    registry.add_calibration(stored.lot_id, trimmed, actor=actor, reason=why, decided_by=DECIDED_BY)
+    registry.calibrations.add(stored.lot_id, trimmed, actor=actor, reason=why, decided_by=DECIDED_BY)
     return found
 
 
@@ -179,7 +180,7 @@ def _leave_out(
         reasons=decision.reasons,
         input_sha256=content_sha256({}, {"base": record.input_sha256, "left_out": why.to_json(), **known.to_json()}),
     )
-    registry.add_calibration(stored.lot_id, told, actor=actor, reason=why.code, decided_by=DECIDED_BY)
+    registry.calibrations.add(stored.lot_id, told, actor=actor, reason=why.code, decided_by=DECIDED_BY)
 
 
 def _decided(decision: Decision, found: Trimmed, loads: Anchors) -> Decision:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from softcal.app.registry.source import source_recording, unlabelled
+from softcal.app.registry.lot_recordings import source_recording, unlabelled
 from softcal.core.lot import Lot
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.network.network import Network
@@ -25,9 +25,9 @@ def calibrated_unit(
     Raises:
         InputError: the registry has no calibration of the serial, or it stands in several lots and none is named.
     """
-    stored = registry.calibration(serial, revision, lot_id=lot_id)
-    network = registry.network(stored.record.network_id)
-    return registry.lot(stored.lot_id), network, Calibration.from_record(stored.record)
+    stored = registry.calibrations.get(serial, revision, lot_id=lot_id)
+    network = registry.networks.get(stored.record.network_id)
+    return registry.lots.get(stored.lot_id), network, Calibration.from_record(stored.record)
 
 
 REASON = "the source unit itself: the shared network needs no map"
@@ -38,7 +38,6 @@ class UnitInUse:
     """All that following a unit needs from the registry.
 
     Args:
-        lot: its lot.
         revision: of the calibration it starts from.
         network: the shared network f.
         calibration: f∘γ₀ and its interval.
@@ -58,27 +57,27 @@ def unit_in_use(registry: Registry, serial: str, revision: int | None = None, lo
     Raises:
         InputError: the registry has no calibration of the serial, and it is not the source of a lot with a network.
     """
-    if revision is None and not registry.history(serial, lot_id):
+    if revision is None and not registry.calibrations.history(serial, lot_id):
         _register_source(registry, serial, lot_id)
-    stored = registry.calibration(serial, revision, lot_id=lot_id)
-    output = unlabelled(registry.recording(stored.record.recording_sha256))
-    network = registry.network(stored.record.network_id)
+    stored = registry.calibrations.get(serial, revision, lot_id=lot_id)
+    output = unlabelled(registry.recordings.get(stored.record.recording_sha256))
+    network = registry.networks.get(stored.record.network_id)
     calibration = Calibration.from_record(stored.record)
-    return UnitInUse(registry.lot(stored.lot_id), stored.revision, network, calibration, output)
+    return UnitInUse(registry.lots.get(stored.lot_id), stored.revision, network, calibration, output)
 
 
 def _register_source(registry: Registry, serial: str, lot_id: str | None) -> None:
     """Give the source of a lot its calibration: f itself, the identity map, the interval of f on its recording."""
-    lots = [lot for lot in registry.lots() if lot.source == serial and lot_id in (None, lot.id)]
-    sources = {entry.sha256: lot.id for lot in lots for entry in registry.recordings(lot.id, serial, "source")}
-    trained = [entry for entry in registry.networks() if entry.training.get("source_recording_sha256") in sources]
+    lots = [lot for lot in registry.lots.all() if lot.source == serial and lot_id in (None, lot.id)]
+    sources = {entry.sha256: lot.id for lot in lots for entry in registry.recordings.of_lot(lot.id, serial, "source")}
+    trained = [entry for entry in registry.networks.all() if entry.training.get("source_recording_sha256") in sources]
     if not trained:
         return
     network = trained[-1]
     source = source_recording(registry, network.id)
-    calibration = source_calibration(source, registry.network(network.id))
+    calibration = source_calibration(source, registry.networks.get(network.id))
     record = calibration.to_record(input_sha256=network.input_sha256, recording_sha256=source.sha256)
-    registry.add_calibration(sources[source.sha256], record, reason=REASON)
+    registry.calibrations.add(sources[source.sha256], record, reason=REASON)
 
 
 def source_calibration(source: LabelledRecording, network: Network) -> Calibration:

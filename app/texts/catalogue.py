@@ -20,10 +20,13 @@ def catalogue() -> dict[str, dict[str, str]]:
     """
     texts: dict[str, dict[str, str]] = {language: {} for language in LANGUAGES}
     for file in sorted(Path(__file__).parent.glob("*.toml")):
-        for language, said in tomllib.loads(file.read_text(encoding="utf-8")).items():
-            if twice := texts[language].keys() & said.keys():
-                raise ValueError(f"{file.name} says again what another file says: {', '.join(sorted(twice))}")
-            texts[language] |= said
+        said = tomllib.loads(file.read_text(encoding="utf-8"))
+        korean = said.pop("ko", {})
+        if twice := texts["ko"].keys() & (said.keys() | korean.keys()):
+            raise ValueError(f"{file.name} says again what another file says: {', '.join(sorted(twice))}")
+        for language, of_pair in zip(LANGUAGES, zip(*said.values(), strict=True), strict=True):
+            texts[language] |= zip(said, of_pair, strict=True)
+        texts["ko"] |= korean
     texts["en"] |= {f"reason.{code}": sentence for code, sentence in ENGLISH.items()}
     return texts
 

@@ -13,7 +13,7 @@ import streamlit as st
 
 from softcal.app.ui.browser_memory import forget, recall, remember
 from softcal.app.ui.pins import Pauses, is_code, new_code
-from softcal.app.ui.registry_of_server import registry
+from softcal.app.ui.server_memory import registry
 from softcal.core.errors import InputError
 from softcal.core.words.reason import Reason, reason
 from softcal.db.access.people import PERMISSIONS, ROLES, may
@@ -68,7 +68,7 @@ def sign_in(name: str, pin: str) -> User:
     pauses = _pauses()
     pauses.check(name)
     try:
-        user = registry().sign_in(name.strip(), pin)
+        user = registry().people.sign_in(name.strip(), pin)
     except InputError:
         pauses.failed(name)
         raise
@@ -96,9 +96,9 @@ def make_first_account(name: str, pin: str, code: str) -> User:
     if not is_code(code, first_code()):
         _pauses().failed(FIRST_ACCOUNT)
         raise InputError(Reason("account.no_code"))
-    if registry().users():
+    if registry().people.all():
         raise InputError(Reason("account.first_is_there"))
-    registry().set_user(name, "quality", pin, actor=name, reason="the first account, by the code of the server")
+    registry().people.set(name, "quality", pin, actor=name, reason="the first account, by the code of the server")
     return sign_in(name, pin)
 
 
@@ -197,5 +197,5 @@ def _by_pin() -> User | None:
     if entry is None or entry.until < datetime.now(UTC):
         return None
     # Asked anew each time: who was made inactive, or has another role since, is so at once.
-    user = next((user for user in registry().users() if user.name == entry.name), None)
+    user = next((user for user in registry().people.all() if user.name == entry.name), None)
     return user if user is not None and user.is_active else None

@@ -15,7 +15,7 @@ from softcal.app.texts.catalogue import LANGUAGES, words_in
 from softcal.app.texts.reasons import all_said, said, told
 from softcal.app.ui.account import permit, person
 from softcal.app.ui.browser_memory import recall, remember
-from softcal.app.ui.registry_of_server import registry
+from softcal.app.ui.server_memory import registry
 from softcal.core.errors import SoftcalError, printable
 from softcal.core.words.reason import Reason
 from softcal.db.access.people import may
@@ -151,7 +151,7 @@ def ask_reason(key: str, label: str, action: str, fields: Callable[[], None] = l
     """Ask for the reason of a change; return it in the run in which the button was pressed, else None.
 
     The caller passes the reason and `account.actor()` on to the function of the registry that makes the change and
-    its row in the audit trail; `registry().add_event` makes a row for what changes no table.
+    its row in the audit trail; `registry().trail.add` makes a row for what changes no table.
 
     Args:
         key: unique on the page.

@@ -1,7 +1,7 @@
 """What the server refuses before any page: other names than its own, frames, scripts from elsewhere, its own metrics.
 
-A page of a stranger can make a browser resolve the stranger's name to this machine (DNS rebinding) and would then speak
-to it as if it were the stranger's: so a name that is not this server's is refused, of a WebSocket too. An address in
+A page of a stranger can make a browser resolve the stranger's name to this machine (DNS rebinding). It would then speak
+to it as if it were the stranger's. So a name that is not this server's is refused, of a WebSocket too. An address in
 numbers cannot be rebound and is taken.
 """
 

@@ -8,7 +8,7 @@ import streamlit as st
 from softcal.app.line.facts import LotAtLine, Screen, read_lot
 from softcal.app.line.rig import spool_folder
 from softcal.app.ui.browser_memory import recall
-from softcal.app.ui.registry_of_server import registry
+from softcal.app.ui.server_memory import registry
 from softcal.db.registry import Registry
 
 STATION_VARIABLE = "SOFTCAL_STATION"
@@ -46,7 +46,7 @@ def lot_at_line(of: Registry, lot_id: str) -> LotAtLine:
 
 @st.cache_resource(ttl="1s", max_entries=16, show_spinner=False)
 def _marker(registry_name: str, lot_id: str) -> str:
-    return registry().change_marker(lot_id)
+    return registry().pages.change_marker(lot_id)
 
 
 @st.cache_resource(max_entries=16, show_spinner=False)

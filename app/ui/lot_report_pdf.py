@@ -42,7 +42,7 @@ def lot_report_pdf(registry: Registry, view: LotView, language: str = "en", made
     """
     say, now = partial(text, language), made or datetime.now(UTC)
     wanted = UnitFilter(NEEDS_A_LOOK, sort="severity", serials=view.chosen)
-    bad = registry.unit_page(view.lot.id, wanted, size=MOST_ROWS)
+    bad = registry.pages.unit_page(view.lot.id, wanted, size=MOST_ROWS)
     title = say("report.title", lot=view.lot.id)
     page = Document(
         title=title,

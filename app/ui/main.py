@@ -25,7 +25,7 @@ def run() -> None:
     liveness()
     with errors_in_words():
         sections: dict[str, list[StreamlitPage]] = {"": []}
-        is_new = set(registry().lot_ids()) <= {DEMO}
+        is_new = set(registry().lots.ids()) <= {DEMO}
         for entry in pages_for(person(), is_new):
             title = say(f"section.{entry.section}") if entry.section else ""
             sections.setdefault(title, []).append(

@@ -48,7 +48,7 @@ def lot_heading(page: str, lots: Sequence[str]) -> str | None:
 
 def units_of(lot_id: str) -> dict[str, int]:
     """Return how many units of a lot have which verdict; empty where none has one, and say how units come to be."""
-    counts = registry().verdict_counts(lot_id)
+    counts = registry().pages.verdict_counts(lot_id)
     if sum(counts.values()) > counts["none"]:
         return counts
     empty(words()("empty.units"), words()("empty.units.how"))

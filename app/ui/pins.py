@@ -48,7 +48,6 @@ class Pauses:
         self._failures: dict[str, _Failures] = {}
 
     def check(self, name: str) -> None:
-        """Raise `InputError` while a name has to wait."""
         known = self._failures.get(_key(name))
         left = known.until - self._clock() if known else timedelta(0)
         if left > timedelta(0):

@@ -5,7 +5,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from softcal.app.line.line import order_stop
-from softcal.app.ui.registry_of_server import registry
+from softcal.app.ui.server_memory import registry
 from softcal.core.errors import SoftcalError
 
 PATH = "/line-stop"

@@ -13,7 +13,7 @@ from softcal.app.charts.trace import Trace
 from softcal.app.files.atomic import write_text
 from softcal.app.files.recording_file import PLAIN, ColumnNames
 from softcal.app.files.stream_file import estimate_writer, read_stream
-from softcal.app.registry.source import source_recording
+from softcal.app.registry.lot_recordings import source_recording
 from softcal.app.registry.unit import UnitInUse, unit_in_use
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
@@ -61,8 +61,6 @@ class AdaptReport:
 
     Args:
         serial, revision, stream, mode: which unit, from which calibration, under which name, how.
-        lot: lot of the unit.
-        rows: rows taken.
         flags: rows by each word of their flags.
         verdicts: how often the map was followed, held or jumped.
         current: the correction in force.
@@ -117,14 +115,14 @@ class Follower:
         self._registry, self._keeper = registry, keeper
         self._writing: Future[int] | None = None
         self._adapter = _follower_of(registry, unit, options.config, keeper)
-        newest = registry.last_adaptation(serial, unit.revision, stream)
+        newest = registry.adaptations.last(serial, unit.revision, stream)
         # The same rows again give the same steps; those that are kept already stay as they are.
         self._kept_until = -1 if newest is None else int(newest["sample"])
         self._began: int | None = 0
         self._state_until = -1
         self._method_id = options.config.method.id
         changed: list[str] = []
-        last = registry.last_checkpoint(serial, unit.revision, stream)
+        last = registry.adaptations.last_checkpoint(serial, unit.revision, stream)
         # A file that was broken off is begun again, and so is one whose content names its stream.
         has_begun = last is not None and options.stream is not None if is_repeatable else newest is not None
         if options.resume and last is not None:
@@ -173,7 +171,6 @@ class Follower:
         self._adapter.reconnect()
 
     def advance(self, t_s: Array, output: Array) -> Estimate:
-        """Take (n,) further samples and return their rows."""
         rows = self._adapter.advance(t_s, output)
         updates = self._adapter.take_updates()
         self._pending += updates
@@ -221,9 +218,9 @@ class Follower:
             new.append(state)
         self.settle()
         if new and self._keeper is None:
-            self._registry.add_adaptations(report.serial, report.revision, new)
+            self._registry.adaptations.add(report.serial, report.revision, new)
         elif new and self._keeper is not None:
-            self._writing = self._keeper.submit(self._registry.add_adaptations, report.serial, report.revision, new)
+            self._writing = self._keeper.submit(self._registry.adaptations.add, report.serial, report.revision, new)
         self._pending, self._since_maps = [], 0
 
     def _entry(self, update: MapUpdate) -> dict[str, Any]:

@@ -153,7 +153,6 @@ class _Listener:
             self._socket.close()
 
     def write(self, lines: str) -> None:
-        """Send lines, or count them as lost."""
         if self._socket is None and time.monotonic() - self._tried_s >= RETRY_S:
             self._socket, self._tried_s = self._connect(), time.monotonic()
             if self._socket is not None:

@@ -24,10 +24,10 @@ def trim_unit(
     Raises:
         InputError: the loads cannot be of this unit, or the unit is not in the registry; nothing was changed.
     """
-    stored = registry.calibration(serial, lot_id=lot_id)
+    stored = registry.calibrations.get(serial, lot_id=lot_id)
     found = keep_trim(registry, stored, read_anchors(loads_file, [serial])[serial], actor)
     judge_again(registry, [stored.lot_id], actor)
-    return found, registry.calibration(serial, lot_id=stored.lot_id).revision
+    return found, registry.calibrations.get(serial, lot_id=stored.lot_id).revision
 
 
 def trimmed_by(registry: Registry, serial: str, loads_file: Path, lot_id: str | None = None) -> int:
@@ -38,7 +38,7 @@ def trimmed_by(registry: Registry, serial: str, loads_file: Path, lot_id: str | 
     Raises:
         InputError: as `trim_unit`.
     """
-    stored = registry.calibration(serial, lot_id=lot_id)
+    stored = registry.calibrations.get(serial, lot_id=lot_id)
     if is_trimmed_by(stored.record, read_anchors(loads_file, [serial])[serial]):
         return stored.revision
     return trim_unit(registry, serial, loads_file, lot_id)[1]

@@ -21,7 +21,6 @@ class Alert:
 
     Args:
         kind: of the text `alert.KIND`.
-        values: of that text.
         is_urgent: whether what is made meanwhile may be wrong.
     """
 
@@ -38,11 +37,11 @@ def alerts(registry: Registry, view: LotView, now: datetime) -> tuple[Alert, ...
 
 def plant_alerts(registry: Registry, now: datetime) -> list[Alert]:
     """Return what should be looked at now, whichever lot is made."""
-    due = [unit.serial for unit in registry.adapted_units() if unit.entry.get("alarm")]
+    due = [unit.serial for unit in registry.adaptations.units() if unit.entry.get("alarm")]
     return [
-        *_golden(registry.golden_runs()),
+        *_golden(registry.stations.golden_runs()),
         *(alert for beat in registry.order_queue.stations() if (alert := _silent(beat, now))),
-        *_certificates(registry.certificates(), now),
+        *_certificates(registry.stations.certificates(), now),
         *([Alert("units_due", {"count": len(due), "first": due[0]})] if due else []),
     ]
 

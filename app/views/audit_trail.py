@@ -83,7 +83,6 @@ class Entry:
     """One line of the trail.
 
     Args:
-        row: as it is kept.
         section: of `HEADINGS`.
         what: a sentence: what was done to what.
         changes: (name, before, after) of what changed; before is "" where there was nothing.
@@ -101,13 +100,11 @@ class Entry:
 
     @property
     def changed(self) -> str:
-        """The changes as one line."""
         told = (f"{name}: {old} → {new}" if old else f"{name}: {new}" for name, old, new in self.changes)
         return "; ".join(told)
 
     @property
     def searched(self) -> str:
-        """All its words, for a search."""
         return " ".join((self.row.actor, self.what, self.changed, self.row.reason)).lower()
 
 
@@ -117,7 +114,6 @@ class TrailFilter:
 
     Args:
         text: words that all stand in a line, in any order.
-        actors, sections: one of them each.
         since, until: instants, both included.
     """
 
@@ -128,7 +124,6 @@ class TrailFilter:
     until: datetime | None = None
 
     def takes(self, entry: Entry) -> bool:
-        """Whether a line is wanted."""
         return (
             (not self.actors or entry.row.actor in self.actors)
             and (not self.sections or entry.section in self.sections)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softcal.app.registry.audits import audit_of, newest_audits
+from softcal.app.registry.lot_recordings import audit_of, newest_audits
 from softcal.core.lot import Lot
 from softcal.core.metrics import rmse
 from softcal.core.recording import Array
@@ -28,7 +28,6 @@ class AuditTrace:
     """The stretch of one audit that no fit has seen.
 
     Args:
-        serial: the unit.
         reference, estimate: (n,) in the reference unit.
     """
 
@@ -95,10 +94,10 @@ def _unit(registry: Registry, lot_id: str, serial: str) -> AuditTrace | None:
     audit = audit_of(registry, newest_audits(registry, lot_id, serial).get(serial))
     if audit is None:
         return None
-    record = registry.calibration(serial, lot_id=lot_id).record
+    record = registry.calibrations.get(serial, lot_id=lot_id).record
     calibration = Calibration.from_record(record)
     # The stretch that the error of the unit is stated on.
     config = calibration.method.decision if calibration.method else DecisionConfig()
     test = audit.part(round(len(audit) * (1 - config.test_share)), len(audit))
-    estimate = registry.network(record.network_id).evaluate(calibration.unit_map.apply(test.windows))
+    estimate = registry.networks.get(record.network_id).evaluate(calibration.unit_map.apply(test.windows))
     return AuditTrace(serial, test.window_reference, estimate)

@@ -52,15 +52,15 @@ class Course:
 
 def units_in_use(registry: Registry) -> list[UnitInUseView]:
     """Return the units in use: those with an alarm first, then by predicted error."""
-    units = {lot.id: lot.reference_unit for lot in registry.lots()}
+    units = {lot.id: lot.reference_unit for lot in registry.lots.all()}
     # Mostly all lots have one unit; then no lot of a unit is looked up.
     only = next(iter(units.values())) if len(set(units.values())) == 1 else ""
-    found = [_unit(entry, only or units[_lot_of(registry, entry.serial)]) for entry in registry.adapted_units()]
+    found = [_unit(entry, only or units[_lot_of(registry, entry.serial)]) for entry in registry.adaptations.units()]
     return sorted(found, key=lambda unit: (not unit.alarm, -unit.predicted_rmse))
 
 
 def _lot_of(registry: Registry, serial: str) -> str:
-    return registry.units(serial=serial)[-1].lot_id
+    return registry.lots.units(serial=serial)[-1].lot_id
 
 
 def _unit(entry: AdaptedUnit, reference_unit: str) -> UnitInUseView:
@@ -79,7 +79,7 @@ def _unit(entry: AdaptedUnit, reference_unit: str) -> UnitInUseView:
 
 def course(registry: Registry, serial: str, stream: str) -> Course:
     """Return the course of a unit on one stream."""
-    steps: Sequence[Mapping[str, Any]] = registry.adaptations(serial, stream)
+    steps: Sequence[Mapping[str, Any]] = registry.adaptations.all(serial, stream)
     seen = tuple(step for step in steps if step.get("t_s") is not None)
-    lot = registry.lot(_lot_of(registry, serial))
+    lot = registry.lots.get(_lot_of(registry, serial))
     return Course(serial, stream, seen, lot.output_unit, lot.reference_unit)

@@ -176,18 +176,18 @@ def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> 
     Raises:
         InputError: the lot is not in the registry.
     """
-    lot, every = registry.lot(lot_id), lot_runs(registry, lot_id)
+    lot, every = registry.lots.get(lot_id), lot_runs(registry, lot_id)
     placed_runs = [run for run in every if wanted.takes(run)]
     runs = [one.run for one in placed_runs]
     chosen = None if wanted.is_open else tuple(sorted({run.serial for run in runs}))
-    golden = {run.serial for run in registry.golden_runs()}
+    golden = {run.serial for run in registry.stations.golden_runs()}
     found = yields(_by_unit(runs), golden)
-    errors, limit = registry.lot_errors(lot_id), limit_or_none(registry, lot_id)
+    errors, limit = registry.pages.lot_errors(lot_id), limit_or_none(registry, lot_id)
     if chosen is not None:
         kept = frozenset(chosen)
         errors = [row for row in errors if row.serial in kept]
-    looks = registry.unit_page(lot_id, UnitFilter(NEEDS_A_LOOK, sort="severity", serials=chosen), size=LOOKS)
-    counts = registry.verdict_counts(lot_id)
+    looks = registry.pages.unit_page(lot_id, UnitFilter(NEEDS_A_LOOK, sort="severity", serials=chosen), size=LOOKS)
+    counts = registry.pages.verdict_counts(lot_id)
     of_units = [one for one in placed_runs if one.run.serial not in golden]
     return LotView(
         lot,
@@ -211,10 +211,12 @@ def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> 
 
 def _withdrawn(registry: Registry, lot_id: str, passing: int) -> tuple[str, ...]:
     """Return what `LotStanding.withdrawn` has: read unit by unit only where more passed once than pass now."""
-    passed = registry.passed_once(lot_id)
+    passed = registry.calibrations.passed_once(lot_id)
     if len(passed) == passing:
         return ()
-    return tuple(sorted(s for s, one in registry.standings(lot_id, sorted(passed)).items() if one.verdict != "pass"))
+    return tuple(
+        sorted(s for s, one in registry.pages.standings(lot_id, sorted(passed)).items() if one.verdict != "pass")
+    )
 
 
 def _counts(errors: Sequence[UnitErrors], runs: Sequence[RunEntry]) -> dict[str, int]:

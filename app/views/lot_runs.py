@@ -49,7 +49,6 @@ class LotFilter:
         return self == LotFilter(zone=self.zone)
 
     def takes(self, run: PlacedRun) -> bool:
-        """Whether a run is among them."""
         return (
             (self.since is None or run.day(self.zone) >= self.since)
             and (self.until is None or run.day(self.zone) <= self.until)
@@ -64,7 +63,7 @@ def lot_runs(registry: Registry, lot_id: str) -> tuple[PlacedRun, ...]:
     Raises:
         InputError: the lot is not in the registry.
     """
-    return placed(registry.runs(lot_id), registry.order_queue.pressed(lot_id))
+    return placed(registry.lots.runs(lot_id), registry.order_queue.pressed(lot_id))
 
 
 def placed(runs: Sequence[RunEntry], pressed: Sequence[Pressed]) -> tuple[PlacedRun, ...]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from softcal.core.errors import InputError
 from softcal.db.registry import Registry
-from softcal.db.truth.network_release import NetworkState
+from softcal.db.truth.networks import NetworkState
 
 MOST_LAYERS, WIDEST = 6, 512
 
@@ -41,11 +41,11 @@ class NetworkRow:
 
 def network_rows(registry: Registry, lot_id: str) -> list[NetworkRow]:
     """Return the networks of a lot, newest first."""
-    sources = registry.recordings(lot_id, kind="source")
+    sources = registry.recordings.of_lot(lot_id, kind="source")
     newest = sources[-1].sha256 if sources else ""
-    in_use = registry.released_network(lot_id)
+    in_use = registry.networks.released(lot_id)
     used = in_use.network.id if in_use else ""
-    return [_row(state, newest, used) for state in reversed(registry.network_states(lot_id))]
+    return [_row(state, newest, used) for state in reversed(registry.networks.states(lot_id))]
 
 
 def _row(state: NetworkState, newest_source: str, used: str) -> NetworkRow:
@@ -89,7 +89,6 @@ def loss_spec(trace: Mapping[str, Sequence[float]], unit: str, names: Mapping[st
 
     Args:
         trace: epoch, train, validation.
-        unit: of the errors.
         names: words for epoch, train and validation.
     """
     series = [

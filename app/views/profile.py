@@ -40,7 +40,6 @@ def bounds(profile: Profile, deepest_mm: float, fastest_mm_s: float, start_mm: f
     """Return the bounds of a station beside what a profile asks of it.
 
     Args:
-        deepest_mm, fastest_mm_s: of the station.
         start_mm: stage position at which the profile begins: the surface of the unit, less the clearance.
     """
     return (

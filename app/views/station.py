@@ -31,7 +31,7 @@ class GoldenUnit:
 def golden_units(registry: Registry) -> list[GoldenUnit]:
     """Return the checks by station and golden unit."""
     by_unit: dict[tuple[str, str], list[GoldenRun]] = {}
-    for run in registry.golden_runs():
+    for run in registry.stations.golden_runs():
         by_unit.setdefault((run.station, run.serial), []).append(run)
     return [_golden_unit(station, serial, runs) for (station, serial), runs in sorted(by_unit.items())]
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softcal.app.registry.source import source_model, unlabelled
+from softcal.app.registry.lot_recordings import source_model, unlabelled
 from softcal.core.lot import Lot
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
@@ -23,9 +23,7 @@ class UnitView:
     """One revision of one unit in full.
 
     Args:
-        stored: the revision as the registry has it.
         calibration: the same, ready to estimate with.
-        lot: facts of its lot.
         source: labelled recording of the lot's source unit.
         recording: the unit's own recording.
         estimate: f∘γ over that recording.
@@ -53,7 +51,6 @@ class UnitView:
 
     @property
     def flagged(self) -> int:
-        """Rows that are not to be trusted."""
         return int(np.sum(self.estimate.flag != ""))
 
 
@@ -63,15 +60,15 @@ def unit_view(registry: Registry, serial: str, revision: int | None = None, lot_
     Raises:
         InputError: the registry has no calibration of the serial, or no source recording of its lot.
     """
-    stored = registry.calibration(serial, revision, lot_id=lot_id)
+    stored = registry.calibrations.get(serial, revision, lot_id=lot_id)
     calibration = Calibration.from_record(stored.record)
-    network = registry.network(stored.record.network_id)
-    recording = unlabelled(registry.recording(stored.record.recording_sha256))
+    network = registry.networks.get(stored.record.network_id)
+    recording = unlabelled(registry.recordings.get(stored.record.recording_sha256))
     model = source_model(registry, network.id, calibration.method or Method())
     return UnitView(
         stored,
         calibration,
-        registry.lot(stored.lot_id),
+        registry.lots.get(stored.lot_id),
         model.source,
         recording,
         estimate(network, calibration, recording),

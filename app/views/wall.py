@@ -36,7 +36,6 @@ class WallView:
     """The wall board.
 
     Args:
-        lot: its name.
         tiles: (label, value, what stands below it), the largest first.
         verdicts: (verdict, word, number of units).
         stations: every station that did not say goodbye.
@@ -64,7 +63,7 @@ def wall_view(
         now: with the time zone of the reader, as the days of `view` are.
     """
     now = now or datetime.now(UTC).astimezone()
-    target = registry.line_rules(view.lot).target or view.total
+    target = registry.lots.line_rules(view.lot).target or view.total
     today = next((day.share for day in view.days if day.name == now.date().isoformat()), Share(0, 0))
     first = view.yields.first_pass
     low, high = (percent(end) for end in first.interval)
@@ -109,11 +108,11 @@ def _station(beat: Heartbeat, now: datetime, words: Words) -> StationTile | None
 
 def _chips(registry: Registry, lot_id: str, words: Words) -> tuple[Chip, ...]:
     last: dict[str, None] = {}
-    for run in reversed(registry.runs(lot_id)):
+    for run in reversed(registry.lots.runs(lot_id)):
         last.setdefault(run.serial, None)
         if len(last) == LAST_UNITS:
             break
-    standings = registry.standings(lot_id, list(last))
+    standings = registry.pages.standings(lot_id, list(last))
     return tuple(_chip(standings[serial], words) for serial in last if serial in standings)
 
 

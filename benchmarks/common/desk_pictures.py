@@ -73,11 +73,11 @@ def fill(url: str, folder: Path) -> None:
     write_lot(folder / "lot")
     softcal(["batch", str(folder / "lot"), "--registry", url, "--hidden", "24,12"])
     with open_registry(url) as registry:
-        registry.set_user(QUALITY, "quality", QUALITY_PIN, actor="installation")
-        registry.set_user(NAME, "engineer", PIN, actor=QUALITY)
-        registry.set_user("Oh", "operator", "1111", actor=QUALITY)
-        registry.set_limit(LOT, 0.14, reason="drawing D 117 rev. B", actor=NAME)
-        registry.add_certificate(
+        registry.people.set(QUALITY, "quality", QUALITY_PIN, actor="installation")
+        registry.people.set(NAME, "engineer", PIN, actor=QUALITY)
+        registry.people.set("Oh", "operator", "1111", actor=QUALITY)
+        registry.lots.set_limit(LOT, 0.14, reason="drawing D 117 rev. B", actor=NAME)
+        registry.stations.add_certificate(
             CellCertificate("K1", "2026-0815", "Calibration laboratory", date(2026, 1, 5), date(2036, 1, 5), 20.0, 0.02)
         )
         add_golden_runs(registry)
@@ -91,7 +91,7 @@ def fill(url: str, folder: Path) -> None:
         )
         for request, kind in jobs:
             run_job(registry, registry.job_board.place(kind, request, NAME), on_cancel=lambda: None)
-        networks = [entry.id for entry in registry.networks()]
+        networks = [entry.id for entry in registry.networks.all()]
         request = {"lot": LOT, "networks": networks, "families": ["auto", "affine", "monotone"], "units": 8}
         run_job(registry, registry.job_board.place("compare", request, NAME), on_cancel=lambda: None)
         check: dict[str, object] = {"ports": [], "file": None, "simulated": 0, "may_move": True}
@@ -127,7 +127,7 @@ def add_golden_runs(registry: Registry) -> None:
         at = datetime.now(UTC) - timedelta(hours=12 * (16 - k))
         above = reason("golden.error", error=value, unit="N", what=reason("golden.own_limit"), limit=0.0742)
         reasons = () if is_good else (above,)
-        registry.add_golden_run(GoldenRun("line-1", "U001", at, value, "N", is_good, reasons, "Oh"))
+        registry.stations.add_golden_run(GoldenRun("line-1", "U001", at, value, "N", is_good, reasons, "Oh"))
 
 
 def add_course(registry: Registry) -> None:
@@ -136,7 +136,7 @@ def add_course(registry: Registry) -> None:
     for serial, drift in (("U005", 1.0), ("U009", 0.3)):
         shift = np.cumsum(0.004 * drift + 0.004 * rng.normal(size=160))
         steps = [step(k, float(shift[k]), drift) for k in range(160)]
-        registry.add_adaptations(serial, registry.calibration(serial).revision, steps)
+        registry.adaptations.add(serial, registry.calibrations.get(serial).revision, steps)
 
 
 def step(k: int, shift: float, drift: float) -> dict[str, object]:

@@ -42,12 +42,12 @@ def fresh_url(kind: str) -> Iterator[str]:
 
 def begin_lot(registry: Registry, lot_id: str = "bench") -> str:
     """Register a lot with a network of the paper's size and return the network's id."""
-    registry.add_lot(Lot(lot_id, "S0", 50.0))
+    registry.lots.add(Lot(lot_id, "S0", 50.0))
     rng = np.random.default_rng(0)
     sizes = (15, 120, 70, 35, 1)
     weights = tuple(rng.normal(size=shape) for shape in zip(sizes[:-1], sizes[1:], strict=True))
     network = Network(weights, tuple(np.zeros(n) for n in sizes[1:]), 0.0, 1.0, 0.0, 1.0)
-    return registry.add_network(lot_id, network, {}, {}, content_sha256({}, {"lot": lot_id}))
+    return registry.networks.add(lot_id, network, {}, {}, content_sha256({}, {"lot": lot_id}))
 
 
 def record(serial: str, number: int, network_id: str) -> CalibrationRecord:

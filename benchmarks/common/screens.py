@@ -66,10 +66,10 @@ class PlayedLine:
 
     def __init__(self, registry: Registry) -> None:
         self.registry, self.queue = registry, registry.order_queue
-        registry.add_lot(Lot(LOT, "EG-2411-000", 50.0, "eGaIn pad 20 mm", limit_rmse=0.12))
+        registry.lots.add(Lot(LOT, "EG-2411-000", 50.0, "eGaIn pad 20 mm", limit_rmse=0.12))
         network = Network((np.ones((15, 1)),), (np.zeros(1),), 0.0, 1.0, 0.0, 1.0)
-        self.network_id = registry.add_network(LOT, network, {}, {}, "0" * 64)
-        registry.set_line_rules(LOT, LineRules(r"EG-2411-\d{3}", "upper", 120), reason="order of the customer")
+        self.network_id = registry.networks.add(LOT, network, {}, {}, "0" * 64)
+        registry.lots.set_line_rules(LOT, LineRules(r"EG-2411-\d{3}", "upper", 120), reason="order of the customer")
         self._count = 0
 
     def beat(
@@ -120,7 +120,7 @@ class PlayedLine:
         if verdict:
             result = record(order.serial, self._count, self.network_id)
             result = replace(result, verdict=verdict, reasons=reasons, predicted_rmse=0.071)
-            self.registry.add_calibration(LOT, result)
+            self.registry.calibrations.add(LOT, result)
         told = (message,) if message else reasons
         self.queue.report(Progress(order.order_id, state, "done", 1.0, code=code, message=told, verdict=verdict))
 

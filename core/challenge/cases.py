@@ -47,7 +47,7 @@ EXPERIMENTS = (*(name for name in PROTOCOLS if name not in NOT_ASKED), *SPECIAL,
 
 @dataclass(frozen=True)
 class RunPlan:
-    """One run: a protocol or an experiment of the menu, and the seed of all that is random in it."""
+    """One run: a protocol or an experiment, and the seed of all that is random in it."""
 
     protocol: str
     seed: int
@@ -58,7 +58,6 @@ class SealedCase:
     """What the seal holds of one case.
 
     Args:
-        name: folder of the case.
         line: the stratum it was drawn for.
         rig: base parameters.
         peak_N: force at full depth.
@@ -147,13 +146,11 @@ class SealedCase:
         return Path("rigid block", np.concatenate([[0.0], np.cumsum(np.where(travel_s > 0, travel_s, 2.0))]), places)
 
     def to_record(self) -> dict[str, Any]:
-        """Return plain JSON values."""
         record = asdict(replace(self, causes=()))
         return {**record, "causes": [cause.to_record() for cause in self.causes]}
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> "SealedCase":
-        """Rebuild a case from `to_record`."""
         return cls(
             name=record["name"],
             line=record["line"],

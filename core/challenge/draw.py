@@ -7,12 +7,12 @@ import numpy as np
 
 from softcal.core.challenge.cases import RunPlan, SealedCase, full_depth_mm
 from softcal.core.challenge.catalogue_equations import CATALOGUE, CATALOGUE_FORM
-from softcal.core.challenge.floors import CASES_OF_FLOOR, FLOORS
 from softcal.core.challenge.mistakes import draw_mistake
 from softcal.core.challenge.other_forms import OTHER_FORMS
 from softcal.core.challenge.outside_equations import OUTSIDE, OUTSIDE_FORM
 from softcal.core.challenge.published import PUBLISHED_FORMS, PUBLISHED_OUTSIDE, PUBLISHED_SIZES
 from softcal.core.challenge.rig import Cause, Rig
+from softcal.core.challenge.score import CASES_OF_FLOOR, FLOORS
 from softcal.core.challenge.sizes import CATALOGUE_SIZES, OUTSIDE_SIZES, Scope
 
 Rng = np.random.Generator
@@ -63,12 +63,6 @@ def _coloured(rng: Rng, rig: Rig, scope: Scope) -> Rig:
 def printed_ohm(resistance_ohm: float) -> float:
     """Return a resistance as a data sheet prints it, two digits: the series resistor stands in the metadata."""
     return float(f"{resistance_ohm:.1e}")
-
-
-def _scope(rig: Rig, peak_N: float) -> Scope:
-    peak_ohm = rig.r0_ohm / (1.0 - rig.kappa_per_N * peak_N)
-    rest_V = rig.vref_V * rig.r0_ohm / (rig.r0_ohm + rig.r_series_ohm)
-    return Scope(rig, peak_N, rest_V, rig.vref_V * peak_ohm / (peak_ohm + rig.r_series_ohm))
 
 
 def _named(rng: Rng, scope: Scope, effects: Sequence[str], scale: float = 1.0) -> tuple[Cause, ...]:
@@ -167,13 +161,13 @@ def draw_case(seed: int, name: str, line: str) -> SealedCase:
     """Draw one case of a line; the same seed and line give the same case.
 
     Args:
-        seed: seed of everything in the case.
-        name: its folder.
         line: a key of `LINES`.
     """
     rng = np.random.default_rng([seed, list(LINES).index(line)])
     rig, peak_N = draw_rig(rng, adc_bits=10 if line == "ten_bit" else None)
-    scope = _scope(rig, peak_N)
+    peak_ohm = rig.r0_ohm / (1.0 - rig.kappa_per_N * peak_N)
+    rest_V = rig.vref_V * rig.r0_ohm / (rig.r0_ohm + rig.r_series_ohm)
+    scope = Scope(rig, peak_N, rest_V, rig.vref_V * peak_ohm / (peak_ohm + rig.r_series_ohm))
     rig = _coloured(rng, rig, scope) if line == "coloured" else rig
     causes = LINES[line](rng, scope)
     plans = tuple(RunPlan(name_, drawn_seed(rng)) for name_ in _PROTOCOLS.get(line, FOUR_RUNS))

@@ -48,7 +48,6 @@ class Mistake:
     seed: int = 0
 
     def to_text(self) -> str:
-        """Return it as one line for a label."""
         return json.dumps(self.__dict__)
 
     @classmethod
@@ -106,8 +105,6 @@ def written(rig: Rig, runs: Sequence[Measured], of_other_unit: Sequence[Measured
     """Return the runs of a case as its files have them.
 
     Args:
-        rig: of the case.
-        runs: what was measured.
         of_other_unit: the same runs of `other_unit`; only looked at where the mistake is of that kind.
         text: the mistake, empty for none.
     """
@@ -207,7 +204,6 @@ def draw_mistake(rng: Rng, rig: Rig, peak_N: float, span_V: float, runs: int) ->
     """Draw one mistake for a case of several runs, every kind alike; return it as a label has it.
 
     Args:
-        rig: of the case.
         peak_N: force at full depth.
         span_V: range of the output between rest and peak.
         runs: how many the case has, two or more.

@@ -1,4 +1,4 @@
-"""What the stage does in a run: ramps, steps with holds, random, rest, and the experiments of the menu."""
+"""What the stage does in a run: ramps, steps with holds, random, rest, and the experiments that may be proposed."""
 
 from collections.abc import Callable
 from typing import TypeAlias

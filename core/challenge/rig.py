@@ -76,12 +76,10 @@ class Cause:
     values: Mapping[str, float]
 
     def to_record(self) -> dict[str, Any]:
-        """Return plain JSON values."""
         return asdict(self)
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> "Cause":
-        """Rebuild a cause from `to_record`."""
         return cls(record["effect"], record["form"], {name: float(v) for name, v in record["values"].items()})
 
 

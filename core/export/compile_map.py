@@ -58,7 +58,6 @@ class InputScale:
         return np.clip(np.rint((output - self.zero) / self.lsb), 0, CODE_MAX).astype(np.int64)
 
     def outputs(self, codes: Integers) -> Array:
-        """Return the output each code stands for."""
         return np.asarray(self.zero + self.lsb * codes, dtype=np.float64)
 
     @classmethod
@@ -112,7 +111,6 @@ class Linear:
     offset: Array
 
     def apply(self, windows: Array) -> Array:
-        """Carry (n, TAPS) windows."""
         return windows @ self.matrix.T + self.offset
 
 
@@ -124,7 +122,6 @@ class MapForm:
     linear: Linear | Mix | None = None
 
     def apply(self, windows: Array) -> Array:
-        """Carry (n, TAPS) windows into the source's window space."""
         curved = windows if self.curve is None else self.curve.apply(windows)
         return curved if self.linear is None else self.linear.apply(curved)
 
@@ -134,7 +131,6 @@ class CompiledMap:
     """A device form of γ and what it costs.
 
     Args:
-        form: the form.
         rms_deviation, max_deviation: of f after the form against f∘γ on the unit's own windows, in reference units.
     """
 
@@ -213,11 +209,9 @@ def compile_map(
     """Compile γ: the first of the forms that is as good as exact, else the nearest one within the limit.
 
     Args:
-        unit_map: γ as fitted.
         network: the shared network f.
         recording: the unit's own recording; the deviation is measured on its windows.
         limit: largest rms deviation of the estimate, in the network's reference unit.
-        forms: the forms to try.
         clear: largest deviation, in the same unit, of a form that is taken without trying those after it.
 
     Raises:
@@ -228,7 +222,8 @@ def compile_map(
     exact = network.evaluate(mapped)
     best: CompiledMap | None = None
     for form in forms(unit_map, network, windows, mapped):
-        compiled = _judged(form, network, windows, exact)
+        error = network.evaluate(form.apply(windows)) - exact
+        compiled = CompiledMap(form, float(np.sqrt(np.mean(error**2))), float(np.abs(error).max()))
         if compiled.rms_deviation <= CLEAR * limit and compiled.max_deviation <= clear:
             return compiled
         if best is None or compiled.rms_deviation < best.rms_deviation:
@@ -241,11 +236,6 @@ def compile_map(
         f"estimate by {smallest:.3g} {network.reference_unit} rms, {limit:.3g} is allowed; calibrate with another map "
         "family or allow more"
     )
-
-
-def _judged(form: MapForm, network: Network, windows: Array, exact: Array) -> CompiledMap:
-    error = network.evaluate(form.apply(windows)) - exact
-    return CompiledMap(form, float(np.sqrt(np.mean(error**2))), float(np.abs(error).max()))
 
 
 def _from_constant_windows(unit_map: UnitMap, windows: Array, knots: int) -> Curve:

@@ -87,9 +87,7 @@ class UnitFacts:
     """What an export knows of one calibrated unit.
 
     Args:
-        serial, revision, verdict: of the calibration.
         time_s: when it was made, Unix time in s.
-        unit_map: γ.
         recording: the unit's own recording.
         lower, upper: (m,) ends of the 90 % interval of f∘γ at every window of `recording`, in reference units.
         predicted_rmse: forecast of the error in reference units; None where there is none.
@@ -111,7 +109,6 @@ class DeviceUnit:
     """A unit file and what it costs, all in reference units on the unit's own windows.
 
     Args:
-        file: the unit file.
         compiled: the form of γ in floating point and its deviation.
         rms_error, max_error: of the integers on the device against f∘γ in float64.
         limit: what `rms_error` was allowed to be.

@@ -192,7 +192,6 @@ class IntegerMix:
         return self.bias if self.is_wide else KEEP_ONE * self.bias
 
     def apply(self, counts: Integers) -> Integers:
-        """Carry (n, TAPS) windows of counts."""
         steps = (counts @ self.weights.T >> self.shift) + self.fine_bias
         place = np.arange(TAPS, dtype=np.int64) - SHAPE_CENTRE
         total = before = np.zeros(counts.shape, dtype=np.int64)
@@ -241,7 +240,6 @@ class DeviceMap:
         return ring if self.layer is None else self.layer.apply(ring, is_rectified=False)
 
     def apply(self, codes: Integers) -> Integers:
-        """Carry (n, TAPS) windows of codes into source-space counts."""
         return self.on_windows(self.on_samples(codes))
 
 

@@ -1,6 +1,6 @@
 """A calibrated unit from its two files alone, in pure NumPy: what a PC without torch runs, integer for integer.
 
-`DeviceSensor.estimate` works on whole recordings; stream.py takes one sample at a time as the firmware does.
+`DeviceSensor.estimate` works on whole recordings; the firmware takes one sample at a time.
 """
 
 from dataclasses import dataclass

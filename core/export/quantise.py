@@ -40,7 +40,6 @@ def quantise_network(network: Network, source_windows: Array) -> IntegerNetwork:
     """Make the integer form of f; activation ranges come from the source's windows.
 
     Args:
-        network: f as trained.
         source_windows: (n, TAPS) windows of the source recording in `network.output_unit`.
 
     Raises:
@@ -48,7 +47,10 @@ def quantise_network(network: Network, source_windows: Array) -> IntegerNetwork:
     """
     reach = HEADROOM * float(np.abs(source_windows - network.output_mean).max())
     input_lsb = _scale_of(np.array([reach]))[0]
-    exponent = _output_exponent(network, source_windows)
+    top = OUTPUT_HEADROOM * float(np.abs(evaluate_float64(network, source_windows)).max())
+    if not (np.isfinite(top) and top > 0):
+        raise UnitRefused(f"the network answers {top} on every window of the source; there is nothing to export")
+    exponent = max(-30, math.ceil(math.log10(top / ACTIVATION_MAX)))
     ranges = [HEADROOM * a.max(axis=0) for a in activations(network, _relatives(source_windows))[:-1]]
     # Real value of one count where it enters and leaves each layer; every hidden unit has its own.
     scales = [np.full(network.sizes[0], input_lsb), *map(_scale_of, ranges), np.array([10.0**exponent])]
@@ -90,13 +92,6 @@ def folded_layers(network: Network) -> list[tuple[Array, Array]]:
     weights[-1] = weights[-1] * network.reference_scale
     biases[-1] = biases[-1] * network.reference_scale + network.reference_mean
     return list(zip(weights, biases, strict=True))
-
-
-def _output_exponent(network: Network, source_windows: Array) -> int:
-    top = OUTPUT_HEADROOM * float(np.abs(evaluate_float64(network, source_windows)).max())
-    if not (np.isfinite(top) and top > 0):
-        raise UnitRefused(f"the network answers {top} on every window of the source; there is nothing to export")
-    return max(-30, math.ceil(math.log10(top / ACTIVATION_MAX)))
 
 
 def _scale_of(reach: Array) -> Array:

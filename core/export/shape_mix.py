@@ -77,7 +77,6 @@ class Mix:
         return np.asarray(shapes(len(self.bias)) @ self.bias)
 
     def apply(self, windows: Array) -> Array:
-        """Carry (n, TAPS) windows."""
         return windows @ self.matrix.T + self.offset
 
     def in_counts(self, zero: float, lsb: float) -> IntegerMix:
@@ -99,10 +98,8 @@ def fit_mix(count: int, windows: Array, mapped: Array, network: Network, is_wide
     device's integers by the moves that raise this least.
 
     Args:
-        count: shapes.
         windows: (n, TAPS) windows entering.
         mapped: (n, TAPS) windows wanted.
-        network: f.
         is_wide: weights of two bytes instead of one.
 
     Returns:

@@ -159,7 +159,7 @@ class _Space:
     """Bounds, scales and derivatives of one hypothesis on one problem."""
 
     def __init__(self, problem: Problem, hypothesis: Hypothesis) -> None:
-        self._problem, self._hypothesis = problem, hypothesis
+        self._hypothesis = hypothesis
         parameters = [problem.scale.sized(p) for p in hypothesis.parameters]
         bounds = [sorted((to_fit(p, p.low), to_fit(p, p.high))) for p in parameters]
         self.low = np.array([b[0] for b in bounds])

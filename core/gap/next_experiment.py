@@ -28,7 +28,7 @@ LEVELS = 6
 
 @dataclass(frozen=True)
 class MenuEntry:
-    """One entry of the menu.
+    """One experiment that may be proposed.
 
     Args:
         name: what the operator is asked to do.

@@ -1,8 +1,8 @@
 """Which stage of the chain the gap sits in, from the maps and the character of the residual; no effect is needed.
 
-The three maps name a group of stages. Within it the residual of the base tells: a function of the stage position that
-swings to and fro, or a jump in time, is motion; what lasts at rest or swings with the voltage is electronics; what
-follows the slope of the output is acquisition; what is left acts only under load.
+The three maps name a group of stages. Within it the residual of the base tells. A function of the stage position that
+swings to and fro, or a jump in time, is motion. What lasts at rest or swings with the voltage is electronics. What
+follows the slope of the output is acquisition. What is left acts only under load.
 """
 
 from dataclasses import dataclass

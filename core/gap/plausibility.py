@@ -29,7 +29,6 @@ Kind = Literal[
     "constant",
 ]
 COLUMNS = {"stage": "stage_mm", "force": "force_N", "output": "output_V"}
-SHOWN = {"stage_mm": "stage", "force_N": "force", "output_V": "output"}
 
 RATE_TOLERANCE = 0.02
 """Relative difference up to which the stated rate and the time stamps agree."""

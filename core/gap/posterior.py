@@ -32,8 +32,8 @@ USUAL_RANGE = 3.0
 def misfit(excess: float, modes: float = DISCREPANCY_MODES) -> float:
     """Return −2·ln of the likelihood of an excess of χ² when every equation may be a little wrong.
 
-    The difference between equation and rig is taken as `modes` normal coordinates of unknown common size; at the size
-    that fits best, an excess below `modes` counts as in white noise, one above it by its logarithm: what counts then is
+    The difference between equation and rig is taken as `modes` normal coordinates of unknown common size, at the size
+    that fits best. An excess below `modes` counts as in white noise, one above it by its logarithm. What counts then is
     by which factor a hypothesis lowers what the others leave, not how many σ that is.
     """
     return excess if excess < modes else modes * (1.0 + float(np.log(excess / modes)))

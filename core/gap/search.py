@@ -10,7 +10,7 @@ from softcal.core.gap.case import Case
 from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.episodes import PLACERS, placed_again
 from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.floor import noise_of
+from softcal.core.gap.floor import noise_chance, noise_of
 from softcal.core.gap.forms import FORMS
 from softcal.core.gap.free_form import imitated_causes
 from softcal.core.gap.posterior import Yardstick, log_evidences
@@ -36,9 +36,9 @@ class SearchConfig:
         gain: a lead must promise this drop of χ² to be fitted (a third of it for the first effect).
         relative_gain: and this share of the χ² that the best lead promises.
         with_forms: single causes whose other realisations are tried where the catalogue's leave structure.
-        enough: share of the gap that one, two, three causes must explain to be named although structure is left: other
-            realisations of a cause leave less than a tenth, effects outside the catalogue more than a quarter, and
-            several causes together are more flexible.
+        enough: share of the gap that one, two, three causes must explain to be named although structure is left. Other
+            realisations of a cause leave less than a tenth, effects outside the catalogue more than a quarter. Several
+            causes together are more flexible.
         likely, rival: share of what the best single cause explains from which another one is tried in its other
             realisations, where structure is left and where the best one leaves none.
         patch: share of the gap that steps placed freely in time must take away.
@@ -243,6 +243,10 @@ class EffectSearch:
     def is_clean(self, found: Fit) -> bool:
         """Whether a hypothesis leaves no structure."""
         return not structure(found).is_significant
+
+    def noise_chance(self, found: Fit) -> float:
+        """Return how likely noise alone leaves as much as a hypothesis does."""
+        return noise_chance(found)
 
     def is_explained(self, found: Fit) -> bool:
         """Whether what a hypothesis leaves is nothing, or little enough to be another equation of the same causes."""

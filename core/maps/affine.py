@@ -34,7 +34,6 @@ class Affine:
         return AffineMap(gain, float(source_low - gain * low))
 
     def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> AffineMap:
-        """Rebuild a map from its arrays."""
         return AffineMap(float(arrays["gain"]), float(arrays["offset"]))
 
 
@@ -45,9 +44,7 @@ class IdentityFamily:
     name: str = "identity"
 
     def fit(self, problem: FitProblem) -> AffineMap:
-        """Return gain 1 and offset 0."""
         return AffineMap(1.0, 0.0, self.name)
 
     def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> AffineMap:
-        """Rebuild the identity."""
         return AffineMap(1.0, 0.0, self.name)

@@ -25,17 +25,13 @@ class AffineMap:
     family: str = "affine"
 
     def apply(self, windows: Array) -> Array:
-        """Carry (n, taps) target windows into the source's window space."""
         return self.offset + self.gain * windows
 
     def apply_signal(self, signal: Array) -> Array:
-        """Carry every full window of a gap-free signal: (n - taps + 1, taps)."""
         return windows(self.offset + self.gain * signal)
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Return gain and offset."""
         return {"gain": np.array(self.gain), "offset": np.array(self.offset)}
 
     def settings(self) -> Settings:
-        """Nothing beside the arrays."""
         return {}

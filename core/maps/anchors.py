@@ -32,20 +32,16 @@ class AnchoredMap:
         return self.inner.family
 
     def apply(self, windows: Array) -> Array:
-        """Carry (n, taps) target windows into the source's window space."""
         return self.offset + self.gain * self.inner.apply(windows)
 
     def apply_signal(self, signal: Array) -> Array:
-        """Carry every full window of a gap-free signal: (n - taps + 1, taps)."""
         return self.offset + self.gain * self.inner.apply_signal(signal)
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Return the arrays of the inner map with gain and offset."""
         own = {"anchor_gain": np.array(self.gain), "anchor_offset": np.array(self.offset)}
         return self.inner.arrays() | own
 
     def settings(self) -> Settings:
-        """Return the settings of the inner map."""
         return self.inner.settings()
 
 
@@ -71,7 +67,6 @@ class Firmness:
     """How far a map may be off before any load is seen: one standard deviation each.
 
     Args:
-        gain: of the gain.
         level: of the level at rest, as a share of the source's output range.
         is_paired: whether the map was fitted to pairs behind f: it makes up for what f misreads, and is left as it is
             unless the loads contradict it.
@@ -87,7 +82,6 @@ def firmness(kind: str, config: AnchorConfig) -> Firmness:
 
     Args:
         kind: how its loads are known: `paired`, `stage` or anything else (`core/unit/knowledge.py`).
-        config: from the method.
     """
     firm = {"paired": config.firm_paired, "stage": config.firm_stage}
     if kind in firm:
@@ -105,12 +99,11 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, firm: Firmn
 
     f is left out on purpose: it misreads a load at rest by its own error, and where it is flat no gain or offset of
     any size would make it read the load. A map from pairs was fitted behind f and differs from the source's levels by
-    what f misreads: there f's error is in sigma_k. Of what the loads ask for a part 1 - 1 / z^2 is taken, with z the
-    largest |x_k - y_k| / sigma_k: none of what the errors explain (James and Stein 1961, positive part). So loads that
+    what f misreads: there f's error is in sigma_k. Of what K loads ask for a part 1 - K / sum z_k^2 is taken, with
+    z_k = (x_k - y_k) / sigma_k: none of what the errors explain (James and Stein 1961, positive part). So loads that
     were read in motion, whose scatter is that of sigma_k, change little.
 
     Args:
-        problem: source and network.
         unit_map: fitted without anchors.
         anchors: outputs at rest under known loads.
         firm: how far the map is believed beside them.
@@ -126,7 +119,7 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, firm: Firmn
         sigma = np.hypot(sigma, _model_error(problem))
         # Pairs pressed with another load than the source's know the gain no better than the output alone does.
         firm = firmness("", config.anchors)
-    taken = 1.0 - 1.0 / max(float(np.max(((wanted - mapped) / sigma) ** 2)), 1.0)
+    taken = 1.0 - wanted.size / max(float(np.sum(((wanted - mapped) / sigma) ** 2)), wanted.size)
     # In standard deviations of the prior, whose own residual is then the unknown itself.
     design = np.stack([firm.gain * (mapped - rest), np.full_like(mapped, level)], axis=1) / sigma[:, None]
     normal = design.T @ design + np.eye(2)
@@ -158,7 +151,7 @@ def source_level(source: LabelledRecording, load: float, config: AnchorConfig) -
     """Return the source's output under a load, and its standard uncertainty, both in the source's output unit.
 
     A straight line through the samples whose load is near; their scatter about it is what lag, loop and drift of the
-    source leave open.
+    source do not settle.
     """
     away = source.reference - load
     span = float(np.ptp(source.reference))

@@ -17,9 +17,9 @@ class Between:
     """Average the curve of equal quantiles (`Monotone`) with the line through rest and peak (`LabelShift`).
 
     The line takes a unit to be bent exactly as its source. The curve takes its time to be spent exactly as the
-    source's. From outputs alone a bend and a dwell look alike, so neither can be shown to be right; their errors have
-    different causes, and the mean of two estimates whose errors are not alike errs less than either (Bates and Granger
-    1969, with equal weights, since nothing tells which is better).
+    source's. From outputs alone a bend and a dwell look alike, so neither can be shown to be right. Their errors have
+    different causes. The mean of two estimates whose errors are not alike errs less than either (Bates and Granger
+    1969). The weights are equal, since nothing tells which is better.
     """
 
     name: str = "between"
@@ -36,5 +36,4 @@ class Between:
         return CurveMap(curve.knots, weight * curve.values + (1 - weight) * line, self.name)
 
     def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> CurveMap:
-        """Rebuild a map from its arrays."""
         return CurveMap.from_arrays(arrays, self.name)

@@ -17,9 +17,8 @@ from softcal.core.maps.joint import Joint
 from softcal.core.maps.label_shift import LabelShift
 from softcal.core.maps.monotone import Monotone
 from softcal.core.maps.phase import Phase
-from softcal.core.maps.plugins import GROUP, with_plugins
 from softcal.core.maps.synchronous import Synchronous
-from softcal.core.plugins import installed
+from softcal.core.plugins import PluginKind
 
 _LISTED: tuple[MapFamily, ...] = (
     IdentityFamily(),
@@ -35,7 +34,18 @@ _LISTED: tuple[MapFamily, ...] = (
 
 OWN_FAMILIES: Mapping[str, MapFamily] = {family.name: family for family in _LISTED}
 
-FAMILIES: Mapping[str, MapFamily] = with_plugins(OWN_FAMILIES, installed(GROUP))
+
+def _is_family(thing: object) -> bool:
+    if isinstance(thing, type):
+        return False
+    has_name = isinstance(getattr(thing, "name", None), str)
+    return has_name and all(callable(getattr(thing, name, None)) for name in ("fit", "from_arrays"))
+
+
+PLUGINS = PluginKind[MapFamily]("softcal.maps", "map family", "a MapFamily", _is_family, lambda family: family.name)
+"""Families that other installed packages bring along."""
+
+FAMILIES: Mapping[str, MapFamily] = PLUGINS.beside(OWN_FAMILIES, taken=(DEFAULT,))
 
 
 def family(name: str) -> MapFamily:

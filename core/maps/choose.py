@@ -25,7 +25,6 @@ class ChosenMap:
     """The map of one unit and why it was taken.
 
     Args:
-        unit_map: the map γ.
         evidence: numbers and words the choice rests on; `decision` says it in one sentence.
         alternatives: other candidates by name; where they disagree with `unit_map` the estimate is uncertain.
     """
@@ -43,8 +42,8 @@ def choose_map(problem: FitProblem) -> ChosenMap:
     """Fit the candidates, take the one the evidence supports, and refine it by anchors where there are any.
 
     Order of trust: pairs under one load at equal time, then pairs at equal stage position, then pairs of an opening
-    that both share, then matched distributions, of which the dwell-blind one is taken unless the units spend their
-    time alike; the identity where no difference from the source can be shown.
+    that both share, then matched distributions. Of these the dwell-blind one is taken unless the units spend their time
+    alike. The identity is taken where no difference from the source can be shown.
 
     Raises:
         UnitRefused: the recording allows no map; the message says why.

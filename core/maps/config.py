@@ -311,7 +311,7 @@ class ChoiceConfig:
         clear: a gain or level this many standard errors from the source's is worth correcting.
         sharp: only a recording that fixes the gain this well can show that there is nothing to correct.
         curve_weight: of equal quantiles beside rest and peak where neither can be shown to be right (`between.py`).
-        shape_shares: quantiles between which two outputs are compared in shape (`nearest.py`).
+        shape_shares: quantiles between which two outputs are compared in shape (`sources.py`).
         extremes: quantiles both units share, for the affine family: rest below, the hardest presses above.
     """
 

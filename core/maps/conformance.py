@@ -15,9 +15,9 @@ from softcal.core.windows import TAPS, windows
 def faults(family: MapFamily) -> list[str]:
     """Return what a family does wrong, a line each; nothing where it conforms.
 
-    Checked: it fits a unit that differs by gain and offset, twice with one result, and changes no input; its map keeps
-    shape and finiteness, carries a signal as it carries its windows, looks at no neighbouring window, and survives its
-    arrays and settings; its estimate of the unit is no worse than without any map.
+    Checked: it fits a unit that differs by gain and offset, twice with one result, and changes no input. Its map keeps
+    shape and finiteness, and carries a signal as it carries its windows. It looks at no neighbouring window, and
+    survives its arrays and settings. Its estimate of the unit is no worse than without any map.
     """
     problem = example_problem()
     before = problem.target.output.copy()

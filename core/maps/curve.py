@@ -38,33 +38,28 @@ class CurveMap:
         return np.asarray(inside + below + above)
 
     def apply(self, windows: Array) -> Array:
-        """Carry (n, taps) target windows into the source's window space."""
         return self(windows)
 
     def apply_signal(self, signal: Array) -> Array:
-        """Carry every full window of a gap-free signal: (n - taps + 1, taps)."""
         return windows(self(signal))
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Return knots and values."""
         return {"knots": self.knots, "values": self.values}
 
     def settings(self) -> Settings:
-        """Nothing beside the arrays."""
         return {}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]], family: str) -> "CurveMap":
-        """Rebuild a curve from its arrays."""
         return cls(np.asarray(arrays["knots"], np.float64), np.asarray(arrays["values"], np.float64), family)
 
 
 def continued(curve: CurveMap, source_span: float, config: CurveConfig) -> CurveMap:
     """Give a curve ends that go on sanely beyond what the unit's recording has shown.
 
-    The slope beyond an end is the mean one of the outer third, held within a factor of two of the whole curve's gain,
-    and drawn to a gain of 1 as the recording covers less of the source's range: the less was seen, the less may follow
-    from it. It is written as one far knot at either end.
+    The slope beyond an end is the mean one of the outer third, held within a factor of two of the whole curve's gain.
+    It is drawn to a gain of 1 as the recording covers less of the source's range: the less was seen, the less may
+    follow from it. It is written as one far knot at either end.
 
     Args:
         curve: fitted to what was seen.

@@ -25,7 +25,6 @@ class Joint:
     name: str = "joint"
 
     def fit(self, problem: FitProblem) -> TransportMap:
-        """Fit the map."""
         config = problem.config.plan
         source_rows = spread_rows(len(problem.source.windows), config.joint_windows)
         source = problem.source.windows[source_rows]
@@ -51,7 +50,6 @@ class Joint:
         return TransportMap(target, barycentric(plan, source) - target, self.name, config.neighbours)
 
     def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> TransportMap:
-        """Rebuild a map from its arrays."""
         return TransportMap.from_arrays(arrays, settings, self.name)
 
 

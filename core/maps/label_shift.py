@@ -34,7 +34,6 @@ class LabelShift:
         return AffineMap(problem.ends.gain, problem.ends.offset, self.name)
 
     def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> AffineMap:
-        """Rebuild a map from its arrays."""
         return AffineMap(float(arrays["gain"]), float(arrays["offset"]), self.name)
 
 

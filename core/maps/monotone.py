@@ -43,7 +43,6 @@ class Monotone:
         return continued(monotone_curve(target, source, self.name), float(np.ptp(source)), config)
 
     def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> CurveMap:
-        """Rebuild a curve from its arrays."""
         return CurveMap.from_arrays(arrays, self.name)
 
 

@@ -45,7 +45,6 @@ class DynamicMap:
     family: str
 
     def apply(self, windows: Array) -> Array:
-        """Carry (n, taps) target windows into the source's window space."""
         return np.asarray(self.curve(windows) @ self.matrix)
 
     @property
@@ -55,7 +54,6 @@ class DynamicMap:
         return np.asarray(shapes @ self.mix.T @ shapes.T)
 
     def apply_signal(self, signal: Array) -> Array:
-        """Carry every full window of a gap-free signal: (n - taps + 1, taps)."""
         return np.asarray(windows(self.curve(signal)) @ self.matrix)
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
@@ -63,7 +61,6 @@ class DynamicMap:
         return self.curve.arrays() | {"mix": self.mix}
 
     def settings(self) -> Settings:
-        """Nothing beside the arrays."""
         return {}
 
 

@@ -28,7 +28,6 @@ class TransportMap:
         stored: (m, taps) target windows of the plan.
         displacement: (m, taps) T(x_k) - x_k.
         family: name under which the catalogue rebuilds it.
-        neighbours: stored windows that an unseen one moves with.
     """
 
     stored: Array
@@ -44,7 +43,6 @@ class TransportMap:
         return cKDTree(self.stored)
 
     def apply(self, windows: Array) -> Array:
-        """Carry (n, taps) target windows into the source's window space."""
         distance, row = self._tree.query(windows, k=min(self.neighbours, len(self.stored)))
         distance, row = distance.reshape(len(windows), -1), row.reshape(len(windows), -1)
         # The small term keeps a stored window, at distance 0, finite: it then outweighs all others.
@@ -53,11 +51,9 @@ class TransportMap:
         return np.asarray(windows + np.einsum("nk,nkt->nt", share, self.displacement[row]))
 
     def apply_signal(self, signal: Array) -> Array:
-        """Carry every full window of a gap-free signal: (n - taps + 1, taps)."""
         return self.apply(windows(signal))
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Return the stored windows and their displacements."""
         return {"stored": self.stored, "displacement": self.displacement}
 
     def settings(self) -> Settings:
@@ -66,7 +62,6 @@ class TransportMap:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]], settings: Settings, family: str) -> "TransportMap":
-        """Rebuild a map from its arrays and settings."""
         neighbours = int(str(settings.get("neighbours", PlanConfig.neighbours)))
         stored, displacement = (np.asarray(arrays[name], np.float64) for name in ("stored", "displacement"))
         return cls(stored, displacement, family, neighbours)

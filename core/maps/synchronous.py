@@ -38,5 +38,4 @@ class Synchronous:
         return fit_pairs(problem, source_rows, target_rows, self.name)
 
     def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> PairedMap:
-        """Rebuild a map from its arrays."""
         return paired_map_from_arrays(arrays, self.name)

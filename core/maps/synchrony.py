@@ -210,9 +210,7 @@ def paired_rows(
     """Return the windows of both recordings whose newest samples were taken at the same time.
 
     Args:
-        source, target: both recordings.
         synchrony: what `find_synchrony` found between them.
-        config: what is the same time.
 
     Returns:
         Row numbers into `source.windows` and `target.windows`, equal lengths.

@@ -42,12 +42,10 @@ class Network:
         return (self.weights[0].shape[0], *(w.shape[1] for w in self.weights))
 
     def arrays(self) -> dict[str, Array]:
-        """Return the weights and biases under stable names."""
         named = {f"weight_{i}": w for i, w in enumerate(self.weights)}
         return named | {f"bias_{i}": b for i, b in enumerate(self.biases)}
 
     def settings(self) -> dict[str, float | str]:
-        """Return all that is not an array."""
         return {
             "output_mean": self.output_mean,
             "output_scale": self.output_scale,
@@ -59,7 +57,6 @@ class Network:
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, Array], settings: dict[str, float | str]) -> "Network":
-        """Rebuild a network from `arrays()` and `settings()`."""
         depth = sum(name.startswith("weight_") for name in arrays)
         return cls(
             weights=tuple(arrays[f"weight_{i}"] for i in range(depth)),

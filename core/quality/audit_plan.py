@@ -52,12 +52,10 @@ class AuditPlan:
         return (*self.doubtful, *self.random)
 
     def settings(self) -> dict[str, object]:
-        """Return the plan as JSON values."""
         return {**vars(self), "doubtful": list(self.doubtful), "random": list(self.random)}
 
     @classmethod
     def from_settings(cls, settings: Mapping[str, Any]) -> "AuditPlan":
-        """Rebuild a plan from `settings()`."""
         doubtful, drawn = (tuple(str(serial) for serial in settings[name]) for name in ("doubtful", "random"))
         return cls(doubtful, drawn, int(settings["population"]), float(settings["allowed_share"]))
 

@@ -13,7 +13,6 @@ class CellAtGate:
     """The load cell's calibration, from its certificate (a DCC or typed in).
 
     Args:
-        number: of the certificate.
         valid_until: last day on which it holds.
         capacity_N: upper end of the calibrated range.
         uncertainty_N: expanded uncertainty, k = 2.
@@ -31,7 +30,6 @@ class GoldenCheck:
 
     Args:
         at: when, with time zone.
-        serial: of the golden unit.
         is_in_control: whether it lay within its own control limits.
     """
 
@@ -81,7 +79,6 @@ class StationFacts:
         rig: what the rig says of itself.
         zero_return_limit_N: largest change of the load cell's zero over a run.
         warm_up: how long the load cell must be powered first.
-        has_cell: whether there is a load cell at all.
         needs_certificate, needs_golden: whether this line asks for them.
         override: an engineer's decision, where there is one.
     """
@@ -126,9 +123,9 @@ class Gate:
 def may_run(facts: StationFacts, kind: OrderKind = OrderKind.UNIT) -> Gate:
     """Return whether a station may run, and every reason why not.
 
-    A golden unit may be pressed while only its own check is missing, so that a station can be qualified again; a
-    self-test may always run (the rule of SENAITE: an instrument out of control may still measure its reference), and
-    so may a reading at rest, which needs no load cell and moves nothing.
+    A golden unit may be pressed while only its own check is missing, so that a station can be qualified again. A
+    self-test may always run (the rule of SENAITE: an instrument out of control may still measure its reference). So may
+    a reading at rest, which needs no load cell and moves nothing.
     """
     if kind in (OrderKind.CHECK, OrderKind.LOAD):
         return Gate()

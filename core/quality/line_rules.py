@@ -52,7 +52,6 @@ class LineRules:
                 raise InputError(f"retests {verdict}={times}; 0 to 99 after one of {', '.join(RETESTS)} was expected")
 
     def spelled(self, scanned: str) -> str:
-        """Return a serial as this lot spells it."""
         return {"upper": scanned.upper(), "lower": scanned.lower()}.get(self.letters, scanned)
 
     def fits(self, serial: str) -> bool:
@@ -69,7 +68,6 @@ class LineRules:
         return max(0, self.retests.get(verdict, 0) - max(0, tests - 1))
 
     def settings(self) -> dict[str, object]:
-        """Return the rules as JSON values."""
         told: dict[str, object] = {**vars(self), "retests": dict(self.retests)}
         del told["loads"]
         # Versions that know no loads can read rules without any.

@@ -22,8 +22,6 @@ class LotRelease:
 
     Args:
         qualification: whether units may be released, and on which audits.
-        limit: of the lot.
-        promise: asked for.
         forecasts: forecast RMSE by serial of the units decided on.
         found: which of them are released; None without a qualification.
         widening: of their 90 % intervals.
@@ -197,7 +195,7 @@ def _audited(audits: Sequence[AuditedUnit], which: Reason, bound: Mapping[str, V
 
 
 def any_form(found: PromisedRelease) -> Reason:
-    """Return what holds for the released units whatever form the ratios have."""
+    """Return what holds for the released units for ratios of any distribution."""
     if found.share_any_form < 1:
         return reason("part.any_form", share=found.share_any_form, risk=found.risk_any_form)
     return reason("part.any_form_mean", risk=found.risk_any_form)

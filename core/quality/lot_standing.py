@@ -29,9 +29,7 @@ class UnitInLot:
     """One unit of a lot.
 
     Args:
-        serial: of the unit.
         verdict: as it stands; None before the first result.
-        reasons: why.
         is_measured: whether its error was measured, by an audit that counts.
         had_passed: whether an earlier verdict released it.
         audited_at: when its newest audit came into the registry, UTC; None without one, whether it counts or not.
@@ -72,7 +70,6 @@ class LotStanding:
     """A lot as every page, paper and program tells it.
 
     Args:
-        lot_id: of the lot.
         units: its target units, by serial.
         limit: in force; None where none is stated and no unit is calibrated yet.
         decided: on the units nobody measured; None while no unit has a forecast.
@@ -101,7 +98,6 @@ class LotStanding:
         return tuple(sorted(audited, key=lambda u: (u.doubt is None, -(u.measured_rmse or 0.0), u.serial)))
 
     def on(self, way: Way) -> tuple[UnitInLot, ...]:
-        """Return the units that are released by this, or kept by it."""
         return tuple(unit for unit in self.units if unit.way == way)
 
     def to_json(self) -> dict[str, object]:

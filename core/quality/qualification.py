@@ -42,8 +42,6 @@ class Qualification:
         source: `this lot`, `earlier lots` or `none`.
         audits: the audited units that count; empty where there is none.
         wanted: audits of this lot that are still missing; 0 where it is qualified.
-        reason: why.
-        here: audited units of this lot, enough or not.
     """
 
     source: str
@@ -75,10 +73,8 @@ def qualify(
     unit failed: a failure withdraws everything before it.
 
     Args:
-        here: audits of this lot.
         past: audits of other lots, of any product, method and age.
         now: the time of the decision.
-        sensor_model, method_id: of this lot.
         golden_failed_at: when a golden unit last failed on the line that presses this lot.
         units: of this lot, measured or not; None where more may come than anybody knows.
     """

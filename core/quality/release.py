@@ -25,10 +25,8 @@ class AuditedUnit:
     """One unit whose error was measured.
 
     Args:
-        serial: the unit.
         forecast_rmse: forecast before it was measured, in the reference unit.
         measured_rmse: RMSE against the reference, in the same.
-        lot_id: lot it belongs to.
 
     Raises:
         InputError: an error is not a positive number.
@@ -58,7 +56,6 @@ class Ratios:
         audits, lots: number of audited units, and of the lots they come from.
         centre: mean of the logarithm, over lots where there are several.
         spread: standard deviation of one more unit about it, with the spread between lots.
-        largest: largest of them all.
         count, degrees: observations behind the centre, degrees of freedom behind the spread.
     """
 
@@ -73,9 +70,9 @@ class Ratios:
     def bound(self, promise: Promise, rules: ReleaseConfig = RULES) -> float:
         """Return the factor that measured / forecast of all but a share `risk` of the units stays below.
 
-        The larger of exp(mean + k SD), which holds with the promise's confidence where the ratios are near log-normal
-        (ISO 16269-6, the method of ISO 3951), and the largest ratio seen, which one unit in audits + 1 exceeds whatever
-        form the ratios have. Infinite where the audits are too few.
+        The larger of two. exp(mean + k SD) holds with the promise's confidence where the ratios are near log-normal
+        (ISO 16269-6, the method of ISO 3951). One unit in audits + 1 exceeds the largest ratio seen, for ratios of any
+        distribution. Infinite where the audits are too few.
         """
         if self.audits < rules.least_audits or (self.lots > 1 and self.lots < rules.least_lots):
             return float("inf")
@@ -168,7 +165,6 @@ def release(
         forecasts: forecast RMSE by serial of the units that nobody measured and nothing else stands against.
         audits: of the same lot, drawn at random; or of several earlier lots.
         limit: largest acceptable RMSE.
-        promise: what is to hold for the released units.
         rules: the numbers behind it.
 
     Raises:
@@ -178,7 +174,9 @@ def release(
     ratios, considered = audited_ratios(audits, rules), len(forecasts)
     days = days or {}
     # What is left of the limit once another day has taken its part; without golden runs the limit itself.
-    limits = {serial: _left(limit.acceptance_rmse, days.get(serial, 0.0)) for serial in forecasts}
+    limits = {
+        serial: float(np.sqrt(max(limit.acceptance_rmse**2 - days.get(serial, 0.0) ** 2, 0.0))) for serial in forecasts
+    }
     need = {serial: forecasts[serial] / limits[serial] if limits[serial] else np.inf for serial in forecasts}
     ordered = sorted(forecasts, key=lambda serial: (need[serial], serial))
     needed = np.array([need[serial] for serial in ordered])
@@ -195,10 +193,6 @@ def release(
     return PromisedRelease(tuple(ordered[:count]), factor, ratios, considered, promise, *said)
 
 
-def _left(limit: float, day: float) -> float:
-    return float(np.sqrt(max(limit**2 - day**2, 0.0)))
-
-
 def least_passing(units: int, held: int, rules: ReleaseConfig = RULES) -> float:
     """Return how many unmeasured units must pass so that half of a whole lot does.
 
@@ -210,7 +204,7 @@ def least_passing(units: int, held: int, rules: ReleaseConfig = RULES) -> float:
 
 
 def audits_wanted(promise: Promise) -> int:
-    """Return how many audits of a lot make the promise hold on average whatever form the ratios have: 9 for 1 in 10."""
+    """Return how many audits of a lot make the promise hold on average for any ratios: 9 for 1 in 10."""
     return least_units(promise.risk)
 
 

@@ -32,7 +32,6 @@ class Widening:
     added: float = 0.0
 
     def __call__(self, half: Array) -> Array:
-        """Return half-widths, widened."""
         return np.hypot(self.scale * half, self.added)
 
 
@@ -60,11 +59,11 @@ def fit_widening(
 ) -> Widening:
     """Return the widening that serves the samples on average and the units one by one.
 
-    The factor is what the median unit asks for where that is less than 1. The added error is the smallest by which the
-    audited units' samples are covered to `coverage`, each unit weighing the same (pooled version of hierarchical
-    conformal prediction; Dunn, Wasserman and Ramdas 2023; Lee, Barber and Willett 2023), and by which one more unit
-    has `rules.least_coverage` of its samples covered, all but a share `rules.most_units` of the times: the prediction
-    limit of the logarithm of the units' own factors (Student's t; Hahn 1970).
+    The factor is what the median unit asks for where that is less than 1. The added error is the smallest that
+    does two things. It covers the audited units' samples to `coverage`, each unit weighing the same: the pooled version
+    of hierarchical conformal prediction (Dunn, Wasserman and Ramdas 2023; Lee, Barber and Willett 2023). And one more
+    unit has `rules.least_coverage` of its samples covered, all but a share `rules.most_units` of the times. That is the
+    prediction limit of the logarithm of the units' own factors (Student's t; Hahn 1970).
 
     Args:
         units: audited ones, drawn at random.

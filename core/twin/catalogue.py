@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from softcal.core.errors import InputError
+from softcal.core.plugins import PluginKind
 from softcal.core.twin import acquisition, electronics, load_cell, mechanics, motion, transduction
 from softcal.core.twin.effects import Effect
-from softcal.core.twin.plugins import installed_effects, with_plugins
 
 OWN_EFFECTS: Mapping[str, Effect] = MappingProxyType(
     {
@@ -17,7 +17,12 @@ OWN_EFFECTS: Mapping[str, Effect] = MappingProxyType(
 )
 """The effects of the written catalogue, by identifier."""
 
-EFFECTS: Mapping[str, Effect] = MappingProxyType(with_plugins(OWN_EFFECTS, installed_effects()))
+PLUGINS = PluginKind[Effect](
+    "softcal.effects", "effect", "an Effect", lambda thing: isinstance(thing, Effect), lambda effect: effect.id
+)
+"""Effects that other installed packages bring along."""
+
+EFFECTS: Mapping[str, Effect] = MappingProxyType(PLUGINS.beside(OWN_EFFECTS))
 """Every effect that a diagnosis can name, by identifier."""
 
 

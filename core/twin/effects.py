@@ -147,8 +147,8 @@ class Signs:
         placing: what must be found in the recordings first.
         clock: how its size moves the instants at which the output is read: by a constant, or in proportion to time.
         hides_behind: effects that look like it on poor recordings.
-        shown_by: runs of the menu of experiments that show it best.
-        remedy: what to measure where no run of the menu tells it from its rivals.
+        shown_by: experiments that show it best.
+        remedy: what to measure where no experiment tells it from its rivals.
         alias: a departure outside the catalogue that looks exactly like it.
     """
 

@@ -198,12 +198,10 @@ class EmpiricalTerm:
             raise InputError(f"{self.place} += … {self.variable}: load_N and depth_mm must be above 0")
 
     def sized(self, coefficient: float) -> "EmpiricalTerm":
-        """Return the same term with another coefficient."""
         return replace(self, coefficient=coefficient)
 
     @property
     def unit(self) -> str:
-        """Unit of the coefficient."""
         return UNITS[self.place] + _INVERSE[VARIABLES[self.variable].unit]
 
     @property

@@ -17,7 +17,6 @@ class OutputLevel:
     """Where the output of a unit stands in its recording, in the output's unit.
 
     Args:
-        rest: at rest.
         span: from there to its highest loads, more than 0.
     """
 
@@ -29,7 +28,6 @@ def output_level(recording: OutputRecording, *, is_rising: bool, rest: float) ->
     """Return where the output of a unit stands.
 
     Args:
-        is_rising: whether the output rises with the load.
         rest: share of the samples at whose quantile a unit is at rest.
     """
     low, high = (float(value) for value in np.quantile(recording.output, (rest, 1 - rest)))
@@ -64,7 +62,6 @@ class AuditReading:
     zero: float = 0.0
 
     def to_json(self) -> dict[str, object]:
-        """Return it as JSON values."""
         return {**vars(self), "residual": list(self.residual), "half": list(self.half)}
 
     @classmethod
@@ -98,8 +95,6 @@ def read_audit(
     Args:
         value: (n,) estimates, NaN where there is none.
         half: (n,) half-width of their 90 % interval, before audits of other units scaled it.
-        audit: labelled recording of the unit.
-        recording: of the same unit.
         rest: share of the samples at whose quantile a unit is at rest.
     """
     rows = np.flatnonzero(np.isfinite(value))

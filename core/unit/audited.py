@@ -22,7 +22,6 @@ def with_audit(
     Args:
         network: the shared network f.
         calibration: of the unit, before audits of other units scaled its interval.
-        audit: labelled recording of the unit.
         recording: the one it was calibrated from.
     """
     found = estimate(network, calibration, audit.unlabelled)

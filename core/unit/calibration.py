@@ -45,9 +45,9 @@ class CalibrationRecord:
         family: family of the map γ (`maps.catalogue`).
         map_sha256: content hash of the map alone.
         arrays: parameters of the map (names `map.*`), of the interval and support model (names `interval.*`).
-        settings: JSON values beside the arrays, grouped: `map`, `interval`, `forecast`, `decision` (what was predicted
-            and what was measured), `grounds` (what that rests on but the limit), `method` (every number of the method),
-            `reference` (what it is traced to), `audit` (what its audit says beside the error).
+        settings: JSON values beside the arrays, grouped: `map`, `interval`, `forecast`; `decision`, what was predicted
+            and what was measured; `grounds`, what that rests on but the limit. `method` has every number of the method,
+            `reference` what it is traced to, `audit` what its audit says beside the error.
         predicted_rmse: forecast of the error against the reference, in the reference unit; None where none can be made.
         before_rmse, after_rmse, own_rmse: scores on an audit recording, in the reference unit; None without an audit.
         verdict: pass, conditional, fail or retest.
@@ -176,13 +176,11 @@ class Calibration:
     Args:
         serial: the unit's serial.
         network_id: content hash of the shared network f it belongs to.
-        unit_map: the map γ.
         interval: 90 % interval of its estimates.
         output_limits: where the raw output stops to be believable.
         forecast: error forecast without labels, in the reference unit; None where none can be made.
         decision: what was decided, on what, and why.
         grounds: what it was decided on, but the limit; None in records of older versions.
-        knowledge: how the loads on the unit are known.
         evidence: numbers and words behind it.
         method: every number it was made with; None in records of versions that kept none.
         scores: errors on the unit's audit; None without one.

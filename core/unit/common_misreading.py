@@ -27,7 +27,6 @@ class LoadLine:
 
     Args:
         gain: 1 where it reads them in full.
-        zero: in the reference unit.
         level: where the output of its recording stands; None where nobody kept it.
     """
 
@@ -76,7 +75,6 @@ class CommonMisreading:
 
     Args:
         line: what the audited units misread alike, on average.
-        audits: how many they are.
         gain: natural logarithm of the gain over that of the span.
         zero: in the reference unit, over the output at rest.
     """
@@ -94,7 +92,6 @@ class CommonMisreading:
         return replace(self, line=LoadLine(float(np.exp(gain)), zero))
 
     def to_json(self) -> dict[str, float]:
-        """Return it as JSON values."""
         slopes = {name: 0.0 if trend is None else trend.slope for name, trend in vars(self).items() if name in SLOPES}
         return {"gain": self.line.gain, "zero": self.line.zero, **{f"{name}_slope": slopes[name] for name in SLOPES}}
 
@@ -182,7 +179,6 @@ def corrected(record: CalibrationRecord, source: LabelledRecording, found: Commo
     A straight line behind the map, through the source's levels at both ends of its range: a device trims so, too.
 
     Args:
-        record: as it was fitted.
         source: labelled recording of the source that f was trained on.
     """
     calibration = Calibration.from_record(record)

@@ -27,10 +27,9 @@ class Estimate:
         t_s: (n,) time stamps in s.
         estimate: (n,) in `reference_unit`; NaN where no full window ends.
         lower, upper: (n,) ends of the 90 % interval, lower <= estimate <= upper.
-        flag: (n,) empty where the row is trusted, else why not: `warm-up` (no full window yet since the start), `gap`
-            (none yet since a gap), `invalid` (no usable sample or time), `stuck` (the output does not move),
-            `saturated` (the output is at a rail), `out of range` (beyond the loads of the source), `unfamiliar` (a
-            window unlike any of the source).
+        flag: (n,) empty where the row is trusted, else why not. No full window: `warm-up` after the start, `gap` after
+            one. No usable sample or time: `invalid`. The output does not move: `stuck`; is at a rail: `saturated`.
+            Beyond the loads of the source: `out of range`. A window unlike any of the source: `unfamiliar`.
     """
 
     t_s: Array
@@ -57,8 +56,6 @@ def estimate(network: Network, calibration: Calibration, recording: OutputRecord
 
     Args:
         network: the shared network f the calibration belongs to.
-        calibration: of the unit that was recorded.
-        recording: its output.
 
     Raises:
         InputError: the calibration belongs to another network, or the output has another physical unit.

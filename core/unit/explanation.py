@@ -31,7 +31,6 @@ class Explanation:
         forecast, limit: forecast RMSE with its 95 % interval, and the tolerance limit; None where there is none.
         t_s, estimate, distance: (n,) windows looked at: time, estimate, distance from the source's support.
         familiar_distance: distances above it are unfamiliar.
-        reasons: why the verdict is what it is.
     """
 
     levels: Array
@@ -57,8 +56,6 @@ def explain(model: SourceModel, calibration: Calibration, target: OutputRecordin
 
     Args:
         model: the lot's source.
-        calibration: of the unit.
-        target: the recording it was made from.
     """
     interval = model.interval
     evidence = gather_evidence(model, target, calibration.unit_map, (), (), calibration.output_limits)

@@ -50,9 +50,7 @@ def contradictions(
     A channel the wrong way round, or in another physical unit, also looks clipped or pressed by a wrong programme.
 
     Args:
-        source, target: outputs of the source and of the unit.
         limits: of the unit's output.
-        method: in force.
         shared: what both outputs say about a common load; None where nobody compared them in time.
     """
     config = method.findings
@@ -73,7 +71,6 @@ def opening_findings(evidence: Mapping[str, float | str], config: FindingConfig)
 
     Args:
         evidence: of the chosen map (`ChosenMap.evidence`).
-        config: how late is too late.
     """
     lag_s = float(evidence.get("lag_s", 0.0))
     if "shared_until_s" not in evidence or lag_s < config.late_s:
@@ -133,7 +130,7 @@ def _reach(values: Array, shares: tuple[float, float]) -> tuple[float, float]:
 
 
 def _other_use(evidence: MapEvidence, config: FindingConfig) -> Finding | None:
-    """Return a finding where the unit's mix of loads and speeds is not the source's.
+    """Return a finding where the unit's loads and speeds are not the source's.
 
     Where the stage position is known the map does not rest on that mix; else nothing firm can be said. Units under one
     load at once ran one programme.

@@ -36,17 +36,15 @@ class MapEvidence:
     Args:
         rows: (n,) indices of the windows looked at, among the recording's full windows.
         estimate: (n,) f on the mapped windows, in the reference unit.
-        shape: of the mapped windows.
         distance: (n,) of the mapped windows from the source's support.
         disagreement: (n,) RMS difference of the other candidate maps' estimates from `estimate`.
         unmapped: (n,) f on the raw windows: what doing nothing would say.
-        overlap, unmapped_overlap: of the unit's mix of loads and speeds with the source's, 0 to 1, with and without
+        overlap, unmapped_overlap: of the unit's loads and speeds with the source's, 0 to 1, with and without
             the map.
         speed: how fast the unit's fast movements are, over the source's.
-        budget: standard uncertainties in the reference unit: `model`, the terms of every kind of knowledge
-            (`knowledge.py`), `stage` and `slow` where source and unit carry the stage position, and `line` where the
-            spread of the line was stated, `day` where a golden run measured its day.
-        knowledge: how the loads on this unit are known.
+        budget: standard uncertainties in the reference unit: `model` and the terms of every kind of knowledge
+            (`knowledge.py`). `stage` and `slow` are there where source and unit carry the stage position, `line` where
+            the spread of the line was stated, `day` where a golden run measured its day.
         rest: level of the estimates at rest, in the reference unit.
     """
 
@@ -110,8 +108,6 @@ def gather_evidence(
 
     Args:
         model: the lot's source.
-        target: recording of the unit.
-        unit_map: the chosen map.
         alternatives: other candidates for the whole recording.
         resampled: the same kind of map fitted to parts of the recording.
         limits: rails of the raw output.
@@ -120,8 +116,8 @@ def gather_evidence(
         is_anchored: whether known loads of the unit entered its map.
         line: the line's spread, where somebody stated it.
         day_rmse: what the day of the recording changes, as a golden run showed it, in the reference unit.
-        straight: a map that was not bent to spend the unit's time as the source's; by default `unit_map`. How the mix
-            of loads differs shows through it alone.
+        straight: a map that was not bent to spend the unit's time as the source's; by default `unit_map`. How the loads
+            differ shows through it alone.
     """
     config = model.method.forecast
     # Evenly spaced rows: every statistic below costs the same however long the recording is.
@@ -203,7 +199,6 @@ class _KnownUse:
         loads: quantiles of f on the source, in the reference unit.
         rest_spread: standard deviation of f at rest, in the reference unit.
         rms_load: RMS load above rest, in the reference unit.
-        fast, sharpness: of its movements.
         step: of its readout, in the output unit.
         levels, slopes: edges of the grid that uses are compared on.
         use: share of the source's windows in each cell of it.

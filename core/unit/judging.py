@@ -69,7 +69,6 @@ class Grounds:
         return decide_audited(scores.before, scores.after, self.measured.windows, limit, config, self.held)
 
     def to_json(self) -> dict[str, object]:
-        """Return them as JSON values."""
         measured = self.measured
         return {
             "forecast": vars(self.forecast),

@@ -26,8 +26,8 @@ class KnowledgeConfig:
         sensitivity: coefficients c_i of the budget's other terms u_i (GUM, JCGM 100:2008, eq. 10).
         log_error: 2.5 % and 97.5 % quantiles of log(true / forecast RMSE): the forecast's own uncertainty.
         interval_share: share of the map's variance that widens the interval so that it covers 90 % of the samples.
-        own: coefficients of `own_terms`: what a calibration of the unit's own would leave open.
-        other_use: best verdict of a unit whose mix of loads is not the source's; empty where that mix does not matter.
+        own: coefficients of `own_terms`: the error of a calibration of the unit's own.
+        other_use: best verdict of a unit whose loads and speeds are not the source's; empty where they need not be.
         is_placed: whether the loads are known otherwise than by how they are distributed.
     """
 
@@ -157,7 +157,7 @@ class LoadKnowledge:
 
     @property
     def own(self) -> Mapping[str, float]:
-        """Coefficients of what a calibration of the unit's own would leave open."""
+        """Coefficients of the error of a calibration of the unit's own."""
         return dict(self.config.own)
 
     def __str__(self) -> str:
@@ -170,7 +170,6 @@ def known_by(budget: Mapping[str, float], kinds: KnowledgeTable, is_anchored: bo
     Args:
         budget: terms of the unit's error budget: `paired` stands in it where unit and source were pressed by one load
             at once, `stage` where both carry the stage position.
-        kinds: from the method.
         is_anchored: known loads of the unit were given.
     """
     kind = next((name for name in ("paired", "stage") if name in budget), "blind")

@@ -46,7 +46,6 @@ class LineSpread:
         return float(np.hypot(self.load, self.day))
 
     def to_json(self) -> dict[str, float]:
-        """Return it as JSON values."""
         return {"load": self.load, "day": self.day}
 
     @classmethod
@@ -60,7 +59,6 @@ class SeenGains:
     """What audited units of one lot, or golden runs of several days, show of the gain they read their loads with.
 
     Args:
-        count: units or days.
         centre: geometric mean of estimate / reference.
         spread: standard deviation of its logarithm.
     """

@@ -129,7 +129,7 @@ class ForecastConfig:
         clipped_part: a clipped load is anywhere in this part of the range: the upper third.
         smooth: load levels over which the disagreement of maps is averaged.
         cell_prior: so many windows of even disagreement are added to each cell of its table.
-        overlap_levels, overlap_slopes: edges of the grid on which two mixes of loads and speeds are compared.
+        overlap_levels, overlap_slopes: edges of the grid on which loads and speeds are compared.
         overlap_slope: quantile of the source's slopes at the edge of that grid.
         fast, sharp: quantiles of slope and of bend that stand for fast movements and sharp turns.
     """
@@ -191,8 +191,8 @@ class FindingConfig:
     Args:
         unfamiliar_share, failing_share: of the mapped windows outside the source's support: a finding, a failure.
         covered_share: of the source's range that a unit must be pressed over.
-        enough_overlap, speed_factor: of the unit's mix of loads and speeds with the source's.
-        meaningless_overlap, meaningless_speed: beyond these no forecast rests on that mix; nearer it is only wider.
+        enough_overlap, speed_factor: of the unit's loads and speeds with the source's.
+        meaningless_overlap, meaningless_speed: beyond these no forecast rests on them; nearer it is only wider.
         stretch: units of one kind do not differ by this factor in what they answer; loads can.
         blind_stretch: where nothing but the output's distribution speaks for the loads, a factor of this is as likely
             a press that ends at half the range; nothing firm can be said.
@@ -323,7 +323,7 @@ class Method(NumberedMethod):
             section a module.
     """
 
-    version: int = setting(3, "raised by hand")
+    version: int = setting(4, "raised by hand")
     taps: int = setting(TAPS, FORMAT)
     levels: int = setting(LEVELS, FORMAT)
     confidence: float = setting(CONFIDENCE, FORMAT)

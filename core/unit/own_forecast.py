@@ -1,6 +1,6 @@
 """Forecast the error that a network trained on the unit's own labels would have; no label of the unit is needed.
 
-It is what noise, clipping and creep leave open with any calibration. Only the forecast error beyond it is the map's.
+It is what noise, clipping and creep leave with any calibration. Only the forecast error beyond it is the map's.
 """
 
 from collections.abc import Mapping
@@ -41,8 +41,6 @@ def own_terms(
 
     Args:
         model: the lot's source.
-        target: recording of the unit.
-        unit_map: its map.
         evidence: of its map, with the budget of its forecast error.
     """
     network, budget, rows = model.network, evidence.budget, model.method.forecast.own_rows
@@ -78,7 +76,6 @@ def noise_error(
 
     Args:
         network: the shared network f.
-        recording: of the unit.
         windows: how many of it are looked at; of a short one some count twice.
         unit_map: its map; None for the source.
         estimate: f on all the recording's mapped windows, where it is known.

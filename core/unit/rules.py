@@ -6,17 +6,14 @@ every calibration it looked at, so that another version makes older results anew
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint
-from typing import Protocol, cast, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 from softcal.core.errors import InputError
-from softcal.core.plugins import installed, several, who
+from softcal.core.plugins import PluginKind
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Finding, Limit, Verdict
 from softcal.core.words.reason import reason
-
-GROUP, KIND = "softcal.rules", "rule"
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,22 +66,6 @@ class Rule(Protocol):
         """Return what stands against the unit; nothing lets it go on."""
 
 
-def with_plugins(points: Iterable[EntryPoint]) -> dict[str, Rule]:
-    """Return the rules of installed packages by identity, in the order of their entry points.
-
-    Raises:
-        InputError: one cannot be loaded, is no rule, or two have one name.
-    """
-    found: dict[str, Rule] = {}
-    for point in points:
-        for thing in several(point, KIND, is_rule, "a rule with name, version and look"):
-            rule = cast(Rule, thing)
-            if rule.name in {other.name for other in found.values()}:
-                raise InputError(f"{who(point, KIND)}: the name {rule.name!r} is taken already; give it another")
-            found[identity(rule)] = rule
-    return found
-
-
 def identity(rule: Rule) -> str:
     """Return what stands for a rule in the identity of a calibration."""
     return f"{rule.name} {rule.version}"
@@ -96,7 +77,12 @@ def is_rule(thing: object) -> bool:
     return named and not isinstance(thing, type) and callable(getattr(thing, "look", None))
 
 
-RULES: Mapping[str, Rule] = with_plugins(installed(GROUP))
+PLUGINS = PluginKind[Rule](
+    "softcal.rules", "rule", "a rule with name, version and look", is_rule, lambda rule: rule.name
+)
+"""Rules that installed packages bring along, in the order of their entry points."""
+
+RULES: Mapping[str, Rule] = {identity(rule): rule for rule in PLUGINS.beside({}).values()}
 """By identity."""
 
 

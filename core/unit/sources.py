@@ -1,11 +1,35 @@
-"""Several labelled units as sources of one lot: each unit is calibrated by the one that suits it best."""
+"""Several labelled units as sources of one lot: each is calibrated by the one nearest to it."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from softcal.core.errors import UnitRefused
-from softcal.core.maps.nearest import shape_distance
+from softcal.core.maps.config import MapConfig
+from softcal.core.maps.crossing import robust_range
+from softcal.core.maps.ends import match_ends
+from softcal.core.maps.monotone import between_steps
+from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.calibrate import UnitProblem, calibrate
+
+
+def shape_distance(source: LabelledRecording, target: OutputRecording, config: MapConfig) -> float:
+    """Return how far two outputs are from one another once rest and peak are matched, as a share of the source's range.
+
+    The mean distance of equal quantiles (Wasserstein distance of order 1). It holds how the units are bent and how
+    their time was spent. Sources that were pressed alike share the second, so the nearest of them is the one that is
+    bent most like the unit.
+
+    Raises:
+        UnitRefused: the unit's output makes no swing that stands out of its noise.
+    """
+    match = match_ends(source, target, config)
+    shares = np.linspace(*config.choice.shape_shares, config.curve.knots)
+    mapped = match.offset + match.gain * between_steps(target.output, shares)
+    known = source.unlabelled.output
+    span = robust_range(known, config.crossing)
+    return float(np.mean(np.abs(between_steps(known, shares) - mapped))) / span
 
 
 def nearest(problems: Sequence[UnitProblem]) -> UnitProblem:

@@ -15,7 +15,6 @@ class StageDifference:
     """Difference between estimates and the source's reference at equal stage histories, in the reference unit.
 
     Args:
-        rms: of all windows.
         slow_rms: of its means over a second or so (`StageCheckConfig.slow_s`).
     """
 
@@ -36,8 +35,6 @@ def unit_difference(
     """Compare a unit with its source; None where no stage position or too few shared ones are known.
 
     Args:
-        source: labelled recording of the source.
-        target: recording of the unit.
         estimate: (m,) of the unit, one per full window.
     """
     try:
@@ -52,7 +49,6 @@ def source_difference(source: LabelledRecording, estimate: Array, method: Method
     """Compare the source with itself at other times: what is left is no fault of a unit.
 
     Args:
-        source: labelled recording of the source.
         estimate: (n,) f on its own windows.
     """
     recording, config = source.unlabelled, method.stage_check

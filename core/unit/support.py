@@ -87,11 +87,9 @@ class Support:
         return np.sqrt(sum((part * part for part in parts), start=np.zeros(len(shape.level))))
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Return the arrays under stable names."""
         return {"origin": self.origin, "step": self.step, "distance_grid": self.distance_grid}
 
     def settings(self) -> dict[str, float]:
-        """Return all that is not an array."""
         return {
             "output_mean": self.output_mean,
             "output_scale": self.output_scale,
@@ -101,7 +99,6 @@ class Support:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> "Support":
-        """Rebuild from `arrays()` and `settings()`."""
         origin, step, grid = (np.asarray(arrays[n], dtype=np.float64) for n in ("origin", "step", "distance_grid"))
         names = ("output_mean", "output_scale", "bend_limit", "roughness_limit")
         mean, scale, bend_limit, roughness_limit = (float(str(settings[name])) for name in names)

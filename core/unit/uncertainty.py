@@ -61,19 +61,16 @@ class Interval:
         return replace(self, half_width=np.sqrt(self.half_width**2 + NORMAL_90**2 * variance))
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Return the arrays under stable names."""
         support = {f"support_{name}": array for name, array in self.support.arrays().items()}
         return {"half_width": self.half_width, **support}
 
     def settings(self) -> dict[str, float]:
-        """Return all that is not an array."""
         numbers = ("low", "high", "slope_limit", "sensitivity", "familiar_distance")
         support = {f"support_{name}": value for name, value in self.support.settings().items()}
         return {name: float(getattr(self, name)) for name in numbers} | support
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> "Interval":
-        """Rebuild from `arrays()` and `settings()`."""
         support = Support.from_arrays(
             {name.removeprefix("support_"): array for name, array in arrays.items()},
             {name.removeprefix("support_"): value for name, value in settings.items()},
@@ -120,11 +117,9 @@ def source_residuals(
     All windows give the pattern over bands and directions, the held-out ones alone its size.
 
     Args:
-        network: the shared network f.
         windows: (n, TAPS) of the source.
         reference: (n,) beside them.
         held_out: indices of windows kept out of the training.
-        config: how residuals are tabulated.
     """
     estimate = network.evaluate(windows)
     # The pattern needs many rows, its size honest ones: trained rows give the first, held-out rows the second.

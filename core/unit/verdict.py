@@ -105,7 +105,6 @@ class Limit:
         return float(np.sqrt(max(self.maximum_rmse**2 - self.reference_expanded**2, 0.0)))
 
     def to_json(self) -> dict[str, object]:
-        """Return it as JSON values."""
         told = {"unit": self.unit, "maximum_rmse": self.maximum_rmse, "origin": self.origin.to_json()}
         return told | ({"reference_expanded": self.reference_expanded} if self.reference_expanded else {})
 
@@ -150,7 +149,6 @@ class Judgement:
     """What one error, forecast or measured, says together with what was found.
 
     Args:
-        verdict: the word.
         reasons: why, most important first.
     """
 
@@ -158,7 +156,6 @@ class Judgement:
     reasons: tuple[Reason, ...]
 
     def to_json(self) -> dict[str, object]:
-        """Return it as JSON values."""
         return {"verdict": str(self.verdict), "reasons": [one.to_json() for one in self.reasons]}
 
     @classmethod
@@ -188,7 +185,6 @@ class Decision:
 
     @property
     def verdict(self) -> Verdict:
-        """The word that counts."""
         if self.doubt is not None:
             return Verdict.RETEST
         known = self.measured or self.sampled
@@ -224,7 +220,6 @@ class Decision:
         return (*self.measured.reasons, told)
 
     def to_json(self) -> dict[str, object]:
-        """Return it as JSON values."""
         others = {"measured": self.measured, "sampled": self.sampled}
         kept = {name: None if other is None else other.to_json() for name, other in others.items()}
         barred = {"bars": [one.to_json() for one in self.bars]} if self.bars else {}
@@ -277,7 +272,6 @@ def decide(
 
     Args:
         error: forecast or measured, in the limit's unit.
-        limit: tolerance limit.
         findings: each with the best word it still allows.
         source: `predicted` or `measured`.
     """
@@ -315,9 +309,7 @@ def decide_audited(
     Args:
         before, after: RMSE of f on raw and on mapped windows of the audit, in the limit's unit.
         windows: number of windows behind them.
-        limit: tolerance limit.
         config: how wide the guard band is.
-        held: what rules have against the unit.
 
     The standard deviation of an RMSE from n independent errors is RMSE / sqrt(2 n); errors of neighbouring windows are
     alike, so n is the number of windows that do not overlap.

@@ -23,7 +23,6 @@ class Activity:
     Args:
         level, log_scale: mean, and log standard deviation.
         shape, first_shape: (q,) standardised quantiles now, and when the activity was first seen.
-        log_speed, log_duration: of its cycles.
         rest: level of the unloaded turning point.
         rest_scatter: its standard deviation.
         has_rest: whether its cycles return to one unloaded level.
@@ -94,7 +93,6 @@ class Lesson:
 
     Args:
         activity: None where the cycles are no steady activity.
-        reason: why not, in words.
         trend, trend_sd: (2,) change of level and log scale over the cycles, and its standard deviation.
     """
 

@@ -197,7 +197,6 @@ class Adapter(Batches):
         )
 
     def _drift_doubt(self, now_s: float | None) -> Doubt:
-        """Return what is in doubt about the drift."""
         if self._config.mode == "none" or now_s is None:
             return Doubt(0.0, 0.0, {}, {})
         return self._tracker.doubt_at(now_s)
@@ -222,7 +221,6 @@ class Adapter(Batches):
         return MapUpdate(0, None, 1.0, 0.0, *drift, self._predicted_rmse(0.0), START, start.reason, "")
 
     def reconnect(self, row: int = 0) -> None:
-        """Go on after an interruption of unknown length: windows and cycles start anew, the map stays."""
         super().reconnect(row)
         self._evidence = []
         self._cutter.restart()

@@ -93,7 +93,6 @@ class CycleCutter:
 
     Args:
         low, high: where the output turned in the calibration recording, in its unit: the first swing to cut with.
-        usual: samples of a cycle there.
         longest: most samples of a cycle; after that many the output counts as not cycling.
         config: thresholds and lengths.
     """
@@ -232,9 +231,7 @@ class CycleCutter:
         return cycle
 
     def state(self) -> dict[str, object]:
-        """Return all that a restart needs, as JSON values."""
         return state_of(self._now)
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from a `state()` taken earlier."""
         self._now = restored(CutterState, state)

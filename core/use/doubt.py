@@ -80,7 +80,6 @@ class Doubt:
     """How wrong the corrected output may be.
 
     Args:
-        widening: for intervals.
         growth: for the predicted error.
         of_use: squares of what may be use as well as drift, by why: it holds the map.
         of_map: squares of what is in doubt about the correction that is applied, by why: it raises the alarm.
@@ -100,12 +99,12 @@ def due(why: str) -> str:
 def doubt(seen: Evidence, config: DoubtConfig) -> Doubt:
     """Add up what is in doubt.
 
-    Interval and predicted error hold: the error of the applied correction (its variance, a share of its size, a share
-    of the whole way of the rest, and that its gain may have been use), what may have come since the last cycle or in
-    use that was not compared, and what was not explained. The interval adds all of the estimated drift that was not
-    applied. Of a use that is not known it adds how far that rests from those that are, and a gain as large. The
-    predicted error adds of the drift only what exceeds chance, and of that the part that is as likely drift as use; it
-    leaves out use that was not compared while the first use is still being learnt.
+    Interval and predicted error hold three things: the error of the applied correction, what may have come since the
+    last cycle or in use that was not compared, and what was not explained. The error of the correction is its variance,
+    a share of its size, a share of the whole way of the rest, and that its gain may have been use. The interval adds
+    all of the estimated drift that was not applied. Of a use that is not known it adds how far that rests from those
+    that are, and a gain as large. Of the drift the predicted error adds only what exceeds chance, and of that the part
+    that is as likely drift as use. It leaves out use that was not compared while the first use is still being learnt.
     """
     # What was not applied cannot be wrong by chance: the variance counts as far as the correction goes.
     share = min(1.0, seen.size / max(float(seen.drift @ seen.drift), 1e-24))

@@ -52,7 +52,6 @@ class DriftFilter:
         return sight @ self.mean, sight @ self.covariance @ sight.T
 
     def measured(self, index: int, value: Array, noise: Array) -> "DriftFilter":
-        """Return the filter after an activity measured (2,) a value with (2, 2) noise."""
         sight = self._sight(index)
         expected, covariance = self.seen_by(index)
         gain = self.covariance @ sight.T @ np.linalg.inv(covariance + noise)

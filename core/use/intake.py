@@ -67,7 +67,6 @@ class Intake:
     """Keeps the last window of a stream.
 
     Args:
-        sample_rate_Hz: nominal sample rate.
         blank: fills windows that are not full, in the unit of the output.
         config: tolerances of rate, gaps and clock.
     """
@@ -137,9 +136,7 @@ class Intake:
         return False
 
     def state(self) -> dict[str, object]:
-        """Return all that a restart needs, as JSON values."""
         return state_of(self._kept)
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from a `state()` taken earlier."""
         self._kept = restored(IntakeState, state)

@@ -46,7 +46,7 @@ def _nobody() -> str:
 class People(RegistryBase):
     """The part of the registry that knows people."""
 
-    def set_user(
+    def set(
         self,
         name: str,
         role: str,
@@ -90,8 +90,7 @@ class People(RegistryBase):
             self._tell(connection, "set_user", "users", (name,), actor, reason=reason, **told)
             return user_of(connection, kept)
 
-    def users(self) -> list[User]:
-        """Return everybody by name."""
+    def all(self) -> list[User]:
         with self.database.reading() as connection:
             return [user_of(connection, row) for row in self.database.rows(select(users).order_by(users.c.name))]
 

@@ -28,11 +28,10 @@ TOLD = ("account", "purpose", "ends_at", "is_withdrawn")
 class TokenTable(RegistryBase):
     """The part of the registry that knows which program may do what."""
 
-    def add_token(self, account: str, purpose: str, days: int, *, actor: str | None = None) -> tuple[Token, str]:
+    def add(self, account: str, purpose: str, days: int, *, actor: str | None = None) -> tuple[Token, str]:
         """Make a token for an account; return it and the secret text, which is kept nowhere.
 
         Args:
-            purpose: what the token is for, in words.
             days: after so many days it no longer holds.
 
         Raises:
@@ -56,7 +55,7 @@ class TokenTable(RegistryBase):
             self._tell(connection, "add", "tokens", (row["token_id"],), actor, after=token_as_told(row))
         return of_row(Token, row), secret
 
-    def withdraw_token(self, token_id: str, *, reason: str, actor: str | None = None) -> None:
+    def withdraw(self, token_id: str, *, reason: str, actor: str | None = None) -> None:
         """Make a token useless from now on.
 
         Raises:
@@ -70,12 +69,12 @@ class TokenTable(RegistryBase):
             told = {"before": token_as_told(before), "after": token_as_told(self._row(connection, token_id))}
             self._tell(connection, "withdraw", "tokens", (token_id,), actor, reason=reason, **told)
 
-    def tokens(self) -> list[Token]:
+    def all(self) -> list[Token]:
         """Return all tokens, the oldest first, without their secrets."""
         query = select(tokens).order_by(tokens.c.created, tokens.c.token_id)
         return [of_row(Token, row) for row in self.database.rows(query)]
 
-    def user_of_token(self, secret: str) -> User:
+    def user_of(self, secret: str) -> User:
         """Return the account a token belongs to, with the role it has now.
 
         Raises:

@@ -13,6 +13,7 @@ from softcal.db.access.tokens import token_as_told
 from softcal.db.entries import Anchor
 from softcal.db.schema import append_only
 from softcal.db.schema.arrays import ARRAY, ARRAYS, parts_of
+from softcal.db.schema.database import is_denied
 from softcal.db.schema.tables import (
     APPEND_ONLY,
     AUDITED,
@@ -61,6 +62,8 @@ def faults(
                 found = list(check)
             yield from found
         except (ValueError, TypeError, KeyError, RegistryError, DBAPIError) as error:
+            if is_denied(error):
+                raise
             # A damaged value may not even be read: that is what was to be found out.
             cause = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
             yield f"{name}: cannot be read: {(str(cause).splitlines() or [type(cause).__name__])[0][:160]}"
@@ -303,7 +306,6 @@ def anchor_faults(connection: Connection, heads: dict[str, tuple[int, str]], whe
 
     Args:
         heads: number and hash of the last row of each chain.
-        where: when and where they were written down.
     """
     for origin, (seq, sha256) in heads.items():
         query = select(audit.c.hash).where(audit.c.origin == origin, audit.c.seq == seq)

@@ -16,7 +16,7 @@ from sqlalchemy import Connection, Date, Table, and_, func, insert, select
 from softcal.core.errors import InputError, RegistryError
 from softcal.db.entries import AuditRow
 from softcal.db.schema.arrays import copy_blob
-from softcal.db.schema.found import forget
+from softcal.db.schema.found import HAS_TOLD, forget
 from softcal.db.schema.tables import AUDITED, UtcTime, audit, blobs, limits, metadata
 from softcal.db.truth import history
 from softcal.db.truth.in_use import conflict_line, conflicts_of
@@ -110,6 +110,7 @@ def _send(source: RegistryBase, target: RegistryBase) -> int:
                         values = {column.name: _typed(column.type, value) for column, value in key}
                         _copy(rows, connection, table, values, known)
                 connection.execute(insert(audit), [vars(entry) for entry in chunk])
+                connection.info[HAS_TOLD] = True
                 forget(connection)
             sent += len(chunk)
     return sent

@@ -21,7 +21,7 @@ from sqlalchemy.pool import StaticPool
 
 from softcal.core.errors import RegistryError
 from softcal.db.schema.file_system import prepare_file
-from softcal.db.schema.found import forget
+from softcal.db.schema.found import HAS_TOLD, forget
 from softcal.db.schema.tables import SCHEMA
 
 SQLITE_WAIT_S = 60
@@ -72,7 +72,7 @@ class Database:
     def __init__(self, engine: Engine) -> None:
         self.engine = engine
         self.on_first_write: Callable[[], None] | None = None
-        """Called once, after the first write transaction was kept."""
+        """Called once, after the first transaction that wrote into the audit trail was kept."""
         self._thread = _Joined()
 
     @property
@@ -112,12 +112,10 @@ class Database:
                 yield connection
 
     def rows(self, query: Executable) -> Sequence[RowMapping]:
-        """Return what a query gives."""
         with self.reading() as connection:
             return connection.execute(query).mappings().all()
 
     def row(self, query: Executable) -> RowMapping | None:
-        """Return the first row a query gives."""
         with self.reading() as connection:
             return connection.execute(query).mappings().first()
 
@@ -142,11 +140,13 @@ class Database:
             with connection.begin(), self._joinable("writer", connection):
                 if in_turn and not self.is_sqlite:
                     connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": WRITER_LOCK})
+                connection.info.pop(HAS_TOLD, None)
                 yield connection
                 # What follows is the commit: of a connection cut from here on nobody knows what was kept.
                 phase["is_committing"] = True
-        told, self.on_first_write = self.on_first_write, None
-        if told is not None:
+            has_told = connection.info.pop(HAS_TOLD, False)
+        if has_told and self.on_first_write is not None:
+            told, self.on_first_write = self.on_first_write, None
             told()
 
     def once_more(self, action: Callable[[], Answer], *, is_repeatable: bool = False) -> Answer:
@@ -211,9 +211,14 @@ class Database:
             if isinstance(error, DBAPIError) and error.connection_invalidated:
                 cut = f"registry {self.name}: {what}; nothing was changed; run it again when the server answers"
                 raise ConnectionCut(cut, is_undone=True) from error
-            if "permission denied" in what:
+            if is_denied(error):
                 what += "; the database account may not do this, ask who manages the registry to do it"
             raise RegistryError(f"registry {self.name}: {what}; nothing was changed") from error
+
+
+def is_denied(error: Exception) -> bool:
+    """Whether the account at the server may not do what was asked."""
+    return "permission denied" in str(error)
 
 
 def parts(values: Sequence[Part]) -> Iterator[Sequence[Part]]:

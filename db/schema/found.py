@@ -9,6 +9,9 @@ from weakref import WeakKeyDictionary
 
 from sqlalchemy import Connection, RootTransaction, RowMapping
 
+HAS_TOLD = "softcal_has_told"
+"""Key in the info of a connection: its transaction wrote into the audit trail."""
+
 
 @dataclass
 class Found:

@@ -21,7 +21,6 @@ class AdaptedUnit:
 
     Args:
         steps: how many steps the registry holds of it, on all streams, without states to resume from.
-        entry: the newest step.
     """
 
     serial: str
@@ -34,7 +33,7 @@ class AdaptedUnit:
 class AdaptationTables(RegistryBase):
     """The part of the registry that knows adaptations."""
 
-    def add_adaptations(self, serial: str, revision: int, entries: Sequence[Entry], actor: str | None = None) -> int:
+    def add(self, serial: str, revision: int, entries: Sequence[Entry], actor: str | None = None) -> int:
         """Store steps, all or none of them, and return the number of the last one (1, 2, ... per serial).
 
         Args:
@@ -67,7 +66,7 @@ class AdaptationTables(RegistryBase):
                 self._store(connection, adaptations, values, "adapt", actor)
             return number
 
-    def last_adaptation(self, serial: str, revision: int, stream: str) -> Entry | None:
+    def last(self, serial: str, revision: int, stream: str) -> Entry | None:
         """Return the newest step of a stream, to go on after a stop; None where it has not begun."""
         return next(iter(self.database.values(_newest_first(serial, revision, stream).limit(1))), None)
 
@@ -77,13 +76,13 @@ class AdaptationTables(RegistryBase):
             newest = connection.execute(_newest_first(serial, revision, stream)).scalars()
             return next((entry for entry in newest if "state" in entry), None)
 
-    def adaptations(self, serial: str, stream: str | None = None) -> list[Entry]:
+    def all(self, serial: str, stream: str | None = None) -> list[Entry]:
         """Return the steps of a serial, of one stream or of all, in the order they were made."""
         c = adaptations.c
         query: Select[Any] = select(c.entry).where(c.serial == serial).order_by(c.made_at, c.origin, c.number)
         return self.database.values(query if stream is None else query.where(c.stream == stream))
 
-    def adapted_units(self) -> list[AdaptedUnit]:
+    def units(self) -> list[AdaptedUnit]:
         """Return the units in use with their newest step, the one adapted last first; a checkpoint is no step."""
         a = adaptations.c
         is_step = type_coerce(a.entry, Text).not_like('%"event":"checkpoint"%')

@@ -35,7 +35,7 @@ ASKING = ("batch", "line")
 class CalibrationTables(InUseTable):
     """The part of the registry that knows calibrations."""
 
-    def add_calibration(
+    def add(
         self,
         lot_id: str,
         record: CalibrationRecord,
@@ -118,9 +118,7 @@ class CalibrationTables(InUseTable):
             again = {**old, "rolled_back_to": to}
             return self._add_revision(connection, again, told, "rollback", actor, reason, before)
 
-    def find_calibration(
-        self, serial: str, input_sha256: str, *, lot_id: str | None = None
-    ) -> StoredCalibration | None:
+    def find(self, serial: str, input_sha256: str, *, lot_id: str | None = None) -> StoredCalibration | None:
         """Return the newest calibration of a serial made from this input, or None: the work is still to be done."""
         c = calibrations.c
         query = select(calibrations).where(c.serial == serial, c.input_sha256 == input_sha256)
@@ -139,7 +137,7 @@ class CalibrationTables(InUseTable):
                 known.setdefault(serial, set()).add(sha256)
         return {serial: frozenset(hashes) for serial, hashes in known.items()}
 
-    def calibration(
+    def get(
         self, serial: str, revision: int | None = None, *, lot_id: str | None = None, origin: str | None = None
     ) -> StoredCalibration:
         """Return the calibration of a unit in use, or one revision of its history.
@@ -187,7 +185,7 @@ class CalibrationTables(InUseTable):
                 self._check_row(connection, calibrations, row)
             return [self._stored(connection, row) for row in reversed(rows) if lot_id in (None, row["lot_id"])]
 
-    def add_refusal(
+    def refuse(
         self,
         lot_id: str,
         serial: str,

@@ -14,7 +14,7 @@ from sqlalchemy import Connection, Table, bindparam, insert, select
 
 from softcal.core.errors import RegistryError
 from softcal.db.entries import AuditRow, Heads
-from softcal.db.schema.found import found_in
+from softcal.db.schema.found import HAS_TOLD, found_in
 from softcal.db.schema.tables import LATER_COLUMNS, TOLD_BY_HASH, audit, canonical_json
 
 FIRST_HASH = "0" * 64
@@ -59,6 +59,7 @@ def append(
     )
     row = row.with_hash(row_hash(row))
     connection.execute(INSERT, vars(row))
+    connection.info[HAS_TOLD] = True
     heads[origin] = row.seq, row.hash
     return row
 

@@ -80,7 +80,6 @@ class UnitFilter:
             raise InputError(f"{len(self.serials or ())} units at once; choose fewer than {MOST_SERIALS}, by days")
 
     def conditions(self, table: Subquery) -> Iterator[ColumnElement[bool]]:
-        """Give what a unit has to meet."""
         if self.verdicts:
             yield func.coalesce(table.c.verdict, "none").in_(self.verdicts)
         if self.text:
@@ -89,7 +88,6 @@ class UnitFilter:
             yield table.c.serial.in_(self.serials)
 
     def order(self, table: Subquery) -> list[ColumnElement[Any]]:
-        """Return by what units are sorted."""
         if self.sort == "severity":
             severity = case(_severities(), value=table.c.verdict, else_=1)
             return [severity, table.c.predicted_rmse.desc().nulls_last(), table.c.serial]
@@ -271,7 +269,6 @@ class StandingQuery:
         return (query if serials is None else query.where(units.c.serial.in_(serials))).subquery("standing")
 
     def entry(self, connection: Connection, row: RowMapping) -> UnitEntry:
-        """Return the unit of a row of the table."""
         serial = row["serial"]
         if row["is_stale"] is None:
             raise damaged(f"unit {serial} of lot {self.lot_id}: the calibration in use was not found")

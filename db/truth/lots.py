@@ -22,7 +22,7 @@ STATED = "stated with the lot"
 class LotTables(RegistryBase):
     """The part of the registry that knows lots, limits and units."""
 
-    def add_lot(self, lot: Lot, *, actor: str | None = None) -> None:
+    def add(self, lot: Lot, *, actor: str | None = None) -> None:
         """Register a lot and its source unit; the same lot again changes nothing, another limit adds a version.
 
         A limit that somebody set in the registry stays until the lot states another one than it did before.
@@ -50,16 +50,15 @@ class LotTables(RegistryBase):
             if lot.limit_rmse not in known_limits:
                 self.set_limit(lot.id, lot.limit_rmse, reason=STATED, actor=actor)
 
-    def lots(self) -> list[Lot]:
+    def all(self) -> list[Lot]:
         """Return every lot by id, each with its newest limit."""
         with self.database.reading():
             return [self._lot(row) for row in self.database.rows(select(lots).order_by(lots.c.id))]
 
-    def lot_ids(self) -> list[str]:
-        """Return the id of every lot."""
+    def ids(self) -> list[str]:
         return self.database.values(select(lots.c.id).order_by(lots.c.id))
 
-    def lot(self, lot_id: str) -> Lot:
+    def get(self, lot_id: str) -> Lot:
         """Return one lot, or raise `InputError` naming the known ones."""
         with self.database.reading() as connection:
             return self._lot(self._lot_row(connection, lot_id))
@@ -75,7 +74,7 @@ class LotTables(RegistryBase):
                 self._lot_row(connection, lot_id)
             if serial is not None:
                 self._known_serial(connection, serial)
-            known = self.lot_ids() if serial is None else lots_of(connection, serial)
+            known = self.ids() if serial is None else lots_of(connection, serial)
             in_lots = known if lot_id is None else [lot_id]
             serials = None if serial is None else [serial]
             return [unit for name in in_lots for unit, _ in standing_units(connection, name, serials)]

@@ -1,22 +1,20 @@
-"""Recordings and shared networks, both addressed by the hash of their content."""
+"""Recordings, addressed by the hash of their content."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, cast
 
-from sqlalchemy import Connection, RowMapping, bindparam, select
+from sqlalchemy import RowMapping, bindparam, select
 
 from softcal.core.errors import InputError
-from softcal.db.entries import NetworkEntry, RecordingEntry
+from softcal.db.entries import RecordingEntry
 from softcal.db.schema.arrays import get_arrays, put_arrays
 from softcal.db.schema.found import found_in
-from softcal.db.schema.tables import networks, recordings
+from softcal.db.schema.tables import recordings
 from softcal.db.truth.registry_base import RegistryBase, of_row
 
 if TYPE_CHECKING:
-    from softcal.core.identity import Settings
-    from softcal.core.network.network import Network
     from softcal.core.recording import Array, LabelledRecording, OutputRecording
 
     Recording = OutputRecording | LabelledRecording
@@ -30,9 +28,9 @@ KINDS = ("source", "unit", "audit")
 
 
 class RecordingTables(RegistryBase):
-    """The part of the registry that knows recordings and networks."""
+    """The part of the registry that knows recordings."""
 
-    def add_recording(self, lot_id: str, recording: Recording, kind: str, *, actor: str | None = None) -> str:
+    def add(self, lot_id: str, recording: Recording, kind: str, *, actor: str | None = None) -> str:
         """Store a recording once and return its content hash; its unit is registered with it.
 
         Args:
@@ -56,7 +54,7 @@ class RecordingTables(RegistryBase):
                 self._store(connection, recordings, {"reference_unit": None} | values, "add", actor)
             return sha256
 
-    def recording(self, sha256: str) -> Recording:
+    def get(self, sha256: str) -> Recording:
         """Return the recording of a content hash; labelled where it has a reference.
 
         Raises:
@@ -70,79 +68,13 @@ class RecordingTables(RegistryBase):
             self._check_row(connection, recordings, row)
             return _recording(row, cast("dict[str, Array]", get_arrays(connection, row["blob_sha256"])))
 
-    def recordings(self, lot_id: str, serial: str | None = None, kind: str | None = None) -> list[RecordingEntry]:
+    def of_lot(self, lot_id: str, serial: str | None = None, kind: str | None = None) -> list[RecordingEntry]:
         """Return what is known of a lot's recordings, oldest first, without reading their samples."""
         query = select(recordings).where(recordings.c.lot_id == lot_id)
         query = query if serial is None else query.where(recordings.c.serial == serial)
         query = query if kind is None else query.where(recordings.c.kind == kind)
         query = query.order_by(recordings.c.added_at, recordings.c.sha256)
         return [of_row(RecordingEntry, row) for row in self.database.rows(query)]
-
-    def add_network(
-        self,
-        lot_id: str,
-        network: Network,
-        metrics: Mapping[str, object],
-        settings: Settings,
-        input_sha256: str,
-        *,
-        actor: str | None = None,
-    ) -> str:
-        """Store a shared network and return its id.
-
-        A network of the same input that is there already, from another worker, is kept and its id returned: go on
-        with the id you get.
-        """
-        with self.database.writing() as connection:
-            self._lot_row(connection, lot_id)
-            known = self.find_network(input_sha256)
-            same = select(networks.c.id).where(networks.c.id == network.id)
-            if known is not None or connection.execute(same).first() is not None:
-                return known or network.id
-            values = {
-                "id": network.id,
-                "lot_id": lot_id,
-                "input_sha256": input_sha256,
-                "settings": network.settings(),
-                "training": dict(settings),
-                "metrics": dict(metrics),
-                "blob_sha256": put_arrays(connection, network.arrays()),
-                "added_at": self.settings.clock(),
-            }
-            self._store(connection, networks, values, "add", actor)
-            return network.id
-
-    def find_network(self, input_sha256: str) -> str | None:
-        """Return the id of the first network trained from this input, or None."""
-        query = select(networks.c.id).where(networks.c.input_sha256 == input_sha256)
-        return next(iter(self.database.values(query.order_by(networks.c.added_at, networks.c.id).limit(1))), None)
-
-    def network(self, network_id: str) -> Network:
-        """Return a network by its id, or raise `InputError`."""
-        from softcal.core.network.network import Network
-
-        with self.database.reading() as connection:
-            row = self._network_row(connection, network_id)
-            arrays = cast("dict[str, Array]", get_arrays(connection, row["blob_sha256"]))
-            return Network.from_arrays(arrays, row["settings"])
-
-    def network_entry(self, network_id: str) -> NetworkEntry:
-        """Return what is known of a network beside its weights, or raise `InputError`."""
-        with self.database.reading() as connection:
-            row = self._network_row(connection, network_id)
-            return of_row(NetworkEntry, row)
-
-    def networks(self) -> list[NetworkEntry]:
-        """Return what is known of every network beside its weights, oldest first."""
-        query = select(networks).order_by(networks.c.added_at, networks.c.id)
-        return [of_row(NetworkEntry, row) for row in self.database.rows(query)]
-
-    def _network_row(self, connection: Connection, network_id: str) -> RowMapping:
-        row = connection.execute(select(networks).where(networks.c.id == network_id)).mappings().first()
-        if row is None:
-            raise InputError(f"network {network_id[:12]} is not in the registry")
-        self._check_row(connection, networks, row)
-        return row
 
 
 def _recording(row: RowMapping, arrays: Mapping[str, Array]) -> Recording:

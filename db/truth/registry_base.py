@@ -47,14 +47,16 @@ def damaged(what: str) -> RegistryError:
 
 
 class RegistryBase(OncePerCut):
-    """An open database with its origin: the name under which this registry writes its audit trail."""
+    """A part of an open registry.
 
-    def __init__(self, database: Database, settings: RegistrySettings) -> None:
+    Args:
+        origin: the name under which this registry writes its audit trail; None reads it from the database.
+    """
+
+    def __init__(self, database: Database, settings: RegistrySettings, origin: str | None = None) -> None:
         self.database = database
         self.settings = settings
-        with database.reading() as connection:
-            query = select(registry_info.c.value).where(registry_info.c.key == "origin")
-            self.origin = str(connection.execute(query).scalar_one())
+        self.origin = _origin(database) if origin is None else origin
 
     def _store(
         self,
@@ -140,6 +142,12 @@ class RegistryBase(OncePerCut):
         if connection.execute(select(units.c.serial).where(units.c.serial == serial).limit(1)).first() is None:
             known = connection.execute(select(units.c.serial).distinct().order_by(units.c.serial).limit(6)).scalars()
             raise InputError(reason("name.no_such_serial", serial=repr(serial), known=_some(known.all())))
+
+
+def _origin(database: Database) -> str:
+    with database.reading() as connection:
+        query = select(registry_info.c.value).where(registry_info.c.key == "origin")
+        return str(connection.execute(query).scalar_one())
 
 
 def of_row(kind: type[Entry], row: RowMapping, **others: Any) -> Entry:

@@ -63,15 +63,12 @@ class ArduinoReadout:
         self._step_V = vref_V / (2**adc_bits - 1)
 
     def start(self) -> None:
-        """Throw away what lies in the buffers and begin to count."""
         self.stream.start()
 
     def poll(self) -> list[Sample]:
-        """Return the samples that arrived since the last call, in V."""
         return [replace(s, values=tuple(count * self._step_V for count in s.values)) for s in self.stream.poll()]
 
     def close(self) -> None:
-        """Give the port back."""
         self.stream.close()
 
 

@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply
+from softcal.core.errors import BadReply, DeviceError, NoReply
 from softcal.core.words.reason import Reason, reason
 from softcal.station.config import ForceConfig, StageConfig
 from softcal.station.driver import Driver, Opening, Simulated, Surroundings
@@ -215,7 +215,6 @@ class EsmStage:
         return EsmGauge(self.port, capacity_N, sign, rate_Hz)
 
     def close(self) -> None:
-        """Give the port back."""
         self.port.link.close()
 
     def _await_standstill(self) -> None:
@@ -272,14 +271,9 @@ class EsmGauge:
         self._next_s = 0.0
         for command in ("CUR", "N"):
             port.link.write(esm.to_gauge(command))
-        settings = gcl2.parse_settings(port.answer(esm.to_gauge("LIST")))
-        if (settings.mode, settings.unit) != ("CUR", "N"):
-            raise NoReply(reason("gauge.mode", mode=settings.mode, unit=settings.unit))
-        if not settings.has_units or not settings.has_sign:
-            raise CommandRefused(Reason("gauge.settings"))
+        gcl2.check_settings(port.answer(esm.to_gauge("LIST")))
 
     def start(self) -> None:
-        """Throw away what was read and begin to ask."""
         self._port.read()
         self._samples.clear()
         self._next_s = 0.0

@@ -88,7 +88,6 @@ class GrblStage:
 
     @property
     def is_moving(self) -> bool:
-        """Whether the last move has not yet been confirmed as finished."""
         return bool(self._feed is not None or self._in_flight)
 
     def home(self, on_wait: OnWait = ignore_wait) -> None:
@@ -196,15 +195,12 @@ class GrblStage:
         return self.settings.unsafe()
 
     def runs_on_s(self, speed_mm_s: float) -> float:
-        """Return after how long the stage stands, at most, once the host is gone in a move at this speed."""
         return runs_on_s(speed_mm_s, self.acceleration_mm_s2)
 
     def runs_on_mm(self, move: Move) -> float:
-        """Return how far the stage still goes, at most, once the host is gone in a move."""
         return runs_on_mm(move, self.acceleration_mm_s2)
 
     def close(self) -> None:
-        """Give the port back."""
         self._link.close()
 
     def _wake(self) -> str:

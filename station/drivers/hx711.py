@@ -60,7 +60,6 @@ class Hx711Cell:
         self.stream = TextStream(self.name, link, 1, rate_Hz)
 
     def start(self) -> None:
-        """Throw away what lies in the buffers and begin to count."""
         self.stream.start()
 
     def poll(self) -> list[Sample]:
@@ -72,7 +71,6 @@ class Hx711Cell:
         return [self._in_N(sample) for sample in self.stream.poll()]
 
     def close(self) -> None:
-        """Give the port back."""
         self.stream.close()
 
     def _in_N(self, sample: Sample) -> Sample:

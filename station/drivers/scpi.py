@@ -153,7 +153,6 @@ class ScpiReadout:
         self._reader = AskedReader(NAME, unit, rate_Hz, link, question.encode() + b"\n", self._parse)
 
     def start(self) -> None:
-        """Throw away what lies in the buffers and begin to ask."""
         self._reader.start()
 
     def poll(self) -> list[Sample]:
@@ -166,7 +165,6 @@ class ScpiReadout:
         return self._reader.poll()
 
     def close(self) -> None:
-        """Give the port back."""
         self._reader.close()
 
     def _identified(self, models: tuple[str, ...]) -> str:

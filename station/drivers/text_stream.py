@@ -36,7 +36,6 @@ class TextStream:
         self.unreadable = 0
 
     def start(self) -> None:
-        """Throw away what lies in the buffers and begin to count."""
         self._link.discard()
         self._last_ms, self._is_synchronised = None, False
         self.unreadable = self._bad_in_a_row = 0
@@ -59,7 +58,6 @@ class TextStream:
         return samples
 
     def close(self) -> None:
-        """Give the port back."""
         self._link.close()
 
     def _sample(self, text: bytes, host_s: float) -> Sample | None:

@@ -157,15 +157,12 @@ class ZaberStage:
         self.position_mm = self.position * self._microstep_mm
 
     def close(self) -> None:
-        """Give the port back."""
         self._link.close()
 
     def ask(self, words: str) -> str:
-        """Return the data of the reply to a question."""
         return self._command(words).data
 
     def tell(self, words: str) -> None:
-        """Give a command that has no data."""
         self._command(words)
 
     def _command(self, words: str) -> zaber.Reply:

@@ -19,7 +19,6 @@ class SimulatedAnswers:
         self._received = b""
 
     def receive(self, now_s: float) -> None:
-        """Take what the host has written and answer every whole line."""
         *lines, self._received = (self._received + self.wire.receive()).split(self._line_end)
         for line in lines:
             text = self._answer(line.decode("ascii", "replace").strip(), now_s)
@@ -27,9 +26,7 @@ class SimulatedAnswers:
                 self.wire.send(text.encode() + self._line_end, now_s)
 
     def next_event_s(self) -> float:
-        """Return when the next bytes reach the host."""
         return self.wire.next_arrival_s()
 
     def advance(self, now_s: float) -> None:
-        """Let bytes reach the host."""
         self.wire.deliver(now_s)

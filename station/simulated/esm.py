@@ -32,7 +32,6 @@ class SimulatedEsm:
         self._received = b""
 
     def receive(self, now_s: float) -> None:
-        """Take what the host has written, command by command."""
         content = self.wire.receive()
         if not content:
             return
@@ -45,11 +44,9 @@ class SimulatedEsm:
                 self.wire.send(answer.encode() + b"\r\n", now_s)
 
     def next_event_s(self) -> float:
-        """Return the time of the next thing that happens by itself."""
         return min(self.axis.next_event_s(), self.wire.next_arrival_s())
 
     def advance(self, now_s: float) -> None:
-        """Move, and let bytes reach the host."""
         self.axis.advance(now_s)
         if not self.axis.is_moving:
             self._motion = "S"

@@ -24,7 +24,6 @@ class SimulatedMark10:
         self._received = b""
 
     def receive(self, now_s: float) -> None:
-        """Take what the host has written and answer every whole command."""
         *lines, self._received = (self._received + self.wire.receive()).split(b"\r")
         for line in lines:
             answer = self.answer(line.strip().decode("ascii", "replace"), now_s)
@@ -32,11 +31,9 @@ class SimulatedMark10:
                 self.wire.send(answer.encode() + b"\r\n", now_s)
 
     def next_event_s(self) -> float:
-        """Return when the next bytes reach the host."""
         return self.wire.next_arrival_s()
 
     def advance(self, now_s: float) -> None:
-        """Let bytes reach the host."""
         self.wire.deliver(now_s)
 
     def answer(self, command: str, now_s: float) -> str:
@@ -76,15 +73,12 @@ class SimulatedIndicator:
         self._due_s = 0.003
 
     def receive(self, now_s: float) -> None:
-        """Indicators take no commands."""
         self.wire.receive()
 
     def next_event_s(self) -> float:
-        """Return the time of the next line or arrival."""
         return min(self._due_s, self.wire.next_arrival_s())
 
     def advance(self, now_s: float) -> None:
-        """Print the lines that are due and let bytes reach the host."""
         while self._due_s <= now_s:
             force_N = self._force_N(self._due_s)
             state = "OL" if abs(force_N) > self.capacity_N else "US"
@@ -110,7 +104,6 @@ class SimulatedLoadstar:
         self._received = b""
 
     def receive(self, now_s: float) -> None:
-        """Take what the host has written and answer every whole command."""
         *lines, self._received = (self._received + self.wire.receive()).split(b"\r")
         for line in lines:
             self._due_s = now_s + self._period_s if line == b"WC" else float("inf")
@@ -119,11 +112,9 @@ class SimulatedLoadstar:
                 self.wire.send(answer.encode() + b"\r\n", now_s)
 
     def next_event_s(self) -> float:
-        """Return the time of the next line or arrival."""
         return min(self._due_s, self.wire.next_arrival_s())
 
     def advance(self, now_s: float) -> None:
-        """Print the lines that are due and let bytes reach the host."""
         while self._due_s <= now_s:
             value = "E" if self.is_faulty else f"{self._force_N(self._due_s) / 4.4482216152605:.6f}"
             self.wire.send(value.encode() + b"\r\n", self._due_s)

@@ -92,13 +92,11 @@ class SimulatedGrbl:
         self._work()
 
     def next_event_s(self) -> float:
-        """Return the time of the next thing that happens by itself."""
         # A pause does not end while the stage is held: its end would be an event of the past for ever.
         pause_s = math.inf if self.state == "Hold" or self.axis.is_held else self._dwell_until_s
         return min(self.axis.next_event_s(), self.wire.next_arrival_s(), pause_s, self._holds_at_s)
 
     def advance(self, now_s: float) -> None:
-        """Move, answer what is finished, let bytes reach the host."""
         self._now_s = now_s
         self.axis.advance(now_s)
         if now_s >= self._holds_at_s:

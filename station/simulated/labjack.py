@@ -17,7 +17,6 @@ class SimulatedLabjack(SimulatedAnswers):
     """Answers `number NAME[=value] …` with `number value … checksum`, as Modbus answers by transaction.
 
     Args:
-        wire: its line.
         inputs_V: (simulated time in s) -> voltage of each analog input.
     """
 
@@ -52,7 +51,6 @@ class SimulatedLjm:
         self._number = 0
 
     def openS(self, deviceType: str = "ANY", connectionType: str = "ANY", identifier: str = "ANY") -> int:
-        """Open a device and return its handle."""
         host, _, port = identifier.removeprefix("tcp://").rpartition(":")
         try:
             line = socket.create_connection((host, int(port)), TIMEOUT_S)
@@ -68,19 +66,15 @@ class SimulatedLjm:
         return handle
 
     def close(self, handle: int) -> None:
-        """Close a device."""
         self._sockets.pop(handle).close()
 
     def eReadName(self, handle: int, name: str) -> float:
-        """Read one register."""
         return self._ask(handle, [name])[0]
 
     def eReadNames(self, handle: int, numFrames: int, aNames: list[str]) -> list[float]:
-        """Read registers."""
         return self._ask(handle, aNames[:numFrames])
 
     def eWriteName(self, handle: int, name: str, value: float) -> None:
-        """Write one register."""
         self._ask(handle, [f"{name}={value}"])
 
     def _ask(self, handle: int, words: list[str]) -> list[float]:

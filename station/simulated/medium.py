@@ -1,8 +1,10 @@
-"""What a simulated line runs over: a pseudo terminal or a TCP socket; the host opens either as it would a device."""
+"""What a simulated line runs over, a pseudo terminal, a TCP socket or Bluetooth: the host opens it as a device."""
 
 import os
 import socket
 from typing import Protocol
+
+from softcal.station.transport import BLE
 
 
 class Medium(Protocol):
@@ -38,7 +40,6 @@ class PtyEnd:
         self._slave = slave
 
     def read(self) -> bytes:
-        """Return everything the host has written."""
         content = b""
         try:
             # One read may give less than was written; what comes a step later would be another simulation.
@@ -48,14 +49,12 @@ class PtyEnd:
             return content
 
     def write(self, content: bytes) -> None:
-        """Hand bytes to the host."""
         try:
             os.write(self._master, content)
         except BlockingIOError:
             pass  # A host that does not read loses bytes, as on a real port.
 
     def hang_up(self) -> None:
-        """Pull the cable."""
         os.close(self._slave)
         os.close(self._master)
 
@@ -70,7 +69,6 @@ class SocketEnd:
         self.port = f"tcp://127.0.0.1:{self._server.getsockname()[1]}"
 
     def read(self) -> bytes:
-        """Return everything the host has written."""
         content, host = b"", self._connected()
         if host is None:
             return content
@@ -85,7 +83,6 @@ class SocketEnd:
         return content
 
     def write(self, content: bytes) -> None:
-        """Hand bytes to the host, where one is connected."""
         host = self._connected()
         if host is None:
             return
@@ -97,7 +94,6 @@ class SocketEnd:
             self._forget()
 
     def hang_up(self) -> None:
-        """Switch it off."""
         self._forget()
         self._server.close()
 
@@ -121,3 +117,11 @@ class SocketEnd:
 def serial_line() -> Medium:
     """Return what stands for a serial line on this machine: a socket where there are no pseudo terminals."""
     return PtyEnd() if os.name == "posix" else SocketEnd()
+
+
+class BleEnd(SocketEnd):
+    """The end of a board behind Bluetooth, whose packets come over the air; a host finds it by its `port`."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.port = BLE + self.port.removeprefix("tcp://")

@@ -6,16 +6,10 @@ from typing import Protocol
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.core.words.reason import Reason
 from softcal.station.simulated.motion import Axis
 
 SINK_MM_N = 0.02
 """How far a weight sinks from one reading to the next for each N the unit does not bear yet; softer than any unit."""
-
-
-SAID_N, SAID_MM, RESTS_N = 0.3, 0.05, 0.08
-"""A force that is said may be off by so much (its zero, its noise), a depth by so much. A stage that is called lifted
-puts no more force on the unit than this: where a soft unit shows none, no load cell tells whether it is touched."""
 
 
 class Physics(Protocol):
@@ -77,18 +71,6 @@ class SimulatedRig:
         """Where the carriage is, whatever the controller counts."""
         return (self.axis.position_mm if self._stands_at_mm is None else self._stands_at_mm) - self._lost_mm
 
-    def tells_truth(self, left: Reason, shown_N: Sequence[float], now_s: float) -> bool:
-        """Whether what a run says of its stage and of the force on the unit is so now.
-
-        Args:
-            left: what became of the stage.
-            shown_N: what the load cell shows, which may be wrong.
-        """
-        self.read(now_s)
-        if self.axis.is_moving and left.code not in ("left.runs_on", "left.unreachable"):
-            return False
-        return is_true(left, (self._force_N, *shown_N), self.axis.position_mm)
-
     def cut_motor(self) -> None:
         """The motor loses its supply: the controller counts on, the carriage stays where it is."""
         self._stands_at_mm = self.axis.position_mm
@@ -112,20 +94,3 @@ class SimulatedRig:
         self._force_N = float(readings[0][0][0])
         self._outputs_V = tuple(float(output[0]) for _, output in readings)
         self.largest_force_N = max(self.largest_force_N, self._force_N)
-
-
-def is_true(left: Reason, force_N: Sequence[float], counted_mm: float) -> bool:
-    """Whether a sentence about the stage is so.
-
-    Args:
-        left: what became of the stage.
-        force_N: true force on the unit, and what the load cell shows: a sentence may give either.
-        counted_mm: position by the controller's count.
-    """
-    if left.code in ("left.lifted", "left.lifted_roughly"):
-        return force_N[0] <= RESTS_N
-    said_N, said_mm = left.values.get("force_N"), left.values.get("at_mm", counted_mm)
-    is_force_so = said_N is None or any(abs(float(said_N) - newton) <= SAID_N for newton in force_N)  # type: ignore[arg-type]
-    inner = left.values.get("state")
-    is_inner_so = not isinstance(inner, Reason) or is_true(inner, force_N, counted_mm)
-    return is_force_so and is_inner_so and abs(float(said_mm) - counted_mm) <= SAID_MM  # type: ignore[arg-type]

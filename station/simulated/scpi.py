@@ -16,7 +16,6 @@ class SimulatedScpi(ABC):
     Faults are switches: `is_overloaded`, `refuses` (a command it calls undefined), and all the wire can do.
 
     Args:
-        wire: the line.
         identity: answer to `*IDN?`.
         settings: header -> value after a reset; other headers are undefined.
         measure: (simulated time) -> answer to one reading.
@@ -95,7 +94,6 @@ class SimulatedDmm(SimulatedScpi):
     """A 34461A: `READ?` triggers and answers.
 
     Args:
-        wire: the line.
         value: (simulated time) -> what it measures, in its own unit.
     """
 
@@ -112,7 +110,6 @@ class SimulatedDmm(SimulatedScpi):
         super().__init__(wire, identity, settings, measure, 0.2 / 50.0 + 0.002)
 
     def measured(self, header: str, now_s: float) -> bool:
-        """Whether it is `READ?`."""
         if header == "READ?":
             self.trigger(now_s)
         return header == "READ?"
@@ -122,7 +119,6 @@ class SimulatedLcr(SimulatedScpi):
     """An E4980A: a trigger measures, `FETC?` answers once the measurement is done.
 
     Args:
-        wire: the line.
         value: (simulated time) -> primary parameter in its own unit, F or ohm.
     """
 

@@ -10,9 +10,8 @@ from softcal.core.twin.simulate import Twin, TwinStream
 from softcal.station.catalogue import driver_of
 from softcal.station.config import ForceConfig, ReadoutConfig, Role, StageConfig
 from softcal.station.driver import AnyDriver, Simulated, Surroundings
-from softcal.station.simulated.ble import BleEnd
 from softcal.station.simulated.grbl import SimulatedGrbl
-from softcal.station.simulated.medium import SocketEnd
+from softcal.station.simulated.medium import BleEnd, SocketEnd
 from softcal.station.simulated.motion import Axis
 from softcal.station.simulated.rig import SimulatedRig
 from softcal.station.simulated.text_stream import CELL_COUNTS_PER_N, CELL_ZERO_COUNTS, SimulatedTextStream
@@ -114,7 +113,6 @@ class SimulatedStation:
         self.mount(Twin(BaseParameters(k1_N_mm=stiffness_N_mm, kappa_per_N=0.001), (), self.metadata))
 
     def close(self) -> None:
-        """Pull all cables."""
         for wire in (self.stage_wire, self.force_wire, self.readout_wire):
             wire.close()
 

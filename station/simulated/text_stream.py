@@ -45,15 +45,12 @@ class SimulatedTextStream:
         wire.send(banner, 0.0)
 
     def receive(self, now_s: float) -> None:
-        """Readouts take no commands."""
         self.wire.receive()
 
     def next_event_s(self) -> float:
-        """Return the time of the next sample or arrival."""
         return min(self._due_s, self.wire.next_arrival_s())
 
     def advance(self, now_s: float) -> None:
-        """Take the samples that are due and let bytes reach the host."""
         while self._due_s <= now_s:
             self._print(self._due_s)
             period_s = 1.0 / (self.rate_Hz * self.rate_factor)

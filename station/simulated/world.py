@@ -48,7 +48,6 @@ class World:
         self._lock = threading.RLock()
 
     def add(self, far_end: FarEnd) -> None:
-        """Let a far end live in this world."""
         self._far_ends.append(far_end)
 
     def at(self, time_s: float, happening: Callable[[], None]) -> None:
@@ -57,11 +56,9 @@ class World:
             heappush(self._planned, (time_s, next(self._order), happening))
 
     def now_s(self) -> float:
-        """Return the simulated time in s."""
         return self._now_s
 
     def sleep_s(self, seconds: float) -> None:
-        """Let simulated time pass."""
         with self._lock:
             self._pass(self._now_s + max(0.0, seconds))
         if self._time_factor is not None:

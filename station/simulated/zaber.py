@@ -47,7 +47,6 @@ class SimulatedZaber:
         }
 
     def receive(self, now_s: float) -> None:
-        """Take what the host has written and answer every whole command."""
         self._now_s = now_s
         content = self.wire.receive()
         if not content:
@@ -63,11 +62,9 @@ class SimulatedZaber:
                 self._answer(command, has_checksum)
 
     def next_event_s(self) -> float:
-        """Return the time of the next thing that happens by itself."""
         return min(self.axis.next_event_s(), self.wire.next_arrival_s())
 
     def advance(self, now_s: float) -> None:
-        """Move, and let bytes reach the host."""
         self._now_s = now_s
         self.axis.advance(now_s)
         if self._is_homing and not self.axis.is_moving:

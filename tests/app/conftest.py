@@ -34,7 +34,7 @@ from softcal.app.cli.main import main
 from softcal.app.jobs import process as job_process
 from softcal.app.jobs.jobs import run_job
 from softcal.app.ui import account as identity
-from softcal.app.ui import browser_memory, first_paint, registry_of_server
+from softcal.app.ui import browser_memory, first_paint, server_memory
 from softcal.core.orders import OrderKind, RunState
 from softcal.db.connection import open_registry
 from tests.app.line_screen import SHORT, STATION, Line, opened
@@ -100,7 +100,7 @@ def open_page(monkeypatch: pytest.MonkeyPatch) -> Callable[..., AppTest]:
     def show(url: str, page: Callable[[], None] | None = None, role: str | None = None, **query: str) -> AppTest:
         monkeypatch.setenv("SOFTCAL_REGISTRY", url)
         monkeypatch.setattr(browser_memory, "_cookies", dict)
-        registry_of_server.registry.clear()
+        server_memory.registry.clear()
         make = partial(AppTest.from_file, str(MAIN)) if page is None else partial(AppTest.from_function, page)
         # A busy machine draws slowly; nobody waits here for a time.
         screen = make(default_timeout=120)
@@ -126,10 +126,10 @@ def _sign_in(screen: AppTest, url: str, role: str) -> None:
 def add_people(url: str) -> None:
     """Put one person of each role into a registry."""
     with open_registry(url) as registry:
-        known = {user.name for user in registry.users()}
+        known = {user.name for user in registry.people.all()}
         for role, (name, pin) in PINS.items():
             if name not in known:
-                registry.set_user(name, role, pin, actor="test")
+                registry.people.set(name, role, pin, actor="test")
 
 
 @pytest.fixture(scope="session")

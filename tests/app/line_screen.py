@@ -58,7 +58,7 @@ class Line:
         self.until(lambda: not self.registry.order_queue.progress(order_id).state.is_active, f"the run of {serial}")
 
     def verdict(self, serial: str) -> str | None:
-        return {unit.serial: unit.verdict for unit in self.registry.units(LOT)}.get(serial)
+        return {unit.serial: unit.verdict for unit in self.registry.lots.units(LOT)}.get(serial)
 
 
 def card(page: Page, *states: str) -> Locator:

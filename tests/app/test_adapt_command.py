@@ -110,7 +110,7 @@ def test_source_of_the_lot_has_the_identity_as_its_map(bench: Path, tmp_path: Pa
     estimate, reference = pd.read_csv(tmp_path / "out.csv")["estimate"], pd.read_csv(source)["reference"]
     assert np.sqrt(np.nanmean((estimate - reference) ** 2)) < 0.3
     with open_registry(url(bench)) as registry:
-        assert registry.calibration("A0").record.family == "identity"
+        assert registry.calibrations.get("A0").record.family == "identity"
 
 
 def test_registry_keeps_every_map_once_however_often_a_file_is_run(bench: Path, stream: Path, tmp_path: Path) -> None:
@@ -118,12 +118,12 @@ def test_registry_keeps_every_map_once_however_often_a_file_is_run(bench: Path, 
     adapt(bench, stream, tmp_path / "first.csv", "--json", str(report))
     name = json.loads(report.read_text())["stream"]
     with open_registry(url(bench)) as registry:
-        first = registry.adaptations("A1", name)
+        first = registry.adaptations.all("A1", name)
 
     adapt(bench, stream, tmp_path / "second.csv")
 
     with open_registry(url(bench)) as registry:
-        assert registry.adaptations("A1", name) == first
+        assert registry.adaptations.all("A1", name) == first
         assert registry.verify() == []
     assert first[0]["event"] == "start"
     assert first[-1]["event"] == "checkpoint"
@@ -135,7 +135,7 @@ def test_next_file_goes_on_where_the_last_one_ended(bench: Path, stream: Path, t
         assert adapt(bench, stream, tmp_path / f"{name}.csv", *more) == 0
 
     with open_registry(url(bench)) as registry:
-        kept = registry.last_adaptation("A1", 1, "hall-3")
+        kept = registry.adaptations.last("A1", 1, "hall-3")
     assert kept is not None
     assert kept["sample"] >= 2 * len(pd.read_csv(stream))
     assert (tmp_path / "monday.csv").read_text().count("\n") == (tmp_path / "tuesday.csv").read_text().count("\n")
@@ -154,7 +154,7 @@ def test_state_of_an_earlier_version_is_refused_in_one_line_that_says_what_to_do
     state = json.loads((RELEASED / "adapt-state-without-format.json").read_text())
     with open_registry(url(bench)) as registry:
         entry = {"stream": "hall-5", "sample": state["row"], "event": "checkpoint", "state": state, "began": 0}
-        registry.add_adaptations("A1", 1, [entry])
+        registry.adaptations.add("A1", 1, [entry])
 
     assert adapt(bench, stream, tmp_path / "out.csv", "--stream", "hall-5", "--resume") == 2
 
@@ -211,9 +211,9 @@ def test_a_stream_resumed_under_other_numbers_says_which_and_goes_on(bench: Path
 
         report = adapt_file(registry, "A1", stream, tmp_path / "second.csv", resumed)
 
-        course = registry.adaptations("A1", "numbers")
+        course = registry.adaptations.all("A1", "numbers")
         again = adapt_file(registry, "A1", stream, tmp_path / "third.csv", resumed)
-        changes = [step for step in registry.adaptations("A1", "numbers") if step["event"] == "method"]
+        changes = [step for step in registry.adaptations.all("A1", "numbers") if step["event"] == "method"]
     (changed,) = report.changed
     assert all(fact in changed for fact in ("drift.pace", "12.0", "13.0")) and again.changed == []
     assert len(changes) == 1 and changed in changes[0]["reason"]

@@ -65,7 +65,7 @@ def rows_of(target: Path) -> int:
 
 def maps(bench: Path, stream: str) -> list[dict[str, object]]:
     with open_registry(url(bench)) as registry:
-        return [dict(step) for step in registry.adaptations("A0", stream) if step["event"] != "checkpoint"]
+        return [dict(step) for step in registry.adaptations.all("A0", stream) if step["event"] != "checkpoint"]
 
 
 def run_whole(bench: Path, target: Path, stream: str, log: list[str], *more: str) -> int:

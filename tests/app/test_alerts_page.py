@@ -103,7 +103,9 @@ def test_the_lot_page_shows_its_alerts(calibrated: str, open_page) -> None:
 
     with open_registry(calibrated) as registry:
         registry.order_queue.beat(Heartbeat("line-1", StationState.READY, datetime.now(UTC) - timedelta(minutes=5)))
-        registry.add_golden_run(GoldenRun("line-1", "G1", datetime.now(UTC), 0.3, "N", False, ("too large",), "Oh"))
+        registry.stations.add_golden_run(
+            GoldenRun("line-1", "G1", datetime.now(UTC), 0.3, "N", False, ("too large",), "Oh")
+        )
     screen = open_page(calibrated, page, lot="small")
     assert "line-1" in screen.error[0].value and "line-1" in screen.warning[0].value
 

@@ -37,7 +37,7 @@ def test_a_plan_is_drawn_once_and_again_only_with_a_reason(calibrated: str, show
     button(screen, "audit.draw.do").click().run()
     assert screen.warning[0].value == say("reason.missing")
     with open_registry(calibrated) as registry:
-        assert len(registry.events("audit_plan", ("small",))) == 1
+        assert len(registry.trail.of("audit_plan", ("small",))) == 1
     assert [row.iloc[0] for _, row in screen.table[0].value.iterrows()] == list(first.plan.serials)
 
 
@@ -53,13 +53,13 @@ def test_recordings_are_looked_at_and_what_cannot_audit_a_unit_says_why(
     why = {row.iloc[0]: row.iloc[-1] for _, row in screen.table[-1].value.iterrows()}
     assert why["A1.csv"] == "" and "reference" in why["A2.csv"] and "X9" in why["X9.csv"]
     with open_registry(calibrated) as registry:
-        kept = {entry.serial for entry in registry.recordings("small", kind="audit")}
+        kept = {entry.serial for entry in registry.recordings.of_lot("small", kind="audit")}
     next(one for one in screen.button if one.key == "audit-take").click().run(timeout=300)
     assert not screen.exception and not screen.error
     with open_registry(calibrated) as registry:
-        assert {entry.serial for entry in registry.recordings("small", kind="audit")} == kept | {"A1"}
-        assert registry.calibration("A1", lot_id="small").record.after_rmse is not None
-        assert any(row.actor == "Erin" for row in registry.audit_rows())
+        assert {entry.serial for entry in registry.recordings.of_lot("small", kind="audit")} == kept | {"A1"}
+        assert registry.calibrations.get("A1", lot_id="small").record.after_rmse is not None
+        assert any(row.actor == "Erin" for row in registry.trail.rows())
 
 
 def test_who_may_not_set_up_may_not_draw(calibrated: str, show) -> None:
@@ -99,25 +99,25 @@ def test_every_audited_unit_is_listed_and_one_in_doubt_is_confirmed_with_a_reaso
     calibrated: str, lot_folder: Path, show
 ) -> None:
     with open_registry(calibrated) as registry:
-        audited = sorted(entry.serial for entry in registry.recordings("small", kind="audit"))
-        made = registry.standings("small", audited)[audited[0]].made
+        audited = sorted(entry.serial for entry in registry.recordings.of_lot("small", kind="audit"))
+        made = registry.pages.standings("small", audited)[audited[0]].made
         assert made is not None
-        stored = registry.calibration(audited[0], lot_id="small")
+        stored = registry.calibrations.get(audited[0], lot_id="small")
         record = stored.record
         fitted = replace(record, evidence={**record.evidence, "base_revision": float(stored.revision)})
         doubted = doubted_record(fitted, Reason("doubt.gain", {"gain": 0.01, "usual": 1.0, "others": 5}))
-        registry.add_calibration("small", doubted, decided_by="release")
+        registry.calibrations.add("small", doubted, decided_by="release")
     screen = show(calibrated, "audit", lot="small")
     assert sorted(screen.table[-1].value.iloc[:, 0]) == audited
     key = f"reason-text-confirm-{audited[0]}"
     submit = next(one for one in screen.button if one.label == say("audit.confirm", serial=audited[0]))
     submit.click().run()
     with open_registry(calibrated) as registry:
-        assert not registry.events("audit_doubt", ("small",)), "a reason is needed"
+        assert not registry.trail.of("audit_doubt", ("small",)), "a reason is needed"
     screen.text_input(key=key).set_value("pressed again by hand")
     next(one for one in screen.button if one.label == say("audit.confirm", serial=audited[0])).click().run()
     assert not screen.exception and not screen.error
     with open_registry(calibrated) as registry:
-        assert len(registry.events("audit_doubt", ("small",))) == 1
-        standing = registry.standings("small", audited)[audited[0]]
+        assert len(registry.trail.of("audit_doubt", ("small",))) == 1
+        standing = registry.pages.standings("small", audited)[audited[0]]
         assert standing.verdict == record.verdict and standing.made is not None and standing.made.is_audited

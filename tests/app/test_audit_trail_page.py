@@ -29,22 +29,22 @@ def row(action: str, entity: str, key: object, after: object = None, before: obj
 def busy(calibrated: str) -> str:
     """A registry in which everybody has done something."""
     with open_registry(calibrated) as registry:
-        registry.set_limit("small", 0.3, reason="customer drawing", actor="Quinn")
-        registry.set_limit("small", 0.25, reason="revision C", actor="Quinn")
-        registry.set_line_rules("small", LineRules(target=40), reason="order 4711", actor="Erin")
-        registry.set_user("Lee", "engineer", "2580", actor="Quinn", reason="new colleague")
+        registry.lots.set_limit("small", 0.3, reason="customer drawing", actor="Quinn")
+        registry.lots.set_limit("small", 0.25, reason="revision C", actor="Quinn")
+        registry.lots.set_line_rules("small", LineRules(target=40), reason="order 4711", actor="Erin")
+        registry.people.set("Lee", "engineer", "2580", actor="Quinn", reason="new colleague")
         cell = CellCertificate("LC-9", "K-1", "KRISS", date(2026, 1, 2), date(2027, 1, 2), 50.0, 1.0)
-        registry.add_certificate(cell, actor="Erin")
-        registry.add_golden_run(GoldenRun("line-1", "G1", NOW, 0.3, "N", False, ("too large",), "Oh"))
-        registry.add_event("export", "units", ("A1",), {"revision": 1, "file": "unit-A1.pdf"}, actor="Erin")
-        first = registry.history("A1")[0]
-        registry.add_refusal("small", "A2", "retest", ("again",), actor="Erin")
-        registry.decide(first, "line", actor="Erin", reason="looked at it")
+        registry.stations.add_certificate(cell, actor="Erin")
+        registry.stations.add_golden_run(GoldenRun("line-1", "G1", NOW, 0.3, "N", False, ("too large",), "Oh"))
+        registry.trail.add("export", "units", ("A1",), {"revision": 1, "file": "unit-A1.pdf"}, actor="Erin")
+        first = registry.calibrations.history("A1")[0]
+        registry.calibrations.refuse("small", "A2", "retest", ("again",), actor="Erin")
+        registry.calibrations.decide(first, "line", actor="Erin", reason="looked at it")
     return calibrated
 
 
 def stated_events() -> set[tuple[str, str]]:
-    """Read every `add_event(action, entity, ...)` of the application, names resolved in their module."""
+    """Read every `trail.add(action, entity, ...)` of the application, names resolved in their module."""
     found = set()
     for path in sorted((Path(__file__).parents[2] / "app").rglob("*.py")):
         module = ast.parse(path.read_text("utf-8"))
@@ -55,7 +55,7 @@ def stated_events() -> set[tuple[str, str]]:
                 values = [part.value for part in ast.walk(node.value) if isinstance(part, ast.Constant)]
                 known |= dict(zip(names, map(str, values), strict=False))
         for call in ast.walk(module):
-            if isinstance(call, ast.Call) and getattr(call.func, "attr", "") == "add_event":
+            if isinstance(call, ast.Call) and ast.unparse(call.func).endswith("trail.add"):
                 actions, entities = (_words(part, known) for part in call.args[:2])
                 found |= {(action, entity) for action in actions for entity in entities}
     return found
@@ -76,7 +76,7 @@ def test_every_event_that_the_application_states_has_a_sentence() -> None:
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_every_row_of_a_busy_registry_is_a_sentence_without_tables_and_hashes(busy: str, language: str) -> None:
     with open_registry(busy) as registry:
-        rows = registry.audit_rows()
+        rows = registry.trail.rows()
     entries = trail(rows, partial(text, language))
     assert {f"trail.{e.row.action}.{e.row.entity}" for e in entries} <= set(catalogue()["en"])
     told = " ".join(f"{e.what} {e.changed}" for e in entries)
@@ -86,7 +86,7 @@ def test_every_row_of_a_busy_registry_is_a_sentence_without_tables_and_hashes(bu
 
 def test_a_change_says_what_was_before_and_after(busy: str) -> None:
     with open_registry(busy) as registry:
-        entries = trail(registry.newest_audit_rows(100), SAY)
+        entries = trail(registry.trail.newest(100), SAY)
     limit = next(e for e in entries if e.row.action == "set_limit")
     assert limit.what == SAY("trail.set_limit.limits", lot="small") and "0.3 → 0.25" in limit.changed
     rules = next(e for e in entries if e.row.action == "set_rules")

@@ -21,7 +21,7 @@ from softcal.app.files.lot_folder import open_lot_folder
 from softcal.app.files.regular import read_regular
 from softcal.core.network.config import NetworkConfig
 from softcal.db.connection import open_registry
-from softcal.db.registry import Registry
+from softcal.db.truth.calibrations import CalibrationTables
 
 UNITS = 16
 SMALL = ("--hidden", "16,8")
@@ -171,7 +171,7 @@ def test_every_file_is_read_once_and_nothing_made_is_read_back(
         return read_regular(path, *arguments, **more)
 
     monkeypatch.setattr(lot_work, "read_regular", counted)
-    monkeypatch.setattr(Registry, "calibration", lambda *_, **__: pytest.fail("a calibration was read back"))
+    monkeypatch.setattr(CalibrationTables, "get", lambda *_, **__: pytest.fail("a calibration was read back"))
     config = BatchConfig(network=NetworkConfig(hidden=(16, 8)), score_own=False)
     with open_registry(registry_url) as registry:
         # What the audits then say of the lot is another matter.

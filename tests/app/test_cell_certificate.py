@@ -103,5 +103,5 @@ def test_the_command_puts_a_dcc_on_file_and_lists_it(dcc, tmp_path, capsys):
     assert main(["station", "certificate", "--cell", "K-2041", "--registry", url]) == 0
     assert capsys.readouterr().out.count("D-K-12345-2026-017") == 2
     with open_registry(url) as registry:
-        assert registry.certificate("K-2041", date(2026, 6, 1)).document == DCC.encode()
-        assert registry.certificate("K-2041", date(2027, 1, 5)) is None
+        assert registry.stations.certificate("K-2041", date(2026, 6, 1)).document == DCC.encode()
+        assert registry.stations.certificate("K-2041", date(2027, 1, 5)) is None

@@ -36,8 +36,8 @@ def test_every_channel_of_a_finished_run_is_recovered_under_its_serial(pressed, 
 def test_each_unit_of_a_substrate_is_kept_with_a_serial_of_its_own(pressed, tmp_path):
     recording, _ = pressed
     with open_registry(f"sqlite:///{tmp_path / 'r.db'}") as registry:
-        registry.add_lot(Lot("L1", "A0", 50.0))
+        registry.lots.add(Lot("L1", "A0", 50.0))
         order = Order("o1", "s1", OrderKind.UNIT, "SUB1", "L1")
         done = RunKeeper(registry, "s1").keep(order, recording, lambda progress: None)
         assert done.state is RunState.DONE
-        assert [unit.serial for unit in registry.units("L1")] == ["A0", "SUB1-1", "SUB1-2", "SUB1-3"]
+        assert [unit.serial for unit in registry.lots.units("L1")] == ["A0", "SUB1-1", "SUB1-2", "SUB1-3"]

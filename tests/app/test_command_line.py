@@ -52,6 +52,21 @@ def test_csv_on_standard_output_is_the_table_and_nothing_else(
     assert out.err
 
 
+def test_a_command_names_the_registry_only_where_it_wrote_something(
+    calibrated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = Path(shutil.copytree(calibrated, tmp_path / "again"))
+    with open_registry(_url(folder)) as registry:
+        before = registry.trail.heads()
+        main(["batch", str(folder / "lot"), "--registry", _url(folder), "--hidden", "16,8"])
+        assert registry.trail.heads() == before
+        assert _url(folder) not in capsys.readouterr().err
+        # Another network: written.
+        main(["train", str(folder / "lot"), "--registry", _url(folder), "--hidden", "8"])
+        assert registry.trail.heads() != before
+        assert _url(folder) in capsys.readouterr().err
+
+
 def test_json_on_standard_output_is_json_and_nothing_else(
     calibrated: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -273,7 +288,7 @@ def test_a_report_is_one_page_that_needs_nothing_else(calibrated: Path, tmp_path
 def test_a_report_escapes_what_a_lot_and_its_units_are_called(calibrated: Path) -> None:
     with open_registry(_url(calibrated)) as registry:
         view = lot_view(registry, "small")
-        units = [replace(unit, serial="<i>serial") for unit in registry.units("small")]
+        units = [replace(unit, serial="<i>serial") for unit in registry.lots.units("small")]
     named = replace(view, lot=replace(view.lot, sensor_model="<i>model"))
     page = lot_page(named, units, partial(text, "en"), "<i>made")
     assert "<i>" not in page

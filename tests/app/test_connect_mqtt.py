@@ -88,7 +88,7 @@ def broker(tmp_path: Path, require, some_port) -> Iterator[Broker]:
 @pytest.fixture
 def registry(tmp_path: Path) -> Iterator[Registry]:
     with open_registry(f"sqlite:///{tmp_path / 'registry.db'}") as opened:
-        opened.add_lot(Lot("lot 1+", "S0", 50.0))
+        opened.lots.add(Lot("lot 1+", "S0", 50.0))
         yield opened
 
 
@@ -100,7 +100,7 @@ def settings_of(of: Broker, **more: object) -> MqttSettings:
 def judge(registry: Registry, first: int, units: int) -> None:
     with registry.transaction():
         for number in range(first, first + units):
-            registry.add_refusal("lot 1+", f"U{number}", "fail", (plain("dead"),))
+            registry.calibrations.refuse("lot 1+", f"U{number}", "fail", (plain("dead"),))
 
 
 class Subscriber:
@@ -181,7 +181,7 @@ def has_all(registry: Registry) -> bool:
 
 def test_who_comes_later_finds_the_newest_verdict_of_each_unit(registry, broker):
     judge(registry, 0, 3)
-    registry.add_refusal("lot 1+", "U1", "retest", (plain("press again"),))
+    registry.calibrations.refuse("lot 1+", "U1", "retest", (plain("press again"),))
     with publisher(registry, settings_of(broker)) as forwarder:
         while forwarder.step():
             pass
@@ -210,9 +210,9 @@ def test_the_state_of_a_station_is_kept_and_changes_are_published_once(registry,
 def test_an_alert_is_kept_until_it_is_over(registry, broker, subscriber):
     told = {"kind": "golden", "lot": None, "values": {"station": "line-1"}, "is_urgent": True, "text": {"en": "x"}}
     with publisher(registry, settings_of(broker)) as forwarder:
-        registry.add_event("raise", "alerts", ("golden", "", "line-1"), told)
+        registry.trail.add("raise", "alerts", ("golden", "", "line-1"), told)
         forwarder.step()
-        registry.add_event("clear", "alerts", ("golden", "", "line-1"), told)
+        registry.trail.add("clear", "alerts", ("golden", "", "line-1"), told)
         forwarder.step()
     topic = "softcal/alerts/golden/-/line-1"
     wait_until(lambda: len(subscriber.of(topic)) == 2, "raised and cleared")

@@ -37,7 +37,7 @@ def run(work: Coroutine[object, object, T]) -> T:
 @pytest.fixture
 def registry(tmp_path: Path) -> Iterator[Registry]:
     with open_registry(f"sqlite:///{tmp_path / 'registry.db'}") as opened:
-        opened.add_lot(Lot("L1", "S0", 50.0))
+        opened.lots.add(Lot("L1", "S0", 50.0))
         yield opened
 
 
@@ -49,7 +49,7 @@ def settings(some_port) -> OpcUaSettings:
 def judge(registry: Registry, first: int, count: int, verdict: str = "fail") -> None:
     with registry.transaction():
         for number in range(first, first + count):
-            registry.add_refusal("L1", f"U{number}", verdict, (plain("dead"),))
+            registry.calibrations.refuse("L1", f"U{number}", verdict, (plain("dead"),))
 
 
 async def node(client: Client, path: str):
@@ -163,8 +163,8 @@ def test_nobody_writes_and_a_cursor_that_was_not_given_is_refused(registry, sett
 
 
 def test_with_a_certificate_an_account_signs_in_with_its_token(registry, settings, tls):
-    registry.set_user("scada", "operator", "2580", actor="admin")
-    token, secret = registry.add_token("scada", "SCADA of hall 3", 1)
+    registry.people.set("scada", "operator", "2580", actor="admin")
+    token, secret = registry.tokens.add("scada", "SCADA of hall 3", 1)
     safe = OpcUaSettings(endpoint=settings.endpoint, cert_file=tls.cert, key_file=tls.key)
 
     async def sign_in(user: str | None, password: str) -> str:
@@ -183,7 +183,7 @@ def test_with_a_certificate_an_account_signs_in_with_its_token(registry, setting
             for user, password in ((None, ""), ("scada", "wrong"), ("admin", secret)):
                 with pytest.raises(ua.UaError):
                     await sign_in(user, password)
-            registry.withdraw_token(token.token_id, reason="lost")
+            registry.tokens.withdraw(token.token_id, reason="lost")
             with pytest.raises(ua.UaError):
                 await sign_in("scada", secret)
 

@@ -44,7 +44,7 @@ def client_of(registry: Registry) -> Callable[[str], httpx2.Client]:
     """`client_of(role)` asks as a program whose account has that role."""
 
     def signed_in(role: str) -> httpx2.Client:
-        secret = registry.add_token(ACCOUNTS[role], "a test", 1)[1]
+        secret = registry.tokens.add(ACCOUNTS[role], "a test", 1)[1]
         return TestClient(rest_app(registry), headers={"Authorization": f"Bearer {secret}"})
 
     return signed_in
@@ -92,13 +92,13 @@ def test_revisions_are_what_the_command_says(client, calibrated, tmp_path):
 
 def test_lots_come_a_page_at_a_time(client, registry):
     for number in range(5):
-        registry.add_lot(Lot(f"X{number}", "S0", 50.0))
+        registry.lots.add(Lot(f"X{number}", "S0", 50.0))
     found, after = [], ""
     while after is not None:
         answer = client.get("/v1/lots", params={"limit": 2, "after": after}).json()
         found += [lot["lot"] for lot in answer["lots"]]
         after = answer["next"]
-    assert found == registry.lot_ids() and len(found) == 6
+    assert found == registry.lots.ids() and len(found) == 6
 
 
 def test_files_are_those_of_the_export_and_who_took_them_is_kept(client, registry, calibrated, tmp_path):
@@ -109,11 +109,11 @@ def test_files_are_those_of_the_export_and_who_took_them_is_kept(client, registr
     options = ["--serial", "A1", "--format", "blob", "--out", str(tmp_path / "out")]
     assert main(["export", "--registry", calibrated, *options]) == 0
     assert given and given == {name: (tmp_path / "out" / name).read_bytes() for name in given}
-    assert [row.actor for row in registry.events("units", ("A1",)) if row.action == "export"][0] == "Erin"
+    assert [row.actor for row in registry.trail.of("units", ("A1",)) if row.action == "export"][0] == "Erin"
 
 
 def test_files_of_a_unit_that_is_no_longer_released_are_refused_with_the_reason(client, registry):
-    registry.add_refusal("small", "A1", "fail", (plain("its cable broke"),))
+    registry.calibrations.refuse("small", "A1", "fail", (plain("its cable broke"),))
     answer = client.get("/v1/lots/small/units/A1/files/blob")
     assert (answer.status_code, answer.headers["content-type"]) == (409, "application/problem+json")
     assert "its cable broke" in answer.json()["detail"]
@@ -143,7 +143,7 @@ def test_a_job_calibrates_and_the_same_key_is_the_same_job(client):
 def test_a_key_belongs_to_one_request_and_one_account(client, client_of, registry, monkeypatch):
     launched = []
     monkeypatch.setattr("softcal.app.jobs.process.launch", launched.append)
-    registry.add_lot(Lot("other", "S0", 50.0))
+    registry.lots.add(Lot("other", "S0", 50.0))
     key = {"Idempotency-Key": "k"}
     mine = client.post("/v1/jobs", json={"lot": "small"}, headers=key).json()["job_id"]
     refused = client.post("/v1/jobs", json={"lot": "other"}, headers=key)
@@ -164,7 +164,7 @@ def test_events_are_read_on_from_where_the_last_answer_ended(client, registry):
             break
     assert found == whole["events"]
     lot = whole["events"][0]["data"]["lot"]
-    registry.add_refusal(lot, "A1", "fail", (plain("broken"),))
+    registry.calibrations.refuse(lot, "A1", "fail", (plain("broken"),))
     (new,) = client.get("/v1/events", params={"after": after}).json()["events"]
     assert (new["data"]["serial"], new["data"]["verdict"], new["data"]["reasons"]) == ("A1", "fail", ["broken"])
 
@@ -247,8 +247,8 @@ def test_no_request_that_a_fuzzer_finds_is_a_defect(registry, require, monkeypat
     from schemathesis.specs.openapi import checks as of_openapi
 
     monkeypatch.setattr("softcal.app.jobs.process.launch", lambda job_id: None)
-    token = registry.add_token("Erin", "fuzz", 1)[1]
-    known = {"lot": registry.lot_ids()[0], "serial": "A1", "format": "json", "job_id": start_job(registry)}
+    token = registry.tokens.add("Erin", "fuzz", 1)[1]
+    known = {"lot": registry.lots.ids()[0], "serial": "A1", "format": "json", "job_id": start_job(registry)}
     schema = schemathesis.openapi.from_asgi("/openapi.json", rest_app(registry))
     wanted = [
         checks.not_a_server_error,
@@ -286,7 +286,7 @@ def test_no_request_that_a_fuzzer_finds_is_a_defect(registry, require, monkeypat
 
 
 def start_job(registry: Registry) -> str:
-    return registry.job_board.place("calibrate", {"lot": registry.lot_ids()[0]}, "Erin")
+    return registry.job_board.place("calibrate", {"lot": registry.lots.ids()[0]}, "Erin")
 
 
 CONNECT = (Path(__file__).parents[2] / "docs" / "connect.md").read_text(encoding="utf-8")

@@ -43,8 +43,8 @@ DOCS = (Path(__file__).parents[2] / "docs" / "connect.md").read_text(encoding="u
 def url(tmp_path: Path) -> str:
     made = f"sqlite:///{tmp_path / 'registry.db'}"
     with open_registry(made) as registry:
-        registry.add_lot(Lot("L1", "S0", 50.0))
-        registry.set_user("MES", "engineer", "2580", actor="admin")
+        registry.lots.add(Lot("L1", "S0", 50.0))
+        registry.people.set("MES", "engineer", "2580", actor="admin")
     return made
 
 
@@ -64,7 +64,7 @@ def test_a_token_is_shown_once_and_its_whole_life_is_in_the_trail(url, capsys):
     withdraw = ["api", "token", "withdraw", token["token_id"], "--registry", url, "--reason", "lost"]
     assert said(withdraw, capsys)[0] == 0
     with open_registry(url) as registry:
-        told = [(row.action, row.reason) for row in registry.events("tokens", (token["token_id"],))]
+        told = [(row.action, row.reason) for row in registry.trail.of("tokens", (token["token_id"],))]
     assert told == [("add", ""), ("withdraw", "lost")]
     code, _, error = said(withdraw, capsys)
     assert code == 2 and len(error.strip().splitlines()) == 1
@@ -86,7 +86,7 @@ def test_the_api_listens_to_other_machines_only_with_a_certificate(host):
 def test_the_api_answers_by_its_command_and_ends_by_a_signal(url, some_port):
     port = some_port()
     with open_registry(url) as registry:
-        secret = registry.add_token("MES", "a test", 1)[1]
+        secret = registry.tokens.add("MES", "a test", 1)[1]
     command = [SOFTCAL, "api", "serve", "--registry", url, "--port", str(port)]
     server = subprocess.Popen(command, stderr=subprocess.DEVNULL, env=dict(os.environ))
     try:
@@ -167,14 +167,14 @@ def test_an_alert_is_an_event_when_it_begins_and_when_it_is_over(url):
     with open_registry(url) as registry:
         watch = AlertWatch(registry)
         assert watch.look(NOW) == 0
-        registry.add_golden_run(bad)
+        registry.stations.add_golden_run(bad)
         assert watch.look(NOW) == 1
         # A second failure is the same alert; so it is for a watch that begins anew.
-        registry.add_golden_run(replace(bad, made_at=NOW + timedelta(minutes=1)))
+        registry.stations.add_golden_run(replace(bad, made_at=NOW + timedelta(minutes=1)))
         assert watch.look(NOW) == AlertWatch(registry).look(NOW) == 0
         (told,) = open_alerts(registry).values()
         assert told["is_urgent"] and "line-1" in told["text"]["en"] and "line-1" in told["text"]["ko"]
-        registry.add_golden_run(replace(bad, made_at=NOW + timedelta(hours=1), passed=True))
+        registry.stations.add_golden_run(replace(bad, made_at=NOW + timedelta(hours=1), passed=True))
         assert watch.look(NOW) == 1 and open_alerts(registry) == {}
         kinds = [event.kind for event in events_after(registry, {}, 99, ["alert"]).events]
         assert kinds == ["alert.raised", "alert.cleared"] and registry.verify() == []
@@ -183,7 +183,7 @@ def test_an_alert_is_an_event_when_it_begins_and_when_it_is_over(url):
 def test_an_alert_that_two_processes_see_at_once_is_told_once(url, monkeypatch):
     with open_registry(url) as registry, open_registry(url) as elsewhere:
         first, second = AlertWatch(registry), AlertWatch(elsewhere)
-        registry.add_golden_run(GoldenRun("line-1", "G1", NOW, 0.3, "N", False))
+        registry.stations.add_golden_run(GoldenRun("line-1", "G1", NOW, 0.3, "N", False))
         monkeypatch.setattr(alert_watch, "open_alerts", lambda seen: _meanwhile(seen, monkeypatch, second))
         assert first.look(NOW) == 0
         assert [event.kind for event in events_after(registry, {}, 99, ["alert"]).events] == ["alert.raised"]
@@ -203,14 +203,14 @@ def test_a_yield_that_did_not_drop_is_no_alert(url):
         watch.look(NOW)
         with registry.transaction():
             for number in range(60):
-                registry.add_refusal("L1", f"U{number}", "retest", (plain("x"),))
+                registry.calibrations.refuse("L1", f"U{number}", "retest", (plain("x"),))
         watch.look(NOW)
         assert open_alerts(registry) == {}
 
 
 def test_a_conflict_of_two_registries_is_told_as_retest(calibrated, tmp_path):
     with open_registry(calibrated) as here:
-        lot = here.lot_ids()[0]
+        lot = here.lots.ids()[0]
         here.outbox.begin("x", {})
     other = tmp_path / "other.db"
     backup = tmp_path / "backup.db"
@@ -218,12 +218,12 @@ def test_a_conflict_of_two_registries_is_told_as_retest(calibrated, tmp_path):
     assert main(["registry", "restore", str(backup), "--registry", f"sqlite:///{other}"]) == 0
     with open_registry(calibrated) as here, open_registry(f"sqlite:///{other}") as there:
         for registry, reason in ((here, "here"), (there, "there")):
-            newest = registry.calibration("A1", lot_id=lot)
+            newest = registry.calibrations.get("A1", lot_id=lot)
             gain = {name: value * (1.1 if reason == "here" else 1.2) for name, value in newest.record.arrays.items()}
             changed = replace(newest.record, arrays=gain, map_sha256=reason.ljust(64, "0"), input_sha256="b" * 64)
-            registry.add_calibration(lot, changed)
+            registry.calibrations.add(lot, changed)
         synchronise(here, there)
-        (unit,) = here.units(lot, "A1")
+        (unit,) = here.lots.units(lot, "A1")
         assert unit.is_conflict
         last = [e for e in events_after(here, {}, 999, ["verdict"]).events if e.data["serial"] == "A1"][-1]
         assert last.data["verdict"] == unit.verdict == "retest" and last.data["is_conflict"]
@@ -251,7 +251,7 @@ def test_a_run_delivers_what_waits_and_ends_by_a_signal(url, tmp_path, some_port
     file = str(tmp_path / "plant.toml")
     assert main(["connect", "check", file]) == 0
     with open_registry(url) as registry:
-        registry.add_refusal("L1", "U1", "fail", (plain("dead"),))
+        registry.calibrations.refuse("L1", "U1", "fail", (plain("dead"),))
     process = subprocess.Popen([SOFTCAL, "connect", "run", file, "--registry", url], stderr=subprocess.PIPE, text=True)
     try:
         end_s = time.monotonic() + 120

@@ -39,7 +39,7 @@ def url(tmp_path: Path) -> str:
 @pytest.fixture
 def registry(url: str) -> Iterator[Registry]:
     with open_registry(url) as opened:
-        opened.add_lot(Lot("L1", "S0", 50.0))
+        opened.lots.add(Lot("L1", "S0", 50.0))
         yield opened
 
 
@@ -48,7 +48,7 @@ def judge(registry: Registry, first: int, count: int) -> list[str]:
     serials = [f"U{number}" for number in range(first, first + count)]
     with registry.transaction():
         for serial in serials:
-            registry.add_refusal("L1", serial, "fail", (plain(f"{serial} is dead"),))
+            registry.calibrations.refuse("L1", serial, "fail", (plain(f"{serial} is dead"),))
     return serials
 
 
@@ -261,7 +261,7 @@ def test_a_destination_that_is_new_begins_with_what_happens_from_now_on(registry
 
 def test_a_destination_gets_the_kinds_it_asked_for(registry, receiver, webhook):
     judge(registry, 0, 2)
-    registry.add_event("raise", "alerts", ("yield", "L1", ""), {"kind": "yield", "lot": "L1", "text": {"en": "x"}})
+    registry.trail.add("raise", "alerts", ("yield", "L1", ""), {"kind": "yield", "lot": "L1", "text": {"en": "x"}})
     deliver(registry, Destination(replace(webhook.settings, events=("alert",)), webhook.open_sender))
     assert [json.loads(body)["type"] for _, body in receiver.got] == ["softcal.alert.raised"]
 
@@ -332,7 +332,7 @@ def test_alerts_arrive_by_mail_in_the_language_of_the_reader_and_none_is_lost(re
     box, port = mailbox
     settings = mail_settings(port, language="ko")
     people, clock = Destination(settings, lambda: open_mail(settings)), Clock()
-    registry.add_event("raise", "alerts", ("golden", "", "line-1"), ALERT)
+    registry.trail.add("raise", "alerts", ("golden", "", "line-1"), ALERT)
     judge(registry, 0, 5)
     box.refused = 2
     for _ in range(4):
@@ -364,7 +364,7 @@ def test_the_same_events_make_the_same_mail(registry):
 
 
 def test_a_line_break_in_an_event_makes_no_header_of_a_mail(registry):
-    registry.add_refusal("L1", "U1", "fail", (plain("x\r\nBcc: all@plant.example"),))
+    registry.calibrations.refuse("L1", "U1", "fail", (plain("x\r\nBcc: all@plant.example"),))
     (event,) = events_after(registry, {}, 9, ["verdict"]).events
     mail = message_from_bytes(mail_of([event], mail_settings(25)).as_bytes(), policy=policy.default)
     assert mail["Bcc"] is None and "\n" not in line_of(event, "en")

@@ -126,11 +126,11 @@ def long_names(desk: tuple[str, str]) -> tuple[str, str, str]:
     address, url = desk
     lot_id, serial = LONG
     with open_registry(url) as registry:
-        lot, known = registry.lot("small"), registry.calibration("A1").record
-        registry.add_lot(replace(lot, id=lot_id))
-        source = registry.recording(registry.recordings("small", kind="source")[-1].sha256)
-        registry.add_recording(lot_id, source, "source")
-        registry.add_calibration(lot_id, replace(known, serial=serial, verdict="fail"))
+        lot, known = registry.lots.get("small"), registry.calibrations.get("A1").record
+        registry.lots.add(replace(lot, id=lot_id))
+        source = registry.recordings.get(registry.recordings.of_lot("small", kind="source")[-1].sha256)
+        registry.recordings.add(lot_id, source, "source")
+        registry.calibrations.add(lot_id, replace(known, serial=serial, verdict="fail"))
     return address, lot_id, serial
 
 

@@ -16,7 +16,7 @@ from softcal.app.connect.stations import station_json
 from softcal.app.gap.desk import practise
 from softcal.app.line.facts import Screen, read_line
 from softcal.app.texts.catalogue import text
-from softcal.app.ui import lot_memory
+from softcal.app.ui import server_memory
 from softcal.app.ui.panels import told
 from softcal.app.views.line import line_view
 from softcal.app.views.lot import lot_view
@@ -56,9 +56,9 @@ def test_a_limit_is_set_with_its_reason_and_lands_in_the_audit_trail(calibrated:
     screen.button[0].click().run()
     assert "0.25" in screen.success[0].value
     with open_registry(calibrated) as registry:
-        limit, rows = registry.limit("small"), registry.audit_rows()
-        units = [unit for unit in registry.units("small") if unit.revision is not None]
-        judged = [registry.calibration(unit.serial, lot_id="small").record.limit_rmse for unit in units]
+        limit, rows = registry.lots.limit("small"), registry.trail.rows()
+        units = [unit for unit in registry.lots.units("small") if unit.revision is not None]
+        judged = [registry.calibrations.get(unit.serial, lot_id="small").record.limit_rmse for unit in units]
     assert limit is not None and limit.rmse == 0.25
     assert ("Erin", "set_limit", "drawing D 117 rev. B") in [(row.actor, row.action, row.reason) for row in rows]
     assert judged and set(judged) == {0.25}
@@ -66,16 +66,16 @@ def test_a_limit_is_set_with_its_reason_and_lands_in_the_audit_trail(calibrated:
 
 def test_a_limit_somebody_else_changed_meanwhile_is_not_overwritten(calibrated: str, show) -> None:
     with open_registry(calibrated) as registry:
-        registry.set_limit("small", 0.3, reason="first")
+        registry.lots.set_limit("small", 0.3, reason="first")
     screen = show(calibrated, "limits", lot="small")
     with open_registry(calibrated) as registry:
-        registry.set_limit("small", 0.2, reason="second", actor="Quinn")
+        registry.lots.set_limit("small", 0.2, reason="second", actor="Quinn")
     screen.number_input[0].set_value(0.25)
     screen.text_input(key="reason-text-limit-small-1").set_value("drawing D 117 rev. B")
     screen.button[0].click().run()
     assert "0.2" in screen.error[0].value and "Quinn" in screen.error[0].value
     with open_registry(calibrated) as registry:
-        assert registry.limit("small").rmse == 0.2
+        assert registry.lots.limit("small").rmse == 0.2
 
 
 def test_the_rules_of_the_line_are_set_with_their_reason_and_land_in_the_audit_trail(calibrated: str, show) -> None:
@@ -87,7 +87,7 @@ def test_the_rules_of_the_line_are_set_with_their_reason_and_land_in_the_audit_t
     press(screen, "rules.set")
     assert not screen.error and screen.success
     with open_registry(calibrated) as registry:
-        rules, row = registry.line_rules(registry.lot("small")), registry.audit_rows()[-1]
+        rules, row = registry.lots.line_rules(registry.lots.get("small")), registry.trail.rows()[-1]
     assert (rules.serial_pattern, rules.target, rules.retests["fail"], rules.retests["retest"]) == (r"A\d", 40, 0, 3)
     assert (row.actor, row.action, row.reason) == ("Erin", "set_rules", "order of the customer")
     assert screen.table[-1].value[text("en", "rules.target")].tolist() == [40]
@@ -100,16 +100,16 @@ def test_rules_that_are_none_and_rules_changed_meanwhile_are_refused_in_words(ca
     press(screen, "rules.set")
     assert "A(" in screen.error[0].value
     with open_registry(calibrated) as registry:
-        registry.set_line_rules("small", LineRules(target=7), reason="first")
+        registry.lots.set_line_rules("small", LineRules(target=7), reason="first")
     other = show(calibrated, "limits", lot="small")
     with open_registry(calibrated) as registry:
-        registry.set_line_rules("small", LineRules(target=9), reason="second", actor="Quinn")
+        registry.lots.set_line_rules("small", LineRules(target=9), reason="second", actor="Quinn")
     other.number_input(key="rules-target-small-1").set_value(40)
     other.text_input(key="reason-text-rules-small-1").set_value("order of the customer")
     press(other, "rules.set")
     assert "Quinn" in other.error[0].value
     with open_registry(calibrated) as registry:
-        assert registry.line_rules(registry.lot("small")).target == 9
+        assert registry.lots.line_rules(registry.lots.get("small")).target == 9
 
 
 def test_a_network_is_trained_as_a_job_and_listed(calibrated: str, show, jobs_at_once) -> None:
@@ -132,16 +132,16 @@ def test_networks_and_families_are_compared_on_the_lot(calibrated: str, show, jo
 
 def test_a_rollback_needs_a_reason_and_stays_in_the_history(calibrated: str, show) -> None:
     with open_registry(calibrated) as registry:
-        record = registry.calibration("A1").record
+        record = registry.calibrations.get("A1").record
         arrays = {name: array * 1.01 if "map" in name else array for name, array in record.arrays.items()}
-        registry.add_calibration("small", replace(record, arrays=arrays, map_sha256="b" * 64))
+        registry.calibrations.add("small", replace(record, arrays=arrays, map_sha256="b" * 64))
     screen = show(calibrated, "unit", unit="A1")
     screen.text_input(key="reason-text-rollback-A1-1").set_value("wrong fixture in week 47")
     press(screen, "unit.rollback.do")
     assert screen.success
     with open_registry(calibrated) as registry:
-        assert registry.calibration("A1").rolled_back_to == 1
-        assert registry.audit_rows()[-1].reason == "wrong fixture in week 47"
+        assert registry.calibrations.get("A1").rolled_back_to == 1
+        assert registry.trail.rows()[-1].reason == "wrong fixture in week 47"
 
 
 def test_a_certificate_is_typed_in_and_what_it_lacks_is_named(calibrated: str, show) -> None:
@@ -157,7 +157,7 @@ def test_a_certificate_is_typed_in_and_what_it_lacks_is_named(calibrated: str, s
     screen.button[0].click().run()
     assert [error.value for error in screen.error] == [] and "17" in screen.success[0].value
     with open_registry(calibrated) as registry:
-        assert registry.certificate("K1", date(2026, 6, 1)) == CellCertificate(
+        assert registry.stations.certificate("K1", date(2026, 6, 1)) == CellCertificate(
             "K1", "17", "", date(2026, 1, 5), date(2099, 1, 5), 20.0, 0.02
         )
 
@@ -167,7 +167,7 @@ def test_golden_units_are_charted_with_their_failures(calibrated: str, show) -> 
         for k in range(10):
             at = datetime(2026, 5, 4, tzinfo=UTC) + timedelta(hours=8 * k)
             reasons = () if k != 9 else ("0.2 N is too much",)
-            registry.add_golden_run(GoldenRun("line-1", "A1", at, 0.1 + 0.01 * (k % 3), "N", k != 9, reasons))
+            registry.stations.add_golden_run(GoldenRun("line-1", "A1", at, 0.1 + 0.01 * (k % 3), "N", k != 9, reasons))
     screen = show(calibrated, "load_cells")
     assert any("A1" in line.value and text("en", "golden.failed") in line.value for line in screen.markdown)
     assert any("0.2 N is too much" in line.value for line in screen.caption)
@@ -236,7 +236,7 @@ def test_a_new_lot_with_a_bad_serial_is_refused_in_words(calibrated: str, show) 
     press(screen, "source.add_lot")
     assert "../A0" in screen.error[0].value.replace("\\", "")
     with open_registry(calibrated) as registry:
-        assert registry.lot_ids() == ["small"]
+        assert registry.lots.ids() == ["small"]
 
 
 def test_a_profile_too_deep_for_the_station_is_marked(calibrated: str, show) -> None:
@@ -265,7 +265,7 @@ def _adapted(url: str) -> None:
         for k in range(12)
     ]
     with open_registry(url) as registry:
-        registry.add_adaptations("A2", 1, steps)
+        registry.adaptations.add("A2", 1, steps)
 
 
 def test_a_unit_in_use_shows_its_course_and_that_a_calibration_is_due(calibrated: str, show) -> None:
@@ -348,10 +348,10 @@ def test_what_no_cause_explains_is_described_on_the_page(calibrated: str, show, 
 def test_where_every_unit_passed_the_worst_is_one_click_away(calibrated: str, show, monkeypatch) -> None:
     gone: list[dict[str, str]] = []
     monkeypatch.setattr("streamlit.switch_page", lambda page, query_params: gone.append(dict(query_params)))
-    monkeypatch.setattr(lot_memory, "lot_view", lambda *given: replace(lot_view(*given), looks=()))
+    monkeypatch.setattr(server_memory, "lot_view", lambda *given: replace(lot_view(*given), looks=()))
     screen = show(calibrated, "lot", lot="small")
     with open_registry(calibrated) as registry:
-        errors = {row.serial: row.predicted_rmse or 0 for row in registry.lot_errors("small")}
+        errors = {row.serial: row.predicted_rmse or 0 for row in registry.pages.lot_errors("small")}
     worst = max(errors, key=errors.__getitem__)
     press(screen, "lot.look.worst", serial=worst)
     assert not screen.error and gone == [{"unit": worst}]

@@ -20,6 +20,7 @@ from softcal.db.connection import open_registry
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+EXAMPLES = sorted((ROOT / "examples").glob("*/README.md"))
 COMMAND = re.compile(r"(?:\w+=\S+ )*softcal (?P<words>.*)")
 READOUT = ReadoutMetadata(3.3, 12, 10.0, 50.0)
 A_PACKAGE = {"--format ini": "the example package of the page brings the format"}
@@ -55,16 +56,33 @@ ELSEWHERE = {
 }
 """Commands that need a rig, a server, a package or a second station: part of the command → where they are tried."""
 
+OTHER_PROGRAMS = {
+    r"cp |mkdir ": "tests/app/test_tutorial.py",
+    r"curl ": "tests/app/test_connect_rest.py",
+    r"docker compose ": "tests/house/test_deploy.py",
+    r"logger ": "tests/app/test_connect_mqtt.py",
+    r"openssl genpkey ": "tests/app/test_docs_commands.py",
+    r"openssl pkeyutl ": "tests/app/test_export_command.py",
+    r"pip install \S*examples/softcal-example-effect": "tests/app/test_gap_plugin.py",
+    r"pip install \S*examples/softcal-example-driver|pytest ": "tests/station/test_driver_cookbook.py",
+    r"(\.venv/bin/)?(pip|python3) |py -3|\.venv\\Scripts": "tests/house/test_light_install.py",
+    r"for c in sealed": "tests/app/test_gap_challenge.py",
+}
+"""Commands of other programs: how they begin → where they, or what they stand for, are tried."""
+
 
 def _commands(page: Path, command: re.Pattern[str] = COMMAND) -> list[str]:
     """Return the commands of the blocks of a page, one line each, without their comments."""
-    text = page.read_text(encoding="utf-8")
-    found = []
-    for block in re.findall(r"^```[a-z]*\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
-        for line in block.replace("\\\n", " ").splitlines():
-            if command.match(line.strip()):
-                found.append(shlex.join(shlex.split(line, comments=True)).replace("'|'", "|"))
-    return found
+    return [
+        shlex.join(shlex.split(line, comments=True)).replace("'|'", "|") for line in _lines(page) if command.match(line)
+    ]
+
+
+def _lines(page: Path) -> list[str]:
+    """Return the lines of the blocks of a page that no language is said of."""
+    blocks = re.findall(r"^ *```(\w*)\n(.*?)^ *```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    bare = [text.replace("\\\n", " ") for language, text in blocks if not language]
+    return [line.strip() for text in bare for line in text.splitlines()]
 
 
 def _words(command: str) -> list[str]:
@@ -149,6 +167,7 @@ def test_the_readme_runs_as_written(workplace: Callable[[str], Path]) -> None:
     [
         ("docs/connect.md", "A1", 5),
         ("docs/engineer.md", "S2", 4),
+        ("docs/firmware.md", "A1", 1),
         ("docs/format.md", "S2", 2),
         ("docs/long-term.md", "A1", 2),
         ("docs/registry.md", "A17", 7),
@@ -164,7 +183,7 @@ def test_a_page_runs_as_written(
     _import("S1.csv", f"{serial}.csv", "S3.csv")
     assert main(["batch", "lot-1"]) in (0, 1)
     with open_registry(f"sqlite:///{folder}/registry.db") as registry:
-        registry.set_user("MES", "operator", "2580", actor="kim")
+        registry.people.set("MES", "operator", "2580", actor="kim")
     for line in _commands(ROOT / page, re.compile("openssl gen")):
         require(shutil.which("openssl"), "no openssl")
         subprocess.run(line.replace("'&&'", "&&"), shell=True, check=True, capture_output=True)
@@ -202,19 +221,34 @@ def _press(folder: Path, profile: Profile, seed: int) -> None:
 
 def test_no_command_escapes_in_a_block_that_is_only_indented() -> None:
     for page in PAGES:
-        text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+        text = re.sub(r"^ *```.*?^ *```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
         assert not re.findall(r"^    softcal .*", text, re.MULTILINE), page
 
 
 def test_every_command_is_run_as_written_or_tried_elsewhere() -> None:
     run = {
-        "README.md", "docs/connect.md", "docs/engineer.md", "docs/format.md", "docs/gap.md", "docs/long-term.md",
-        "docs/own-effect.md", "docs/registry.md", "docs/station-service.md", "docs/trust.md", "docs/tutorial.md",
-        "docs/verdict.md",
+        "README.md", "docs/connect.md", "docs/engineer.md", "docs/firmware.md", "docs/format.md", "docs/gap.md",
+        "docs/long-term.md", "docs/own-effect.md", "docs/registry.md", "docs/station-service.md", "docs/trust.md",
+        "docs/tutorial.md", "docs/verdict.md",
     }  # fmt: skip
-    for page in PAGES:
+    for page in [*PAGES, *EXAMPLES]:
         left = [c for c in _commands(page) if not any(part in c for part in ELSEWHERE)]
         assert str(page.relative_to(ROOT)) in run or left == [], left
-    for places in ELSEWHERE.values():
+    for places in [*ELSEWHERE.values(), *OTHER_PROGRAMS.values()]:
         first = places.partition(",")[0]
         assert (ROOT / first).is_file(), first
+
+
+def test_every_command_of_another_program_is_tried_too() -> None:
+    programs = re.compile(
+        r"(\S*\b(cp|mkdir|curl|docker|logger|openssl|pip|py|pytest|python3?|for|cd|jupytext)\b|\S+\\Scripts)"
+    )
+    left = [(page.name, line) for page in [*PAGES, *EXAMPLES] for line in _lines(page) if programs.match(line)]
+    assert [one for one in left if not any(re.match(begins, one[1]) for begins in OTHER_PROGRAMS)] == []
+
+
+def test_every_target_of_make_that_a_page_names_exists() -> None:
+    made = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    pages = [*PAGES, ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md"]
+    named = {t for page in pages for t in re.findall(r"(?:^|`)make ([a-z-]+)", page.read_text("utf-8"), re.MULTILINE)}
+    assert named and named <= made

@@ -176,7 +176,7 @@ def test_the_json_holds_the_calibration_without_loss(run: Run, calibrated: str, 
     run("--serial", "A1", "--format", "json")
     values = json.loads((tmp_path / "out" / "unit-A1.json").read_text())["calibration"]
     with open_registry(calibrated) as registry:
-        record = registry.calibration("A1").record
+        record = registry.calibrations.get("A1").record
     for name, array in record.arrays.items():
         stored = values["arrays"][name]
         back = np.array(stored["values"], dtype=stored["dtype"]).reshape(stored["shape"])
@@ -383,9 +383,9 @@ def _with_verdict(calibrated: str, folder: Path, verdict: str) -> str:
     copy = folder / "failed.db"
     shutil.copy(calibrated.removeprefix("sqlite:///"), copy)
     with open_registry(f"sqlite:///{copy}") as registry:
-        stored = registry.calibration("A1")
+        stored = registry.calibrations.get("A1")
         record = replace(stored.record, verdict=verdict, reasons=("bent in the press",))
-        registry.add_calibration(stored.lot_id, record, reason="test")
+        registry.calibrations.add(stored.lot_id, record, reason="test")
     return f"sqlite:///{copy}"
 
 

@@ -66,7 +66,7 @@ def test_pages_show_times_in_the_zone_of_the_browser(calibrated, browser, show, 
     # A browser whose zone nobody knows is shown the zone of this machine.
     browser(timezone=timezone)
     with open_registry(calibrated) as registry:
-        made = registry.network_states("small")[0].network.added_at
+        made = registry.networks.states("small")[0].network.added_at
     offset = timedelta(hours=hours) if hours else datetime.now().astimezone().utcoffset()
     (table,) = (table.value for table in show(calibrated, "networks", lot="small").table)
     times = [read(cell) for cell in table.astype(str).to_numpy().ravel() if " UTC" in cell]

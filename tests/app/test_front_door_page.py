@@ -77,8 +77,8 @@ def test_the_demo_ends_on_the_page_of_its_lot_for_who_is_alone(
     screen = open_page(url)
     screen.button(key="demo").click().run(timeout=300)
     with open_registry(url) as registry:
-        assert registry.lot_ids() == ["demo"] and demo_lot == [4]
-        judged = sum(count for verdict, count in registry.verdict_counts("demo").items() if verdict != "none")
+        assert registry.lots.ids() == ["demo"] and demo_lot == [4]
+        judged = sum(count for verdict, count in registry.pages.verdict_counts("demo").items() if verdict != "none")
     assert not screen.exception and screen.title[0].value == text("en", "page.lot")
     assert screen.selectbox(key="choose-lot").value == "demo"
     assert judged and f"{judged} / {judged}" in {metric.value for metric in screen.metric}
@@ -112,11 +112,11 @@ def test_dropped_files_become_a_calibrated_lot_and_what_is_broken_is_left_out_wi
     button(screen, "new_lot.do").click().run(timeout=300)
     assert not screen.exception and not screen.error and gone == ["lot"]
     with open_registry(url) as registry:
-        counts = registry.verdict_counts("mine")
+        counts = registry.pages.verdict_counts("mine")
         assert sum(counts.values()) == 2 and counts["none"] == 0
-        assert {run.serial for run in registry.runs("mine")} == {"A1", "A2"}
-        assert all(registry.calibration(serial).record.after_rmse is not None for serial in ("A1", "A2"))
-        assert registry.audit_rows()[0].actor in ("Erin", "test")
+        assert {run.serial for run in registry.lots.runs("mine")} == {"A1", "A2"}
+        assert all(registry.calibrations.get(serial).record.after_rmse is not None for serial in ("A1", "A2"))
+        assert registry.trail.rows()[0].actor in ("Erin", "test")
 
 
 def test_a_lot_that_the_registry_knows_is_not_written_over(
@@ -158,20 +158,20 @@ def test_a_lot_that_is_calibrated_again_computes_nothing_anew(calibrated: str) -
         assert network_of(registry, "small").hidden == (16, 8)
     done(calibrated, "calibrate", {"lot": "small"})
     with open_registry(calibrated) as registry:
-        before = {unit.serial: unit.revision for unit in registry.units("small")}
+        before = {unit.serial: unit.revision for unit in registry.lots.units("small")}
     job = done(calibrated, "calibrate", {"lot": "small"})
     assert (job.result["new"], job.result["known"]) == (0, 4)
     with open_registry(calibrated) as registry:
-        assert {unit.serial: unit.revision for unit in registry.units("small")} == before
+        assert {unit.serial: unit.revision for unit in registry.lots.units("small")} == before
 
 
 def test_a_lot_out_of_the_registry_has_the_recordings_bit_by_bit(calibrated: str) -> None:
     with open_registry(calibrated) as registry, lot_files(registry, "small", lambda *_: None) as folder:
         assert set(folder.unit_paths) == {"A1", "A2", "A3", "A4"}
         for serial in folder.unit_paths:
-            (kept,) = registry.recordings("small", serial, "unit")
+            (kept,) = registry.recordings.of_lot("small", serial, "unit")
             assert folder.read_unit(serial).sha256 == kept.sha256
-        (source,) = registry.recordings("small", kind="source")
+        (source,) = registry.recordings.of_lot("small", kind="source")
         assert folder.read_source().sha256 == source.sha256
 
 
@@ -183,9 +183,9 @@ def test_the_archive_of_a_lot_is_whole_and_says_what_is_not_in_it(calibrated: st
     found = check_folder(tmp_path / "files", None)
     assert not found.problems
     with open_registry(calibrated) as registry:
-        passed = {u.serial for u in registry.units("small") if u.verdict == "pass"}
-        kept = {u.serial for u in registry.units("small") if u.revision is not None and u.role == "target"}
-        assert registry.audit_rows()[-1].actor == "Erin"
+        passed = {u.serial for u in registry.lots.units("small") if u.verdict == "pass"}
+        kept = {u.serial for u in registry.lots.units("small") if u.revision is not None and u.role == "target"}
+        assert registry.trail.rows()[-1].actor == "Erin"
     names = {path.name for path in (tmp_path / "files").iterdir()}
     assert {name for name in names if name.endswith(".pdf")} and job.result["units"] == len(kept)
     assert {serial for serial, _ in job.result["refused"]} == kept - passed
@@ -195,7 +195,7 @@ def test_the_archive_of_a_lot_is_whole_and_says_what_is_not_in_it(calibrated: st
 def test_what_the_form_of_the_laboratory_says_stands_on_the_certificate(calibrated: str, show, tmp_path: Path) -> None:
     certificate = CellCertificate("LC-9", "K-1", "KRISS", date(2026, 1, 2), date(2027, 1, 2), 50.0, 0.05)
     with open_registry(calibrated) as registry:
-        registry.add_certificate(certificate, actor="test")
+        registry.stations.add_certificate(certificate, actor="test")
     screen = show(calibrated, "release", lot="small")
     stated = {"laboratory-name": "Haptics Lab", "laboratory-country": "KR"}
     stated |= {"customer-name": "Beispiel GmbH", "person-name": "Kim Ji-woo"}
@@ -227,7 +227,7 @@ def test_a_lot_is_released_from_its_page_and_the_trail_says_so(calibrated: str, 
     button(screen, "release.do").click().run()
     assert "small" in screen.success[0].value
     with open_registry(calibrated) as registry:
-        assert any(row.action in ("release", "withhold") for row in registry.audit_rows())
+        assert any(row.action in ("release", "withhold") for row in registry.trail.rows())
 
 
 def test_an_operator_sees_the_release_and_may_not_decide_it(calibrated: str, show) -> None:

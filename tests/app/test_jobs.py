@@ -45,7 +45,7 @@ def test_a_job_runs_in_a_process_of_its_own_and_its_result_is_registered(
             time.sleep(0.2)
         job = board.job(job_id)
         assert (job.state, job.message[:5]) == (RunState.DONE, job.result["network"][:5])
-        assert registry.network(job.result["network"]).sizes[1] == 6
+        assert registry.networks.get(job.result["network"]).sizes[1] == 6
         assert len(job.result["trace"]["validation"]) == 5
 
 

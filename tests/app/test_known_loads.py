@@ -28,7 +28,7 @@ def sha256(number: int) -> str:
 @pytest.fixture
 def registry(tmp_path: Path):
     with open_registry(f"sqlite:///{tmp_path / 'registry.db'}") as opened:
-        opened.add_lot(Lot("small", "S0", 50.0))
+        opened.lots.add(Lot("small", "S0", 50.0))
         yield opened
 
 
@@ -64,7 +64,7 @@ def test_loads_of_several_units_are_kept_together_or_not_at_all(registry: Regist
 
 def test_rows_of_older_versions_hold_several_units_and_newer_ones_outrank_them(registry: Registry) -> None:
     facts = {sha256(n): {"serial": f"U{n}", **module.values(loads(n))} for n in (1, 2)}
-    registry.add_event("state", module.ENTITY, ("small",), {"where": "page", "recordings": facts})
+    registry.trail.add("state", module.ENTITY, ("small",), {"where": "page", "recordings": facts})
     assert set(known_loads(registry, "small", {"U2"})) == {sha256(2)}
     assert keep_loads(registry, "small", {sha256(2): ("U2", loads(9))}, "line") == 1
     (one,) = known_loads(registry, "small", {"U2"}).values()

@@ -36,7 +36,7 @@ def quiet(progress: Progress) -> None:
 def registry(registry_url: str) -> Iterator[Registry]:
     with open_registry(registry_url) as registry:
         # Beyond it the golden unit itself would close the gate; the day is well within.
-        registry.set_limit("small", 0.5, reason="test")
+        registry.lots.set_limit("small", 0.5, reason="test")
         yield registry
 
 
@@ -78,14 +78,14 @@ def batched(folder: Path, url: str, out: Path) -> dict[str, dict[str, object]]:
 
 def test_a_unit_is_calibrated_over_the_golden_run_of_its_sitting(registry, keeper, press_unit):
     press_product(keeper, press_unit, "B0")
-    assert not bridges(registry.calibration("B0"))
+    assert not bridges(registry.calibrations.get("B0"))
     assert press_golden(keeper, press_unit).verdict == "pass"
     press_product(keeper, press_unit)
-    made = registry.calibration("B1")
+    made = registry.calibrations.get("B1")
     assert bridges(made) == {"bridge.measured"}
-    (golden,) = registry.recordings("small", "A0", "audit")
+    (golden,) = registry.recordings.of_lot("small", "A0", "audit")
     assert golden_of(registry, "small", ["B0", "B1"]) == {made.record.recording_sha256: ("B1", golden.sha256)}
-    assert registry.golden_runs()[-1].recording_sha256 == golden.sha256
+    assert registry.stations.golden_runs()[-1].recording_sha256 == golden.sha256
 
 
 def test_whoever_calibrates_that_recording_again_crosses_the_same_bridge(
@@ -93,24 +93,24 @@ def test_whoever_calibrates_that_recording_again_crosses_the_same_bridge(
 ):
     press_golden(keeper, press_unit)
     press_product(keeper, press_unit)
-    made = registry.calibration("B1").record
+    made = registry.calibrations.get("B1").record
     with lot_files(registry, "small", lambda done, of: None) as folder:
         again = batched(folder.root, registry_url, tmp_path / "again.json")
     assert (again["B1"]["is_new"], again["B1"]["map"]["sha256"]) == (False, made.map_sha256)
-    assert [one.revision for one in registry.history("B1")] == [1]
+    assert [one.revision for one in registry.calibrations.history("B1")] == [1]
 
 
 def test_a_lot_that_is_laid_out_takes_its_golden_run_along(registry, keeper, press_unit, tmp_path):
     press_golden(keeper, press_unit)
     press_product(keeper, press_unit)
-    made = registry.calibration("B1").record
+    made = registry.calibrations.get("B1").record
     written = write_lot_folder(registry, "small", tmp_path / "one")
     assert written["golden"] == ["A0"] and written["audit"] == []
     elsewhere = f"sqlite:///{tmp_path / 'elsewhere.db'}"
     there = batched(tmp_path / "one", elsewhere, tmp_path / "there.json")
     assert there["B1"]["verdict"] == made.verdict
     with open_registry(elsewhere) as other:
-        assert bridges(other.calibration("B1")) == {"bridge.measured"}
+        assert bridges(other.calibrations.get("B1")) == {"bridge.measured"}
         # The folder told it, and the registry knows it from now on.
         assert {serial for serial, _ in golden_of(other, "small", ["B1"]).values()} == {"B1"}
     # A unit of another sitting: one folder cannot say which belongs to which.
@@ -130,7 +130,7 @@ def test_a_golden_run_of_elsewhere_or_that_failed_carries_no_unit(why, registry,
     other = RunKeeper(registry, station, NetworkConfig(hidden=(16, 8)), sitting=sitting)
     press_product(other, press_unit)
     assert golden_of(registry, "small", ["B1"]) == {}
-    assert not bridges(registry.calibration("B1"))
+    assert not bridges(registry.calibrations.get("B1"))
 
 
 def test_a_golden_run_that_no_day_explains_fails_and_says_so(registry, keeper, press_unit):

@@ -31,7 +31,7 @@ class Line:
 
     def __init__(self, registry):
         self.registry, self.queue = registry, registry.order_queue
-        registry.add_lot(Lot("L1", "A0", 50.0))
+        registry.lots.add(Lot("L1", "A0", 50.0))
         self.beat()
 
     def beat(self, state=StationState.READY, age_s=-60.0, reasons=(), process="host:1"):
@@ -56,7 +56,7 @@ class Line:
         """The station takes the order in progress and ends it."""
         order = self.queue.take("line-1")
         if facts.get("verdict") in ("fail", "retest"):
-            self.registry.add_refusal("L1", order.serial, facts["verdict"], (plain(f"{datetime.now(UTC)}"),))
+            self.registry.calibrations.refuse("L1", order.serial, facts["verdict"], (plain(f"{datetime.now(UTC)}"),))
         self.queue.report(Progress(order.order_id, state, **facts))
         return order
 
@@ -68,7 +68,7 @@ class Line:
 def register(registry, lot_id: str, serial: str) -> None:
     """Put a unit into a lot by its name alone."""
     with registry.database.writing() as connection:
-        registry._add_unit(connection, lot_id, serial, "target", None)
+        registry.lots._add_unit(connection, lot_id, serial, "target", None)
 
 
 @pytest.fixture
@@ -114,17 +114,17 @@ def test_what_cannot_be_done_is_said_and_orders_nothing(line, scanned, refusal):
 
 
 def test_a_unit_of_another_lot_is_refused_by_its_row_and_by_its_pattern(line):
-    line.registry.add_lot(Lot("L2", "B0", 50.0))
+    line.registry.lots.add(Lot("L2", "B0", 50.0))
     register(line.registry, "L2", "X7")
-    line.registry.set_line_rules("L1", LineRules(r"A\d+", "upper"), reason="drawing")
-    line.registry.set_line_rules("L2", LineRules(r"B\d+", "upper"), reason="drawing")
+    line.registry.lots.set_line_rules("L1", LineRules(r"A\d+", "upper"), reason="drawing")
+    line.registry.lots.set_line_rules("L2", LineRules(r"B\d+", "upper"), reason="drawing")
     line.scan("LOT:l1")
     assert [line.scan(code) for code in ("X7", "b3", "C1", "a1")] == ["other_lot", "other_lot", "bad_serial", None]
     assert line.facts.serial == "A1"
 
 
 def test_two_lots_ask_for_the_lot_first_and_remember_the_one_pressed_last(line):
-    line.registry.add_lot(Lot("L2", "B0", 50.0))
+    line.registry.lots.add(Lot("L2", "B0", 50.0))
     assert line.scan("B1") == "no_lot"
     assert line.scan("LOT:L2") == "lot"
     line.start("B1")
@@ -186,7 +186,7 @@ def test_after_a_stop_nothing_goes_on_until_it_was_read_and_then_the_unit_is_sca
 
 @pytest.mark.parametrize("refused", ["A0", "X7", "not a serial!", "http://x.y", "LOT:nowhere"])
 def test_a_refused_scan_takes_the_unit_before_it_off_the_screen(line, refused):
-    line.registry.add_lot(Lot("L2", "B0", 50.0))
+    line.registry.lots.add(Lot("L2", "B0", 50.0))
     register(line.registry, "L2", "X7")
     line.scan("LOT:L1")
     line.scan("A1")
@@ -222,7 +222,7 @@ def test_a_key_at_a_screen_that_showed_something_else_presses_nothing(line):
 
 
 def test_a_unit_with_a_result_is_only_pressed_once_that_was_read_and_as_often_as_the_rules_allow(line):
-    line.registry.set_line_rules("L1", LineRules(retests={"fail": 1}), reason="customer")
+    line.registry.lots.set_line_rules("L1", LineRules(retests={"fail": 1}), reason="customer")
     line.start("A1")
     line.end(verdict="fail")
     assert line.scan("CMD:OK") == "nothing_to_confirm"
@@ -246,7 +246,7 @@ def test_a_recording_that_cannot_be_used_is_repeated_after_a_scan_without_a_ques
 
 
 def test_a_run_that_broke_is_no_test(line):
-    line.registry.set_line_rules("L1", LineRules(retests={}), reason="strict")
+    line.registry.lots.set_line_rules("L1", LineRules(retests={}), reason="strict")
     for _ in range(3):
         assert line.start("A1") is None
         line.end(RunState.ERROR, code="E-INTERRUPTED")
@@ -271,7 +271,7 @@ def test_where_units_were_registered_by_name_every_other_one_is_asked_for(line):
 
 
 def test_a_rule_of_the_lot_says_which_serials_are_its_own(line):
-    line.registry.set_line_rules("L1", LineRules(r"A\d+", "upper"), reason="drawing")
+    line.registry.lots.set_line_rules("L1", LineRules(r"A\d+", "upper"), reason="drawing")
     assert asked(line, "A12") == ""
 
 
@@ -290,7 +290,7 @@ def test_a_golden_unit_is_known_by_its_label_and_later_by_its_serial(line):
     line.scan("CMD:START")
     assert line.orders()[0][:2] == (OrderKind.GOLDEN, "G1")
     line.end(verdict="pass")
-    line.registry.add_golden_run(GoldenRun("line-1", "G1", datetime.now(UTC), 0.1, "N", True, (), "kim"))
+    line.registry.stations.add_golden_run(GoldenRun("line-1", "G1", datetime.now(UTC), 0.1, "N", True, (), "kim"))
     line.scan("G1")
     assert line.facts.is_golden
 
@@ -311,7 +311,7 @@ def test_a_badge_ends_with_the_shift_and_that_is_seen(line):
 
 
 def test_a_name_that_opens_more_than_the_line_is_not_taken_from_a_badge(line):
-    line.registry.set_user("Quinn", "quality", "7391", actor="test")
+    line.registry.people.set("Quinn", "quality", "7391", actor="test")
     assert line.scan("BADGE:quinn") == "badge_needs_pin"
     assert line.facts.operator == ""
 

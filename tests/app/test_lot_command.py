@@ -29,7 +29,7 @@ def folder(tmp_path):
 def known_lot(tmp_path):
     url = f"sqlite:///{tmp_path / 'r.db'}"
     with open_registry(url) as registry:
-        registry.add_lot(Lot("L1", "S0", 50.0, limit_rmse=0.2))
+        registry.lots.add(Lot("L1", "S0", 50.0, limit_rmse=0.2))
     return url
 
 
@@ -84,4 +84,4 @@ def test_rules_of_a_lot_are_set_with_a_reason_and_shown_with_their_versions(know
 def test_senseless_rules_of_a_lot_change_nothing(known_lot, wrong):
     assert main(["lot", "rules", "L1", "--registry", known_lot, *wrong]) == 2
     with open_registry(known_lot) as registry:
-        assert registry.line_rules_versions("L1") == []
+        assert registry.lots.line_rules_versions("L1") == []

@@ -87,7 +87,7 @@ def test_a_filter_takes_what_it_says(wanted: LotFilter, takes: bool) -> None:
 def two_stations(calibrated: str) -> str:
     """The small lot, as if its first unit had been pressed at a line by Kim."""
     with open_registry(calibrated) as registry:
-        first = registry.runs("small")[0]
+        first = registry.lots.runs("small")[0]
         begun = first.made_at - timedelta(minutes=1)
         registry.order_queue.place(Order("o1", "line-1", OrderKind.UNIT, first.serial, "small", "Kim", created=begun))
         order = registry.order_queue.take("line-1")

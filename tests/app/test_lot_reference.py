@@ -35,7 +35,7 @@ def judged(folder: Path, url: str) -> tuple[set[str], str]:
     """Calibrate the lot; the verdicts of its units, and the code of the first reason of A1."""
     main(["batch", str(folder), "--registry", url, "--hidden", "16,8", "--no-own"])
     with open_registry(url) as registry:
-        units = {unit.serial: unit for unit in registry.units("small") if unit.role == "target"}
+        units = {unit.serial: unit for unit in registry.lots.units("small") if unit.role == "target"}
     return {unit.verdict for unit in units.values()}, units["A1"].reasons[0].code
 
 
@@ -44,7 +44,7 @@ def test_a_reference_without_a_certificate_that_held_lets_no_unit_pass(lot_folde
     restated(lot_folder, NAMED.format(used_on="2026-06-01"))
     assert judged(lot_folder, registry_url) == ({"conditional"}, "reference_missing")
     with open_registry(registry_url) as registry:
-        registry.add_certificate(CELL)
+        registry.stations.add_certificate(CELL)
     assert judged(lot_folder, registry_url)[0] == {"pass"}
     restated(lot_folder, NAMED.format(used_on="2028-06-01"))
     assert judged(lot_folder, registry_url) == ({"conditional"}, "reference_expired")
@@ -52,9 +52,9 @@ def test_a_reference_without_a_certificate_that_held_lets_no_unit_pass(lot_folde
     restated(lot_folder, NAMED.format(used_on="2026-06-01") + rough)
     assert judged(lot_folder, registry_url) == ({"conditional"}, "reference_uncertain")
     with open_registry(registry_url) as registry:
-        record = registry.calibration("A1").record
+        record = registry.calibrations.get("A1").record
         assert record.reference == lot_reference(registry, "small")
-        assert len(registry.events("lot_reference", ("small",))) == 5
+        assert len(registry.trail.of("lot_reference", ("small",))) == 5
 
 
 def test_what_is_stated_is_kept_and_completed_from_the_registry(lot_folder: Path, registry_url: str) -> None:
@@ -63,16 +63,16 @@ def test_what_is_stated_is_kept_and_completed_from_the_registry(lot_folder: Path
         assert lot_reference(registry, "small") == SIMULATED == state_reference(registry, "small", None, recording)
         assert reference_expanded(registry, "small") == 0.0
         named = state_reference(registry, "small", Reference(cell="LC-7"), recording)
-        (source,) = registry.recordings("small", kind="source")
+        (source,) = registry.recordings.of_lot("small", kind="source")
         assert named is not None and named.standing is Standing.MISSING
         assert named.used_on == source.added_at.date()
-        registry.add_certificate(replace(CELL, issued_on=date(2020, 1, 1), due_on=date(2021, 1, 1)))
+        registry.stations.add_certificate(replace(CELL, issued_on=date(2020, 1, 1), due_on=date(2021, 1, 1)))
         late = state_reference(registry, "small", Reference(cell="LC-7"), recording)
         assert late is not None and late.standing is Standing.EXPIRED
         state_reference(registry, "small", Reference(cell="LC-7"), recording)
         load = float(np.sqrt(np.mean(recording.reference**2)))
         assert reference_expanded(registry, "small") == pytest.approx(late.expanded(load))
-        assert len(registry.events("lot_reference", ("small",))) == 3
+        assert len(registry.trail.of("lot_reference", ("small",))) == 3
         assert lot_reference(registry, "small") == late
 
 
@@ -84,7 +84,7 @@ def test_a_source_pressed_on_a_station_is_traced_to_its_load_cell(lot_folder: Pa
         "A0", "source", t_s, output[:, None], np.abs(np.sin(t_s)), force_N, 50.0, "V", 0.0, 0.0, 0.0, 0, aligned
     )
     with open_registry(f"sqlite:///{tmp_path / 'line.db'}") as registry:
-        registry.add_certificate(replace(CELL, due_on=date(2099, 1, 1)))
+        registry.stations.add_certificate(replace(CELL, due_on=date(2099, 1, 1)))
         small = NetworkConfig(hidden=(4,), max_epochs=2)
         keeper = RunKeeper(registry, "s1", small, reference=Reference(cell="LC-7"))
         keeper.keep(Order("o1", "s1", OrderKind.SOURCE, "A0", "L1"), run, lambda progress: None)

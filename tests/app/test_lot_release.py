@@ -55,7 +55,7 @@ def batch(registry_url: str, tmp_path: Path) -> Callable[..., dict]:
 
 
 def _codes(registry: Registry, serial: str) -> set[str]:
-    return {why.code for why in registry.units("large", serial)[0].reasons}
+    return {why.code for why in registry.lots.units("large", serial)[0].reasons}
 
 
 def _unmeasured(report: dict) -> list[dict]:
@@ -73,8 +73,8 @@ def test_units_nobody_measured_pass_on_the_audits_of_the_others(make_lot, batch,
     assert release["statement"] in capsys.readouterr().out
     serial = _unmeasured(report)[0]["serial"]
     assert any(serial in file.name for file in (tmp_path / "out").rglob("*"))
-    assert len(registry.history(serial)) == 2
-    first, second = (stored.record for stored in registry.history(serial))
+    assert len(registry.calibrations.history(serial)) == 2
+    first, second = (stored.record for stored in registry.calibrations.history(serial))
     assert (second.map_sha256 == first.map_sha256) == (second.common_line is None)
     assert second.verdict == "pass" != first.verdict
     scaled = second.evidence["interval_scale"] * first.arrays["interval.half_width"]
@@ -85,7 +85,7 @@ def test_units_nobody_measured_pass_on_the_audits_of_the_others(make_lot, batch,
     assert release["factor"] > second.evidence["forecast_scale"]
     again = batch(folder)
     assert again["release"] == release
-    assert len(registry.history(serial)) == 2
+    assert len(registry.calibrations.history(serial)) == 2
 
 
 def test_the_line_reads_no_recording_and_the_other_units_only_where_an_audit_came(
@@ -95,9 +95,9 @@ def test_the_line_reads_no_recording_and_the_other_units_only_where_an_audit_cam
     report = batch(folder)
     serials = [unit["serial"] for unit in _unmeasured(report)]
     recordings, asked = [], []
-    reads, standings = registry.recording, registry.standings
-    monkeypatch.setattr(registry, "recording", lambda sha256: (recordings.append(sha256), reads(sha256))[1])
-    monkeypatch.setattr(registry, "standings", lambda lot, of: (asked.append(list(of)), standings(lot, of))[1])
+    reads, standings = registry.recordings.get, registry.pages.standings
+    monkeypatch.setattr(registry.recordings.of_lot, "get", lambda sha256: (recordings.append(sha256), reads(sha256))[1])
+    monkeypatch.setattr(registry.pages, "standings", lambda lot, of: (asked.append(list(of)), standings(lot, of))[1])
     line = LineRelease(registry)
     line.press("large", serials[0])
     assert any(set(serials) <= set(of) for of in asked), "the first press reads the whole lot"
@@ -107,12 +107,12 @@ def test_the_line_reads_no_recording_and_the_other_units_only_where_an_audit_cam
     # Audited units are asked for each time: which one stands is how a new audit is noticed.
     assert not [of for of in asked if len(set(of) & set(serials)) > 1]
     # Its source's levels may be asked for; no unit's recording is.
-    assert set(recordings) <= {entry.sha256 for entry in registry.recordings("large", kind="source")}
+    assert set(recordings) <= {entry.sha256 for entry in registry.recordings.of_lot("large", kind="source")}
 
 
 def test_without_audits_no_calibration_is_read_whole(make_lot, batch, monkeypatch, registry):
     batch(make_lot(audits=0))
-    monkeypatch.setattr(registry, "calibration", lambda *_, **__: pytest.fail("a calibration was read whole"))
+    monkeypatch.setattr(registry.calibrations, "get", lambda *_, **__: pytest.fail("a calibration was read whole"))
     decided = judge_lot(registry, "large")
     assert decided is not None and decided.forecasts and decided.found is None
 
@@ -122,7 +122,7 @@ def test_without_audits_nothing_passes_and_the_report_says_how_many_to_audit(mak
     assert not any(unit["released"] or unit["verdict"] == "pass" for unit in report["units"])
     assert report["release"]["released"] == []
     assert report["release"]["wanted"] == 9
-    conditional = [unit for unit in registry.units("large") if unit.verdict == "conditional"]
+    conditional = [unit for unit in registry.lots.units("large") if unit.verdict == "conditional"]
     assert conditional and all("forecast_only" in {why.code for why in unit.reasons} for unit in conditional)
 
 
@@ -137,18 +137,22 @@ def test_what_the_audits_of_a_lot_read_on_another_day_misread_alike_is_taken_off
     units = {unit["serial"]: unit for unit in report["units"]}
     assert len(release["released"]) == 4 and all(units[serial]["verdict"] == "pass" for serial in release["released"])
     for serial, unit in units.items():
-        history = [stored.record for stored in registry.history(serial)]
+        history = [stored.record for stored in registry.calibrations.history(serial)]
         assert history[-1].map_sha256 != history[0].map_sha256 and history[-1].common_line is not None
         if unit["audited"]:
             # By the others alone.
             assert history[-1].common_line != (release["common"]["gain"], release["common"]["zero"])
     assert batch(folder)["release"] == release
-    fitted = [registry.history(serial)[0].record.after_rmse for serial, unit in units.items() if unit["audited"]]
+    fitted = [
+        registry.calibrations.history(serial)[0].record.after_rmse for serial, unit in units.items() if unit["audited"]
+    ]
     assert np.median([unit["after_rmse"] for unit in units.values() if unit["audited"]]) < 0.7 * np.median(fitted)
     unit = UnitLoader(registry, ExportOptions(lot_id="large")).load(release["released"][0])
     assert certificate_of(unit).by_audits and certificate_of(unit).by_audits in certificate_of(unit).deviations
-    counts = [len(registry.history(serial)) for serial in units]
-    assert batch(folder)["release"] == release and counts == [len(registry.history(serial)) for serial in units]
+    counts = [len(registry.calibrations.history(serial)) for serial in units]
+    assert batch(folder)["release"] == release and counts == [
+        len(registry.calibrations.history(serial)) for serial in units
+    ]
 
 
 def test_a_forecast_beyond_the_limit_does_not_stand_against_what_the_audits_measured(make_lot, batch, registry_url):
@@ -169,7 +173,7 @@ def test_a_lot_without_enough_audits_is_left_as_it_was_fitted(make_lot, batch, r
     report = batch(make_lot(day_gain=1.35, limit_N=0.4, audits=6))
     assert report["release"]["released"] == [] and report["release"]["common"] is None
     assert all(unit["verdict"] != "pass" for unit in _unmeasured(report))
-    assert all(len(registry.history(unit["serial"])) == 1 for unit in report["units"])
+    assert all(len(registry.calibrations.history(unit["serial"])) == 1 for unit in report["units"])
 
 
 def test_more_audits_decide_the_lot_again(make_lot, batch):
@@ -229,7 +233,7 @@ def test_a_person_can_confirm_a_doubted_audit_and_a_new_one_ends_the_doubt(make_
     confirm = ["lot", "audit", str(folder), "--confirm", "large-03", "--registry", registry_url]
     assert main(confirm) == 2, "without a reason"
     assert main([*confirm, "--reason", "the cell was read by hand"]) == 1
-    assert registry.standings("large", ["large-03"])["large-03"].verdict == "fail", "it counts as it stands now"
+    assert registry.pages.standings("large", ["large-03"])["large-03"].verdict == "fail", "it counts as it stands now"
     assert batch(folder)["release"]["audited"] == 12
     (folder / "audit/large-03.csv").write_bytes(right)
     report = batch(folder)
@@ -249,10 +253,10 @@ def test_a_golden_unit_of_another_sensor_model_withdraws_nothing(make_lot, batch
     batch(make_lot("other", audits=0, model="XX"))
     batch(make_lot("fourteenth", audits=0))
     now = datetime.now(UTC)
-    method_id = registry.standings("one", ["one-00"])["one-00"].made.method_id  # type: ignore[union-attr]
-    registry.add_golden_run(GoldenRun("line", "other-00", now, 9.0, "N", False))
+    method_id = registry.pages.standings("one", ["one-00"])["one-00"].made.method_id  # type: ignore[union-attr]
+    registry.stations.add_golden_run(GoldenRun("line", "other-00", now, 9.0, "N", False))
     assert AuditReader(registry).evidence("fourteenth", method_id, now).qualification.is_given
-    registry.add_golden_run(GoldenRun("line", "seventh-05", now, 9.0, "N", False))
+    registry.stations.add_golden_run(GoldenRun("line", "seventh-05", now, 9.0, "N", False))
     assert not AuditReader(registry).evidence("fourteenth", method_id, now).qualification.is_given
 
 
@@ -282,8 +286,8 @@ def test_golden_runs_of_several_days_are_kept_from_the_limit(make_lot, batch, re
             pressed = press_unit(900, gain, 0.5, 70 + day)
             t_s, output, force_N = (pressed[name].to_numpy() for name in ("t_s", "output", "reference"))
             golden = LabelledRecording(OutputRecording(serial, t_s, output, 50.0), force_N)
-            registry.add_recording("large", golden, "audit")
-            registry.add_golden_run(GoldenRun("line", serial, at, 0.1, "N", True))
+            registry.recordings.add("large", golden, "audit")
+            registry.stations.add_golden_run(GoldenRun("line", serial, at, 0.1, "N", True))
     decided = judge_lot(registry, "large", now=start + timedelta(days=5))
     assert decided is not None and decided.released == () and min(decided.days.values()) > 0
     assert decided.judgement(serial).reasons[0].code == "sampled.day"
@@ -325,7 +329,7 @@ def test_the_statement_is_one_page_and_kept_in_the_registry(make_lot, batch, reg
     assert pdf.read_bytes().startswith(b"%PDF") and len(re.findall(rb"/Type /Page\b", pdf.read_bytes())) == 1
     told = json.loads(file.read_text())
     assert told["statement"] in capsys.readouterr().out and len(told["released"]) == 4
-    assert len(registry.events("lot_release", ("large",))) == 1
+    assert len(registry.trail.of("lot_release", ("large",))) == 1
 
 
 def test_the_plan_draws_as_many_audits_as_the_promise_takes(make_lot, batch, registry_url, tmp_path):
@@ -366,7 +370,7 @@ def test_the_statement_is_said_in_the_language_of_the_reader(make_lot, batch, re
         assert len(re.findall(rb"/Type /Page\b", pdf.read_bytes())) == 1
     assert pages["en"].read_bytes() != pages["ko"].read_bytes()
     decided = lot_standing(registry, "large").decided
-    (kept,) = registry.events("lot_release", ("large",))
+    (kept,) = registry.trail.of("lot_release", ("large",))
     assert decided is not None
     stated = said(decided.statement, korean)
     assert not re.findall(r"[a-z]{3,}", stated), "words of another language"
@@ -399,30 +403,30 @@ def test_another_limit_judges_every_unit_at_once_and_a_verdict_against_an_old_on
     make_lot, batch, registry_url, tmp_path, registry
 ):
     batch(make_lot(), "--out", str(tmp_path / "out"))
-    before = {unit.serial: unit for unit in registry.units("large") if unit.role == "target"}
-    bases = [registry.calibration(serial).record.evidence["base_revision"] for serial in before]
+    before = {unit.serial: unit for unit in registry.lots.units("large") if unit.role == "target"}
+    bases = [registry.calibrations.get(serial).record.evidence["base_revision"] for serial in before]
     measured = sorted(unit.after_rmse for unit in before.values() if unit.after_rmse is not None)
     limit = (measured[4] + measured[5]) / 2
     # The limit alone, as another registry would bring it: nothing that was judged against the old one stands.
-    registry.set_limit("large", limit, reason="drawing C")
-    stale = {unit.serial: unit for unit in registry.units("large") if unit.role == "target"}
-    standings = registry.standings("large", list(stale))
+    registry.lots.set_limit("large", limit, reason="drawing C")
+    stale = {unit.serial: unit for unit in registry.lots.units("large") if unit.role == "target"}
+    standings = registry.pages.standings("large", list(stale))
     assert {unit.verdict for unit in stale.values()} == {one.verdict for one in standings.values()} == {"retest"}
-    assert registry.verdict_counts("large")["retest"] == len(before)
+    assert registry.pages.verdict_counts("large")["retest"] == len(before)
     export = ["export", "--registry", registry_url, "--serial", next(iter(before)), "--format", "json"]
     assert main([*export, "--out", str(tmp_path / "files")]) != 0
     # The command judges at once; no unit is fitted again.
     command = ["lot", "limit", "large", "--rmse", repr(limit), "--reason", "drawing C", "--registry", registry_url]
     assert main(command) == 0
-    after = {unit.serial: unit for unit in registry.units("large") if unit.role == "target"}
-    assert [registry.calibration(serial).record.evidence["base_revision"] for serial in before] == bases
+    after = {unit.serial: unit for unit in registry.lots.units("large") if unit.role == "target"}
+    assert [registry.calibrations.get(serial).record.evidence["base_revision"] for serial in before] == bases
     beyond = {serial for serial, unit in after.items() if unit.after_rmse is not None and unit.after_rmse > limit}
     assert len(beyond) >= 5 and {after[serial].verdict for serial in beyond} == {"fail"}
-    counts = registry.verdict_counts("large")
+    counts = registry.pages.verdict_counts("large")
     assert counts == {**dict.fromkeys(counts, 0), **pd.Series([u.verdict for u in after.values()]).value_counts()}
     # Back to the old limit, everything is as it was.
     assert main([*command[:4], "0.8", *command[5:]]) == 0
-    assert {serial: registry.standings("large", [serial])[serial].verdict for serial in before} == {
+    assert {serial: registry.pages.standings("large", [serial])[serial].verdict for serial in before} == {
         serial: unit.verdict for serial, unit in before.items()
     }
 
@@ -458,7 +462,7 @@ def test_an_audit_that_cannot_be_read_is_no_failed_run_of_its_unit(make_lot, bat
     assert main(["lot", "audit", str(folder), str(measured / "large-00.csv"), *columns]) == 0
     unit = batch(folder)["units"][0]
     assert (unit["verdict"], unit["audited"]) == ("pass", True)
-    assert [run.verdict for run in registry.runs("large", "large-00")] == ["pass"]
+    assert [run.verdict for run in registry.lots.runs("large", "large-00")] == ["pass"]
 
 
 @pytest.mark.long
@@ -469,9 +473,9 @@ def test_an_audit_that_fails_takes_back_what_other_lots_released_on_it(make_lot,
     released = set(batch(late)["release"]["released"])
     assert released
     golden = GoldenRun("line", "A0", datetime.now(UTC), 9.0, "N", False)
-    registry.add_golden_run(golden)
+    registry.stations.add_golden_run(golden)
     judge_again(registry, ["one"])
-    standings = registry.standings("fourteenth", sorted(released))
+    standings = registry.pages.standings("fourteenth", sorted(released))
     assert {one.verdict for one in standings.values()} == {"conditional"}
     assert not {unit["serial"] for unit in batch(late)["units"] if unit["released"]}
 
@@ -482,25 +486,25 @@ def test_a_measured_fail_is_lifted_by_no_trim_no_rollback_and_no_older_revision(
     folder = make_lot(audits=0, limit_N=0.2)
     batch(folder)
     serial = "large-00"
-    assert registry.standings("large", [serial])[serial].verdict != "fail"
+    assert registry.pages.standings("large", [serial])[serial].verdict != "fail"
     measured = tmp_path / f"{serial}.csv"
     table = pd.read_csv(make_lot("twin", audits=1).joinpath("audit/twin-00.csv"))
     table.assign(reference=2.0 * table["reference"]).to_csv(measured, index=False)
     at = ["--registry", registry_url]
     assert main(["lot", "audit", "large", str(measured), *at]) == 0
-    failed = registry.standings("large", [serial])[serial]
+    failed = registry.pages.standings("large", [serial])[serial]
     assert failed.verdict == "fail" and failed.made is not None and failed.made.is_audited
     loads = tmp_path / "loads.csv"
     pd.DataFrame({"output": [0.5, 0.75], "reference": [0.0, 4.0]}).to_csv(loads, index=False)
     trimmed = main(["trim", "--serial", serial, "--lot", "large", "--loads", str(loads), *at])
-    assert registry.standings("large", [serial])[serial].verdict == "fail"
+    assert registry.pages.standings("large", [serial])[serial].verdict == "fail"
     back = ["registry", "rollback", "--serial", serial, "--lot", "large", "--to", "1", "--reason", "drawn", *at]
     assert main(back) in ((0,) if trimmed == 0 else (0, 2))
-    assert registry.standings("large", [serial])[serial].verdict == "fail"
+    assert registry.pages.standings("large", [serial])[serial].verdict == "fail"
     export = ["export", "--serial", serial, "--lot", "large", "--revision", "1", "--release", "conditional", *at]
     assert main([*export, "--format", "blob", "--out", str(tmp_path / "out")]) == 2
     assert not list((tmp_path / "out").glob("unit-*"))
     # A new audit decides: of the map that the unit has now.
     pd.read_csv(measured).assign(reference=pd.read_csv(measured)["reference"] / 2.0).to_csv(measured, index=False)
     assert main(["lot", "audit", "large", str(measured), *at]) == 0
-    assert registry.standings("large", [serial])[serial].made.after_rmse != failed.made.after_rmse  # type: ignore[union-attr]
+    assert registry.pages.standings("large", [serial])[serial].made.after_rmse != failed.made.after_rmse  # type: ignore[union-attr]

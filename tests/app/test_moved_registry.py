@@ -80,4 +80,4 @@ def test_another_recording_after_the_move_is_calibrated_and_the_first_one_comes_
     path.write_text(original)
     assert {unit["serial"]: unit["map"]["revision"] for unit in batch(lot_folder, postgresql)}["A1"] == 1
     with open_registry(postgresql, create=False) as registry, pytest.raises(InputError, match="9"):
-        registry.calibration("A1", 9)
+        registry.calibrations.get("A1", 9)

@@ -34,7 +34,7 @@ def batch(folder: Path, url: str, *more: str) -> dict:
 
 def in_use(url: str, serial: str) -> int:
     with open_registry(url, create=False) as registry:
-        return registry.calibration(serial).revision
+        return registry.calibrations.get(serial).revision
 
 
 def other_recording(folder: Path, serial: str = "A1") -> None:
@@ -66,7 +66,7 @@ def test_what_a_person_rolled_back_to_stays_until_something_new_is_asked(lot_fol
     other_recording(lot_folder)
     batch(lot_folder, registry_url)
     with open_registry(registry_url) as registry:
-        assert registry.rollback("A1", 1, reason="remounted") == 3
+        assert registry.calibrations.rollback("A1", 1, reason="remounted") == 3
     assert batch(lot_folder, registry_url)["A1"]["map"]["revision"] == in_use(registry_url, "A1") == 3
 
 
@@ -153,7 +153,7 @@ def test_nothing_in_the_queue_changes_what_is_told(lot_folder, registry_url, mon
         config = BatchConfig(network=NetworkConfig(hidden=(16, 8)), score_own=False)
         report = run_batch(open_lot_folder(lot_folder), registry, config)
         assert {unit.serial: unit.verdict for unit in report.units} == {s: u["verdict"] for s, u in true.items()}
-        assert "A9" not in {unit.serial for unit in registry.units("small")}
+        assert "A9" not in {unit.serial for unit in registry.lots.units("small")}
 
 
 def test_a_file_that_is_gone_ends_in_no_defect(lot_folder, registry_url):

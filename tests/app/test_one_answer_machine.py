@@ -35,7 +35,7 @@ from softcal.core.words.reason import plain
 from softcal.db.care.backup import back_up, restore
 from softcal.db.care.sync import synchronise
 from softcal.db.connection import open_registry
-from softcal.db.registry import Registry
+from softcal.db.truth.calibrations import CalibrationTables
 from softcal.db.truth.registry_base import RegistrySettings
 
 pytestmark = pytest.mark.long
@@ -105,8 +105,8 @@ class OneAnswerMachine(RuleBasedStateMachine):
         for side in SIDES:
             (self.folder / side).mkdir()
             registry = self.registries[side] = self.opened(self.folder / f"{side}.db")
-            registry.add_lot(LOT)
-            registry.add_network("L1", NETWORK, {}, {}, "a" * 64)
+            registry.lots.add(LOT)
+            registry.networks.add("L1", NETWORK, {}, {}, "a" * 64)
 
     def opened(self, path: Path):
         start = datetime(2026, 5, 4, tzinfo=UTC)
@@ -215,22 +215,22 @@ class OneAnswerMachine(RuleBasedStateMachine):
     @rule(side=st.sampled_from(SIDES), serial=st.sampled_from(SERIALS), number=st.integers(1, 2))
     def press(self, side: str, serial: str, number: int) -> None:
         registry, made = self.registries[side], record(serial, number)
-        if registry.find_calibration(serial, made.input_sha256, lot_id="L1") is None:
-            registry.add_calibration("L1", made)
+        if registry.calibrations.find(serial, made.input_sha256, lot_id="L1") is None:
+            registry.calibrations.add("L1", made)
         else:
-            registry.put_in_use("L1", serial, made.input_sha256, "line")
+            registry.calibrations.put_in_use("L1", serial, made.input_sha256, "line")
         self.put(side, serial, number, None)
 
     @rule(side=st.sampled_from(SIDES), serial=st.sampled_from(SERIALS), which=st.integers(0, 5))
     def roll_back(self, side: str, serial: str, which: int) -> None:
         if not self.heads(side, serial):
             return
-        history = self.registries[side].history(serial)
+        history = self.registries[side].calibrations.history(serial)
         old = history[which % len(history)]
         number = int(old.record.arrays["map.gain"][0])
         numbers = {head.number for head in self.heads(side, serial)}
         try:
-            self.registries[side].rollback(serial, old.revision, origin=old.origin, reason="test")
+            self.registries[side].calibrations.rollback(serial, old.revision, origin=old.origin, reason="test")
         except InputError:
             assert numbers == {number}
             return
@@ -264,12 +264,12 @@ class OneAnswerMachine(RuleBasedStateMachine):
     @invariant()
     def there_is_one_answer(self) -> None:
         for side, registry in getattr(self, "registries", {}).items():
-            listed = {unit.serial: unit.verdict for unit in registry.units("L1")}
+            listed = {unit.serial: unit.verdict for unit in registry.lots.units("L1")}
             for serial in SERIALS:
                 assert listed.get(serial) == self.verdict(side, serial)
                 numbers = {head.number for head in self.heads(side, serial)}
                 try:
-                    used = {int(registry.calibration(serial).record.arrays["map.gain"][0])}
+                    used = {int(registry.calibrations.get(serial).record.arrays["map.gain"][0])}
                 except InputError:
                     assert len(numbers) != 1
                 else:
@@ -293,7 +293,7 @@ MUTANTS = {
     "what was asked for again is not put in use": ("put_in_use", lambda *_, **__: True),
     "what was asked for again is never found": ("put_in_use", lambda *_, **__: False),
     "what is decided is worked on again": ("decided_works", lambda *_, **__: {}),
-    "a refusal is forgotten": ("add_refusal", lambda *_, **__: None),
+    "a refusal is forgotten": ("refuse", lambda *_, **__: None),
 }
 
 
@@ -301,5 +301,5 @@ MUTANTS = {
 def test_the_machine_finds_a_registry_that_does_otherwise(
     mutant: str, monkeypatch: pytest.MonkeyPatch, assert_finds_fault: Callable
 ) -> None:
-    monkeypatch.setattr(Registry, *MUTANTS[mutant])
+    monkeypatch.setattr(CalibrationTables, *MUTANTS[mutant])
     assert_finds_fault(OneAnswerMachine)

@@ -19,8 +19,8 @@ from softcal.app.files.recording_file import write_columns
 from softcal.app.line.pressed_run import RunKeeper
 from softcal.app.registry.known_loads import known_loads
 from softcal.app.registry.laid_out import write_lot_folder
+from softcal.app.registry.lot_recordings import source_model, unlabelled
 from softcal.app.registry.reference import lot_reference
-from softcal.app.registry.source import source_model, unlabelled
 from softcal.core.errors import InputError
 from softcal.core.maps.config import MapConfig
 from softcal.core.maps.interface import Anchors
@@ -73,7 +73,7 @@ def test_a_unit_pressed_on_the_line_and_batched_anywhere_has_one_calibration(
     runs = {serial: pressed(lot_folder, serial) for serial in ("A1", "A2", "A3")}
     for serial, run in runs.items():
         keeper.keep(Order(f"o{serial}", "s1", OrderKind.UNIT, serial, "small"), run, say)
-    made = {serial: registry.calibration(serial) for serial in runs}
+    made = {serial: registry.calibrations.get(serial) for serial in runs}
     for serial, run in runs.items():
         unit = run.output_recording()
         columns = [("t_s", unit.t_s), ("output", unit.output), ("stage_mm", unit.stage_mm)]
@@ -85,7 +85,7 @@ def test_a_unit_pressed_on_the_line_and_batched_anywhere_has_one_calibration(
     there = batched(lot_folder, other_url, tmp_path / "there.json")
     with open_registry(other_url) as registry:
         for serial, stored in made.items():
-            (only,) = registry.history(serial)
+            (only,) = registry.calibrations.history(serial)
             assert (only.revision, only.record.input_sha256) == (1, stored.record.input_sha256)
             assert only.record.fit_s and only.record.fit_s > 0
             for report in (here, there):
@@ -128,9 +128,9 @@ def test_whoever_calibrates_a_recording_starts_from_the_same(
     columns = [("t_s", unit.t_s), ("output", unit.output), ("stage_mm", unit.stage_mm)]
     write_columns(lot_folder / "units/A1.csv", columns)  # type: ignore[arg-type]
     batched(lot_folder, registry_url, tmp_path / "batch.json")
-    (made,) = (one.record for one in registry.history("A1") if one.revision == 1)
+    (made,) = (one.record for one in registry.calibrations.history("A1") if one.revision == 1)
     keeper.keep(Order("o", "s1", OrderKind.UNIT, "A1", "small"), run, say)
-    assert [one.record.input_sha256 for one in registry.history("A1")] == [made.input_sha256]
+    assert [one.record.input_sha256 for one in registry.calibrations.history("A1")] == [made.input_sha256]
     asked = {"lot": "small", "networks": [made.network_id], "families": [MapConfig().family], "units": 1}
     (row,) = compare_on_lot(registry, asked, lambda *_: None)
     assert (row["predicted"], row["after"]) == (made.predicted_rmse, made.after_rmse)
@@ -148,8 +148,8 @@ def test_a_worker_and_python_start_from_the_same(what, lot_folder, registry_url,
     elsewhere = f"sqlite:///{shutil.copy(tmp_path / 'registry.db', tmp_path / 'two.db')}"
     batched(lot_folder, elsewhere, tmp_path / "two.json", "--jobs", "2", "--refit")
     with open_registry(registry_url) as one, open_registry(elsewhere) as two:
-        made, by_worker = one.history("A1")[0].record, two.history("A1")[-1].record
-        network = one.network(made.network_id)
+        made, by_worker = one.calibrations.history("A1")[0].record, two.calibrations.history("A1")[-1].record
+        network = one.networks.get(made.network_id)
     assert by_worker.input_sha256 == made.input_sha256
     if what not in ("nothing", "audit", "loads"):
         return
@@ -194,21 +194,21 @@ def test_known_loads_of_the_line_are_those_of_every_later_calibration(
 ):
     shutil.rmtree(lot_folder / "audit")
     rest, pressed_level = levels(lot_folder, "A1")
-    registry.set_line_rules("small", LOADS, reason="two weights")
+    registry.lots.set_line_rules("small", LOADS, reason="two weights")
     run = keeper.keep(Order("o", "s1", OrderKind.UNIT, "A1", "small"), pressed(lot_folder, "A1"), say)
     assert run.message[0].code == "load.wanted" and not run.verdict
-    assert registry.units(serial="A1")[0].revision is None, "judged before its loads were read"
+    assert registry.lots.units(serial="A1")[0].revision is None, "judged before its loads were read"
     first = keeper.keep(*reading("A1", 1, 0.0, rest), say)
     assert first.message[0].code == "load.read" and not first.verdict
     done = keeper.keep(*reading("A1", 2, 2.0, pressed_level), say)
     assert done.verdict
-    (stored,) = registry.history("A1")
+    (stored,) = registry.calibrations.history("A1")
     (kept,) = known_loads(registry, "small").values()
     np.testing.assert_allclose(kept.loads.output, [rest, pressed_level], atol=1e-5)
     # The owner of anchors makes the same of them: one input, one calibration.
     model = source_model(registry, stored.record.network_id, Method())
-    unit = registry.recording(stored.record.recording_sha256)
-    limit = stated_limit("N", registry.lot("small").limit_rmse)
+    unit = registry.recordings.get(stored.record.recording_sha256)
+    limit = stated_limit("N", registry.lots.get("small").limit_rmse)
     alone = UnitProblem(model, unlabelled(unit), limit, reference=lot_reference(registry, "small"))
     assert stored.record.input_sha256 == replace(alone, anchors=kept.loads).input_sha256 != alone.input_sha256
     laid_out = tmp_path / "laid-out"
@@ -218,7 +218,7 @@ def test_known_loads_of_the_line_are_those_of_every_later_calibration(
     batched(laid_out, registry_url, tmp_path / "with.json")
     (laid_out / "anchors.csv").unlink()
     batched(laid_out, registry_url, tmp_path / "without.json")
-    assert [one.revision for one in registry.history("A1")] == [stored.revision]
+    assert [one.revision for one in registry.calibrations.history("A1")] == [stored.revision]
 
 
 @pytest.mark.parametrize(
@@ -232,19 +232,19 @@ def test_known_loads_of_the_line_are_those_of_every_later_calibration(
 )
 def test_loads_that_cannot_be_calibrate_nothing(levels_read, codes, lot_folder, registry, keeper):
     rest, full = levels(lot_folder, "A1")
-    registry.set_line_rules("small", LOADS, reason="two weights")
+    registry.lots.set_line_rules("small", LOADS, reason="two weights")
     keeper.keep(Order("o", "s1", OrderKind.UNIT, "A1", "small"), pressed(lot_folder, "A1"), say)
     for step, (load, share, code) in enumerate(zip((0.0, 2.0), levels_read, codes, strict=True), 1):
         said = keeper.keep(*reading("A1", step, load, rest + share * (full - rest)), say)
         assert (said.message[0].code == code and not said.verdict) if code else said.verdict
     is_good = not codes[-1]
-    assert (registry.units(serial="A1")[0].revision is not None) == is_good
+    assert (registry.lots.units(serial="A1")[0].revision is not None) == is_good
     assert bool(known_loads(registry, "small")) == is_good
 
 
 def test_a_reading_that_is_not_due_is_refused_before_it_begins(lot_folder, registry, keeper):
     due = Order("x", "s1", OrderKind.LOAD, "A1", "small", reason="1: 0.0")
-    registry.set_line_rules("small", LOADS, reason="two weights")
+    registry.lots.set_line_rules("small", LOADS, reason="two weights")
     keeper.keep(Order("o", "s1", OrderKind.UNIT, "A1", "small"), pressed(lot_folder, "A1"), say)
     reasons = ({"reason": told} for told in ("2: 2.0", "1: 2.0", "the second"))
     for changes in ({"serial": "A2"}, {"lot_id": "other"}, *reasons):
@@ -259,6 +259,6 @@ def test_a_reading_that_is_not_due_is_refused_before_it_begins(lot_folder, regis
     ids=["in the wrong unit", "not known well enough"],
 )
 def test_loads_that_no_calibration_can_use_stop_the_unit_before_anything_moves(loads, registry, keeper):
-    registry.set_line_rules("small", LineRules(loads=loads), reason="weights")  # type: ignore[arg-type]
+    registry.lots.set_line_rules("small", LineRules(loads=loads), reason="weights")  # type: ignore[arg-type]
     with pytest.raises(InputError):
         keeper.check(Order("o", "s1", OrderKind.UNIT, "A1", "small"))

@@ -72,11 +72,11 @@ class History:
     def limit_of_another_registry(self) -> None:
         """A limit that comes without anybody judging by it."""
         with open_registry(self.url) as registry:
-            registry.set_limit(LOT, float(self.rng.uniform(0.05, 0.5)), reason="drawn elsewhere")
+            registry.lots.set_limit(LOT, float(self.rng.uniform(0.05, 0.5)), reason="drawn elsewhere")
 
     def limit_taken_back(self) -> None:
         with open_registry(self.url) as registry:
-            registry.set_limit(LOT, None, reason="no drawing yet")
+            registry.lots.set_limit(LOT, None, reason="no drawing yet")
 
     def trim(self) -> None:
         outputs = 0.5 + np.array([0.0, 0.4]) * self.rng.uniform(0.8, 1.2)
@@ -87,14 +87,14 @@ class History:
     def roll_back(self) -> None:
         serial = self.serial()
         with open_registry(self.url) as registry:
-            revisions = [stored.revision for stored in registry.history(serial) if not stored.is_current]
+            revisions = [stored.revision for stored in registry.calibrations.history(serial) if not stored.is_current]
         if revisions:
             words = ["--serial", serial, "--to", self.rng.choice(revisions), "--reason", "drawn"]
             self.run("registry", "rollback", *words)
 
     def golden_fails(self) -> None:
         with open_registry(self.url) as registry:
-            registry.add_golden_run(GoldenRun("line", "A0", datetime.now(UTC), 9.0, "N", False))
+            registry.stations.add_golden_run(GoldenRun("line", "A0", datetime.now(UTC), 9.0, "N", False))
 
     def confirm(self) -> None:
         with open_registry(self.url) as registry:
@@ -109,7 +109,7 @@ class History:
         other = f"sqlite:///{self.folder.parent / 'other.db'}"
         self.run("registry", "sync", "--with", other)
         with open_registry(other) as registry:
-            registry.set_limit(LOT, float(self.rng.uniform(0.05, 0.5)), reason="set at the centre")
+            registry.lots.set_limit(LOT, float(self.rng.uniform(0.05, 0.5)), reason="set at the centre")
         self.run("registry", "sync", "--with", other)
 
     def step(self) -> None:
@@ -124,16 +124,16 @@ class History:
 
 def words_of(registry: Registry) -> dict[str, dict[str, str | None]]:
     """Return the verdict of every unit as each surface reads it."""
-    serials = [unit.serial for unit in registry.units(LOT) if unit.role == "target"]
-    standings = registry.standings(LOT, serials)
-    page = registry.unit_page(LOT, UnitFilter(), size=1000).units
+    serials = [unit.serial for unit in registry.lots.units(LOT) if unit.role == "target"]
+    standings = registry.pages.standings(LOT, serials)
+    page = registry.pages.unit_page(LOT, UnitFilter(), size=1000).units
     results = lot_results(registry, LOT).to_pylist()
     return {
         "standings": {serial: one.verdict for serial, one in standings.items()},
-        "units": {unit.serial: unit.verdict for unit in registry.units(LOT) if unit.role == "target"},
+        "units": {unit.serial: unit.verdict for unit in registry.lots.units(LOT) if unit.role == "target"},
         "page": {unit.serial: unit.verdict for unit in page},
         "results": {row["serial"]: row["verdict"] for row in results},
-        "errors": {row.serial: row.verdict for row in registry.lot_errors(LOT)},
+        "errors": {row.serial: row.verdict for row in registry.pages.lot_errors(LOT)},
     }
 
 
@@ -145,14 +145,14 @@ def check(history: History, tmp_path: Path) -> None:
             assert {serial: said[serial] for serial in said} == {serial: truth[serial] for serial in said}, surface
         view, say = lot_view(registry, LOT), partial(text, "en")
         counted = Counter(truth.values())
-        for counts in (registry.verdict_counts(LOT), view.counts):
+        for counts in (registry.pages.verdict_counts(LOT), view.counts):
             assert {word: count for word, count in counts.items() if count} == dict(counted)
         wall = wall_view(registry, view, (), say)
         assert {word: count for word, _, count in wall.verdicts if count} == dict(counted)
         assert all(chip.word == say(f"verdict.{truth[chip.serial]}") for chip in wall.chips)
         assert lot_yields(registry, LOT).last_pass.count == view.yields.last_pass.count == counted["pass"]
         # Nothing passes beyond the limit in force, and nothing is judged by another one.
-        limit, standings = lot_limit(registry, LOT), registry.standings(LOT, list(truth))
+        limit, standings = lot_limit(registry, LOT), registry.pages.standings(LOT, list(truth))
         made = {serial: one.made for serial, one in standings.items() if one.made is not None}
         assert view.limit_rmse == limit.maximum_rmse
         for serial, one in made.items():
@@ -164,7 +164,7 @@ def check(history: History, tmp_path: Path) -> None:
         listed = {row.serial: row.doubt for row in lot_standing(registry, LOT).audited}
         assert audited <= {serial for serial, doubt in listed.items() if doubt is None}
         standing = lot_standing(registry, LOT)
-        assert standing.counts == registry.verdict_counts(LOT) and standing.limit == limit
+        assert standing.counts == registry.pages.verdict_counts(LOT) and standing.limit == limit
         ways = {way: {unit.serial for unit in standing.on(way)} for way in Way}
         assert ways[Way.MEASURED] | ways[Way.SAMPLED] == {serial for serial, word in truth.items() if word == "pass"}
         assert ways[Way.MEASURED] <= audited and sum(map(len, ways.values())) == len(words["units"])

@@ -23,8 +23,8 @@ from softcal.app.export.certificates.pdf import certificate_pdf
 from softcal.app.export.export import export_units, lot_serials
 from softcal.app.export.manifest import read_manifest
 from softcal.app.line.facts import Screen, read_line
-from softcal.app.registry.caution import caution
 from softcal.app.registry.quality import lot_yields
+from softcal.app.registry.standing import caution
 from softcal.app.texts.catalogue import text
 from softcal.app.views.line import LineView, line_view
 from softcal.app.views.unit import unit_view
@@ -69,7 +69,7 @@ def lot(trained_lot: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator
         facts.write(f"[limit]\nrmse = {LIMIT.maximum_rmse}\n")
     assert main(["batch", str(folder / "lot"), "--registry", url, "--hidden", "16,8", "--no-own"]) in (0, 1)
     with open_registry(url) as registry:
-        yield registry, registry.lots()[0].id
+        yield registry, registry.lots.all()[0].id
 
 
 def drawn(rng: np.random.Generator, record: CalibrationRecord, number: int) -> CalibrationRecord:
@@ -132,23 +132,23 @@ def line_card(registry: Registry) -> LineView:
 
 def test_every_surface_says_the_same_word(lot, rng):
     registry, lot_id = lot
-    first = registry.calibration("A1").record
+    first = registry.calibrations.get("A1").record
     words = set()
     pressed(registry, lot_id)
     for number in range(DRAWS):
         record = drawn(rng, first, number)
-        revision = registry.add_calibration(lot_id, record)
+        revision = registry.calibrations.add(lot_id, record)
         measured, predicted = record.decision.measured, record.decision.predicted.verdict
         # A forecast alone promises nothing: without an audit the best word is conditional.
         word = measured.verdict if measured else worst_of([predicted, Verdict.CONDITIONAL])
         words.add(word)
-        stored = registry.calibration("A1")
+        stored = registry.calibrations.get("A1")
         result = UnitResult(
             "A1", stored.record.verdict, stored.record.reasons, MadeCalibration.of(stored.record, revision)
         )
         report = BatchReport(lot_id, None, (result,), 0.0)  # type: ignore[arg-type]
-        (unit,) = registry.units(lot_id, "A1")
-        (page,) = [u for u in registry.unit_page(lot_id, UnitFilter()).units if u.serial == "A1"]
+        (unit,) = registry.lots.units(lot_id, "A1")
+        (page,) = [u for u in registry.pages.unit_page(lot_id, UnitFilter()).units if u.serial == "A1"]
         assert {stored.record.verdict, unit.verdict, page.verdict, result.verdict, str(table_row(result)[1])} == {word}
         card = line_card(registry)
         assert {card.state.removesuffix("_used_up"), card.word.lower(), card.chips[0].word.lower()} == {word}
@@ -158,7 +158,9 @@ def test_every_surface_says_the_same_word(lot, rng):
         assert replace(report, release=Release.CONDITIONAL).releases(result) == (word in ("pass", "conditional"))
         assert bool(caution(registry, stored, "test")) == (word is not Verdict.PASS)
         last = lot_yields(registry, lot_id).last_pass.count
-        others = sum(u.verdict == "pass" for u in registry.units(lot_id) if u.serial != "A1" and u.role == "target")
+        others = sum(
+            u.verdict == "pass" for u in registry.lots.units(lot_id) if u.serial != "A1" and u.role == "target"
+        )
         assert last - others == (word is Verdict.PASS)
     assert words == set(Verdict)
 
@@ -167,9 +169,9 @@ def test_every_surface_says_the_same_word(lot, rng):
 def test_documents_and_files_say_the_same_word(lot, word, tmp_path, require):
     registry, lot_id = lot
     rng = np.random.default_rng(7)
-    first = registry.calibration("A1", 1).record
+    first = registry.calibrations.get("A1", 1).record
     record = next(r for r in (drawn(rng, first, 1000 + k) for k in range(500)) if r.verdict == word)
-    registry.add_calibration(lot_id, replace(record, input_sha256=f"{hash(word) % 2**60:064x}"))
+    registry.calibrations.add(lot_id, replace(record, input_sha256=f"{hash(word) % 2**60:064x}"))
     assert documents(registry) == (word, word, word if word in ("pass", "conditional") else "not released")
     unit = UnitLoader(registry, ExportOptions()).load("A1")
     (tmp_path / "c.pdf").write_bytes(certificate_pdf(certificate_of(unit)))

@@ -18,9 +18,8 @@ from softcal.app.export import formats
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.maps.affine import Affine
 from softcal.core.maps.affine_map import AffineMap
-from softcal.core.maps.catalogue import OWN_FAMILIES
+from softcal.core.maps.catalogue import OWN_FAMILIES, PLUGINS
 from softcal.core.maps.conformance import example_problem, faults
-from softcal.core.maps.plugins import with_plugins
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "softcal-example-map"
 
@@ -189,9 +188,9 @@ def package(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_a_broken_plug_in_is_one_line(package, value, named):
     with pytest.raises(InputError, match=f"^.*{named}.*$"):
-        with_plugins(OWN_FAMILIES, [EntryPoint("x", value, "softcal.maps")])
+        PLUGINS.beside(OWN_FAMILIES, [EntryPoint("x", value, "softcal.maps")])
 
 
 def test_plug_ins_stand_last(package):
-    every = with_plugins(OWN_FAMILIES, [EntryPoint("mine", "somebody:MINE", "softcal.maps")])
+    every = PLUGINS.beside(OWN_FAMILIES, [EntryPoint("mine", "somebody:MINE", "softcal.maps")])
     assert list(every) == [*OWN_FAMILIES, "mine"]

@@ -40,7 +40,7 @@ def test_a_registry_and_every_copy_of_it_belong_to_their_owner_alone(tmp_path):
     before = os.umask(0)
     try:
         with open_registry(f"sqlite:///{tmp_path / 'registry.db'}") as registry:
-            registry.set_user("kim", "operator", "2580", actor="lee")
+            registry.people.set("kim", "operator", "2580", actor="lee")
             back_up(registry.database, tmp_path / "backup.db")
             restore(tmp_path / "backup.db", f"sqlite:///{tmp_path / 'restored.db'}")
             # While it is open, the log beside it holds what was written last.
@@ -81,10 +81,10 @@ def test_a_database_s_password_is_in_no_error(url, command, tmp_path, capsys):
 
 def test_what_people_wrote_is_shown_and_not_obeyed(calibrated, capsys):
     with open_registry(calibrated) as registry:
-        lot = registry.units()[0].lot_id
-        registry.set_limit(lot, 0.5, reason="\x1b[2Jagreed\x07\r\x9b31m", actor="\x1b]0;kim\x07")
-        serial = next(unit.serial for unit in registry.units() if unit.verdict)
-        registry.add_refusal(lot, serial, "retest", ("\x1b[31mred\x9b",))
+        lot = registry.lots.units()[0].lot_id
+        registry.lots.set_limit(lot, 0.5, reason="\x1b[2Jagreed\x07\r\x9b31m", actor="\x1b]0;kim\x07")
+        serial = next(unit.serial for unit in registry.lots.units() if unit.verdict)
+        registry.calibrations.refuse(lot, serial, "retest", ("\x1b[31mred\x9b",))
     capsys.readouterr()
     for command in (["list"], ["history", "--serial", serial], ["verify"]):
         main(["registry", *command, "--registry", calibrated])

@@ -24,7 +24,7 @@ def calibrated(trained_lot: Path, tmp_path_factory: pytest.TempPathFactory) -> d
     command = ["batch", str(trained_lot / "lot"), "--registry", url, "--hidden", "16,8", "--no-own"]
     assert main([*command, "--release", "conditional", "--out", str(root / "files")]) in (0, 1)
     with open_registry(url, create=False) as registry:
-        assert registry.calibration("A1").revision
+        assert registry.calibrations.get("A1").revision
     recording = trained_lot / "lot/units/A1.csv"
     return {"url": url, "files": str(root / "files"), "recording": str(recording), "out": str(root / "out.csv")}
 

@@ -22,9 +22,9 @@ WHY, PASS = "its cable broke", text("en", "verdict.pass")
 def refused(calibrated: str) -> str:
     """URL of a registry in which A1 passed and was refused since; A3 stands as it was calibrated."""
     with open_registry(calibrated) as registry:
-        (unit,) = registry.units("small", "A1")
+        (unit,) = registry.lots.units("small", "A1")
         assert unit.verdict == "pass"
-        registry.add_refusal("small", "A1", "retest", (plain(WHY),))
+        registry.calibrations.refuse("small", "A1", "retest", (plain(WHY),))
     return calibrated
 
 
@@ -32,8 +32,8 @@ def refused(calibrated: str) -> str:
 def two_lots(calibrated: str) -> str:
     """URL of a registry in which another lot has a refused A1 as well."""
     with open_registry(calibrated) as registry:
-        registry.add_lot(replace(registry.lot("small"), id="other"))
-        registry.add_refusal("other", "A1", "retest", (plain(WHY),))
+        registry.lots.add(replace(registry.lots.get("small"), id="other"))
+        registry.calibrations.refuse("other", "A1", "retest", (plain(WHY),))
     return calibrated
 
 
@@ -71,7 +71,7 @@ def test_the_files_it_had_are_taken_back_and_other_units_go_on(calibrated, tmp_p
     asked += ["--format", "pdf", "--failed-too", "--out", str(out)]
     assert main(asked) == 0 and len(files_of(out, "A1")) == 2
     with open_registry(calibrated) as registry:
-        registry.add_refusal("small", "A1", "fail", (plain(WHY),))
+        registry.calibrations.refuse("small", "A1", "fail", (plain(WHY),))
     assert main([*asked, "--check"]) == 1
     assert files_of(out, "A1") == [] and len(files_of(out, "A3")) == 2
 
@@ -90,9 +90,9 @@ def test_an_archive_of_the_lot_has_no_file_of_it(refused, monkeypatch, tmp_path)
 
 def test_who_takes_an_older_revision_of_a_unit_that_fails_now_is_warned(calibrated, tmp_path, capsys):
     with open_registry(calibrated) as registry:
-        made = registry.calibration("A1").record
+        made = registry.calibrations.get("A1").record
         worse = replace(made, verdict="fail", reasons=(plain(WHY),), input_sha256="f" * 64)
-        registry.add_calibration("small", worse)
+        registry.calibrations.add("small", worse)
     asked = ["export", "--registry", calibrated, "--serial", "A1", "--revision", "1", "--format", "json"]
     assert main([*asked, "--out", str(tmp_path / "files")]) == 0
     warned(capsys, "fail")
@@ -117,7 +117,7 @@ def test_a_page_shows_how_it_stands_and_gives_no_file(refused, show):
 
 def test_a_calibration_made_since_is_what_counts(refused, tmp_path):
     with open_registry(refused) as registry:
-        registry.add_calibration("small", replace(registry.calibration("A1").record, input_sha256="f" * 64))
+        registry.calibrations.add("small", replace(registry.calibrations.get("A1").record, input_sha256="f" * 64))
     out = tmp_path / "files"
     assert main(["export", "--registry", refused, "--serial", "A1", "--format", "blob", "--out", str(out)]) == 0
     assert files_of(out, "A1") == ["unit-A1.ssc"]

@@ -27,16 +27,16 @@ def url(tmp_path, monkeypatch):
     url = f"sqlite:///{tmp_path / 'registry.db'}"
     errors = np.random.default_rng(9).normal(0.1, 0.01, 31)
     with open_registry(url) as registry, registry.transaction():
-        registry.add_lot(Lot("L1", "S0", 50.0, limit_rmse=0.2))
+        registry.lots.add(Lot("L1", "S0", 50.0, limit_rmse=0.2))
         network = Network((np.zeros((15, 1)),), (np.zeros(1),), 0.0, 1.0, 0.0, 1.0)
-        network_id = registry.add_network("L1", network, {}, {}, "a" * 64)
+        network_id = registry.networks.add("L1", network, {}, {}, "a" * 64)
         for number, serial in enumerate([*(f"A{k}" for k in range(30)), "A7"]):
             arrays = {"map.gain": np.array([float(number)])}
             sha256 = content_sha256(arrays, {})
             made = (serial, network_id, "affine", sha256, arrays, {}, float(errors[number]))
             record = CalibrationRecord(*made, "pass", ("fine",), sha256, sha256)
-            registry.add_calibration("L1", record, actor="kim")
-        registry.add_refusal("L1", "B1", "retest", (plain("=cmd|calc"),))
+            registry.calibrations.add("L1", record, actor="kim")
+        registry.calibrations.refuse("L1", "B1", "retest", (plain("=cmd|calc"),))
     return url
 
 

@@ -40,7 +40,7 @@ def first_person(screen, code: str, pin: str = "7391", again: str = "7391"):
 
 def people_of(url: str) -> list[tuple[str, str]]:
     with open_registry(url) as registry:
-        return [(user.name, user.role) for user in registry.users()]
+        return [(user.name, user.role) for user in registry.people.all()]
 
 
 def test_the_first_person_becomes_quality_by_the_code_that_the_server_printed(new_registry, show, capfd) -> None:
@@ -59,7 +59,7 @@ def test_the_first_person_may_open_every_page_and_has_the_rights_of_the_role_aft
 
     def opened() -> list[str]:
         with open_registry(new_registry) as registry:
-            return [page.name for page in pages_for(registry.sign_in("Quinn", "7391"))]
+            return [page.name for page in pages_for(registry.people.sign_in("Quinn", "7391"))]
 
     assert opened() == [page.name for page in PAGES]
     identity._sign_ins()["alone"] = identity.SignIn("Quinn", datetime.now(UTC) + timedelta(hours=1))
@@ -146,7 +146,7 @@ def test_a_change_of_a_person_lands_in_the_audit_trail_with_its_reason(calibrate
     _person(screen, "took over the lab")
     assert screen.success
     with open_registry(calibrated) as registry:
-        row = registry.audit_rows()[-1]
+        row = registry.trail.rows()[-1]
     assert (row.actor, row.action, row.reason) == ("Quinn", "set_user", "took over the lab")
 
 
@@ -155,7 +155,7 @@ def test_a_change_without_a_reason_changes_nothing(calibrated, show) -> None:
     _person(screen, " ")
     assert screen.warning
     with open_registry(calibrated) as registry:
-        assert {user.name: user.role for user in registry.users()}["Erin"] == "engineer"
+        assert {user.name: user.role for user in registry.people.all()}["Erin"] == "engineer"
 
 
 def test_a_role_without_the_permission_gets_no_button(calibrated, show) -> None:

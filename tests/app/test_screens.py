@@ -41,7 +41,7 @@ def test_an_empty_registry_says_how_to_begin(tmp_path, show):
 def test_a_unit_shows_its_verdict_its_reasons_and_its_history(calibrated, show):
     screen = show(calibrated, "unit", role=None, unit="A1")
     with open_registry(calibrated) as registry:
-        (unit,) = registry.units("small", "A1")
+        (unit,) = registry.lots.units("small", "A1")
     assert all(any(str(why) in line.value for line in screen.markdown) for why in unit.reasons)
     assert any(table.value["Revision"].tolist() == [1] for table in screen.table if "Revision" in table.value)
 
@@ -54,7 +54,7 @@ def test_the_audit_trail_names_who_did_what(calibrated, show):
 @pytest.mark.parametrize("language", texts.LANGUAGES)
 def test_a_unit_without_a_map_says_why_in_the_language_of_the_reader(calibrated, show, language):
     with open_registry(calibrated) as registry:
-        (why,) = registry.units("small", "A4")[0].reasons
+        (why,) = registry.lots.units("small", "A4")[0].reasons
     shown = show(calibrated, "unit", role=None, unit="A4", lang=language).info[0].value
     assert said(why, partial(texts.text, language)) in shown
     lot = show(calibrated, "lot", role=None, lang=language)
@@ -64,7 +64,7 @@ def test_a_unit_without_a_map_says_why_in_the_language_of_the_reader(calibrated,
 def test_a_filter_that_leaves_fewer_pages_goes_back_to_the_first(calibrated, show):
     with open_registry(calibrated) as registry:
         for k in range(60):
-            registry.add_refusal("small", f"B{k:02d}", "retest", (plain("cable"),))
+            registry.calibrations.refuse("small", f"B{k:02d}", "retest", (plain("cable"),))
     screen = show(calibrated, "lot", role=None)
     screen.session_state["units-page-small"] = 2
     screen.run()
@@ -84,9 +84,9 @@ def test_a_unit_whose_stream_has_ended_stands_among_the_units_in_use(calibrated,
 
 def test_a_trained_network_is_a_draft_until_somebody_releases_it_with_a_reason(calibrated, show):
     with open_registry(calibrated) as registry:
-        first = registry.released_network("small").network
-        other = replace(registry.network(first.id), output_mean=0.61)
-        trial = registry.add_network("small", other, {"validation_rmse": 0.05}, {}, "b" * 64, actor="Erin")
+        first = registry.networks.released("small").network
+        other = replace(registry.networks.get(first.id), output_mean=0.61)
+        trial = registry.networks.add("small", other, {"validation_rmse": 0.05}, {}, "b" * 64, actor="Erin")
     screen = show(calibrated, "networks", role="engineer")
     shown = screen.table[0].value.to_dict("records")
     states = [texts.text("en", key) for key in ("networks.state.draft", "networks.in_use")]
@@ -95,7 +95,7 @@ def test_a_trained_network_is_a_draft_until_somebody_releases_it_with_a_reason(c
     next(button for button in screen.button if button.label == texts.text("en", "networks.release.do")).click().run()
     assert not screen.exception and screen.success
     with open_registry(calibrated) as registry:
-        state = registry.released_network("small")
+        state = registry.networks.released("small")
         assert (state.network.id, state.actor, state.reason) == (trial, "Erin", "half the error")
 
 

@@ -53,12 +53,12 @@ def test_each_unit_takes_the_source_that_is_bent_like_it(tables, registry_url):
     main(["batch", str(tables / "lot"), "--registry", registry_url, "--json", str(report), *SMALL])
     assert {unit["serial"] for unit in json.loads(report.read_text())["units"]} == {"STRAIGHT", "BENT"}
     with open_registry(registry_url) as registry:
-        networks = {serial: registry.calibration(serial).record.network_id for serial in ("STRAIGHT", "BENT")}
+        networks = {serial: registry.calibrations.get(serial).record.network_id for serial in ("STRAIGHT", "BENT")}
         trained = {
             entry.id: entry.training["source_recording_sha256"]
-            for entry in map(registry.network_entry, networks.values())
+            for entry in map(registry.networks.entry, networks.values())
         }
-        sources = {serial: registry.recording(trained[id_]).serial for serial, id_ in networks.items()}
+        sources = {serial: registry.recordings.get(trained[id_]).serial for serial, id_ in networks.items()}
     assert sources == {"STRAIGHT": "S1", "BENT": "S2"}
 
 

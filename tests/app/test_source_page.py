@@ -45,8 +45,8 @@ def test_a_source_is_registered_pressed_looked_at_and_trained_from_its_page(url:
         (order, progress), *_ = found
         assert (order.kind, order.serial, order.lot_id) == (OrderKind.SOURCE, "A0", LOT)
         assert progress.state is RunState.DONE, progress.text
-        (recording,) = registry.recordings(LOT, kind="source")
-        (network,) = registry.networks()
+        (recording,) = registry.recordings.of_lot(LOT, kind="source")
+        (network,) = registry.networks.all()
     screen.run()
     assert not screen.error and screen.success
     assert str(recording.samples) in {metric.value for metric in screen.metric}

@@ -27,11 +27,13 @@ def registry(tmp_path):
 
 
 def golden(registry, passed, at=NOW):
-    registry.add_golden_run(GoldenRun("s1", "G1", at, 0.1, "N", passed, () if passed else ("off",)))
+    registry.stations.add_golden_run(GoldenRun("s1", "G1", at, 0.1, "N", passed, () if passed else ("off",)))
 
 
 def certify(registry):
-    registry.add_certificate(CellCertificate("K1", "17", "Lab", date(2020, 1, 1), date(2090, 1, 1), 20.0, 0.02))
+    registry.stations.add_certificate(
+        CellCertificate("K1", "17", "Lab", date(2020, 1, 1), date(2090, 1, 1), 20.0, 0.02)
+    )
 
 
 def test_the_gate_opens_when_certificate_and_golden_unit_are_there(registry):
@@ -64,12 +66,12 @@ def test_an_override_opens_the_gate_in_spite_of_the_reasons_and_is_audited(regis
     gate.override("kim", "certificate is in the post")
     answer = gate(OrderKind.UNIT, WARM)
     assert answer.is_open and answer.reasons
-    row = registry.audit_rows()[-1]
+    row = registry.trail.rows()[-1]
     assert (row.action, row.actor, row.reason) == ("override", "kim", "certificate is in the post")
 
 
 def test_a_golden_unit_without_calibration_cannot_judge(registry):
-    registry.add_lot(Lot("L1", "A0", 50.0))
+    registry.lots.add(Lot("L1", "A0", 50.0))
     t_s = np.arange(100) / 50
     recording = LabelledRecording(OutputRecording("G1", t_s, np.sin(t_s), 50.0), np.cos(t_s))
     with pytest.raises(InputError, match="G1"):

@@ -19,6 +19,7 @@ from softcal.core.profiles import ramps
 from softcal.core.quality.gate import Gate
 from softcal.db.connection import open_registry
 from softcal.db.queues.order_queue import OrderQueue
+from softcal.db.truth.recordings import RecordingTables
 from softcal.station.bench import Bench, open_simulated_bench
 from softcal.station.service import Hooks, StationService
 
@@ -28,7 +29,7 @@ QUICK = ramps([2.0], 4.0, rest_s=0.3, name="quick")
 @pytest.fixture
 def registry(tmp_path):
     with open_registry(f"sqlite:///{tmp_path / 'r.db'}") as registry:
-        registry.add_lot(Lot("L1", "A0", 50.0))
+        registry.lots.add(Lot("L1", "A0", 50.0))
         yield registry
 
 
@@ -78,7 +79,7 @@ def test_an_order_becomes_a_recording_in_the_registry(registry, tmp_path):
     serve_until(make_host(registry, tmp_path), placed_and_ended(registry, "L1"))
     progress = queue.progress("o1")
     assert progress.state is RunState.DONE, progress.text
-    recording = registry.recording(progress.recording_sha256)
+    recording = registry.recordings.get(progress.recording_sha256)
     assert recording.serial == "A1"
     assert recording.stage_mm.max() == pytest.approx(2.0, abs=0.02)
     assert queue.heartbeat("s1").state is StationState.OFF
@@ -192,7 +193,7 @@ def away_for(monkeypatch, owner, name, times, is_hit=lambda *_: True):
 
 
 def test_a_recording_waits_for_a_registry_that_is_away(registry, tmp_path, monkeypatch):
-    left = away_for(monkeypatch, type(registry), "add_recording", 3)
+    left = away_for(monkeypatch, RecordingTables, "add", 3)
     serve_until(make_host(registry, tmp_path), placed_and_ended(registry, "L1"))
     assert (state_of(registry, "o1"), left) == (RunState.DONE, [])
 

@@ -58,4 +58,4 @@ def test_a_killed_service_leaves_an_interrupted_run_and_its_samples(tmp_path):
             wait_for(lambda: not queue.progress("o1").state.is_active)
             assert queue.progress("o1").code == "E-INTERRUPTED"
             assert queue.progress("o1").state is RunState.ERROR
-        assert registry.lots() == []  # Nothing of the half run was stored.
+        assert registry.lots.all() == []  # Nothing of the half run was stored.

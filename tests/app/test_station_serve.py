@@ -82,24 +82,24 @@ def line(tmp_path_factory):
 
 
 def test_a_source_begins_its_lot_and_trains_its_network(line):
-    lot = line.registry.lot("L1")
+    lot = line.registry.lots.get("L1")
     assert (lot.source, lot.sample_rate_Hz) == ("A0", 50.0)
-    assert [entry.lot_id for entry in line.registry.networks()] == ["L1"]
+    assert [entry.lot_id for entry in line.registry.networks.all()] == ["L1"]
 
 
 def test_a_unit_gets_its_verdict_in_its_order_and_in_the_registry(line):
     done = line.order("unit", "A1")
     assert done.state is RunState.DONE and done.text
     assert done.verdict in ("pass", "conditional", "fail", "retest")
-    (unit,) = [unit for unit in line.registry.units("L1") if unit.serial == "A1"]
+    (unit,) = [unit for unit in line.registry.lots.units("L1") if unit.serial == "A1"]
     assert (unit.verdict, unit.reasons) == (done.verdict, done.message)
-    assert line.registry.recording(done.recording_sha256).serial == "A1"
+    assert line.registry.recordings.get(done.recording_sha256).serial == "A1"
 
 
 def test_a_unit_pressed_again_gets_another_revision_with_its_reason(line):
     line.order("unit", "A2")
     line.order("unit", "A2", reason="it was not seated")
-    first, second = line.registry.history("A2")
+    first, second = line.registry.calibrations.history("A2")
     assert "s1" in first.reason and second.reason == "it was not seated"
 
 
@@ -130,12 +130,12 @@ def test_a_golden_unit_is_judged_and_one_out_of_control_quarantines_what_was_pre
     line.order("unit", "G1")
     assert line.order("golden", "G1").verdict == "pass"
     line.order("unit", "A5")
-    line.registry.set_limit("L1", 1e-6, reason="nothing is good enough")
+    line.registry.lots.set_limit("L1", 1e-6, reason="nothing is good enough")
     failed = line.order("golden", "G1")
     assert failed.verdict == "fail"
     assert failed.message[-1] == reason("golden.held", serials="A5")
-    assert [run.passed for run in line.registry.golden_runs("s1")] == [True, False]
-    assert [row.action for row in line.registry.audit_rows()].count("quarantine") == 1
+    assert [run.passed for run in line.registry.stations.golden_runs("s1")] == [True, False]
+    assert [row.action for row in line.registry.trail.rows()].count("quarantine") == 1
 
 
 def test_an_unknown_fault_names_the_known_ones(line):
@@ -168,7 +168,7 @@ def test_the_gate_tells_every_condition_and_an_override_opens_it(tmp_path):
         assert refused.code == "E-GATE"
         assert len(refused.message) >= 3  # All reasons at once.
         assert line.order("override").state is RunState.ERROR
-        line.registry.add_certificate(
+        line.registry.stations.add_certificate(
             CellCertificate("SIM-CELL", "17", "Lab", date(2020, 1, 1), date(2090, 1, 1), 20.0, 0.02)
         )
         assert line.order("override", reason="first set-up").state is RunState.DONE

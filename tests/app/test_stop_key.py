@@ -19,7 +19,7 @@ KEY = {"x-softcal-key": "stop"}
 def line(tmp_path: Path, serve: Callable) -> Iterator[tuple[Registry, int]]:
     url = f"sqlite:///{tmp_path / 'line.db'}"
     with open_registry(url) as registry:
-        registry.add_lot(Lot("L1", "A0", 50.0))
+        registry.lots.add(Lot("L1", "A0", 50.0))
         registry.order_queue.beat(Heartbeat("line-1", StationState.READY, datetime.now(UTC), (), "host:1"))
         with serve(url) as screen:
             yield registry, screen.port

@@ -39,7 +39,7 @@ def drifted_V(load_N: float) -> float:
 
 def _revisions(url: str) -> int:
     with open_registry(url) as registry:
-        return len(registry.history("A1"))
+        return len(registry.calibrations.history("A1"))
 
 
 def test_two_loads_make_a_revision_that_reads_them(trimmed, registry_url, tmp_path, press_unit, capsys):
@@ -60,7 +60,7 @@ def test_two_loads_make_a_revision_that_reads_them(trimmed, registry_url, tmp_pa
     assert error() < 0.6 * drifted
     assert _revisions(registry_url) == before + 1
     with open_registry(registry_url) as registry:
-        record = registry.calibration("A1").record
+        record = registry.calibrations.get("A1").record
     assert record.knowledge.is_anchored and record.verdict != "pass" and record.after_rmse is None
 
 
@@ -98,7 +98,7 @@ def test_a_trim_does_not_lift_a_measured_fail(trimmed, lot_folder, registry_url,
         assert trimmed(*loads) == 0
         assert batch(lot_folder, registry_url) == 1, "a batch that measures nothing new decides nothing new"
         with open_registry(registry_url) as registry:
-            record = registry.calibration("A1").record
+            record = registry.calibrations.get("A1").record
         assert record.verdict == "fail" and record.decision.is_audited and record.after_rmse
         assert {"trimmed", "audited_before_trim"} <= {why.code for why in record.reasons}
     out = str(tmp_path / "out")
@@ -112,7 +112,7 @@ def test_a_new_audit_decides_on_a_trimmed_unit_and_older_ones_of_others_do_not(t
     assert trimmed([drifted_V(0.0), drifted_V(2.5)], [0.0, 2.5]) == 0
     batch(lot_folder, registry_url)
     with open_registry(registry_url) as registry:
-        record = registry.calibration("A1").record
+        record = registry.calibrations.get("A1").record
     assert record.verdict == "conditional" and not record.decision.is_audited
     assert "audited_before_trim" in {why.code for why in record.reasons}
     assert record.evidence["map_anchor_gain"] != 1.0, "the batch leaves the trimmed map in use"
@@ -120,7 +120,7 @@ def test_a_new_audit_decides_on_a_trimmed_unit_and_older_ones_of_others_do_not(t
 
 def _record(url: str) -> CalibrationRecord:
     with open_registry(url) as registry:
-        return registry.calibration("A1").record
+        return registry.calibrations.get("A1").record
 
 
 def test_a_new_fit_of_the_same_recording_keeps_the_trim(trimmed, lot_folder, registry_url):
@@ -169,11 +169,11 @@ def test_a_map_that_a_person_brought_back_is_not_trimmed_again(trimmed, lot_fold
 def test_a_second_trim_replaces_the_first(trimmed, registry_url):
     assert trimmed([drifted_V(0.0), drifted_V(2.5)], [0.0, 2.5]) == 0
     with open_registry(registry_url) as registry:
-        first = registry.calibration("A1").record
+        first = registry.calibrations.get("A1").record
     assert trimmed([drifted_V(0.0) + 0.3, drifted_V(2.5) + 0.3], [0.0, 2.5]) == 0
     assert trimmed([drifted_V(0.0), drifted_V(2.5)], [0.0, 2.5]) == 0
     with open_registry(registry_url) as registry:
-        third = registry.calibration("A1").record
+        third = registry.calibrations.get("A1").record
     assert third.map_sha256 == first.map_sha256
     assert np.array_equal(third.arrays["interval.half_width"], first.arrays["interval.half_width"])
 
@@ -230,7 +230,7 @@ def test_known_loads_lie_in_the_lot_folder(lot_folder, registry_url):
     batch = ["batch", str(lot_folder), "--registry", registry_url, "--hidden", "16,8", "--no-own"]
     main(batch)
     with open_registry(registry_url) as registry:
-        assert registry.calibration("A1").record.knowledge.is_anchored
-        assert not registry.calibration("A2").record.knowledge.is_anchored
+        assert registry.calibrations.get("A1").record.knowledge.is_anchored
+        assert not registry.calibrations.get("A2").record.knowledge.is_anchored
     loads.assign(serial="NOBODY").to_csv(lot_folder / "anchors.csv", index=False)
     assert main(batch) == 2

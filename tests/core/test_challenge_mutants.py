@@ -7,9 +7,8 @@ import pytest
 
 from softcal.core.challenge.catalogue_equations import CATALOGUE
 from softcal.core.challenge.draw import draw_case, draw_challenge
-from softcal.core.challenge.floors import FLOORS, shortfalls
 from softcal.core.challenge.mistakes import Mistake
-from softcal.core.challenge.score import score_reports
+from softcal.core.challenge.score import FLOORS, score_reports, shortfalls
 from softcal.core.challenge.seal import Label
 
 PER_LINE = 4

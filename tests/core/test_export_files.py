@@ -16,10 +16,10 @@ import pytest
 from softcal.core.errors import UnitRefused
 from softcal.core.export.blob import MINOR, FileRefused, NetworkFile, RefusalCause, UnitFile, serial_field
 from softcal.core.export.blob_reader import read_network, read_unit
+from softcal.core.export.c_text import intel_hex
 from softcal.core.export.compile_map import Curve, InputScale, MapForm
 from softcal.core.export.device import DeviceOptions, UnitFacts, build_network_file, build_unit_file
 from softcal.core.export.integer_network import DeviceMap, IntegerMix, PiecewiseMap
-from softcal.core.export.intel_hex import intel_hex
 from softcal.core.export.json_text import (
     json_text,
     network_from_values,

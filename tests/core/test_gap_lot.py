@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from common.lot_draw import draw_lot
 
 from softcal.core import profiles
-from softcal.core.challenge.lot_draw import draw_lot
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.fit import PRIOR_ODDS

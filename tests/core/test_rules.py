@@ -12,7 +12,7 @@ from softcal.core.metrics import rmse
 from softcal.core.unit import rules
 from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.rule_conformance import faults
-from softcal.core.unit.rules import Objection, Rule, RuleFacts, identity, with_plugins
+from softcal.core.unit.rules import Objection, Rule, RuleFacts, identity
 from softcal.core.unit.verdict import Limit
 
 Answer = Callable[[RuleFacts], Iterator[Objection]]
@@ -108,7 +108,7 @@ def test_a_machine_without_the_rule_decides_nothing(source_model, unit) -> None:
 @pytest.mark.parametrize("value", ["math:pi", "softcal.core.unit.rules:Rule", "softcal.nowhere:x"])
 def test_what_is_no_rule_is_refused_with_the_name_of_its_entry_point(value: str) -> None:
     with pytest.raises(InputError, match="'mine'"):
-        with_plugins([EntryPoint("mine", value, rules.GROUP)])
+        rules.PLUGINS.beside({}, [EntryPoint("mine", value, rules.PLUGINS.group)])
 
 
 COUNT = count()

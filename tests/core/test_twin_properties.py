@@ -10,10 +10,9 @@ from softcal.core.errors import InputError
 from softcal.core.gap.case import KINDS, Case, Run
 from softcal.core.gap.next_experiment import menu
 from softcal.core.twin import properties
-from softcal.core.twin.catalogue import EFFECTS, OWN_EFFECTS
+from softcal.core.twin.catalogue import EFFECTS, OWN_EFFECTS, PLUGINS
 from softcal.core.twin.effects import Effect, Hook, Parameter
 from softcal.core.twin.parameters import ReadoutMetadata
-from softcal.core.twin.plugins import with_plugins
 from softcal.core.twin.properties import PROPERTIES, Broken
 
 SIDES = [side for effect in EFFECTS.values() for side in (effect, *effect.sides)]
@@ -79,12 +78,12 @@ def test_a_broken_effect_is_told(holds, broken):
 def test_plug_ins_stand_behind_the_own_effects(monkeypatch):
     monkeypatch.setattr("softcal.core.twin.properties.GOOD_FOR_TEST", GOOD, raising=False)
     point = EntryPoint("wear", "softcal.core.twin.properties:GOOD_FOR_TEST", "softcal.effects")
-    assert list(with_plugins(OWN_EFFECTS, [point]))[-1] == "wear"
+    assert list(PLUGINS.beside(OWN_EFFECTS, [point]))[-1] == "wear"
     with pytest.raises(InputError, match="wear"):
-        with_plugins({"wear": GOOD}, [point])
+        PLUGINS.beside({"wear": GOOD}, [point])
 
 
 @pytest.mark.parametrize("value", ["no_such_module:EFFECT", "softcal.core.twin.properties:RATE_Hz"])
 def test_a_plug_in_that_is_none_is_refused_in_one_line(value):
     with pytest.raises(InputError, match="'wear'"):
-        with_plugins(OWN_EFFECTS, [EntryPoint("wear", value, "softcal.effects")])
+        PLUGINS.beside(OWN_EFFECTS, [EntryPoint("wear", value, "softcal.effects")])

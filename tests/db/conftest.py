@@ -169,7 +169,7 @@ class Factory:
         )
 
     def calibrate(self, serial: str, number: int = 1) -> int:
-        return self.registry.add_calibration(self.lot_id, self.record(serial, number), actor="tester")
+        return self.registry.calibrations.add(self.lot_id, self.record(serial, number), actor="tester")
 
 
 @pytest.fixture
@@ -177,9 +177,9 @@ def make_factory(network) -> Callable[..., Factory]:
     """`make_factory(registry, lot_id="L1")` registers a lot with source S0 and a network."""
 
     def make(registry: Registry, lot_id: str = "L1") -> Factory:
-        registry.add_lot(Lot(lot_id, "S0", 50.0, limit_rmse=0.2))
-        registry.add_recording(lot_id, labelled_recording("S0"), "source")
-        network_id = registry.add_network(lot_id, network, {"rmse": 0.05}, {"seed": 0}, "a" * 64)
+        registry.lots.add(Lot(lot_id, "S0", 50.0, limit_rmse=0.2))
+        registry.recordings.add(lot_id, labelled_recording("S0"), "source")
+        network_id = registry.networks.add(lot_id, network, {"rmse": 0.05}, {"seed": 0}, "a" * 64)
         return Factory(registry, lot_id, network_id)
 
     return make

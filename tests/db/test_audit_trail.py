@@ -38,15 +38,19 @@ def past_the_triggers(registry):
 
 @pytest.fixture
 def filled(factory, recording_of):
-    factory.registry.add_recording("L1", recording_of("A1"), "unit")
+    factory.registry.recordings.add("L1", recording_of("A1"), "unit")
     factory.calibrate("A1", 1)
     factory.calibrate("A1", 2)
-    factory.registry.add_refusal("L1", "A2", "fail", (plain("constant"),))
-    factory.registry.set_line_rules("L1", LineRules(), reason="first lot")
-    factory.registry.add_adaptations("A1", 1, [{"stream": "s", "sample": 3, "gain": 1.5}])
-    factory.registry.add_golden_run(GoldenRun("s1", "G1", datetime(2026, 5, 4, 6, tzinfo=UTC), 0.01, "N", True))
-    factory.registry.withdraw_network(factory.registry.networks()[0].id, reason="to be trained again")
-    factory.registry.add_certificate(CellCertificate("C1", "7", "lab", date(2026, 1, 1), date(2027, 1, 1), 50.0, 0.01))
+    factory.registry.calibrations.refuse("L1", "A2", "fail", (plain("constant"),))
+    factory.registry.lots.set_line_rules("L1", LineRules(), reason="first lot")
+    factory.registry.adaptations.add("A1", 1, [{"stream": "s", "sample": 3, "gain": 1.5}])
+    factory.registry.stations.add_golden_run(
+        GoldenRun("s1", "G1", datetime(2026, 5, 4, 6, tzinfo=UTC), 0.01, "N", True)
+    )
+    factory.registry.networks.withdraw(factory.registry.networks.all()[0].id, reason="to be trained again")
+    factory.registry.stations.add_certificate(
+        CellCertificate("C1", "7", "lab", date(2026, 1, 1), date(2027, 1, 1), 50.0, 0.01)
+    )
     return factory
 
 
@@ -64,8 +68,8 @@ def test_the_newest_rows_come_first_whoever_wrote_them(filled, make_factory, fil
     synchronise(filled.registry, file_registry)
     other.calibrate("B1")
     synchronise(filled.registry, file_registry)
-    rows = filled.registry.audit_rows()
-    newest = filled.registry.newest_audit_rows(7)
+    rows = filled.registry.trail.rows()
+    newest = filled.registry.trail.newest(7)
     assert newest == sorted(rows, key=lambda row: (row.at, row.origin, row.seq))[:-8:-1]
     assert newest[0].action == "put_in_use" and newest[0].origin == file_registry.origin
 
@@ -111,7 +115,7 @@ def test_one_flipped_bit_in_a_blob_is_found_and_never_read(filled, past_the_trig
     (told,) = beside_triggers(filled.registry)
     assert stored[:12] in told
     with pytest.raises(RegistryError, match=stored[:12]):
-        filled.registry.calibration("A1")
+        filled.registry.calibrations.get("A1")
 
 
 @pytest.mark.parametrize("removed", [True, False], ids=["removed", "one bit flipped"])
@@ -139,7 +143,7 @@ def test_an_edited_row_with_an_edited_trail_still_breaks_the_chain(filled, past_
 
 
 def test_the_hash_of_a_row_can_be_computed_by_anybody(filled):
-    row = filled.registry.audit_rows()[-1]
+    row = filled.registry.trail.rows()[-1]
     fields = {name: value for name, value in vars(row).items() if name != "hash"}
     fields["at"] = row.at.isoformat(timespec="microseconds")
     text_of_row = json.dumps(fields, sort_keys=True, separators=(",", ":"))
@@ -147,7 +151,7 @@ def test_the_hash_of_a_row_can_be_computed_by_anybody(filled):
 
 
 def test_events_that_change_no_table_stand_in_the_trail(filled):
-    filled.registry.add_event("export", "exports", ("A1", 2), {"format": "json"}, actor="kim", reason="shipment 7")
-    last = filled.registry.audit_rows()[-1]
+    filled.registry.trail.add("export", "exports", ("A1", 2), {"format": "json"}, actor="kim", reason="shipment 7")
+    last = filled.registry.trail.rows()[-1]
     assert (last.action, last.actor, last.reason) == ("export", "kim", "shipment 7")
     assert filled.registry.verify() == []

@@ -25,11 +25,11 @@ def test_what_comes_back_is_what_was_there(factory, backup, new_url):
     restore(backup, url)
     with open_registry(url, create=False) as again:
         assert again.verify() == []
-        assert again.units() == factory.registry.units()
-        assert again.audit_rows(factory.registry.origin) == factory.registry.audit_rows()
-        assert [row.action for row in again.audit_rows(again.origin)] == ["restore"]
+        assert again.lots.units() == factory.registry.lots.units()
+        assert again.trail.rows(factory.registry.origin) == factory.registry.trail.rows()
+        assert [row.action for row in again.trail.rows(again.origin)] == ["restore"]
         assert again.origin != factory.registry.origin, "two copies that are both written to must be told apart"
-        again.rollback("A1", 1, reason="goes on")
+        again.calibrations.rollback("A1", 1, reason="goes on")
         assert again.verify() == []
 
 
@@ -69,7 +69,7 @@ def test_a_backup_is_never_overwritten(factory, backup):
 def test_a_registry_with_data_is_never_restored_over(factory, backup, registry_url):
     with pytest.raises(RegistryError):
         restore(backup, registry_url)
-    assert factory.registry.calibration("A1").revision == 2
+    assert factory.registry.calibrations.get("A1").revision == 2
 
 
 def test_a_damaged_backup_restores_nothing(backup, tmp_path):

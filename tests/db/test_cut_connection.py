@@ -7,10 +7,10 @@ from softcal.app.cli.main import main
 from softcal.core.errors import RegistryError
 from softcal.db.connection import open_registry
 from softcal.db.queues.work_queue import WorkQueue, WorkSet
-from softcal.db.registry import Registry
 from softcal.db.schema import database as database_module
 from softcal.db.schema.database import ConnectionCut
 from softcal.db.truth import history
+from softcal.db.truth.calibrations import CalibrationTables
 
 pytestmark = pytest.mark.parametrize("registry_url", ["postgresql"], indirect=True)
 
@@ -47,20 +47,20 @@ def cut_at(monkeypatch, cut, module, name: str, times: int) -> list[str]:
 
 def test_a_connection_cut_while_it_idled_is_not_noticed(server, cut):
     cut()
-    assert server.registry.calibration("A1").revision == 1
+    assert server.registry.calibrations.get("A1").revision == 1
     cut()
     assert server.calibrate("A1", 2) == 2
 
 
 def test_a_read_that_is_cut_is_done_once_more(server, cut, monkeypatch):
     calls = cut_at(monkeypatch, cut, history, "origins", 1)
-    assert server.registry.calibration("A1").revision == 1 and len(calls) > 1
+    assert server.registry.calibrations.get("A1").revision == 1 and len(calls) > 1
 
 
 def test_a_write_that_is_cut_before_it_is_kept_is_done_once_more_and_once(server, cut, monkeypatch):
     calls = cut_at(monkeypatch, cut, history, "append", 1)
     assert server.calibrate("A1", 2) == 2 and len(calls) > 1
-    assert [stored.revision for stored in server.registry.history("A1")] == [1, 2]
+    assert [stored.revision for stored in server.registry.calibrations.history("A1")] == [1, 2]
     assert server.registry.verify() == []
 
 
@@ -70,7 +70,7 @@ def test_a_server_that_cuts_twice_is_said_in_one_line(server, cut, monkeypatch):
         server.calibrate("A1", 2)
     assert error.value.was_repeated and len(calls) == 2
     monkeypatch.undo()
-    assert [stored.revision for stored in server.registry.history("A1")] == [1]
+    assert [stored.revision for stored in server.registry.calibrations.history("A1")] == [1]
 
 
 def test_what_may_have_been_kept_is_not_done_again(server, monkeypatch):
@@ -85,7 +85,7 @@ def test_what_may_have_been_kept_is_not_done_again(server, monkeypatch):
     with pytest.raises(RegistryError):
         server.calibrate("A1", 2)
     monkeypatch.undo()
-    assert len(commits) == 1 and [stored.revision for stored in registry.history("A1")] == [1, 2]
+    assert len(commits) == 1 and [stored.revision for stored in registry.calibrations.history("A1")] == [1, 2]
 
 
 def test_inside_a_larger_transaction_nothing_is_repeated_alone(server, cut):
@@ -93,7 +93,7 @@ def test_inside_a_larger_transaction_nothing_is_repeated_alone(server, cut):
         server.calibrate("A1", 2)
         cut()
         server.calibrate("A2", 2)
-    assert [unit.serial for unit in server.registry.units("L1") if unit.revision] == ["A1"]
+    assert [unit.serial for unit in server.registry.lots.units("L1") if unit.revision] == ["A1"]
     assert server.registry.verify() == []
 
 
@@ -117,7 +117,7 @@ def test_a_queue_s_claim_that_was_cut_is_claimed_once(server, cut, monkeypatch):
 def test_a_batch_goes_on_through_a_cut(server, cut, trained_lot, tmp_path, monkeypatch, capsys):
     url = server.registry.database.engine.url.render_as_string(hide_password=False)
     command = ["batch", str(trained_lot / "lot"), "--registry", url, "--hidden", "16,8", "--no-own"]
-    original, calls = Registry.add_calibration, []
+    original, calls = CalibrationTables.add, []
 
     def cutting(*arguments, **options):
         answer = original(*arguments, **options)
@@ -126,11 +126,11 @@ def test_a_batch_goes_on_through_a_cut(server, cut, trained_lot, tmp_path, monke
             cut()
         return answer
 
-    monkeypatch.setattr(Registry, "add_calibration", cutting)
+    monkeypatch.setattr(CalibrationTables, "add", cutting)
     assert main(command) in (0, 1), capsys.readouterr().err
     assert len(calls) > 3
     with open_registry(url, create=False) as registry:
-        units = {unit.serial: unit.revision for unit in registry.units("small") if unit.role == "target"}
+        units = {unit.serial: unit.revision for unit in registry.lots.units("small") if unit.role == "target"}
         made = {"A1": 2, "A2": 1, "A3": 1}
         assert units == made, "A1 has a revision in the other lot"
         assert registry.verify() == []

@@ -57,7 +57,7 @@ def test_a_registry_is_found_again(registry_url, make_factory):
         make_factory(registry).calibrate("A1", 1)
         origin = registry.origin
     with open_registry(registry_url, create=False) as again:
-        assert again.origin == origin and again.calibration("A1").revision == 1
+        assert again.origin == origin and again.calibrations.get("A1").revision == 1
 
 
 def test_a_newer_schema_is_refused(new_url):

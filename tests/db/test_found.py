@@ -12,8 +12,8 @@ again for what the chunk knows took 31."""
 def keep(factory, recording_of, serial, number=1):
     registry = factory.registry
     with registry.part():
-        registry.add_recording(factory.lot_id, recording_of(serial), "unit")
-        return registry.add_calibration(factory.lot_id, factory.record(serial, number), work_sha256="f" * 64)
+        registry.recordings.add(factory.lot_id, recording_of(serial), "unit")
+        return registry.calibrations.add(factory.lot_id, factory.record(serial, number), work_sha256="f" * 64)
 
 
 def test_a_chunk_asks_once_for_what_its_units_share(factory, recording_of):
@@ -27,7 +27,7 @@ def test_a_chunk_asks_once_for_what_its_units_share(factory, recording_of):
     # Savepoint and release are no statements of a cursor.
     assert len(seen) <= (STATEMENTS_A_UNIT - 2) * len(SERIALS), "\n".join(seen[: len(seen) // len(SERIALS)])
     assert registry.verify() == []
-    assert {unit.serial for unit in registry.units(factory.lot_id)} >= set(SERIALS)
+    assert {unit.serial for unit in registry.lots.units(factory.lot_id)} >= set(SERIALS)
 
 
 def test_what_a_savepoint_takes_back_is_found_again(factory, recording_of):
@@ -40,8 +40,8 @@ def test_what_a_savepoint_takes_back_is_found_again(factory, recording_of):
         keep(factory, recording_of, "B", 7)
         keep(factory, recording_of, "C")
     assert registry.verify() == []
-    assert [len(registry.history(serial)) for serial in "ABC"] == [1, 1, 1]
-    assert registry.recording(recording_of("B").sha256).serial == "B"
+    assert [len(registry.calibrations.history(serial)) for serial in "ABC"] == [1, 1, 1]
+    assert registry.recordings.get(recording_of("B").sha256).serial == "B"
 
 
 def test_a_second_calibration_in_one_transaction_follows_the_first(factory, recording_of):
@@ -49,7 +49,7 @@ def test_a_second_calibration_in_one_transaction_follows_the_first(factory, reco
     with registry.transaction():
         assert [keep(factory, recording_of, "A", number) for number in (1, 2, 3)] == [1, 2, 3]
     assert registry.verify() == []
-    assert [stored.is_current for stored in registry.history("A")] == [False, False, True]
+    assert [stored.is_current for stored in registry.calibrations.history("A")] == [False, False, True]
 
 
 def test_a_transaction_that_failed_leaves_nothing_behind(factory, recording_of):

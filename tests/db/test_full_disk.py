@@ -20,7 +20,7 @@ from softcal.core.identity import content_sha256
 from softcal.db.care.backup import back_up
 from softcal.db.connection import open_registry
 with open_registry(sys.argv[1], create=False) as registry:
-    record = registry.calibration("A0").record
+    record = registry.calibrations.get("A0").record
     limit = int(sys.argv[2])
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
     try:
@@ -28,7 +28,7 @@ with open_registry(sys.argv[1], create=False) as registry:
             back_up(registry.database, Path(sys.argv[3]))
         for number in range(100_000):
             own = replace(record, serial=f"A{number}", input_sha256=content_sha256({}, {"number": number}))
-            print(f"A{number}", registry.add_calibration("L1", own), flush=True)
+            print(f"A{number}", registry.calibrations.add("L1", own), flush=True)
     except RegistryError as error:
         print(f"refused {error}", flush=True)
 """
@@ -53,7 +53,7 @@ def test_a_full_disk_loses_nothing_that_was_acknowledged(file_registry, make_fac
         assert registry.verify() == []
         for line in acknowledged:
             serial, revision = line.split()
-            assert registry.calibration(serial, int(revision)).revision == int(revision)
+            assert registry.calibrations.get(serial, int(revision)).revision == int(revision)
         make_factory(registry).calibrate("A0", 7)
 
 
@@ -77,13 +77,13 @@ def test_a_registry_that_may_only_be_read_says_so(file_registry, make_factory, m
     event.listen(Engine, "connect", _only_reading)
     try:
         with open_registry(f"sqlite:///{path}", create=False) as registry:
-            assert registry.calibration("A0").revision == 1
+            assert registry.calibrations.get("A0").revision == 1
             with pytest.raises(RegistryError, match="readonly"):
                 make_factory(registry).calibrate("A0", 2)
     finally:
         event.remove(Engine, "connect", _only_reading)
     with open_registry(f"sqlite:///{path}", create=False) as registry:
-        assert registry.verify() == [] and registry.calibration("A0").revision == 1
+        assert registry.verify() == [] and registry.calibrations.get("A0").revision == 1
 
 
 def _only_reading(connection, record) -> None:

@@ -3,6 +3,7 @@
 import uuid
 from contextlib import nullcontext
 from datetime import date
+from functools import partial
 
 import pytest
 from sqlalchemy import text
@@ -51,30 +52,32 @@ def as_role(postgresql_admin, require):
 def test_the_line_can_do_all_its_work(as_role, make_factory, recording_of):
     manager = as_role("manager")
     make_factory(manager)
-    manager.set_user("kim", "operator", "2580", actor="admin")
+    manager.people.set("kim", "operator", "2580", actor="admin")
     registry = as_role("line")
     factory = make_factory(registry)
-    registry.add_recording("L1", recording_of("A1"), "unit")
+    registry.recordings.add("L1", recording_of("A1"), "unit")
     factory.calibrate("A1", 1)
     factory.calibrate("A1", 2)
-    registry.rollback("A1", 1, reason="remounted")
-    registry.add_lot(Lot("L2", "S0", 50.0))
+    registry.calibrations.rollback("A1", 1, reason="remounted")
+    registry.lots.add(Lot("L2", "S0", 50.0))
     queue, work = registry.work_queue, WorkSet("L1", "a" * 64)
     queue.enqueue(work, {"A1": "b" * 64})
     assert all(queue.finish("me", [item.id]) for item in queue.claim("me", work, 1, 60))
     with pytest.raises(InputError):
-        registry.sign_in("kim", "0000")
-    assert registry.sign_in("kim", "2580").name == "kim" and registry.verify() == []
+        registry.people.sign_in("kim", "0000")
+    assert registry.people.sign_in("kim", "2580").name == "kim" and registry.verify() == []
 
 
 def test_what_the_line_may_not_set_is_said_in_one_line(as_role, make_factory):
     make_factory(as_role("manager"))
     line = as_role("line")
     for forbidden in (
-        lambda: line.set_limit("L1", 5.0, reason="easier"),
-        lambda: line.set_line_rules("L1", LineRules(), reason="easier"),
-        lambda: line.set_user("eve", "quality", "1234", actor="eve"),
-        lambda: line.add_certificate(CellCertificate("C", "1", "x", date(2026, 1, 1), date(2027, 1, 1), 50.0, 0.1)),
+        lambda: line.lots.set_limit("L1", 5.0, reason="easier"),
+        lambda: line.lots.set_line_rules("L1", LineRules(), reason="easier"),
+        lambda: line.people.set("eve", "quality", "1234", actor="eve"),
+        lambda: line.stations.add_certificate(
+            CellCertificate("C", "1", "x", date(2026, 1, 1), date(2027, 1, 1), 50.0, 0.1)
+        ),
     ):
         with pytest.raises(RegistryError, match="permission denied") as refused:
             forbidden()
@@ -135,8 +138,10 @@ def test_of_people_the_line_may_count_wrong_pins_only(as_role, column):
 def test_a_reader_reads_units_and_no_pins(as_role, make_factory):
     make_factory(as_role("manager")).calibrate("A1", 1)
     reader = as_role("reader")
-    assert reader.calibration("A1").revision == 1
-    for forbidden in (reader.users, lambda: reader.add_refusal("L1", "A2", "retest", (plain("cable"),))):
+    assert reader.calibrations.get("A1").revision == 1
+    refuse = partial(reader.calibrations.refuse, "L1", "A2", "retest", (plain("cable"),))
+    # What may not be read is no fault of the registry.
+    for forbidden in (reader.people.all, refuse, reader.verify):
         with pytest.raises(RegistryError, match="permission denied"):
             forbidden()
 

@@ -12,35 +12,35 @@ LOT = Lot("L1", "A0", 50.0)
 
 @pytest.fixture
 def lot(registry) -> Lot:
-    registry.add_lot(LOT)
+    registry.lots.add(LOT)
     return LOT
 
 
 def test_a_lot_without_rules_spells_its_serials_as_its_source(registry, lot):
-    assert registry.line_rules(lot).spelled("a7") == "A7"
+    assert registry.lots.line_rules(lot).spelled("a7") == "A7"
 
 
 def test_rules_are_versions_with_a_reason_in_the_audit_trail(registry, lot):
-    registry.set_line_rules("L1", LineRules(target=6), reason="first order", actor="kim")
+    registry.lots.set_line_rules("L1", LineRules(target=6), reason="first order", actor="kim")
     rules = LineRules(serial_pattern=r"A\d+", letters="upper", target=12, retests={"fail": 0})
-    registry.set_line_rules("L1", rules, reason="order doubled", actor="lee", expected_version=1)
-    assert registry.line_rules(lot) == rules
-    assert [(e.version, e.actor, e.reason) for e in registry.line_rules_versions("L1")] == [
+    registry.lots.set_line_rules("L1", rules, reason="order doubled", actor="lee", expected_version=1)
+    assert registry.lots.line_rules(lot) == rules
+    assert [(e.version, e.actor, e.reason) for e in registry.lots.line_rules_versions("L1")] == [
         (1, "kim", "first order"),
         (2, "lee", "order doubled"),
     ]
-    assert registry.audit_rows()[-1].reason == "order doubled" and registry.verify() == []
+    assert registry.trail.rows()[-1].reason == "order doubled" and registry.verify() == []
 
 
 def test_two_editors_of_rules_do_not_overwrite_each_other(registry, lot):
-    registry.set_line_rules("L1", LineRules(target=6), reason="first order", actor="kim")
+    registry.lots.set_line_rules("L1", LineRules(target=6), reason="first order", actor="kim")
     with pytest.raises(InputError, match="kim"):
-        registry.set_line_rules("L1", LineRules(target=7), reason="mine", expected_version=0)
+        registry.lots.set_line_rules("L1", LineRules(target=7), reason="mine", expected_version=0)
 
 
 def test_rules_need_a_reason(registry, lot):
     with pytest.raises(InputError):
-        registry.set_line_rules("L1", LineRules(), reason=" ")
+        registry.lots.set_line_rules("L1", LineRules(), reason=" ")
 
 
 @pytest.mark.parametrize(
@@ -54,5 +54,5 @@ def test_senseless_rules_are_refused(facts):
 
 def test_the_results_of_one_unit_are_read_alone(registry, lot):
     for serial, verdict in (("A1", "retest"), ("A2", "fail"), ("A1", "fail")):
-        registry.add_refusal("L1", serial, verdict, (plain(f"{serial} {verdict}"),))
-    assert [run.verdict for run in registry.runs("L1", "A1")] == ["retest", "fail"]
+        registry.calibrations.refuse("L1", serial, verdict, (plain(f"{serial} {verdict}"),))
+    assert [run.verdict for run in registry.lots.runs("L1", "A1")] == ["retest", "fail"]

@@ -18,45 +18,45 @@ def lot(factory, recording_of):
     registry = factory.registry
     for k in range(6):
         verdict = ("pass", "fail", "conditional")[k % 3]
-        registry.add_calibration("L1", factory.record(f"A{k}", k + 1, verdict))
-    registry.add_calibration("L1", replace(factory.record("A1", 9), before_rmse=0.9, after_rmse=0.4, own_rmse=0.3))
-    registry.add_refusal("L1", "A2", "retest", (plain("cable"),))
-    registry.add_refusal("L1", "B1", "fail", (plain("dead"),))
-    registry.add_refusal("L1", "B2", "retest", (plain("noise"),))
-    registry.add_calibration("L1", factory.record("B2", 2))
-    registry.add_recording("L1", recording_of("C%1"), "unit")
+        registry.calibrations.add("L1", factory.record(f"A{k}", k + 1, verdict))
+    registry.calibrations.add("L1", replace(factory.record("A1", 9), before_rmse=0.9, after_rmse=0.4, own_rmse=0.3))
+    registry.calibrations.refuse("L1", "A2", "retest", (plain("cable"),))
+    registry.calibrations.refuse("L1", "B1", "fail", (plain("dead"),))
+    registry.calibrations.refuse("L1", "B2", "retest", (plain("noise"),))
+    registry.calibrations.add("L1", factory.record("B2", 2))
+    registry.recordings.add("L1", recording_of("C%1"), "unit")
     return registry
 
 
 def test_the_pages_together_are_the_lot(lot):
-    pages = [lot.unit_page("L1", UnitFilter(), page, 4) for page in (1, 2, 3)]
+    pages = [lot.pages.unit_page("L1", UnitFilter(), page, 4) for page in (1, 2, 3)]
     assert [page.total for page in pages] == [9, 9, 9]
-    expected = [unit for unit in lot.units("L1") if unit.role == "target"]
+    expected = [unit for unit in lot.lots.units("L1") if unit.role == "target"]
     assert [unit for page in pages for unit in page.units] == expected
 
 
 def test_the_counts_are_those_of_the_units(lot):
-    assert lot.verdict_counts("L1") == {"fail": 2, "retest": 1, "conditional": 1, "pass": 4, "none": 1}
+    assert lot.pages.verdict_counts("L1") == {"fail": 2, "retest": 1, "conditional": 1, "pass": 4, "none": 1}
 
 
 def test_a_filter_takes_verdicts_and_text_as_it_is_written(lot):
     def serials(**wanted):
-        return [unit.serial for unit in lot.unit_page("L1", UnitFilter(**wanted)).units]
+        return [unit.serial for unit in lot.pages.unit_page("L1", UnitFilter(**wanted)).units]
 
     assert serials(verdicts=("none",)) == ["C%1"] and serials(text="%") == ["C%1"]
     assert serials(text="b", verdicts=("pass", "fail")) == ["B1", "B2"]
 
 
 def test_the_worst_come_first_and_units_without_a_value_last(lot):
-    worst = [unit.verdict for unit in lot.unit_page("L1", UnitFilter(sort="severity")).units]
+    worst = [unit.verdict for unit in lot.pages.unit_page("L1", UnitFilter(sort="severity")).units]
     assert worst == ["retest", "fail", "fail", "conditional", "pass", "pass", "pass", "pass", None]
-    by_error = lot.unit_page("L1", UnitFilter(sort="predicted_rmse", is_descending=True)).units
+    by_error = lot.pages.unit_page("L1", UnitFilter(sort="predicted_rmse", is_descending=True)).units
     errors = [unit.predicted_rmse for unit in by_error]
     assert errors[:7] == sorted(errors[:7], reverse=True) and errors[7:] == [None, None]
 
 
 def test_the_errors_are_those_of_the_newest_maps(lot):
-    errors = {row[0]: row[1:] for row in lot.lot_errors("L1")}
+    errors = {row[0]: row[1:] for row in lot.pages.lot_errors("L1")}
     assert errors["A1"] == ("pass", 0.9, 0.9, 0.4, 0.3) and errors["A2"][0] == "retest" and "B1" not in errors
 
 
@@ -64,21 +64,21 @@ def test_the_marker_changes_with_whatever_is_added_to_a_lot(lot, factory, record
     golden = GoldenRun("line-1", "G1", datetime.now(UTC), 0.1, "N", True, (), "Oh")
     changes = (
         lambda: factory.calibrate("A1", 12),
-        lambda: lot.add_refusal("L1", "A1", "retest", (plain("dead"),)),
-        lambda: lot.add_recording("L1", recording_of("A77"), "unit"),
-        lambda: lot.set_limit("L1", 0.3, reason="drawing"),
-        lambda: lot.set_line_rules("L1", LineRules(target=9), reason="order"),
-        lambda: lot.add_golden_run(golden),
+        lambda: lot.calibrations.refuse("L1", "A1", "retest", (plain("dead"),)),
+        lambda: lot.recordings.add("L1", recording_of("A77"), "unit"),
+        lambda: lot.lots.set_limit("L1", 0.3, reason="drawing"),
+        lambda: lot.lots.set_line_rules("L1", LineRules(target=9), reason="order"),
+        lambda: lot.stations.add_golden_run(golden),
     )
     for change in changes:
-        before = lot.change_marker("L1")
-        assert lot.change_marker("L1") == before
+        before = lot.pages.change_marker("L1")
+        assert lot.pages.change_marker("L1") == before
         change()
-        assert lot.change_marker("L1") != before
+        assert lot.pages.change_marker("L1") != before
 
 
 def test_an_unknown_order_or_lot_is_named(lot):
     with pytest.raises(InputError, match="'rmse; drop'"):
         UnitFilter(sort="rmse; drop")
     with pytest.raises(InputError, match="'L9'"):
-        lot.unit_page("L9", UnitFilter())
+        lot.pages.unit_page("L9", UnitFilter())

@@ -76,10 +76,14 @@ def test_an_older_registry_is_refused_then_upgraded_with_its_data(released, rows
     assert (done.before, done.after) == (rows_file.stem, SCHEMA)
     with open_registry(url, create=False) as registry:
         assert registry.verify() == []
-        assert [(c.revision, c.rolled_back_to) for c in registry.history("A1")] == [(1, None), (2, None), (3, 1)]
-        verdicts = {unit.serial: unit.verdict for unit in registry.units("L1")}
+        assert [(c.revision, c.rolled_back_to) for c in registry.calibrations.history("A1")] == [
+            (1, None),
+            (2, None),
+            (3, 1),
+        ]
+        verdicts = {unit.serial: unit.verdict for unit in registry.lots.units("L1")}
         assert verdicts == {"A1": "pass", "A2": "retest", "S0": None}
-        assert {(state.state, state.actor) for state in registry.network_states("L1")} == {("released", "softcal")}
+        assert {(state.state, state.actor) for state in registry.networks.states("L1")} == {("released", "softcal")}
         with registry.database.reading() as connection:
             assert compare_metadata(MigrationContext.configure(connection), metadata) == []
             keys = set(connection.execute(select(registry_info.c.key)).scalars())

@@ -19,7 +19,7 @@ def test_pages_of_any_size_give_every_row_once(factory):
         factory.calibrate("A1", number)
     outbox = factory.registry.outbox
     everything = ids(outbox.after({}, 10**6))
-    assert everything == ids(factory.registry.audit_rows())
+    assert everything == ids(factory.registry.trail.rows())
     for size in (1, 3, 1000):
         cursor, got = {}, []
         while rows := outbox.after(cursor, size):
@@ -35,7 +35,7 @@ def test_rows_of_another_registry_come_in_the_order_of_their_chain(factory, make
     other.calibrate("B1")
     synchronise(factory.registry, other.registry)
     rows = factory.registry.outbox.after(before, 1000)
-    assert ids(rows) == ids(other.registry.audit_rows(other.registry.origin))
+    assert ids(rows) == ids(other.registry.trail.rows(other.registry.origin))
 
 
 def test_a_destination_begins_once_and_stays_where_it_is(registry, registry_url):

@@ -13,24 +13,24 @@ from softcal.db.truth.registry_base import RegistrySettings
 
 
 def test_the_right_pin_gives_the_person_and_the_role(registry):
-    user = registry.set_user("kim", "engineer", "2580", actor="admin")
-    assert registry.sign_in("kim", "2580") == user
+    user = registry.people.set("kim", "engineer", "2580", actor="admin")
+    assert registry.people.sign_in("kim", "2580") == user
     assert may(user, "set_limit") and not may(user, "people")
 
 
 @pytest.mark.parametrize(("name", "pin"), [("kim", "2581"), ("lee", "2580"), ("kim", "")])
 def test_a_wrong_name_and_a_wrong_pin_read_the_same(registry, name, pin):
-    registry.set_user("kim", "operator", "2580", actor="admin")
+    registry.people.set("kim", "operator", "2580", actor="admin")
     with pytest.raises(InputError) as refused:
-        registry.sign_in(name, pin)
+        registry.people.sign_in(name, pin)
     assert (refused.value.reason.code, refused.value.reason.values) == ("account.wrong_pin", {})
 
 
 def test_no_pin_is_stored_or_told(registry):
-    registry.set_user("kim", "operator", "2580", actor="admin")
+    registry.people.set("kim", "operator", "2580", actor="admin")
     with registry.database.reading() as connection:
         assert connection.execute(select(users.c.pin_hash)).scalar_one().startswith("$argon2id$")
-    told = " ".join(str(vars(row)) for row in registry.audit_rows())
+    told = " ".join(str(vars(row)) for row in registry.trail.rows())
     assert "set_user" in told and "2580" not in told and "argon2" not in told
 
 
@@ -42,29 +42,29 @@ def test_a_stolen_hash_costs_who_guesses_as_much_as_rfc_9106_asks_for(own_hasher
 def test_guessing_leads_to_a_pause_even_for_the_right_pin(registry_url):
     now = [datetime(2026, 5, 4, tzinfo=UTC)]
     with open_registry(registry_url, RegistrySettings(clock=lambda: now[0])) as registry:
-        registry.set_user("kim", "operator", "2580", actor="admin")
+        registry.people.set("kim", "operator", "2580", actor="admin")
         for _ in range(MOST_FAILURES):
             with pytest.raises(InputError):
-                registry.sign_in("kim", "0000")
+                registry.people.sign_in("kim", "0000")
         with pytest.raises(InputError, match=r"\b5 min"):
-            registry.sign_in("kim", "2580")
+            registry.people.sign_in("kim", "2580")
         now[0] += LOCKED_FOR + timedelta(seconds=1)
-        assert registry.sign_in("kim", "2580").name == "kim"
+        assert registry.people.sign_in("kim", "2580").name == "kim"
 
 
 def test_two_editors_do_not_overwrite_each_other(registry):
-    first = registry.set_user("kim", "operator", "2580", actor="admin")
-    registry.set_user("kim", "engineer", actor="anna", version=first.version)
+    first = registry.people.set("kim", "operator", "2580", actor="admin")
+    registry.people.set("kim", "engineer", actor="anna", version=first.version)
     with pytest.raises(InputError):
-        registry.set_user("kim", "quality", actor="ben", version=first.version)
-    assert registry.users()[0].role == "engineer" and registry.sign_in("kim", "2580")
+        registry.people.set("kim", "quality", actor="ben", version=first.version)
+    assert registry.people.all()[0].role == "engineer" and registry.people.sign_in("kim", "2580")
 
 
 def test_who_left_cannot_sign_in(registry):
-    registry.set_user("kim", "operator", "2580", actor="admin")
-    registry.set_user("kim", "operator", actor="admin", is_active=False, version=1)
+    registry.people.set("kim", "operator", "2580", actor="admin")
+    registry.people.set("kim", "operator", actor="admin", is_active=False, version=1)
     with pytest.raises(InputError):
-        registry.sign_in("kim", "2580")
+        registry.people.sign_in("kim", "2580")
 
 
 @pytest.mark.parametrize(
@@ -72,25 +72,30 @@ def test_who_left_cannot_sign_in(registry):
 )
 def test_a_senseless_person_is_refused(registry, role, pin):
     with pytest.raises(InputError):
-        registry.set_user("kim", role, pin, actor="admin")
-    assert registry.users() == []
+        registry.people.set("kim", role, pin, actor="admin")
+    assert registry.people.all() == []
 
 
 def test_who_is_alone_may_do_everything_until_a_second_account_exists(registry):
     everything = frozenset().union(*PERMISSIONS.values())
-    first = registry.set_user("quinn", "quality", "7391", actor="quinn")
-    _, secret = registry.add_token("quinn", "trial", 1, actor="quinn")
-    for alone in (first, registry.sign_in("quinn", "7391"), *registry.users(), registry.user_of_token(secret)):
+    first = registry.people.set("quinn", "quality", "7391", actor="quinn")
+    _, secret = registry.tokens.add("quinn", "trial", 1, actor="quinn")
+    for alone in (
+        first,
+        registry.people.sign_in("quinn", "7391"),
+        *registry.people.all(),
+        registry.tokens.user_of(secret),
+    ):
         assert {action for action in everything if may(alone, action)} == everything
-    registry.set_user("kim", "operator", "2580", actor="quinn")
-    known = (registry.sign_in("quinn", "7391"), registry.users()[1], registry.user_of_token(secret))
+    registry.people.set("kim", "operator", "2580", actor="quinn")
+    known = (registry.people.sign_in("quinn", "7391"), registry.people.all()[1], registry.tokens.user_of(secret))
     for quality in known:
         assert {action for action in everything if may(quality, action)} == PERMISSIONS["quality"]
     # Who may not sign in any more was somebody: duties that were parted stay so.
-    registry.set_user("kim", "operator", actor="quinn", is_active=False, version=1)
-    assert not may(registry.sign_in("quinn", "7391"), "set_up")
+    registry.people.set("kim", "operator", actor="quinn", is_active=False, version=1)
+    assert not may(registry.people.sign_in("quinn", "7391"), "set_up")
 
 
 def test_an_only_account_that_may_not_make_others_gets_nothing_more(registry):
-    operator = registry.set_user("kim", "operator", "2580", actor="admin")
+    operator = registry.people.set("kim", "operator", "2580", actor="admin")
     assert not may(operator, "people") and not may(operator, "set_up")

@@ -36,10 +36,10 @@ from softcal.core.words.reason import plain
 from softcal.db.care.backup import back_up, restore
 from softcal.db.care.maintenance import migrate
 from softcal.db.connection import open_registry
-from softcal.db.registry import Registry
 from softcal.db.schema.database import open_database
 from softcal.db.schema.tables import audit
 from softcal.db.truth import history, in_use
+from softcal.db.truth.calibrations import CalibrationTables
 
 pytestmark = pytest.mark.long
 
@@ -115,9 +115,9 @@ class RegistryMachine(RuleBasedStateMachine):
     def two_lots(self) -> None:
         network = Network((np.zeros((15, 1)),), (np.zeros(1),), 0.0, 1.0, 0.0, 1.0)
         for lot_id in ("L1", "L2"):
-            self.registry.add_lot(Lot(lot_id, "S0", 50.0))
+            self.registry.lots.add(Lot(lot_id, "S0", 50.0))
             self.units[lot_id] = {"S0"}
-        self.network_id = self.registry.add_network("L1", network, {}, {}, "a" * 64)
+        self.network_id = self.registry.networks.add("L1", network, {}, {}, "a" * 64)
 
     def record(self, serial: str, number: int) -> CalibrationRecord:
         arrays = {"map.gain": np.array([float(number)])}
@@ -128,7 +128,7 @@ class RegistryMachine(RuleBasedStateMachine):
 
     @rule(lot_id=LOTS, serial=SERIALS, number=NUMBERS)
     def calibrate(self, lot_id: str, serial: str, number: int) -> None:
-        revision = self.registry.add_calibration(lot_id, self.record(serial, number))
+        revision = self.registry.calibrations.add(lot_id, self.record(serial, number))
         self.history.setdefault(serial, []).append(number)
         self.lots.setdefault(serial, []).append(lot_id)
         assert revision == len(self.history[serial])
@@ -138,7 +138,7 @@ class RegistryMachine(RuleBasedStateMachine):
 
     @rule(lot_id=LOTS, serial=SERIALS)
     def refuse(self, lot_id: str, serial: str) -> None:
-        self.registry.add_refusal(lot_id, serial, "retest", (plain("constant"),))
+        self.registry.calibrations.refuse(lot_id, serial, "retest", (plain("constant"),))
         self.units[lot_id].add(serial)
         self.verdicts[lot_id, serial] = "retest"
 
@@ -149,7 +149,7 @@ class RegistryMachine(RuleBasedStateMachine):
         is_there = to <= len(numbers) and lots[to - 1] == lot_id
         is_possible = is_there and used is not None and numbers[to - 1] != numbers[used - 1]
         try:
-            revision = self.registry.rollback(serial, to, reason="test", lot_id=lot_id)
+            revision = self.registry.calibrations.rollback(serial, to, reason="test", lot_id=lot_id)
         except InputError:
             assert not is_possible
             return
@@ -162,14 +162,14 @@ class RegistryMachine(RuleBasedStateMachine):
     @rule(lot_id=LOTS, serial=SERIALS, number=NUMBERS)
     def record_again(self, lot_id: str, serial: str, number: int) -> None:
         recording = OutputRecording(serial, np.arange(20) / 50, np.sin(np.arange(20.0) + number), 50.0)
-        assert self.registry.add_recording(lot_id, recording, "unit") == recording.sha256
+        assert self.registry.recordings.add(lot_id, recording, "unit") == recording.sha256
         self.units[lot_id].add(serial)
 
     @rule(serial=SERIALS)
     def break_off(self, serial: str) -> None:
         try:
             with self.registry.transaction():
-                self.registry.add_calibration("L1", self.record(serial, 9))
+                self.registry.calibrations.add("L1", self.record(serial, 9))
                 raise ZeroDivisionError
         except ZeroDivisionError:
             pass
@@ -215,7 +215,7 @@ class RegistryMachine(RuleBasedStateMachine):
     @invariant()
     def the_history_is_the_model_s(self) -> None:
         for serial, numbers in self.history.items():
-            stored = self.registry.history(serial)
+            stored = self.registry.calibrations.history(serial)
             assert [float(c.record.arrays["map.gain"][0]) for c in stored] == numbers
             used = {(lot_id, revision) for lot_id, revision in self.used[serial].items()}
             assert {(c.lot_id, c.revision) for c in stored if c.is_current} == used
@@ -223,7 +223,7 @@ class RegistryMachine(RuleBasedStateMachine):
     @invariant()
     def the_units_are_the_model_s(self) -> None:
         for lot_id, serials in self.units.items():
-            found = {unit.serial: unit.verdict for unit in self.registry.units(lot_id)}
+            found = {unit.serial: unit.verdict for unit in self.registry.lots.units(lot_id)}
             assert found == {serial: self.verdicts.get((lot_id, serial)) for serial in serials}
 
     def teardown(self) -> None:
@@ -262,7 +262,7 @@ STATE = in_use.InUseTable._state
 MUTANTS = {
     "a rollback does nothing": ("rollback", _no_rollback),
     "the first map stays in use": ("_state", _first_one_stays),
-    "a refusal is forgotten": ("add_refusal", lambda *_, **__: None),
+    "a refusal is forgotten": ("refuse", lambda *_, **__: None),
 }
 
 
@@ -270,5 +270,5 @@ MUTANTS = {
 def test_the_machine_finds_a_registry_that_does_otherwise(
     mutant: str, monkeypatch: pytest.MonkeyPatch, assert_finds_fault: Callable
 ) -> None:
-    monkeypatch.setattr(Registry, *MUTANTS[mutant])
+    monkeypatch.setattr(CalibrationTables, *MUTANTS[mutant])
     assert_finds_fault(StayingMachine)

@@ -93,35 +93,37 @@ def _scanned(plan: dict) -> int:
 def test_no_question_touches_more_rows_than_it_is_about(registry, make_factory, recording_of):
     factory = make_factory(registry, "lot-3")
     factory.calibrate("A1", 1)
-    registry.add_recording("lot-3", recording_of("A1"), "unit")
+    registry.recordings.add("lot-3", recording_of("A1"), "unit")
     for k in range(LOTS):
         if k != 3:
-            registry.add_lot(Lot(f"lot-{k}", "S0", 50.0))
+            registry.lots.add(Lot(f"lot-{k}", "S0", 50.0))
     fill(registry)
     queue, work = registry.work_queue, WorkSet("lot-3", "a" * 64)
     hundred = [f"U{LOTS * k + 3:06d}" for k in range(100)]
     works = dict.fromkeys(hundred, "c" * 64)
     about_a_unit = {
-        "serials": lambda: registry.find_serials(""),
-        "calibration": lambda: registry.calibration("A1", lot_id="lot-3"),
-        "history": lambda: registry.history("A1"),
-        "unit": lambda: registry.units(serial="A1"),
-        "unit of a lot": lambda: registry.units("lot-3", "A1"),
-        "runs of a unit": lambda: registry.runs("lot-3", "A1"),
-        "known": lambda: registry.find_calibration("A1", factory.record("A1").input_sha256, lot_id="lot-3"),
-        "unknown serial": lambda: registry.lots_of("Z9"),
+        "serials": lambda: registry.pages.find_serials(""),
+        "calibration": lambda: registry.calibrations.get("A1", lot_id="lot-3"),
+        "history": lambda: registry.calibrations.history("A1"),
+        "unit": lambda: registry.lots.units(serial="A1"),
+        "unit of a lot": lambda: registry.lots.units("lot-3", "A1"),
+        "runs of a unit": lambda: registry.lots.runs("lot-3", "A1"),
+        "known": lambda: registry.calibrations.find("A1", factory.record("A1").input_sha256, lot_id="lot-3"),
+        "unknown serial": lambda: registry.calibrations.lots_of("Z9"),
         "calibrate": lambda: factory.calibrate("A1", 2),
-        "again in use": lambda: registry.put_in_use("lot-3", "A1", factory.record("A1").input_sha256, "line"),
-        "refuse": lambda: registry.add_refusal("lot-3", "A1", "retest", (plain("cable"),)),
-        "record": lambda: registry.add_recording("lot-3", recording_of("A1", 5), "unit"),
-        "roll back": lambda: registry.rollback("A1", 2, reason="test", lot_id="lot-3"),
-        "recordings of a unit": lambda: registry.recordings("lot-3", "A1"),
-        "marker of a page": lambda: registry.change_marker("lot-3"),
-        "newest rows of the trail": lambda: registry.newest_audit_rows(50),
-        "decided": lambda: registry.decided_works("lot-3", hundred),
-        "asked before": lambda: registry.inputs_of_works("lot-3", works),
-        "inputs": lambda: registry.known_inputs("lot-3", hundred),
-        "standings": lambda: registry.standings("lot-3", hundred),
+        "again in use": lambda: registry.calibrations.put_in_use(
+            "lot-3", "A1", factory.record("A1").input_sha256, "line"
+        ),
+        "refuse": lambda: registry.calibrations.refuse("lot-3", "A1", "retest", (plain("cable"),)),
+        "record": lambda: registry.recordings.add("lot-3", recording_of("A1", 5), "unit"),
+        "roll back": lambda: registry.calibrations.rollback("A1", 2, reason="test", lot_id="lot-3"),
+        "recordings of a unit": lambda: registry.recordings.of_lot("lot-3", "A1"),
+        "marker of a page": lambda: registry.pages.change_marker("lot-3"),
+        "newest rows of the trail": lambda: registry.trail.newest(50),
+        "decided": lambda: registry.calibrations.decided_works("lot-3", hundred),
+        "asked before": lambda: registry.calibrations.inputs_of_works("lot-3", works),
+        "inputs": lambda: registry.calibrations.known_inputs("lot-3", hundred),
+        "standings": lambda: registry.pages.standings("lot-3", hundred),
         "claim": lambda: queue.claim("me", work, 100, 60),
         "held": lambda: queue.held("me", [1, 2, 3]),
         "owners": lambda: queue.owners(work),
@@ -130,11 +132,11 @@ def test_no_question_touches_more_rows_than_it_is_about(registry, make_factory, 
         "given up": lambda: queue.given_up(work),
     }
     about_a_lot = {
-        "page": lambda: registry.unit_page("lot-3", UnitFilter(sort="severity"), 3, 50),
-        "counts": lambda: registry.verdict_counts("lot-3"),
-        "errors": lambda: registry.lot_errors("lot-3"),
-        "list": lambda: registry.units("lot-3"),
-        "runs": lambda: registry.runs("lot-3"),
+        "page": lambda: registry.pages.unit_page("lot-3", UnitFilter(sort="severity"), 3, 50),
+        "counts": lambda: registry.pages.verdict_counts("lot-3"),
+        "errors": lambda: registry.pages.lot_errors("lot-3"),
+        "list": lambda: registry.lots.units("lot-3"),
+        "runs": lambda: registry.lots.runs("lot-3"),
         "work left": lambda: queue.counts(work=work),
         "enqueue": lambda: queue.enqueue(work, {f"U{LOTS * k + 3:06d}": "b" * 64 for k in range(OF_A_LOT)}),
     }

@@ -20,21 +20,21 @@ from softcal.db.truth.registry_base import RegistrySettings
 def station(file_registry, make_factory, recording_of):
     factory = make_factory(file_registry)
     for serial in ("A1", "A2"):
-        file_registry.add_recording("L1", recording_of(serial), "unit")
+        file_registry.recordings.add("L1", recording_of(serial), "unit")
         factory.calibrate(serial, 1)
     return factory
 
 
 def same_history(here, there) -> bool:
-    return here.audit_rows() == there.audit_rows() and here.units() == there.units()
+    return here.trail.rows() == there.trail.rows() and here.lots.units() == there.lots.units()
 
 
 def test_a_new_central_registry_gets_everything(station, registry):
     report = synchronise(station.registry, registry)
-    assert report.sent == len(station.registry.audit_rows()) and report.received == 0 and report.conflicts == ()
+    assert report.sent == len(station.registry.trail.rows()) and report.received == 0 and report.conflicts == ()
     assert same_history(station.registry, registry) and registry.verify() == []
-    assert registry.recording(station.record("A1").recording_sha256).serial == "A1"
-    assert registry.network(station.network_id).id == station.network_id
+    assert registry.recordings.get(station.record("A1").recording_sha256).serial == "A1"
+    assert registry.networks.get(station.network_id).id == station.network_id
 
 
 def test_sending_twice_changes_nothing(station, registry):
@@ -51,7 +51,7 @@ def test_both_sides_get_what_the_other_did(station, registry, make_factory):
     report = synchronise(station.registry, registry)
     assert (report.sent, report.received, report.conflicts) == (2, 2, ())
     assert same_history(station.registry, registry)
-    assert station.registry.calibration("A1").revision == registry.calibration("A2").revision == 2
+    assert station.registry.calibrations.get("A1").revision == registry.calibrations.get("A2").revision == 2
     assert registry.verify() == station.registry.verify() == []
 
 
@@ -63,21 +63,25 @@ def test_of_two_results_for_one_serial_a_person_decides(station, registry, make_
     report = synchronise(station.registry, registry)
     assert len(report.conflicts) == 1 and mine in report.conflicts[0] and yours in report.conflicts[0]
     for side in (station.registry, registry):
-        assert [(c.revision, c.is_conflict) for c in side.history("A1")] == [(1, False), (2, True), (2, True)]
+        assert [(c.revision, c.is_conflict) for c in side.calibrations.history("A1")] == [
+            (1, False),
+            (2, True),
+            (2, True),
+        ]
         with pytest.raises(InputError, match=f"{mine}.*{yours}|{yours}.*{mine}"):
-            side.calibration("A1")
-        (unit,) = side.units(serial="A1")
-        page = side.unit_page("L1", UnitFilter(text="A1")).units[0]
+            side.calibrations.get("A1")
+        (unit,) = side.lots.units(serial="A1")
+        page = side.pages.unit_page("L1", UnitFilter(text="A1")).units[0]
         assert unit == page and unit.is_conflict and (unit.verdict, unit.revision) == ("retest", None)
-        assert side.verdict_counts("L1")["retest"] == 1
+        assert side.pages.verdict_counts("L1")["retest"] == 1
         assert side.verify() == []
         with pytest.raises(InputError):
-            side.rollback("A1", 2, reason="which?")
-    assert registry.rollback("A1", 2, origin=mine, reason="the other was not seated") == 3
+            side.calibrations.rollback("A1", 2, reason="which?")
+    assert registry.calibrations.rollback("A1", 2, origin=mine, reason="the other was not seated") == 3
     assert synchronise(station.registry, registry).conflicts == ()
     for side in (station.registry, registry):
-        assert side.calibration("A1").record.predicted_rmse == pytest.approx(0.2)
-        assert side.calibration("A1", 2, origin=yours).record.predicted_rmse == pytest.approx(0.3)
+        assert side.calibrations.get("A1").record.predicted_rmse == pytest.approx(0.2)
+        assert side.calibrations.get("A1", 2, origin=yours).record.predicted_rmse == pytest.approx(0.3)
         assert side.verify() == []
     assert station.calibrate("A1", 4) == 4
 
@@ -87,14 +91,14 @@ def test_a_refusal_after_a_conflict_is_what_every_question_tells(station, regist
     station.calibrate("A1", 2)
     make_factory(registry).calibrate("A1", 3)
     synchronise(station.registry, registry)
-    registry.add_refusal("L1", "A1", "fail", (plain("cable"),))
-    (unit,) = registry.units(serial="A1")
-    (paged,) = registry.unit_page("L1", UnitFilter(text="A1")).units
-    stated = registry.standings("L1", ["A1"])["A1"]
+    registry.calibrations.refuse("L1", "A1", "fail", (plain("cable"),))
+    (unit,) = registry.lots.units(serial="A1")
+    (paged,) = registry.pages.unit_page("L1", UnitFilter(text="A1")).units
+    stated = registry.pages.standings("L1", ["A1"])["A1"]
     assert unit == paged and unit.is_conflict
-    for told in (unit, stated, registry.runs("L1", "A1")[-1]):
+    for told in (unit, stated, registry.lots.runs("L1", "A1")[-1]):
         assert (told.verdict, told.reasons) == ("fail", (plain("cable"),))
-    assert stated.made is None and registry.verdict_counts("L1")["fail"] == 1
+    assert stated.made is None and registry.pages.verdict_counts("L1")["fail"] == 1
 
 
 def test_the_same_map_made_twice_is_no_conflict(station, registry, make_factory):
@@ -102,7 +106,9 @@ def test_the_same_map_made_twice_is_no_conflict(station, registry, make_factory)
     station.calibrate("A1", 2)
     make_factory(registry).calibrate("A1", 2)
     assert synchronise(station.registry, registry).conflicts == ()
-    assert registry.calibration("A1").record.map_sha256 == station.registry.calibration("A1").record.map_sha256
+    assert (
+        registry.calibrations.get("A1").record.map_sha256 == station.registry.calibrations.get("A1").record.map_sha256
+    )
 
 
 def test_two_persons_who_decide_differently_are_a_conflict_again(station, registry, make_factory):
@@ -111,8 +117,8 @@ def test_two_persons_who_decide_differently_are_a_conflict_again(station, regist
     make_factory(registry).calibrate("A1", 3)
     synchronise(station.registry, registry)
     mine, yours = station.registry.origin, registry.origin
-    station.registry.rollback("A1", 2, origin=mine, reason="mine")
-    registry.rollback("A1", 2, origin=yours, reason="yours")
+    station.registry.calibrations.rollback("A1", 2, origin=mine, reason="mine")
+    registry.calibrations.rollback("A1", 2, origin=yours, reason="yours")
     assert len(synchronise(station.registry, registry).conflicts) == 1
     station.calibrate("A1", 5)
     assert synchronise(station.registry, registry).conflicts == (), "a calibration of today follows both"
@@ -121,13 +127,13 @@ def test_two_persons_who_decide_differently_are_a_conflict_again(station, regist
 def test_a_clock_that_is_ahead_is_said_and_does_not_win(station, registry, make_factory):
     synchronise(station.registry, registry)
     ahead = datetime.now(UTC) + timedelta(days=30)
-    station.registry.settings = RegistrySettings(clock=lambda: ahead)
+    station.registry.calibrations.settings = RegistrySettings(clock=lambda: ahead)
     station.calibrate("A1", 2)
     make_factory(registry).calibrate("A1", 3)
     report = synchronise(registry, station.registry)
     assert any(station.registry.origin in line and "29 days" in line for line in report.clocks)
     with pytest.raises(InputError, match=registry.origin):
-        registry.calibration("A1")
+        registry.calibrations.get("A1")
 
 
 def test_the_same_lot_registered_on_both_sides_comes_together(station, registry, make_factory):
@@ -138,7 +144,7 @@ def test_the_same_lot_registered_on_both_sides_comes_together(station, registry,
 
 
 def test_a_lot_with_other_facts_elsewhere_is_told(station, registry):
-    registry.add_lot(Lot("L1", "S9", 100.0))
+    registry.lots.add(Lot("L1", "S9", 100.0))
     report = synchronise(station.registry, registry)
     assert any("'L1'" in line for line in report.conflicts)
     assert registry.verify() == station.registry.verify() == []
@@ -157,10 +163,10 @@ def test_a_line_that_breaks_loses_nothing_and_goes_on_where_it_was(station, regi
     monkeypatch.setattr(sync, "_copy", breaking)
     with pytest.raises(RegistryError, match="broke"):
         synchronise(station.registry, registry)
-    came_over = len(registry.audit_rows())
-    assert 0 < came_over < len(station.registry.audit_rows())
+    came_over = len(registry.trail.rows())
+    assert 0 < came_over < len(station.registry.trail.rows())
     monkeypatch.setattr(sync, "_copy", copy)
-    assert synchronise(station.registry, registry).sent == len(station.registry.audit_rows()) - came_over
+    assert synchronise(station.registry, registry).sent == len(station.registry.trail.rows()) - came_over
     assert same_history(station.registry, registry) and registry.verify() == []
 
 
@@ -169,7 +175,7 @@ def test_a_third_station_learns_of_the_first_through_the_centre(station, registr
     make_factory(registry).calibrate("A3", 1)
     with open_registry(f"sqlite:///{tmp_path / 'second.db'}") as second:
         synchronise(second, registry)
-        assert [unit.serial for unit in second.units()] == ["A1", "A2", "A3", "S0"]
+        assert [unit.serial for unit in second.lots.units()] == ["A1", "A2", "A3", "S0"]
         assert second.verify() == [] and same_history(second, registry)
 
 
@@ -179,7 +185,7 @@ def test_a_damaged_chain_is_not_passed_on(station, registry):
         connection.execute(text("UPDATE audit SET actor = 'x' WHERE seq = 3"))
     with pytest.raises(RegistryError, match="row 3"):
         synchronise(station.registry, registry)
-    assert registry.audit_rows() == []
+    assert registry.trail.rows() == []
 
 
 def test_a_registry_is_not_synchronised_with_a_copy_of_itself(station, tmp_path):
@@ -193,11 +199,11 @@ def test_a_restored_copy_may_go_on_beside_the_old_one(station, registry, tmp_pat
     restore(tmp_path / "backup.db", f"sqlite:///{tmp_path / 'second.db'}")
     later = datetime.now(UTC) + timedelta(hours=1)
     with open_registry(f"sqlite:///{tmp_path / 'second.db'}", RegistrySettings(clock=lambda: later)) as second:
-        second.add_calibration("L1", station.record("A1", 5))
+        second.calibrations.add("L1", station.record("A1", 5))
         station.calibrate("A1", 6)
         synchronise(second, registry)
         report = synchronise(station.registry, registry)
         assert "A1" in report.conflicts[0]
-        registry.rollback("A1", 2, origin=second.origin, reason="the second one is mounted")
-        assert registry.calibration("A1").record.predicted_rmse == pytest.approx(0.5)
+        registry.calibrations.rollback("A1", 2, origin=second.origin, reason="the second one is mounted")
+        assert registry.calibrations.get("A1").record.predicted_rmse == pytest.approx(0.5)
         assert registry.verify() == []

@@ -25,8 +25,8 @@ from softcal.db.truth.lot_pages import UnitFilter
 def people(factory):
     factory.calibrate("A1", 1)
     factory.calibrate("A1", 2)
-    factory.registry.set_user("kim", "operator", "2580", actor="lee")
-    factory.registry.set_user("lee", "quality", "7777", actor="lee")
+    factory.registry.people.set("kim", "operator", "2580", actor="lee")
+    factory.registry.people.set("lee", "quality", "7777", actor="lee")
     return factory.registry
 
 
@@ -100,7 +100,7 @@ def test_a_function_that_forbids_nothing_any_more_is_found(people):
 @pytest.mark.parametrize(("kind", "other"), [("arrays", "array"), ("arrays", "document"), ("array", "arrays")])
 def test_a_blob_of_another_kind_is_found(people, kind, other):
     long = np.linspace(0.0, 1.0, 2000)
-    people.add_recording("L1", OutputRecording("A1", np.arange(2000) / 50.0, long, 50.0), "unit")
+    people.recordings.add("L1", OutputRecording("A1", np.arange(2000) / 50.0, long, 50.0), "unit")
     if people.database.is_sqlite:
         behind(people, "DROP TRIGGER blobs_no_update")
     behind(people, f"UPDATE blobs SET kind = '{other}' WHERE sha256 = "
@@ -109,9 +109,9 @@ def test_a_blob_of_another_kind_is_found(people, kind, other):
 
 
 def test_a_trail_that_was_cut_is_found_by_what_is_kept_elsewhere(people):
-    anchor = Anchor(people.heads(), "in a safe")
+    anchor = Anchor(people.trail.heads(), "in a safe")
     assert people.verify(anchors=[anchor]) == []
-    last = people.heads()[people.origin][0]
+    last = people.trail.heads()[people.origin][0]
     if people.database.is_sqlite:
         behind(people, "DROP TRIGGER audit_no_delete")
     behind(people, f"DELETE FROM audit WHERE seq = {last}")
@@ -142,10 +142,10 @@ def test_after_a_restore_the_trail_begins_with_it(people, tmp_path):
     back_up(people.database, tmp_path / "b.db")
     restore(tmp_path / "b.db", f"sqlite:///{tmp_path / 'again.db'}")
     with open_registry(f"sqlite:///{tmp_path / 'again.db'}") as again:
-        first = again.audit_rows(again.origin)[0]
+        first = again.trail.rows(again.origin)[0]
         assert first.action == "restore"
         told = {origin: tuple(head) for origin, head in json.loads(first.after)["heads"].items()}
-        assert told == people.heads()
+        assert told == people.trail.heads()
         assert again.verify() == [] and again.verify(is_quick=True) == []
     assert main(["registry", "verify", "--registry", f"sqlite:///{tmp_path / 'again.db'}"]) == 0
 
@@ -181,15 +181,15 @@ def edits(registry) -> list[str]:
 def test_a_value_in_other_words_is_found(file_registry, make_factory, statement, said, is_told_at_use):
     factory = make_factory(file_registry)
     factory.calibrate("A1", 1)
-    file_registry.add_refusal("L1", "A1", "fail", (plain("constant"),))
-    file_registry.add_golden_run(GoldenRun("s1", "G1", datetime(2026, 5, 4, tzinfo=UTC), 0.01, "N", True))
+    file_registry.calibrations.refuse("L1", "A1", "fail", (plain("constant"),))
+    file_registry.stations.add_golden_run(GoldenRun("s1", "G1", datetime(2026, 5, 4, tzinfo=UTC), 0.01, "N", True))
     table = statement.split()[1]
     behind(file_registry, f"DROP TRIGGER {table}_no_update", statement)
     lines = [line for line in file_registry.verify() if not line.startswith("trigger ")]
     assert lines and all(table in line or line.startswith(("values", "audit trail", "rows")) for line in lines)
     if is_told_at_use:
         with pytest.raises(RegistryError, match="damaged"):
-            file_registry.units("L1"), file_registry.lots()
+            file_registry.lots.units("L1"), file_registry.lots.all()
     else:
         assert any(said in line for line in lines)
 
@@ -203,10 +203,10 @@ def test_an_edit_of_any_column_of_any_row_is_found(file_registry, make_factory, 
     # The tables stay as they are, and comparing them takes longer than all the rest.
     monkeypatch.setattr("softcal.db.care.checks.schema_faults", lambda _: iter(()))
     factory = make_factory(file_registry)
-    factory.registry.add_recording("L1", recording_of("A1"), "unit")
+    factory.registry.recordings.add("L1", recording_of("A1"), "unit")
     factory.calibrate("A1", 1)
-    factory.registry.add_refusal("L1", "A2", "fail", (plain("constant"),))
-    factory.registry.set_user("kim", "operator", "2580", actor="lee")
+    factory.registry.calibrations.refuse("L1", "A2", "fail", (plain("constant"),))
+    factory.registry.people.set("kim", "operator", "2580", actor="lee")
     path, copy = file_registry.database.path, tmp_path / "edited.db"
     statements = [s for s in edits(file_registry) if not any(f'SET "{name}"' in s and "users" in s for name in PASSING)]
     file_registry.close()
@@ -239,10 +239,16 @@ def pages(path: Path) -> list[int]:
 def answer(url: str) -> object:
     """What is told of the unit: its map in use, bit by bit, and its verdict everywhere."""
     with open_registry(url, create=False) as registry:
-        stored = registry.calibration("A1")
+        stored = registry.calibrations.get("A1")
         arrays = {name: array.tobytes() for name, array in stored.record.arrays.items()}
-        network = {name: a.tobytes() for name, a in registry.network(stored.record.network_id).arrays().items()}
-        return stored.revision, stored.origin, vars(stored.record) | {"arrays": arrays}, network, registry.lot("L1")
+        network = {name: a.tobytes() for name, a in registry.networks.get(stored.record.network_id).arrays().items()}
+        return (
+            stored.revision,
+            stored.origin,
+            vars(stored.record) | {"arrays": arrays},
+            network,
+            registry.lots.get("L1"),
+        )
 
 
 @pytest.mark.parametrize("seed", [7])
@@ -296,10 +302,12 @@ def test_a_row_that_a_damaged_index_hides_or_swaps_is_missed_by_whoever_asks(
 
     def told(url: str) -> list[object]:
         with open_registry(url, create=False) as registry:
-            pages = registry.unit_page("L1", UnitFilter()).units
-            revisions = [[c.record.map_sha256 for c in registry.history(serial)] for serial in ("A1", "B1")]
-            used = [registry.calibration(serial).revision for serial in ("A1", "B1")]
-            return [registry.units(), pages, revisions, used]
+            pages = registry.pages.unit_page("L1", UnitFilter()).units
+            revisions = [
+                [c.record.map_sha256 for c in registry.calibrations.history(serial)] for serial in ("A1", "B1")
+            ]
+            used = [registry.calibrations.get(serial).revision for serial in ("A1", "B1")]
+            return [registry.lots.units(), pages, revisions, used]
 
     true, content, refused, swapped = told(f"sqlite:///{path}"), path.read_bytes(), 0, []
     for number in pages:

@@ -1,4 +1,4 @@
-"""The wheel with its core dependencies alone does the headless job; the sdist is whole; a missing extra is one line."""
+"""The core alone maps and estimates with a trained network; the sdist is whole; a missing extra is one line."""
 
 import importlib.metadata
 import os
@@ -90,8 +90,8 @@ def _core_distributions(wheel: Path) -> set[str]:
         if requirement.marker is not None and not requirement.marker.evaluate({"extra": extra}):
             continue
         wanted = importlib.metadata.requires(requirement.name) or []
-        if requirement.name not in found:
-            found.add(requirement.name)
+        if (name := _plain(text)) not in found:
+            found.add(name)
             waiting += [(inner, "") for inner in wanted]
         waiting += [
             (inner, e) for e in requirement.extras for inner in wanted if f"extra == '{e}'" in inner.replace('"', "'")
@@ -116,19 +116,36 @@ def _run(bare: Path, folder: Path, *arguments: str) -> subprocess.CompletedProce
 
 @pytest.fixture(scope="module")
 def calibrated(bare: Path, tmp_path_factory: pytest.TempPathFactory, press_unit) -> Path:  # type: ignore[no-untyped-def]
-    """A folder in which core alone imported tables and calibrated a lot."""
+    """A folder in which core alone imported tables and, once a network was trained elsewhere, calibrated a lot."""
     folder = tmp_path_factory.mktemp("calibrated")
     for k in range(3):
         press_unit(1500, 1 + 0.15 * k, 0.5 + 0.04 * k, k + 1).to_csv(folder / f"S{k}.csv", index=False)
     columns = ("--reference-column", "reference", "--sample-rate", "50")
     made = _run(bare, folder, "import", *_TABLES, "--source", "S0", *columns, "--audit", "--out", "lot")
     assert made.returncode == 0, made.stderr
+    untrained = _run(bare, folder, "batch", "lot", "--hidden", "16,8")
+    assert untrained.returncode == 2, untrained.stderr
+    assert "pip install 'softcal[train]'" in untrained.stderr.strip().splitlines()[-1]
+    trained = _run(Path(sys.executable).parent, folder, "train", "lot", "--hidden", "16,8")
+    assert trained.returncode == 0, trained.stderr
     batch = _run(bare, folder, "batch", "lot", "--hidden", "16,8", "--json", "report.json")
     assert batch.returncode in (0, 1), batch.stderr
     return folder
 
 
 _TABLES = ("S0.csv", "S1.csv", "S2.csv")
+
+
+def test_core_takes_no_more_than_900_megabytes(bare: Path, wheel: Path) -> None:
+    sizes_MB = {name: _size_MB(importlib.metadata.distribution(name)) for name in _core_distributions(wheel)}
+    listed = ", ".join(f"{name} {size:.0f}" for name, size in sorted(sizes_MB.items(), key=lambda item: -item[1]))
+    print(f"{sum(sizes_MB.values()):.0f} MB in {len(sizes_MB)} packages: {listed}")
+    assert sum(sizes_MB.values()) < 900, listed
+
+
+def _size_MB(distribution: importlib.metadata.Distribution) -> float:
+    files = [Path(str(distribution.locate_file(file))) for file in distribution.files or []]
+    return sum(file.stat().st_size for file in files if file.is_file()) / 1e6
 
 
 def test_core_alone_estimates(bare: Path, calibrated: Path) -> None:
@@ -149,9 +166,10 @@ def test_core_alone_exports_what_the_estimate_used(bare: Path, calibrated: Path)
 @pytest.mark.parametrize(
     ("arguments", "extra"),
     [
+        (("gap", "effects"), "twin"),
         (("ui", "--no-browser"), "ui"),
         (("api", "openapi", "--out", "o.json"), "connect"),
-        (("station", "check", "--simulated"), "station"),
+        (("station", "check"), "station"),
         (("export", "--serial", "S1", "--format", "onnx", "--out", "o", "--failed-too"), "documents"),
         (("batch", "lot", "--registry", "postgresql://softcal@127.0.0.1/none"), "postgresql"),
     ],
@@ -195,7 +213,8 @@ def test_every_optional_library_is_named_with_its_extra() -> None:
     from softcal.app.extras import EXTRA_OF
 
     groups = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    told = {name: {_plain(r) for r in group} for name, group in groups.items() if name not in ("all", "docs", "dev")}
+    of_tasks = {name: group for name, group in groups.items() if name not in ("all", "docs", "dev")}
+    told = {name: {_plain(r) for r in group} - {"softcal"} for name, group in of_tasks.items()}
     installed = importlib.metadata.packages_distributions()
     brought = {module: {_plain(d) for d in installed.get(module, [])} for module in EXTRA_OF}
     for module, extra in EXTRA_OF.items():

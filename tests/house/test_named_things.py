@@ -1,9 +1,10 @@
-"""Documents and docstrings name only files, modules, commands and options that exist."""
+"""Documents, docstrings and comments name only files, modules, commands and options that exist."""
 
 import argparse
 import ast
 import importlib.util
 import re
+import tokenize
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -20,6 +21,8 @@ HOMES = "app|core|db|station|benchmarks|tests|firmware|examples|deploy|docs"
 FILES = "py|md|c|h|cpp|ino|toml|yaml|txt|service|json|csv|db|pub|pem|sig|svg|html|js|xsd|lock|ssc|secret|ini"
 OF_OTHER_PROGRAMS = {"--addon=misra", "--std=c99", "--to", "--shuffle"}
 """Options that a page names of a program beside softcal."""
+EVENTS = {"softcal.alert.raised", "softcal.alert.cleared"}
+"""Types of events, which look like names of modules."""
 
 
 @dataclass
@@ -34,6 +37,8 @@ class Module:
 @cache
 def _read(path: Path) -> Module:
     found = Module()
+    with path.open("rb") as file:
+        found.said += [token.string for token in tokenize.tokenize(file.readline) if token.type == tokenize.COMMENT]
     for node in ast.walk(ast.parse(path.read_text("utf-8"))):
         match node:
             case ast.Expr(value=ast.Constant(value=str(text))):
@@ -51,7 +56,7 @@ def _read(path: Path) -> Module:
 
 @cache
 def _said() -> tuple[tuple[str, str], ...]:
-    """Return each page and each docstring of the product with where it stands."""
+    """Return each page, docstring and comment of the product with where it stands."""
     pages = [(page.name, page.read_text("utf-8")) for page in PAGES]
     return (*pages, *((p.relative_to(ROOT).as_posix(), text) for p in CODE for text in _read(p).said))
 
@@ -64,6 +69,13 @@ def test_every_file_that_is_named_exists() -> None:
     name = re.compile(rf"(?<![\w./-])((?:{HOMES})/[a-z0-9_./-]*[a-z0-9_-]\.(?:py|md|c|h|cpp|ino|toml|yaml|service))\b")
     missing = [(where, one) for where, text in _said() for one in name.findall(text) if not (ROOT / one).exists()]
     assert missing == []
+
+
+def test_every_python_file_that_is_named_alone_exists() -> None:
+    there = {path.name for folder in HOMES.split("|") for path in (ROOT / folder).rglob("*.py")}
+    name = re.compile(r"(?<![\w./-])([a-z_]\w*\.py)\b")
+    made = {one for _, text in _said() for one in re.findall(r"(?:^`|--out )(\w+\.py)", text, re.MULTILINE)}
+    assert [(where, one) for where, text in _said() for one in name.findall(text) if one not in there | made] == []
 
 
 @cache
@@ -100,7 +112,7 @@ def _is_there(name: str) -> bool:
     if rest and homes and any(_holds(home, rest[0]) for home in homes):
         return True
     if (not homes or name == f"softcal.{first}") and (
-        first in _spoken() or importlib.util.find_spec(first) is not None
+        {first, *rest} <= _spoken() or importlib.util.find_spec(first) is not None
     ):
         return True
     return any(
@@ -115,6 +127,7 @@ def test_every_module_that_is_named_exists() -> None:
         for name in (quoted.removesuffix("()") for quoted in _quoted(text))
         if re.fullmatch(r"[a-z_]+(?:\.[A-Za-z]*[a-z_]+)+", name)
         and name.rpartition(".")[2] not in FILES.split("|")
+        and name not in EVENTS
         and not _is_there(name)
     ]
     assert missing == []

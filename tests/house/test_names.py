@@ -11,7 +11,6 @@ ONE_MEANING_IN_MANY_ROOMS = {
     "catalogue.py": "the one list of what a room holds",
     "config.py": "the configuration of a room",
     "forms.py": "other realisations of a cause: how they are built (twin), and which there are (gap)",
-    "plugins.py": "what installed packages bring to the catalogue of a room",
     "method.py": "every number that decides, with its origin: of a calibration (unit), of long use (use)",
 }
 """Modules of core that share a name, with what it means in each of their rooms."""

@@ -1,11 +1,13 @@
 """The wheel holds every folder, and no module of app/ hides a library."""
 
 import importlib.metadata
+import re
 import sys
 import tomllib
 from pathlib import Path
 
 from packaging.requirements import Requirement
+from packaging.version import Version
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("app", "core", "db", "station")
@@ -66,3 +68,13 @@ def test_the_repository_names_no_path_of_a_machine() -> None:
 def _tracked() -> list[Path]:
     skipped = {".venv", ".git", ".links", "build", "softcal-demo"}
     return [p for p in ROOT.rglob("*.*") if p.is_file() and not skipped & set(p.relative_to(ROOT).parts)]
+
+
+def test_the_version_has_one_owner_and_stands_on_top_of_the_changelog() -> None:
+    version = _project()["project"]["version"]
+    changelog = re.findall(r"^## (\S+)$", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
+    assert changelog == sorted(changelog, key=Version, reverse=True) and changelog[0] == version
+    assert re.findall(r"^version: (\S+)$", (ROOT / "CITATION.cff").read_text("utf-8"), re.MULTILINE) == [version]
+    locked = tomllib.loads((ROOT / "uv.lock").read_text("utf-8"))["package"]
+    assert [package["version"] for package in locked if package["name"] == "softcal"] == [version]
+    assert importlib.metadata.version("softcal") == version, "run `make .venv/.installed`"

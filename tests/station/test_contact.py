@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from common.law_unit import ForceLaw
+from common.rig_trial import RigCase, open_rig
 
 from softcal.core.errors import BadReply
 from softcal.core.profiles import ramps
@@ -14,8 +16,6 @@ from softcal.station.bench import open_simulated_bench
 from softcal.station.config import UNKNOWN_S, FixtureConfig
 from softcal.station.contact import ContactSearch, bend
 from softcal.station.interfaces import Sample
-from softcal.station.simulated.law_unit import ForceLaw
-from softcal.station.simulated.rig_trial import RigCase, open_rig
 
 SEARCHING = "searching for contact"
 TOUCH = ramps([0.5], 4.0, rest_s=0.1)

@@ -6,6 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from common.fault_trial import tells_truth
+from common.law_unit import ForceLaw, LawUnit
+from common.rig_trial import RigCase, open_rig, press, press_until_gone
 
 from softcal.app.line.rig import station_of
 from softcal.core.errors import DeviceError, InputError, NoReply
@@ -21,11 +24,8 @@ from softcal.station.motion import StoppedByHand
 from softcal.station.seconds import FEELING, PRESSING
 from softcal.station.self_test import self_test
 from softcal.station.simulated.grbl import SimulatedGrbl
-from softcal.station.simulated.law_unit import ForceLaw, LawUnit
 from softcal.station.simulated.motion import Axis
-from softcal.station.simulated.rig_trial import RigCase, open_rig, press, press_until_gone
 from softcal.station.simulated.text_stream import SimulatedTextStream
-from softcal.station.simulated.trial import tells_truth
 from softcal.station.simulated.wire import Wire
 from softcal.station.simulated.world import World
 from softcal.station.watched import bounds_of

@@ -1,6 +1,7 @@
 """All runs of the safety core: every fault at every step, on the code that moves the real stage."""
 
 import pytest
+from common.station_runs import KNOWN, broken_property, explore, run_once
 
 from softcal.core.errors import DeviceError
 from softcal.core.words.reason import Reason, plain
@@ -10,7 +11,6 @@ from softcal.station.interfaces import Move
 from softcal.station.interlock import TABLE, Interlock, Moves, StageWatch, State
 from softcal.station.motion import Motion
 from softcal.station.safety import FollowWatch, ForceWatch, JumpWatch, StreamWatch, StuckWatch
-from softcal.station.simulated.explore import KNOWN, broken_property, explore, run_once
 from softcal.station.watched import Learned, WatchedBench
 
 RESTS = (State.STOPPED, State.OVER)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from common.proof_trial import draw_good_rig, press_good_rig
 
 from softcal.core.errors import BadReply
 from softcal.core.profiles import ramps
@@ -22,7 +23,6 @@ from softcal.station.proof import (
     press_gains,
 )
 from softcal.station.recording import Raw, RunFacts, assemble
-from softcal.station.simulated.proof_trial import draw_good_rig, press_good_rig
 from softcal.station.spool import read_spool
 
 TURNS_S, DEPTHS_MM = np.arange(0.0, 31.0, 1.5), np.tile([0.0, 3.0, 0.0, 2.0], 6)[:21]

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from common.fault_trial import FillingSpool
 
 from softcal.core.errors import DeviceError, InputError
 from softcal.core.profiles import ramps
@@ -12,7 +13,6 @@ from softcal.station.acquisition import record
 from softcal.station.bench import open_simulated_bench
 from softcal.station.interfaces import Sample, StagePosition
 from softcal.station.recording import restore
-from softcal.station.simulated.trial import FillingSpool
 from softcal.station.spool import Spool, read_spool
 
 SAMPLES = [Sample(0.1 * k, 0.02 * k, (float(k),)) for k in range(5)]

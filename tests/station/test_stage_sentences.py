@@ -5,15 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from common.fault_trial import tells_truth
+from common.law_unit import ForceLaw
+from common.proof_trial import draw_good_rig, open_good_rig
+from common.rig_trial import RigCase, open_rig
 
 from softcal.core.errors import DeviceError
 from softcal.core.profiles import ramps
 from softcal.station.acquisition import record
 from softcal.station.simulated.faults import FAULTS
-from softcal.station.simulated.law_unit import ForceLaw
-from softcal.station.simulated.proof_trial import draw_good_rig, open_good_rig
-from softcal.station.simulated.rig_trial import RigCase, open_rig
-from softcal.station.simulated.trial import tells_truth
 
 OTHERS = tuple(f.inject for f in FAULTS if (f.stage_kind, f.force_kind, f.has_cell) == ("grbl", "hx711", True))
 LIES = (

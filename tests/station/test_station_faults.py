@@ -4,6 +4,7 @@ import math
 from functools import partial
 
 import pytest
+from common.fault_trial import DISK_MOMENTS, run_with_dead_host, run_with_fault, run_with_full_disk
 
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import said
@@ -11,7 +12,6 @@ from softcal.core.errors import InputError
 from softcal.core.twin.simulate import Twin
 from softcal.station.simulated.faults import FAULTS, HOMING
 from softcal.station.simulated.line import SimulatedLine
-from softcal.station.simulated.trial import DISK_MOMENTS, run_with_dead_host, run_with_fault, run_with_full_disk
 
 STANDS_WITHIN_S = 0.5
 QUICK, ALL = FAULTS[::6], [fault for k, fault in enumerate(FAULTS) if k % 6]

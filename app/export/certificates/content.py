@@ -111,11 +111,9 @@ class Certificate:
         identifier: unique over all certificates of a registry.
         made_on: UTC date the calibration was calculated.
         in_registry_since, source_since: UTC dates the recordings of unit and source came into the registry.
-        issued_on: date of issue.
         low, high: range that both the source's reference and the unit's own recording cover.
         forecast, measured: predicted RMSE, and that on an audit recording; None where there is none.
         limit: largest error a unit may have, and where that comes from.
-        verdict, reasons: of the line.
         is_sampled: whether audits of other units decided.
         is_trimmed: whether its map was trimmed since it was judged by its recording and its audit.
         reference: what the source was compared with; None where nobody said.
@@ -254,7 +252,6 @@ class Certificate:
 
     @property
     def method(self) -> str:
-        """The method as it was."""
         found = METHODS.get(self.map_family, ("", f"A map of the family {self.map_family} was found"))[1]
         return (
             "A time-delay network f (15 output samples to one estimate) was trained on the source unit against its "
@@ -302,7 +299,6 @@ class Certificate:
 
     @property
     def traceability(self) -> str:
-        """What the results are traced to."""
         if self.is_simulated:
             return SIMULATED
         cell, chain = self.reference, f"Traced through source unit {self.source} of lot {self.lot}"

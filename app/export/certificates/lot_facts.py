@@ -17,10 +17,10 @@ def lot_statement_facts(registry: Registry, standing: LotStanding, decided: LotR
         decided: on its units that nobody measured.
     """
     lot_id, now, plan = standing.lot_id, datetime.now(UTC), lot_audit(registry, standing.lot_id)
-    calibrated = next(u.serial for u in registry.units(lot_id) if u.role == "target" and u.revision is not None)
-    record = registry.calibration(calibrated, lot_id=lot_id).record
+    calibrated = next(u.serial for u in registry.lots.units(lot_id) if u.role == "target" and u.revision is not None)
+    record = registry.calibrations.get(calibrated, lot_id=lot_id).record
     return LotStatementFacts(
-        lot=registry.lot(lot_id),
+        lot=registry.lots.get(lot_id),
         standing=standing,
         decided=decided,
         network_id=record.network_id,

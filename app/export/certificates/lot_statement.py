@@ -40,13 +40,9 @@ class LotStatementFacts:
     """What the page says.
 
     Args:
-        lot: its facts.
-        standing: of its units.
         decided: on those that nobody measured.
         network_id, method_id: content hashes of the shared network and of the method.
-        made_on, software: when and by what the statement was made.
         drawn: how many units were drawn at random of how many; None where no draw was written down.
-        identifier: of the statement.
         is_simulated: whether the lot's recordings come from a simulation.
     """
 

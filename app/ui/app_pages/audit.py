@@ -27,7 +27,7 @@ ACTION = "set_up"
 
 def render() -> None:
     say = words()
-    lot_id = lot_heading("audit", registry().lot_ids())
+    lot_id = lot_heading("audit", registry().lots.ids())
     if lot_id is None:
         return
     if not units_of(lot_id):
@@ -64,7 +64,7 @@ def _config() -> AuditConfig:
 
 
 def _stands(audit: LotAudit, lot_id: str) -> None:
-    say, unit = words(), registry().lot(lot_id).reference_unit
+    say, unit = words(), registry().lots.get(lot_id).reference_unit
     numbers(
         (
             (say("audit.measured"), f"{len(audit.measured)} / {len(audit.plan.serials)}", None),
@@ -131,7 +131,7 @@ def _upload(lot_id: str) -> None:
         if found is None:
             return
         columns = choose_columns(found[1], wide=False)
-        looked = look_at_audits(registry().lot(lot_id), target_serials(registry(), lot_id), files, columns)
+        looked = look_at_audits(registry().lots.get(lot_id), target_serials(registry(), lot_id), files, columns)
         table([_row(one) for one in looked])
         taken = sum(one.recording is not None for one in looked)
         if st.button(say("audit.take", count=taken), type="primary", disabled=not taken, key="audit-take"):
@@ -162,7 +162,7 @@ MOST_ROWS = 200
 
 def audits_panel(lot_id: str) -> None:
     """Draw the audited units; nothing where none was."""
-    say, unit = words(), registry().lot(lot_id).reference_unit
+    say, unit = words(), registry().lots.get(lot_id).reference_unit
     rows = lot_standing(registry(), lot_id).audited
     if not rows:
         return

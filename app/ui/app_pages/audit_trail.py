@@ -18,7 +18,7 @@ def render() -> None:
     say = words()
     heading("audit_trail")
     is_whole = bool(st.session_state.get("trail-whole"))
-    rows = registry().newest_audit_rows(10**9 if is_whole else NEWEST)
+    rows = registry().trail.newest(10**9 if is_whole else NEWEST)
     if not rows:
         empty(say("audit.none"), say("empty.lots.how"))
         return
@@ -102,4 +102,4 @@ def _in_full(entry: Entry) -> None:
 
 @in_one_piece
 def _tell(count: int) -> None:
-    registry().add_event("export", "audit_trail", ("audit_trail",), {"rows": count}, actor=actor())
+    registry().trail.add("export", "audit_trail", ("audit_trail",), {"rows": count}, actor=actor())

@@ -6,8 +6,8 @@ from softcal.app.charts.compare import errors_of_lots, maps_together, predicted_
 from softcal.app.texts.reasons import all_said
 from softcal.app.ui.desk import colours, empty, instant, registry, show_figure, verdict_badge, words
 from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.lot_memory import remembered_lot_view
 from softcal.app.ui.panels import heading, table
+from softcal.app.ui.server_memory import remembered_lot_view
 from softcal.app.views.common import number
 from softcal.app.views.lot_report import MOST_LOTS, lot_rows
 from softcal.app.views.unit import UnitView, unit_view
@@ -58,7 +58,7 @@ def _units() -> None:
 
 
 def _lots() -> None:
-    say, known = words(), registry().lot_ids()
+    say, known = words(), registry().lots.ids()
     if not known:
         empty(say("empty.lots"), say("empty.lots.how"))
         return
@@ -84,7 +84,7 @@ def _choose(place: str, column: st.delta_generator.DeltaGenerator) -> str | None
     """Draw the choice of one unit; it stays in the address, so that a link leads back to it."""
     say, asked = words(), str(st.query_params.get(place, ""))
     text = str(column.text_input(say("unit.find"), key=f"compare-find-{place}", icon=":material/search:") or "").strip()
-    found = [one for one in registry().find_serials(text) if registry().history(one)]
+    found = [one for one in registry().pages.find_serials(text) if registry().calibrations.history(one)]
     if asked and asked not in found and not text:
         found = [asked, *found]
     if not found:

@@ -8,7 +8,7 @@ import streamlit as st
 from softcal.app.files.anchors import read_anchors
 from softcal.app.jobs.process import start_job
 from softcal.app.registry.known_loads import UnitLoads, keep_loads, known_loads
-from softcal.app.registry.source import source_recording
+from softcal.app.registry.lot_recordings import source_recording
 from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.components.job_panel import job_panel, newest_job
 from softcal.app.ui.components.lot_upload import dropped_files, forget_files
@@ -28,12 +28,12 @@ NOTHING = "nothing was kept"
 
 def render() -> None:
     say = words()
-    lot_id = lot_heading("known_loads", registry().lot_ids())
+    lot_id = lot_heading("known_loads", registry().lots.ids())
     if lot_id is None:
         return
     lot, newest = (
-        registry().lot(lot_id),
-        {entry.serial: entry.sha256 for entry in registry().recordings(lot_id, kind="unit")},
+        registry().lots.get(lot_id),
+        {entry.serial: entry.sha256 for entry in registry().recordings.of_lot(lot_id, kind="unit")},
     )
     # A unit that was pressed has loads before it has a result.
     if not newest and not units_of(lot_id):
@@ -98,8 +98,8 @@ def _bring(lot: Lot, newest: Mapping[str, str]) -> None:
 def _looked_at(lot: Lot, files: Sequence[Path], newest: Mapping[str, str]) -> tuple[dict[str, Anchors], dict[str, str]]:
     """Return the loads by serial that can be taken, and why others are refused."""
     say = words()
-    units = [unit.serial for unit in registry().units(lot.id) if unit.role == "target"]
-    state = registry().released_network(lot.id)
+    units = [unit.serial for unit in registry().lots.units(lot.id) if unit.role == "target"]
+    state = registry().networks.released(lot.id)
     source = None if state is None else source_recording(registry(), state.network.id)
     taken: dict[str, Anchors] = {}
     refused: dict[str, str] = {}

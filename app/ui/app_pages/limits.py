@@ -8,8 +8,8 @@ from softcal.app.ui.account import actor
 from softcal.app.ui.components.rules_form import rules_form
 from softcal.app.ui.desk import ask_reason, colours, in_words, instant, registry, words
 from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.lot_memory import remembered_lot_view
 from softcal.app.ui.panels import figure_under, headline, lot_heading, table
+from softcal.app.ui.server_memory import remembered_lot_view
 from softcal.app.views.common import limit_said, number, percent
 from softcal.app.views.lot import LotView
 from softcal.core.errors import InputError
@@ -18,12 +18,12 @@ from softcal.db.entries import LimitEntry
 
 def render() -> None:
     say = words()
-    lot_id = lot_heading("limits", registry().lot_ids())
+    lot_id = lot_heading("limits", registry().lots.ids())
     if lot_id is None:
         return
     if done := st.session_state.pop("limit-done", ""):
         st.success(done, icon=":material/check:")
-    view, versions = remembered_lot_view(lot_id), registry().limit_versions(lot_id)
+    view, versions = remembered_lot_view(lot_id), registry().lots.limit_versions(lot_id)
     left, right = st.columns(2)
     with left, st.container(border=True):
         _change(view, versions)
@@ -76,7 +76,7 @@ def _change(view: LotView, versions: list[LimitEntry]) -> None:
     rmse = None if is_automatic else wanted
     st.session_state.pop(looked_at)
     try:
-        registry().set_limit(view.lot.id, rmse, reason=reason, actor=actor(), expected_version=version)
+        registry().lots.set_limit(view.lot.id, rmse, reason=reason, actor=actor(), expected_version=version)
         judge_again(registry(), [view.lot.id], actor())
     except InputError as error:
         st.error(in_words(error), icon=":material/error:")

@@ -26,7 +26,7 @@ def render() -> None:
     heading("load_cells")
     if done := st.session_state.pop("cells-done", ""):
         st.success(done, icon=":material/check:")
-    found = registry().certificates()
+    found = registry().stations.certificates()
     if found:
         table([_row(entry) for entry in reversed(found)])
     else:
@@ -64,7 +64,7 @@ def _golden() -> None:
         for line in (*last.reasons, unit.note):
             if line:
                 st.caption(in_words(line))
-    if not registry().golden_runs():
+    if not registry().stations.golden_runs():
         st.caption(say("golden.none"))
     if may(person(), "set_up"):
         with st.container(border=True):
@@ -128,5 +128,5 @@ def _store(given: dict[str, object], document: bytes | None) -> str:
             file = Path(folder) / "certificate.xml"
             file.write_bytes(document)
         certificate = certificate_from(given, file)
-    registry().add_certificate(certificate, actor=actor())
+    registry().stations.add_certificate(certificate, actor=actor())
     return certificate.number

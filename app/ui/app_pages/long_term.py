@@ -21,7 +21,7 @@ def render() -> None:
     with beside:
         serial = choose(say("choose.unit"), [unit.serial for unit in units], "unit") or units[0].serial
     table([_row(unit) for unit in units])
-    streams = registry().streams(serial)
+    streams = registry().adaptations.streams(serial)
     stream = streams[0] if len(streams) == 1 else str(st.selectbox(say("long_term.stream"), streams))
     found = course(registry(), serial, stream)
     st.header(say("long_term.course", serial=serial))

@@ -10,9 +10,14 @@ from softcal.app.jobs.process import start_job
 from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.callbacks import in_one_piece
 from softcal.app.ui.components.job_panel import job_panel, newest_job
-from softcal.app.ui.components.looks import looks
-from softcal.app.ui.components.lot_filter import chosen_lot_view
-from softcal.app.ui.components.process_panel import capability_panel, control_panel, reasons_panel, yield_panel
+from softcal.app.ui.components.lot_parts import (
+    capability_panel,
+    chosen_lot_view,
+    control_panel,
+    looks,
+    reasons_panel,
+    yield_panel,
+)
 from softcal.app.ui.components.unit_table import unit_table
 from softcal.app.ui.desk import colours, empty, language, registry, words, zone
 from softcal.app.ui.first_paint import rest_may_follow
@@ -27,7 +32,7 @@ from softcal.db.access.people import may
 
 def render() -> None:
     say = words()
-    lot_id = lot_heading("lot", registry().lot_ids())
+    lot_id = lot_heading("lot", registry().lots.ids())
     if lot_id is None:
         return
     first = st.container()
@@ -132,7 +137,7 @@ def _report_pdf(view: LotView) -> bytes:
 
 @in_one_piece
 def _tell_of_report(lot_id: str) -> None:
-    registry().add_event("export", "lots", (lot_id,), {"file": "report.pdf"}, actor=actor())
+    registry().trail.add("export", "lots", (lot_id,), {"file": "report.pdf"}, actor=actor())
 
 
 LOTS = 8
@@ -153,7 +158,7 @@ def audited_panel(view: LotView) -> None:
 
 
 def _remembered_audits(view: LotView) -> AuditedView | None:
-    marker = registry().change_marker(view.lot.id)
+    marker = registry().pages.change_marker(view.lot.id)
     return _audited_view(str(registry().database.name), marker, view.lot.id, view.chosen, view)
 
 
@@ -172,7 +177,7 @@ def calibrate_again(lot_id: str) -> None:
     say = words()
     job = newest_job("calibrate", lot=lot_id)
     is_busy = job is not None and job.state.is_active
-    has_source = bool(registry().recordings(lot_id, kind="source"))
+    has_source = bool(registry().recordings.of_lot(lot_id, kind="source"))
     if may(person(), "set_up") and has_source and not is_busy:
         if st.button(say("lot.again"), icon=":material/replay:", help=say("lot.again.help"), key="calibrate-again"):
             permit("set_up")

@@ -16,7 +16,7 @@ NEW = User("", "operator", True, 0)
 
 def render() -> None:
     say = words()
-    people = registry().users()
+    people = registry().people.all()
     heading("people")
     if done := st.session_state.pop("people-done", ""):
         st.success(done, icon=":material/check:")
@@ -68,7 +68,7 @@ def _change(people: list[User]) -> None:
     try:
         if pin:
             check_pin(pin, again)
-        registry().set_user(
+        registry().people.set(
             name, role, pin or None, actor=actor(), reason=reason, is_active=is_active, version=user.version
         )
     except InputError as error:

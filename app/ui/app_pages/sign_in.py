@@ -50,7 +50,7 @@ def _who(name: str) -> None:
 
 
 def _enter() -> None:
-    say, is_known = words(), bool(registry().users())
+    say, is_known = words(), bool(registry().people.all())
     if not is_known and not has_company_accounts():
         _first_person()
         return

@@ -27,7 +27,7 @@ def render() -> None:
         return
     with _step(2):
         _press(lot)
-    if not registry().recordings(lot.id, kind="source"):
+    if not registry().recordings.of_lot(lot.id, kind="source"):
         return
     with _step(3):
         _look(lot)
@@ -61,7 +61,7 @@ def _press(lot: Lot) -> None:
 
 def _look(lot: Lot) -> None:
     say, source = words(), newest_source(registry(), lot.id)
-    made = registry().recordings(lot.id, kind="source")[-1].added_at
+    made = registry().recordings.of_lot(lot.id, kind="source")[-1].added_at
     numbers([(say(key), value, None) for key, value in source_facts(source).items()], narrowest_px=235)
     st.caption(say("source.look.how", made=instant(made)))
     if not rest_may_follow():
@@ -89,11 +89,11 @@ def _network(lot: Lot) -> None:
 def choose_or_add_lot() -> Lot | None:
     """Draw the choice and the form; None while there is no lot."""
     say = words()
-    known = registry().lot_ids()
+    known = registry().lots.ids()
     lot_id = choose(say("choose.lot"), known, "lot")
     with st.expander(say("source.new_lot"), icon=":material/add:", expanded=not known):
         _form()
-    return None if lot_id is None else registry().lot(lot_id)
+    return None if lot_id is None else registry().lots.get(lot_id)
 
 
 def _form() -> None:
@@ -112,7 +112,7 @@ def _form() -> None:
             return
     permit("set_up")
     try:
-        registry().add_lot(Lot(name, source, rate_Hz, model, quantity, reference_unit, output_unit), actor=actor())
+        registry().lots.add(Lot(name, source, rate_Hz, model, quantity, reference_unit, output_unit), actor=actor())
     except InputError as error:
         st.error(in_words(error), icon=":material/error:")
         return

@@ -33,7 +33,7 @@ def _demo() -> None:
     st.markdown(say("start.demo.how", units=UNITS))
     job = newest_job("demo")
     is_busy = job is not None and job.state.is_active
-    if DEMO in registry().lot_ids() and not is_busy:
+    if DEMO in registry().lots.ids() and not is_busy:
         if job is not None and job.state is RunState.DONE:
             _landed(job.job_id)
         if st.button(say("start.demo.open"), type="primary", width="stretch", key="demo-open"):
@@ -62,6 +62,6 @@ def _way(name: str, page: str, icon: str) -> None:
         if st.button(say(f"start.{name}.do"), width="stretch", key=f"start-{name}"):
             go_to(page)
     else:
-        st.caption(say("start.sign_in" if registry().users() else "start.first"))
+        st.caption(say("start.sign_in" if registry().people.all() else "start.first"))
         if st.button(say("sign_in.title"), width="stretch", key=f"start-{name}-sign-in"):
             go_to("sign_in")

@@ -1,10 +1,11 @@
 """One unit by serial: why its verdict is what it is, its map, its estimates, its history and its files."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import streamlit as st
 from streamlit.delta_generator import DeltaGenerator
 
+from softcal.app.batch.judging import judge_again
 from softcal.app.charts import unit as charts_unit
 from softcal.app.charts.why import HEIGHT, why_figure
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
@@ -15,22 +16,25 @@ from softcal.app.registry.standing import standing_of
 from softcal.app.texts.reasons import all_said, said
 from softcal.app.ui.account import actor
 from softcal.app.ui.callbacks import in_one_piece
-from softcal.app.ui.components.unit_history import unit_history, unit_recordings
 from softcal.app.ui.desk import (
+    ask_reason,
     choose,
     colours,
     empty,
     in_full,
     in_words,
+    instant,
     registry,
+    show_figure,
     verdict_badge,
     words,
 )
 from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.panels import figure_under, heading, numbers
+from softcal.app.ui.panels import figure_under, heading, numbers, table, table_to_choose
 from softcal.app.views.common import number, percent
 from softcal.app.views.unit import UnitView, unit_view
-from softcal.core.errors import UnitRefused
+from softcal.core.errors import InputError, UnitRefused
+from softcal.core.lot import Lot
 from softcal.db.entries import StoredCalibration
 
 TABS = ("why", "map", "estimates", "recordings", "history", "files")
@@ -51,9 +55,9 @@ def render() -> None:
         return
     if done := st.session_state.pop("unit-done", ""):
         st.success(done, icon=":material/check:")
-    lots = registry().lots_of(serial)
+    lots = registry().calibrations.lots_of(serial)
     lot_id = choose(say("choose.lot"), lots, "lot") if len(lots) > 1 else lots[0]
-    history = registry().history(serial, lot_id)
+    history = registry().calibrations.history(serial, lot_id)
     if not history:
         _refused(serial, lot_id)
         return
@@ -61,15 +65,15 @@ def render() -> None:
 
 
 def _refused(serial: str, lot_id: str | None) -> None:
-    (unit,) = registry().units(lot_id, serial)
+    (unit,) = registry().lots.units(lot_id, serial)
     verdict_badge(unit.verdict)
     empty(words()("empty.calibration"), all_said(unit.reasons, words()))
-    unit_recordings(serial, registry().lot(unit.lot_id))
+    unit_recordings(serial, registry().lots.get(unit.lot_id))
 
 
 def _revision(serial: str, history: list[StoredCalibration]) -> None:
     say, lot_id = words(), history[0].lot_id
-    current = registry().calibration(serial, lot_id=lot_id).revision
+    current = registry().calibrations.get(serial, lot_id=lot_id).revision
     revisions = [entry.revision for entry in reversed(history)]
     left, right = st.columns([1, 4], vertical_alignment="bottom")
     revision = right.selectbox(say("choose.revision"), revisions, index=revisions.index(current)) or current
@@ -80,7 +84,7 @@ def _revision(serial: str, history: list[StoredCalibration]) -> None:
         verdict_badge(standing.verdict if is_refused else stored.record.verdict)
     if is_refused:
         st.markdown(f"{say('unit.refused_since')} **{all_said(standing.reasons, say)}**")
-    _verdict(stored, registry().lot(stored.lot_id).reference_unit)
+    _verdict(stored, registry().lots.get(stored.lot_id).reference_unit)
     if not rest_may_follow():
         return
     view = unit_view(registry(), serial, revision, lot_id)
@@ -115,11 +119,7 @@ def _figures(place: DeltaGenerator, view: UnitView, names: tuple[str, ...]) -> N
     with place:
         for column, name in zip(st.columns(2), names, strict=True):
             with column:
-                _figure(view, name)
-
-
-def _figure(view: UnitView, name: str) -> None:
-    figure_under(TITLES[name], getattr(charts_unit, name)(view, colours(), words()), name)
+                figure_under(TITLES[name], getattr(charts_unit, name)(view, colours(), words()), name)
 
 
 def choose_unit() -> str | None:
@@ -131,10 +131,10 @@ def choose_unit() -> str | None:
     asked = str(st.query_params.get("unit", ""))
     left, right = st.columns(2, vertical_alignment="bottom")
     text = str(left.text_input(say("unit.find"), key="unit-find", icon=":material/search:") or "").strip()
-    found = registry().find_serials(text)
+    found = registry().pages.find_serials(text)
     if not found and text:
         st.caption(say("unit.find.none", text=text))
-        found = registry().find_serials("")
+        found = registry().pages.find_serials("")
     if asked and not text and asked not in found:
         found = [asked, *found]
     if not found:
@@ -186,8 +186,72 @@ def _files(serial: str, lot_id: str, revision: int | None, name: str) -> Mapping
 @in_one_piece
 def _tell(serial: str, lot_id: str, revision: int, name: str) -> None:
     facts = {"lot_id": lot_id, "revision": revision, "file": name}
-    registry().add_event("export", "units", (serial,), facts, actor=actor())
+    registry().trail.add("export", "units", (serial,), facts, actor=actor())
 
 
 def _size(content: bytes) -> str:
     return f"{len(content)} B" if len(content) < 4096 else f"{len(content) / 1024:.0f} KiB"
+
+
+def unit_history(history: Sequence[StoredCalibration], unit: str) -> None:
+    """Draw the revisions, newest first, and the rollback."""
+    table([_row(entry, unit) for entry in reversed(history)])
+    older = [entry.revision for entry in reversed(history) if not entry.is_current]
+    if older:
+        _rollback(history[-1].serial, history[-1].lot_id, older)
+
+
+def _row(entry: StoredCalibration, unit: str) -> dict[str, object]:
+    say, record = words(), entry.record
+    back = say("unit.rolled_back", revision=entry.rolled_back_to) if entry.rolled_back_to else ""
+    return {
+        say("column.revision"): entry.revision,
+        say("column.in_use"): say("unit.in_use") if entry.is_current else "",
+        say("column.made"): instant(entry.made_at),
+        say("column.verdict"): say(f"verdict.{record.verdict}"),
+        say("column.predicted"): number(record.predicted_rmse, unit),
+        say("column.after"): number(record.after_rmse, unit),
+        say("column.family"): record.family,
+        say("column.actor"): entry.actor,
+        say("column.reason"): "; ".join(filter(None, (back, entry.reason))),
+    }
+
+
+def _rollback(serial: str, lot_id: str, older: Sequence[int]) -> None:
+    say = words()
+    with st.container(border=True):
+        st.markdown(f"**{say('unit.rollback')}**")
+        revision = st.selectbox(say("unit.rollback.to"), older, key=f"rollback-{serial}-{len(older)}")
+        reason = ask_reason(f"rollback-{serial}-{len(older)}", say("unit.rollback.do"), "rollback")
+        if reason is None:
+            return
+        try:
+            registry().calibrations.rollback(serial, revision, reason=reason, actor=actor(), lot_id=lot_id)
+            judge_again(registry(), [lot_id], actor())
+        except InputError as error:
+            st.error(in_words(error), icon=":material/error:")
+            return
+        st.session_state["unit-done"] = say("unit.rollback.done", revision=revision)
+        st.rerun()
+
+
+def unit_recordings(serial: str, lot: Lot) -> None:
+    """Draw the unit's recordings and the curve of the one that is chosen, the newest at first."""
+    say = words()
+    entries = registry().recordings.of_lot(lot.id, serial)[::-1]
+    if not entries:
+        st.caption(say("unit.recordings.none"))
+        return
+    rows = [
+        {
+            say("column.kind"): say(f"kind.{entry.kind}"),
+            say("column.made"): instant(entry.added_at),
+            say("column.duration"): f"{entry.samples / entry.sample_rate_Hz:.1f} s",
+            say("column.rate"): f"{entry.sample_rate_Hz:g} Hz",
+            "SHA-256": entry.sha256[:12],
+        }
+        for entry in entries
+    ]
+    key = f"recordings-{serial}"
+    chosen = entries[table_to_choose(rows, key) or 0]
+    show_figure(charts_unit.recording(registry().recordings.get(chosen.sha256), lot, colours(), say), f"{key}-plot")

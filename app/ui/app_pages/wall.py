@@ -10,8 +10,8 @@ import streamlit as st
 from softcal.app.ui.components import line_card
 from softcal.app.ui.components.line_card import chips_row
 from softcal.app.ui.desk import colours, errors_in_words, registry, words, zone
-from softcal.app.ui.lot_memory import remembered_lot_view
 from softcal.app.ui.panels import lot_heading, units_of
+from softcal.app.ui.server_memory import remembered_lot_view
 from softcal.app.views.alerts import alerts
 from softcal.app.views.line import TONES
 from softcal.app.views.lot_runs import LotFilter
@@ -23,7 +23,7 @@ EVERY_S = 3.0
 
 def render() -> None:
     st.html(line_card.style() + line_card.theme(colours()) + board_style())
-    lot_id = lot_heading("wall", registry().lot_ids())
+    lot_id = lot_heading("wall", registry().lots.ids())
     if lot_id is None:
         return
     if not units_of(lot_id):

@@ -6,7 +6,7 @@ from typing import Any
 import streamlit as st
 
 from softcal.app.line.load_readings import check_stated
-from softcal.app.registry.source import source_recording
+from softcal.app.registry.lot_recordings import source_recording
 from softcal.app.ui.account import actor
 from softcal.app.ui.desk import ask_reason, in_words, instant, registry, words
 from softcal.app.ui.panels import table
@@ -27,7 +27,7 @@ def rules_form(lot: Lot) -> None:
     st.header(say("rules.title"))
     if done := st.session_state.pop("rules-done", ""):
         st.success(done, icon=":material/check:")
-    versions = registry().line_rules_versions(lot.id)
+    versions = registry().lots.line_rules_versions(lot.id)
     with st.container(border=True):
         _change(lot, versions)
     if versions:
@@ -40,17 +40,17 @@ def _change(lot: Lot, versions: Sequence[LineRulesEntry]) -> None:
     # The version a person decides on is the one first drawn, not one that somebody else has written meanwhile.
     looked_at = f"rules-seen-{lot.id}"
     version = st.session_state.setdefault(looked_at, versions[-1].version if versions else 0)
-    wanted = _asked(registry().line_rules(lot), lot.reference_unit, f"{lot.id}-{version}")
+    wanted = _asked(registry().lots.line_rules(lot), lot.reference_unit, f"{lot.id}-{version}")
     reason = ask_reason(f"rules-{lot.id}-{version}", words()("rules.set"), "set_limit")
     if reason is None:
         return
     st.session_state.pop(looked_at)
     try:
         rules = LineRules(**wanted)
-        state = registry().released_network(lot.id)
+        state = registry().networks.released(lot.id)
         if state is not None and rules.loads:
             check_stated(rules.loads, source_recording(registry(), state.network.id), Method().map.anchors)
-        registry().set_line_rules(lot.id, rules, reason=reason, actor=actor(), expected_version=version)
+        registry().lots.set_line_rules(lot.id, rules, reason=reason, actor=actor(), expected_version=version)
     except InputError as error:
         st.error(in_words(error), icon=":material/error:")
         return

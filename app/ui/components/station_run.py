@@ -26,7 +26,7 @@ def choose_station() -> str | None:
         if may(person(), "set_up") and st.button(say("station.simulate"), icon=":material/science:"):
             permit("set_up")
             start_simulated_station(SIMULATED)
-            registry().add_event("start", "station", (SIMULATED,), {"rig": "simulated"}, actor=actor())
+            registry().trail.add("start", "station", (SIMULATED,), {"rig": "simulated"}, actor=actor())
             st.session_state[AWAITED] = True
         if st.session_state.get(AWAITED):
             _await_station()

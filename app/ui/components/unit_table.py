@@ -35,11 +35,11 @@ def unit_table(lot: Lot, serials: Serials = None) -> None:
     say = words()
     wanted = replace(_filter(lot.id), serials=serials)
     place = f"units-page-{lot.id}"
-    found = registry().unit_page(lot.id, wanted, int(st.session_state.get(place, 1)), SIZE)
+    found = registry().pages.unit_page(lot.id, wanted, int(st.session_state.get(place, 1)), SIZE)
     if found.total and not found.units:
         # The filter leaves fewer pages than the one that was looked at.
         st.session_state[place] = 1
-        found = registry().unit_page(lot.id, wanted, 1, SIZE)
+        found = registry().pages.unit_page(lot.id, wanted, 1, SIZE)
     units = found.units
     if not units:
         st.caption(say("lot.table.none"))
@@ -112,7 +112,9 @@ def _export(lot: Lot, serials: Serials) -> None:
 def _table(lot: Lot, serials: Serials) -> tuple[list[str], list[tuple[object, ...]]]:
     kept = None if serials is None else frozenset(serials)
     units = [
-        unit for unit in registry().units(lot.id) if unit.role == "target" and (kept is None or unit.serial in kept)
+        unit
+        for unit in registry().lots.units(lot.id)
+        if unit.role == "target" and (kept is None or unit.serial in kept)
     ]
     rows = [row(unit) for unit in units]
     header = list(rows[0]) if rows else []

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from common.law_unit import ForceLaw, LawUnit
 
 from softcal.core.profiles import Profile, ramps, source_profile, unit_profile
 from softcal.core.twin.parameters import BaseParameters
@@ -14,7 +15,6 @@ from softcal.station.acquisition import RunProgress, record
 from softcal.station.bench import Bench, open_bench, simulated_config
 from softcal.station.config import UNKNOWN_S
 from softcal.station.recording import StationRecording
-from softcal.station.simulated.law_unit import ForceLaw, LawUnit
 from softcal.station.simulated.rig import Physics
 from softcal.station.simulated.station import SimulatedStation
 from softcal.station.spool import Spool

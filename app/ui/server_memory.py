@@ -1,10 +1,18 @@
-"""What this server remembers of a lot until something of it changes, so that ten thousand units are read once."""
+"""The registry this server was started with, and lots as it remembers them until something of them changes."""
 
 import streamlit as st
 
-from softcal.app.ui.registry_of_server import registry
+from softcal.app.bootstrap import open_chosen_registry
 from softcal.app.views.lot import EVERY_RUN, LotView, lot_view
 from softcal.app.views.lot_runs import LotFilter
+from softcal.db.registry import Registry
+
+
+@st.cache_resource(max_entries=1)
+def registry() -> Registry:
+    """Return the registry this server was started with; one connection pool for all pages."""
+    return open_chosen_registry(None)
+
 
 LOTS = 16
 
@@ -15,7 +23,7 @@ def remembered_lot_view(lot_id: str, wanted: LotFilter = EVERY_RUN) -> LotView:
     Raises:
         InputError: the lot is not in the registry.
     """
-    return _view(str(registry().database.name), lot_id, registry().change_marker(lot_id), wanted)
+    return _view(str(registry().database.name), lot_id, registry().pages.change_marker(lot_id), wanted)
 
 
 # Not cache_data: it would copy ten thousand rows at every look.

@@ -1,4 +1,4 @@
-"""Whoever stands at a line reads every reason: short, without private words or files to edit, right for 0, 1 and 2."""
+"""Docs, reasons, help and docstrings read plainly: short sentences, known words; a reason is right for 0, 1 and 2."""
 
 import re
 import sys
@@ -15,8 +15,7 @@ from softcal.core.unit.verdict import Limit
 from softcal.core.words.reason import ENGLISH, PLAIN
 
 ROOT = Path(__file__).parents[2]
-MOST_UNKNOWN = 185
-"""Words of all reasons, each once, that are neither basic nor in the glossary: devices, their parts and faults."""
+KINDS = ("docs", "reasons", "help", "docstrings")
 
 FILES = re.compile(r"[\w/]*\w\.(toml|json|ini|ya?ml)\b")
 
@@ -35,17 +34,22 @@ def test_the_reader_reads_the_reasons_that_are_said() -> None:
     assert reading().reasons(str(ROOT)) == {code: text for code, text in ENGLISH.items() if code != PLAIN}
 
 
-def test_no_sentence_of_a_reason_is_long() -> None:
-    assert reading().reader(ENGLISH, reading().known_words()).long == ()
+@pytest.mark.parametrize("kind", KINDS)
+def test_few_sentences_are_long_and_few_words_unknown(kind: str) -> None:
+    goal, read = reading().GOALS[kind], reading().reader_of(kind)
+    assert len(read.long) <= goal.long * read.sentences, sorted(read.long, key=len)[-15:]
+    assert len(read.unknown) <= goal.unknown, sorted(read.unknown)
 
 
-def test_no_reason_has_a_word_that_nobody_outside_knows() -> None:
-    assert reading().private(ENGLISH) == {}
+def test_the_documents_are_short() -> None:
+    words = {name: len(text.split()) for name, text in reading().pages(str(ROOT)).items() if "decisions" not in name}
+    assert sum(words.values()) <= reading().MOST_WORDS_OF_ALL
+    assert {page: words[page] for page, most in reading().MOST_WORDS.items() if words[page] > most} == {}
 
 
-def test_most_words_of_the_reasons_are_basic_or_stand_in_the_glossary() -> None:
-    unknown = reading().reader(ENGLISH, reading().known_words()).unknown
-    assert len(unknown) <= MOST_UNKNOWN, sorted(unknown)
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_text_has_a_word_that_nobody_outside_knows(kind: str) -> None:
+    assert reading().private_of(kind) == {}
 
 
 def test_every_reason_is_right_where_its_counts_are_none_one_or_two() -> None:

@@ -5,6 +5,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
+from common.fault_trial import tells_truth
+from common.law_unit import ForceLaw, LawUnit
 
 from softcal.core.errors import DeviceError
 from softcal.core.profiles import Profile
@@ -12,9 +14,7 @@ from softcal.core.twin.simulate import Twin
 from softcal.station.acquisition import RunProgress, record
 from softcal.station.bench import Bench, open_bench, simulated_config
 from softcal.station.config import UNKNOWN_S
-from softcal.station.simulated.law_unit import ForceLaw, LawUnit
 from softcal.station.simulated.station import SimulatedStation
-from softcal.station.simulated.trial import tells_truth
 
 GONE_S = 10.0
 """Longer than anything that was sent ahead takes."""

@@ -1,7 +1,7 @@
 """One run on the simulated station with one fault: what the operator reads, when the stage stood, what was kept."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,10 @@ DISK_MOMENTS = (*MOMENTS, AT_THE_END)
 
 LOOK_S = 0.5
 """How long the load cell is read to compare what it shows with what was said."""
+
+SAID_N, SAID_MM, RESTS_N = 0.3, 0.05, 0.08
+"""A force that is said may be off by so much (its zero, its noise), a depth by so much. A stage that is called lifted
+puts no more force on the unit than this: where a soft unit shows none, no load cell tells whether it is touched."""
 
 COAST_S = 1.0
 """How long the rig is watched after the run gave up: a stage nobody can reach runs out of queued pieces."""
@@ -126,7 +130,29 @@ def tells_truth(error: DeviceError, bench: Bench, station: SimulatedStation, zer
             shown_N += [sample.values[0] - zero_N for sample in bench.force.poll()]
     except DeviceError:
         pass  # Then it must be the truth.
-    return station.rig.tells_truth(left, [sum(shown_N) / len(shown_N)] if shown_N else [], station.world.now_s())
+    rig = station.rig
+    rig.read(station.world.now_s())
+    if rig.axis.is_moving and left.code not in ("left.runs_on", "left.unreachable"):
+        return False
+    mean_N = [sum(shown_N) / len(shown_N)] if shown_N else []
+    return is_true(left, (rig._force_N, *mean_N), rig.axis.position_mm)
+
+
+def is_true(left: Reason, force_N: Sequence[float], counted_mm: float) -> bool:
+    """Whether a sentence about the stage is so.
+
+    Args:
+        left: what became of the stage.
+        force_N: true force on the unit, and what the load cell shows: a sentence may give either.
+        counted_mm: position by the controller's count.
+    """
+    if left.code in ("left.lifted", "left.lifted_roughly"):
+        return force_N[0] <= RESTS_N
+    said_N, said_mm = left.values.get("force_N"), left.values.get("at_mm", counted_mm)
+    is_force_so = said_N is None or any(abs(float(said_N) - newton) <= SAID_N for newton in force_N)  # type: ignore[arg-type]
+    inner = left.values.get("state")
+    is_inner_so = not isinstance(inner, Reason) or is_true(inner, force_N, counted_mm)
+    return is_force_so and is_inner_so and abs(float(said_mm) - counted_mm) <= SAID_MM  # type: ignore[arg-type]
 
 
 def _without_cell(bench: Bench) -> Bench:

@@ -1,0 +1,55 @@
+"""Recordings of a lot that the registry keeps: the source behind a shared network, and the audits that stand."""
+
+from softcal.core.errors import InputError
+from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.unit.method import Method
+from softcal.core.unit.source_model import SourceModel, make_source_model
+from softcal.core.words.reason import reason
+from softcal.db.entries import RecordingEntry
+from softcal.db.registry import Registry
+
+
+def source_sha256(registry: Registry, network_id: str) -> str:
+    """Return the content hash of the recording a network was trained on."""
+    return str(registry.networks.entry(network_id).training["source_recording_sha256"])
+
+
+def source_recording(registry: Registry, network_id: str) -> LabelledRecording:
+    """Return the labelled recording a network was trained on.
+
+    Raises:
+        InputError: the network is not in the registry, or its source recording has no reference.
+    """
+    source = registry.recordings.get(source_sha256(registry, network_id))
+    if not isinstance(source, LabelledRecording):
+        raise InputError(reason("run.bare_network", network=network_id[:12]))
+    return source
+
+
+def source_model(registry: Registry, network_id: str, method: Method) -> SourceModel:
+    """Return the source of a network as the units of its lot are compared with it; make it once for all of them."""
+    return make_source_model(source_recording(registry, network_id), registry.networks.get(network_id), method=method)
+
+
+def unlabelled(recording: OutputRecording | LabelledRecording) -> OutputRecording:
+    """Return what a fit may see of a recording."""
+    return recording.unlabelled if isinstance(recording, LabelledRecording) else recording
+
+
+def newest_audits(registry: Registry, lot_id: str, serial: str | None = None) -> dict[str, RecordingEntry]:
+    """Return the newest audit of each unit of a lot, or of one of them, by serial.
+
+    A golden unit's labelled runs check the station and its day; they are no audits of the lot. Of a run that does not
+    say which recording it is, all of its unit's are.
+    """
+    runs = registry.stations.golden_runs()
+    checks = {run.recording_sha256 for run in runs}
+    units = {run.serial for run in runs if run.recording_sha256 is None} | {registry.lots.get(lot_id).source}
+    entries = registry.recordings.of_lot(lot_id, serial, "audit")
+    return {one.serial: one for one in entries if one.serial not in units and one.sha256 not in checks}
+
+
+def audit_of(registry: Registry, entry: RecordingEntry | None) -> LabelledRecording | None:
+    """Read an audit; None where there is none."""
+    found = None if entry is None else registry.recordings.get(entry.sha256)
+    return found if isinstance(found, LabelledRecording) else None

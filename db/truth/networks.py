@@ -1,0 +1,182 @@
+"""Shared networks, and which of a lot the line may use: released or withdrawn with a reason; all others are drafts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import TYPE_CHECKING, cast
+
+from sqlalchemy import Connection, RowMapping, select
+
+from softcal.core.errors import InputError
+from softcal.db.entries import NetworkEntry
+from softcal.db.schema.arrays import get_arrays, put_arrays
+from softcal.db.schema.tables import network_releases, networks
+from softcal.db.truth.registry_base import RegistryBase, of_row
+
+if TYPE_CHECKING:
+    from softcal.core.identity import Settings
+    from softcal.core.network.network import Network
+    from softcal.core.recording import Array
+
+DRAFT, RELEASED, WITHDRAWN = "draft", "released", "withdrawn"
+ACTIONS = {RELEASED: "release", WITHDRAWN: "withdraw"}
+"""State → what the audit trail calls the decision."""
+
+
+@dataclass(frozen=True)
+class NetworkState:
+    """Whether the line may use a network.
+
+    Args:
+        state: draft, released or withdrawn.
+        since: when it became so; of a draft when it was trained.
+        actor, reason: who decided it, and why; "" where nobody had to decide.
+    """
+
+    network: NetworkEntry
+    state: str
+    since: datetime
+    actor: str = ""
+    reason: str = ""
+
+
+class NetworkTables(RegistryBase):
+    """The part of the registry that knows networks, and which of them are released."""
+
+    def add(
+        self,
+        lot_id: str,
+        network: Network,
+        metrics: Mapping[str, object],
+        settings: Settings,
+        input_sha256: str,
+        *,
+        actor: str | None = None,
+    ) -> str:
+        """Store a shared network and return its id.
+
+        A network of the same input that is there already, from another worker, is kept and its id returned: go on
+        with the id you get.
+        """
+        with self.database.writing() as connection:
+            self._lot_row(connection, lot_id)
+            known = self.find(input_sha256)
+            same = select(networks.c.id).where(networks.c.id == network.id)
+            if known is not None or connection.execute(same).first() is not None:
+                return known or network.id
+            values = {
+                "id": network.id,
+                "lot_id": lot_id,
+                "input_sha256": input_sha256,
+                "settings": network.settings(),
+                "training": dict(settings),
+                "metrics": dict(metrics),
+                "blob_sha256": put_arrays(connection, network.arrays()),
+                "added_at": self.settings.clock(),
+            }
+            self._store(connection, networks, values, "add", actor)
+            return network.id
+
+    def find(self, input_sha256: str) -> str | None:
+        """Return the id of the first network trained from this input, or None."""
+        query = select(networks.c.id).where(networks.c.input_sha256 == input_sha256)
+        return next(iter(self.database.values(query.order_by(networks.c.added_at, networks.c.id).limit(1))), None)
+
+    def get(self, network_id: str) -> Network:
+        """Return a network by its id, or raise `InputError`."""
+        from softcal.core.network.network import Network
+
+        with self.database.reading() as connection:
+            row = self._network_row(connection, network_id)
+            arrays = cast("dict[str, Array]", get_arrays(connection, row["blob_sha256"]))
+            return Network.from_arrays(arrays, row["settings"])
+
+    def entry(self, network_id: str) -> NetworkEntry:
+        """Return what is known of a network beside its weights, or raise `InputError`."""
+        with self.database.reading() as connection:
+            row = self._network_row(connection, network_id)
+            return of_row(NetworkEntry, row)
+
+    def all(self) -> list[NetworkEntry]:
+        """Return what is known of every network beside its weights, oldest first."""
+        query = select(networks).order_by(networks.c.added_at, networks.c.id)
+        return [of_row(NetworkEntry, row) for row in self.database.rows(query)]
+
+    def _network_row(self, connection: Connection, network_id: str) -> RowMapping:
+        row = connection.execute(select(networks).where(networks.c.id == network_id)).mappings().first()
+        if row is None:
+            raise InputError(f"network {network_id[:12]} is not in the registry")
+        self._check_row(connection, networks, row)
+        return row
+
+    def states(self, lot_id: str) -> list[NetworkState]:
+        """Return every network of a lot with its state, oldest network first.
+
+        The first network of a lot needs no decision, since there is no other.
+        """
+        mine = [entry for entry in self.all() if entry.lot_id == lot_id]
+        decided = self._decisions(lot_id)
+        standing = {entry.id for entry in mine[:1]}
+        return [
+            decided.get(entry.id) or NetworkState(entry, RELEASED if entry.id in standing else DRAFT, entry.added_at)
+            for entry in mine
+        ]
+
+    def released(self, lot_id: str) -> NetworkState | None:
+        """Return the network of a lot that the line uses: the one released last; None where there is none."""
+        released = [state for state in self.states(lot_id) if state.state == RELEASED]
+        return max(released, key=lambda state: state.since) if released else None
+
+    def release(self, network_id: str, *, reason: str, actor: str | None = None) -> None:
+        """Let the line use a network from now on, in place of the one it used.
+
+        Raises:
+            InputError: no reason, no such network, or it is the one in use.
+        """
+        entry = self.entry(network_id)
+        current = self.released(entry.lot_id)
+        if current is not None and current.network.id == network_id:
+            raise InputError(f"network {network_id[:12]} is the one in use; nothing was changed")
+        self._decide(entry, RELEASED, reason, actor)
+
+    def withdraw(self, network_id: str, *, reason: str, actor: str | None = None) -> None:
+        """Take a released network from the line; the one released before it is in use again, where there is one.
+
+        Raises:
+            InputError: no reason, no such network, or it is not released.
+        """
+        entry = self.entry(network_id)
+        states = {state.network.id: state.state for state in self.states(entry.lot_id)}
+        if states[network_id] != RELEASED:
+            raise InputError(f"network {network_id[:12]} is {states[network_id]}, not released; nothing was changed")
+        self._decide(entry, WITHDRAWN, reason, actor)
+
+    def _decide(self, entry: NetworkEntry, state: str, reason: str, actor: str | None) -> None:
+        if not reason.strip():
+            raise InputError(f"network {entry.id[:12]}: a reason was expected; nothing was changed")
+        with self.database.writing() as connection:
+            decisions = self._decisions(entry.lot_id)
+            made_at = self._after(max((decision.since for decision in decisions.values()), default=None))
+            values = {
+                "network_id": entry.id,
+                "made_at": made_at,
+                "origin": self.origin,
+                "lot_id": entry.lot_id,
+                "state": state,
+                "actor": self._actor(actor),
+                "reason": reason,
+            }
+            self._store(connection, network_releases, values, ACTIONS[state], actor, reason)
+
+    def _decisions(self, lot_id: str) -> dict[str, NetworkState]:
+        """Return the newest decision of each network of a lot that somebody decided about."""
+        c = network_releases.c
+        query = select(network_releases).where(c.lot_id == lot_id).order_by(c.made_at, c.origin)
+        known = {entry.id: entry for entry in self.all()}
+        facts = (c.state, c.made_at, c.actor, c.reason)
+        return {
+            row[c.network_id]: NetworkState(known[row[c.network_id]], *(row[column] for column in facts))
+            for row in self.database.rows(query)
+        }

@@ -1,0 +1,68 @@
+"""The audit trail: who did what and when, readable by kind, by entity and by its end."""
+
+from collections.abc import Mapping, Sequence
+
+from sqlalchemy import RowMapping, select
+
+from softcal.db.entries import AuditRow, Heads
+from softcal.db.schema.database import parts
+from softcal.db.schema.tables import audit, canonical_json
+from softcal.db.truth import history
+from softcal.db.truth.registry_base import RegistryBase
+
+
+class AuditTrail(RegistryBase):
+    """The part of the registry that tells what was done; the other parts write what they do themselves."""
+
+    def add(
+        self,
+        action: str,
+        entity: str,
+        key: tuple[str | int, ...],
+        values: Mapping[str, object],
+        *,
+        reason: str = "",
+        actor: str | None = None,
+    ) -> None:
+        """Put what changes no table (an export, an override of the station's gate) into the audit trail."""
+        with self.database.writing() as connection:
+            self._tell(connection, action, entity, key, actor, after=values, reason=reason)
+
+    def of(self, entity: str, key: tuple[str | int, ...]) -> list[AuditRow]:
+        """Return what the audit trail tells of one entity, in time order, whichever registry wrote it."""
+        return self.of_several(entity, [key])
+
+    def of_several(self, entity: str, keys: Sequence[tuple[str | int, ...]]) -> list[AuditRow]:
+        """Return what the audit trail tells of several entities of a kind, in time order."""
+        found: list[RowMapping] = []
+        with self.database.reading():
+            for part in parts(keys):
+                names = [canonical_json(key) for key in part]
+                found += self.database.rows(select(audit).where(audit.c.entity == entity, audit.c.key.in_(names)))
+        return sorted((AuditRow(**row) for row in found), key=lambda row: (row.at, row.origin, row.seq))
+
+    def of_kind(self, entity: str) -> list[AuditRow]:
+        """Return what the audit trail tells of all entities of a kind, in time order."""
+        query = select(audit).where(audit.c.entity == entity).order_by(audit.c.at, audit.c.origin, audit.c.seq)
+        return [AuditRow(**row) for row in self.database.rows(query)]
+
+    def rows(self, origin: str | None = None) -> list[AuditRow]:
+        """Return the audit trail of one registry, or of all that were synchronised, oldest first per origin."""
+        with self.database.reading() as connection:
+            return list(history.rows(connection, origin))
+
+    def newest(self, count: int) -> list[AuditRow]:
+        """Return the newest rows of the audit trail, whoever wrote them, the newest first."""
+        found: list[RowMapping] = []
+        with self.database.reading() as connection:
+            # The newest of each chain are found through the index; sorted by time, all rows would be read.
+            for origin in history.origins(connection):
+                chain = select(audit).where(audit.c.origin == origin)
+                found += self.database.rows(chain.order_by(audit.c.seq.desc()).limit(count))
+        rows = sorted((AuditRow(**row) for row in found), key=lambda row: (row.at, row.origin, row.seq), reverse=True)
+        return rows[:count]
+
+    def heads(self) -> Heads:
+        """Return number and hash of the last row of every chain of the audit trail: what to write down elsewhere."""
+        with self.database.reading() as connection:
+            return history.heads(connection)
