@@ -139,7 +139,7 @@ def check_law(
     by_force = np.column_stack([np.ones_like(t_s), _basis(t_s, grid_s, np.interp(grid_s, t_s, force_N))])
     _check_moments(t_s, by_depth, force_N)
     explained = np.minimum(_explained(t_s, by_depth, force_N), _explained(t_s, by_force, output))
-    if len(t_s) > MOMENTS and np.max(explained) > CHANGED:
+    if len(t_s) >= MOMENTS and np.max(explained) > CHANGED:
         raise BadReply(reason("rig.odd_force", at_s=float(_moments(t_s)[np.argmax(explained)] - t_s[0])))
 
 
