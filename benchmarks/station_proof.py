@@ -28,6 +28,13 @@ from softcal.station.spool import SpooledRun, read_spool
 
 LATER_S = (-0.15, 0.02, 0.03, 0.05, 0.1)
 GAINS = (0.5, 0.6, 0.7, 0.8, 1.5, 2.0)
+THEN = {
+    "gain then": (0.5, 0.7, 0.8, 0.9, 0.95, 1.05, 1.1, 1.25, 1.5, 2.0),
+    "zero then": (-0.5, -0.2, -0.1, 0.1, 0.2, 0.5),
+    "lag then": (-0.1, -0.05, 0.05, 0.1),
+}
+"""The cell changes at a drawn moment, after the unit has shown a fifth of its largest force."""
+
 STUCK_S = (0.5, 1.0, 2.0, 100.0)
 SLIPPED_MM = (0.3, 0.6, 1.0)
 EVERY = {"changed": 8, "broken": 16}
@@ -88,6 +95,10 @@ def _change(rig: GoodRig) -> Iterator[dict[str, Any]]:
     for what, values, change in (("later", LATER_S, _later), ("gain", GAINS, _gain)):
         for value in values:
             yield {"what": what, "value": value, "said": _assembled(change(run, value))}
+    rng = np.random.default_rng([rig.seed, 34])
+    for what, value in [(what, value) for what, values in THEN.items() for value in values]:
+        changed, wrong = _then(run, what, value, rng)
+        yield {"what": what, "value": value, "said": _assembled(changed), "wrong": wrong}
 
 
 def _break(rig: GoodRig) -> Iterator[dict[str, Any]]:
@@ -130,6 +141,23 @@ def _gain(run: SpooledRun, gain: float) -> SpooledRun:
     return replace(run, force=tuple(changed(sample) for sample in run.force))
 
 
+def _then(run: SpooledRun, what: str, value: float, rng: np.random.Generator) -> tuple[SpooledRun, float]:
+    """Change the cell from a drawn moment on; return that and by how much the labels are wrong, RMS of their range."""
+    zero_N, (begun_s, ended_s) = run.facts["zero_N"], run.facts["span_s"]
+    t_s, force_N = np.array([(s.host_s, s.values[0] - zero_N) for s in run.force]).T
+    at_s = rng.uniform(t_s[np.argmax(force_N > 0.2 * np.max(force_N))], ended_s)
+    ways = {
+        "gain then": value * force_N,
+        "zero then": force_N + value,
+        "lag then": np.interp(t_s - value, t_s, force_N),
+    }
+    changed_N = np.where(t_s > at_s, ways[what], force_N)
+    inside = (t_s >= begun_s) & (t_s <= ended_s)
+    wrong = float(np.sqrt(np.mean((changed_N - force_N)[inside] ** 2)) / np.ptp(force_N[inside]))
+    force = tuple(replace(s, values=(zero_N + float(x),)) for s, x in zip(run.force, changed_N, strict=True))
+    return replace(run, force=force), wrong
+
+
 Breaks = Callable[[SimulatedStation, float], None]
 
 
@@ -165,11 +193,15 @@ def _print(rows: list[dict[str, Any]]) -> None:
     print("|---|---|---|---|---|")
     table: dict[tuple[str, float], list[bool]] = defaultdict(list)
     for row in rows:
-        if row["what"] not in ("good", "refused") and row["said"] != "not broken":
+        is_harmless = row.get("wrong", 1.0) < 0.01  # Labels wrong by less than 1 % of their range.
+        if row["what"] not in ("good", "refused") and row["said"] != "not broken" and not is_harmless:
             table[str(row["what"]), float(row["value"])].append(bool(row["said"]))
     names = {
         "later": "load cell later than stated, s",
         "gain": "gain of the load cell from the middle of the run on, times",
+        "gain then": "gain of the load cell from a drawn moment on, times",
+        "zero then": "zero of the load cell from a drawn moment on, N",
+        "lag then": "delay of the load cell from a drawn moment on, s",
         "stuck": "load cell stuck but noisy, s",
         "slipped": "motor loses steps in a press, mm",
     }

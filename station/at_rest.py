@@ -53,7 +53,7 @@ def read_at_rest(
     while (gone_s := clock.now_s() - began_s) < total_s:
         clock.sleep_s(TICK_S)
         for sample in readout.poll():
-            watch.check(sample, 0.0)
+            watch.check(sample)
             if gone_s >= settle_s:
                 kept.append(sample.values)
         watch.check_silence(clock.now_s())

@@ -95,7 +95,7 @@ class ContactSearch:
     ) -> None:
         self._fixture, self._has_force, self._late_s = fixture, has_force, late_s
         self._cell, self._output = cell, output
-        self._free_N, self._free_output = _unloaded(cell), _unloaded(output)
+        self._free_N, self._free_output = unloaded(cell), unloaded(output)
         self.begin()
 
     def begin(self) -> None:
@@ -235,6 +235,7 @@ def stiffest_N_mm(stage_mm: Array, force_N: Array) -> float:
     return float(np.max(np.diff(means[:, 1]) / way_mm))
 
 
-def _unloaded(samples: Sequence[Sample]) -> float:
+def unloaded(samples: Sequence[Sample]) -> float:
+    """Return the mean of the last samples of a channel with nothing on it; 0 without any."""
     values = [sample.values[0] for sample in samples[-UNLOADED_SAMPLES:]]
     return float(np.mean(values)) if values else 0.0

@@ -38,7 +38,7 @@ class StageWatch(StrEnum):
     RISE = "rise"
     """The force grows while the stage homes."""
     STREAM = "stream"
-    """A channel is silent, old, frozen, at its rail, or at another rate than declared."""
+    """A channel is silent, old, at its rail, or at another rate than declared."""
     FORCE = "force"
     """The force is above its limit, or will be before the stage has braked."""
     DEPTH = "depth"

@@ -4,24 +4,23 @@ Nothing else in softcal calls `home`, `begin` or `stop` of a stage; `tests/stati
 """
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from typing import TypeVar
 
 from softcal.core.errors import BadReply, DeviceError, NoReply, SafetyStop
 from softcal.core.words.reason import Reason, reason
 from softcal.station.bench import Bench
-from softcal.station.config import LATEST_S
 from softcal.station.interfaces import Held, Move, RoughLift, RunsOn
 from softcal.station.interlock import Interlock, State, StateRow
+from softcal.station.safety import LASTS_S
 from softcal.station.trajectory import DrivenMove, Trapezoid
 
 TICK_S = 0.005
 """How often the devices are read while something may move; far below every latency that is promised."""
 
 RETRACT_MM_S = 5.0
-READ_S, PATIENCE_S = 0.3, 1.5
-"""How long the load cell is read to say what stands on the unit, and how long it is waited for to fall to rest: its
-readings may have become old."""
+PATIENCE_S = 1.5
+"""How long load cell and sensor are read to say what stands on the unit: readings may be old, a unit comes back."""
 
 LIFT_MM = 1.0
 """A stage is lifted at least so far, wherever it stood."""
@@ -59,8 +58,10 @@ class Motion:
         self._ahead_mm = ahead_mm
         self._interlock = Interlock()
         self._path: Trapezoid | None = None
-        self._after_stop: list[tuple[float, float]] = []  # (arrival, N) of every reading since the stop
+        self._cell: list[tuple[float, float]] = []  # (arrival, value) of every reading since the stop
+        self._output: list[tuple[float, float]] = []
         self.zero_N: float | None = None
+        self.free_output: float | None = None  # What the sensor shows with nothing on it.
 
     @property
     def state(self) -> State:
@@ -168,7 +169,7 @@ class Motion:
         if self.state in (State.STOPPED, State.OVER):
             return self._left(Reason("left.stopped"))
         self.enter(State.STOPPING)
-        self._path, self._after_stop = None, []
+        self._path, self._cell, self._output = None, [], []
         try:
             return self._stop_and_lift(cause)
         except KeyboardInterrupt:
@@ -202,17 +203,16 @@ class Motion:
         can_lift_roughly = isinstance(self._stage, RoughLift) and self._stage.can_lift_roughly
         if not self._stage.is_position_known and not can_lift_roughly:
             return self._left(Reason("left.must_home"))
-        # What is wrong with a reading may be wrong with the cell: then only a force that falls says that it lives.
-        return self._lift(is_cell_sound=not isinstance(cause, (BadReply, NoReply)))
+        return self._lift()
 
-    def _lift(self, is_cell_sound: bool) -> Reason:
+    def _lift(self) -> Reason:
         stage = self._stage
         # Never deeper; what is in the way above the approach is let go as well.
         to_mm = max(0.0, min(self._bench.config.fixture.approach_mm, stage.position_mm - LIFT_MM))
         speed_mm_s = min(RETRACT_MM_S, stage.max_speed_mm_s)
         path = Trapezoid(stage.position_mm, to_mm, speed_mm_s, stage.acceleration_mm_s2)
         self.enter(State.LIFTING)
-        self._read_cell()
+        self._listen()
         try:
             if path.start_mm > path.end_mm:
                 self._begin_lift(path)
@@ -222,7 +222,7 @@ class Motion:
         except DeviceError:
             self._stop_quietly()
             return self._left(Reason("left.not_lifted"))
-        return self._confirmed(is_cell_sound)
+        return self._confirmed()
 
     def _begin_lift(self, path: Trapezoid) -> None:
         self._interlock.check_move(path.end_mm > path.start_mm)
@@ -238,19 +238,22 @@ class Motion:
                 self._stage.poll()
             except BadReply:
                 pass  # A line with noise says nothing about the lift; silence and alarms do.
-            self._read_cell()
+            self._listen()
             if self._clock.now_s() > end_s:
                 raise NoReply(Reason("rig.late.lifting"))
 
-    def _confirmed(self, is_cell_sound: bool) -> Reason:
-        """Say that the stage is lifted where the load cell has fallen to rest; a controller's count proves nothing."""
-        contact_N, force_N = self._bench.config.fixture.contact_N, self._standing_N()
-        if force_N is None:
-            return self._said(Reason("left.told"), None)
-        if abs(force_N) > contact_N:
+    def _confirmed(self) -> Reason:
+        """Say that the stage is lifted where the load cell has fallen to rest; a controller's count proves nothing.
+
+        A cell that showed no force before may be dead: then the sensor must be at rest, too.
+        """
+        fixture, force_N = self._bench.config.fixture, self._standing_N()
+        if force_N is not None and abs(force_N) > fixture.contact_N:
             return self._said(Reason("left.stays"), force_N)
-        has_fallen = max(newton for _, newton in self._after_stop) > contact_N
-        if not self._is_at_rest(force_N) or not (has_fallen or is_cell_sound):
+        has_fallen = max((value for _, value in self._cell), default=0.0) - (self.zero_N or 0.0) > fixture.contact_N
+        output, free = self._newest(self._output), self.free_output
+        is_output_free = output is not None and free is not None and abs(output - free) <= fixture.contact_output
+        if force_N is None or abs(force_N) > REST * fixture.contact_N or not (has_fallen or is_output_free):
             return self._said(Reason("left.told"), force_N)
         self.enter(State.STOPPED)
         return Reason("left.lifted" if self._stage.is_position_known else "left.lifted_roughly")
@@ -287,30 +290,25 @@ class Motion:
         return reason("left.stands", state=state, force_N=force_N, at_mm=self._stage.position_mm)
 
     def _standing_N(self) -> float | None:
-        """Read the load cell until it is at rest, or is not going to be; None where it says nothing, or has no zero."""
-        force = self._bench.config.force
-        if self._bench.force is None or force is None or self.zero_N is None:
-            return None
-        began_s, mean_N = self._clock.now_s(), None
-        # Before this it may tell of a time before the lift.
-        least_s = READ_S + (force.latency_s if force.is_latency_stated else LATEST_S)
-        while (gone_s := self._clock.now_s() - began_s) < PATIENCE_S:
-            self._clock.sleep_s(TICK_S)
-            self._read_cell()
-            newest_N = [newton for arrival_s, newton in self._after_stop if arrival_s > began_s + gone_s - READ_S]
-            mean_N = sum(newest_N) / len(newest_N) if newest_N else None
-            if gone_s >= least_s and (mean_N is None or self._is_at_rest(mean_N)):
-                break
-        return mean_N
-
-    def _is_at_rest(self, force_N: float) -> bool:
-        return abs(force_N) <= REST * self._bench.config.fixture.contact_N
-
-    def _read_cell(self) -> None:
+        """Return what the load cell shows at last; None where it says nothing, or has no zero."""
         if self._bench.force is None or self.zero_N is None:
-            return
-        try:
-            for sample in self._bench.force.poll():
-                self._after_stop.append((self._clock.now_s(), sample.values[0] - self.zero_N))
-        except DeviceError:
-            self._after_stop.clear()  # It is no witness.
+            return None
+        end_s = self._clock.now_s() + PATIENCE_S
+        while self._clock.now_s() < end_s:
+            self._clock.sleep_s(TICK_S)
+            self._listen()
+        shown_N = self._newest(self._cell)
+        return None if shown_N is None else shown_N - self.zero_N
+
+    def _listen(self) -> None:
+        """Take what load cell and sensor show; one that fails is no witness."""
+        for reader, seen in ((self._bench.force, self._cell), (self._bench.readout, self._output)):
+            try:
+                seen += [(self._clock.now_s(), sample.values[0]) for sample in (reader.poll() if reader else ())]
+            except DeviceError:
+                seen.clear()
+
+    def _newest(self, readings: Sequence[tuple[float, float]]) -> float | None:
+        """Return the mean of what came just now; None where nothing did."""
+        values = [value for arrival_s, value in readings if arrival_s > self._clock.now_s() - LASTS_S]
+        return sum(values) / len(values) if values else None

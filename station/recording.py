@@ -21,6 +21,7 @@ from softcal.station.proof import (
     check_output_gain,
     lag_s,
 )
+from softcal.station.safety import CLOCK_SHARE
 from softcal.station.spool import SpooledRun
 from softcal.station.trajectory import DrivenMove, StageTrack, Trapezoid, reconstruct
 
@@ -32,9 +33,6 @@ LONGEST_GAP_S = 0.25
 
 FIT_SAMPLES = 3000
 """Enough of a run for a fit of force and depth: how late the load cell is, and whether one law holds."""
-
-LARGEST_DRIFT = 0.02
-"""A device clock further off than this is broken, or its rate is declared wrong."""
 
 
 @dataclass(frozen=True)
@@ -183,7 +181,7 @@ def assemble(raw: Raw, facts: RunFacts) -> StationRecording:
         late_s = facts.force_late_s
         if not facts.is_latency_stated and abs(behind_s - late_s) > LATE_S:
             late_s = behind_s
-        _check_gain(raw.force, cell, track, facts, late_s)
+        _check_cell(raw, cell, sensor, track, facts, late_s)
         force_N = _force_at(host_s, raw.force, cell, facts, late_s)
     return StationRecording(
         facts.serial,
@@ -237,7 +235,7 @@ def _fitted(device_s: Array, samples: Sequence[Sample], name: str) -> ClockFit:
     if samples[0].device_s is None:
         return ClockFit(0.0, 1.0, 0.0, 0.0)
     fit = fit_clock(device_s, np.array([sample.host_s for sample in samples]))
-    if abs(fit.rate - 1) > LARGEST_DRIFT:
+    if abs(fit.rate - 1) > CLOCK_SHARE:
         raise BadReply(reason("rig.clock", device=named(name), percent=100 * (fit.rate - 1)))
     return fit
 
@@ -274,16 +272,18 @@ def _enough(samples: Indices) -> Indices:
     return samples[:: max(1, len(samples) // FIT_SAMPLES)]
 
 
-def _check_gain(samples: Sequence[Sample], cell: ClockFit, track: StageTrack, facts: RunFacts, late_s: float) -> None:
+def _check_cell(raw: Raw, cell: ClockFit, sensor: ClockFit, track: StageTrack, facts: RunFacts, late_s: float) -> None:
     """Compare all presses, the slow one before the profile too: a gain may change while the first one begins."""
-    device_s, force_N = _columns(samples)
+    device_s, force_N = _columns(raw.force)
     force_s = cell.to_host(device_s) - late_s
     inside = _in_presses(force_s, facts)
     if not len(inside):
         return
     check_gain(track.at(force_s[inside]) - facts.zero_mm, force_N[inside, 0] - facts.zero_N)
     inside = _enough(inside)
-    check_law(force_s[inside], force_N[inside, 0] - facts.zero_N, track.at, facts.contact_mm, facts.zero_mm)
+    sensor_s, output = _columns(raw.output)
+    shown = np.interp(force_s[inside], sensor.to_host(sensor_s), output[:, 0])
+    check_law(force_s[inside], force_N[inside, 0] - facts.zero_N, shown, track.at, facts.contact_mm)
 
 
 def _force_at(host_s: Array, samples: Sequence[Sample], cell: ClockFit, facts: RunFacts, late_s: float) -> Array:

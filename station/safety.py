@@ -7,36 +7,29 @@ import numpy as np
 
 from softcal.core.errors import BadReply, NoReply, SafetyStop
 from softcal.core.words.reason import reason
-from softcal.station.clock import seen_rate_Hz
 from softcal.station.config import SafetyConfig
 from softcal.station.interfaces import ForceReader, Readout, Sample
 from softcal.station.named import named
-
-FROZEN_MM, FROZEN_OUTPUT_MM, FROZEN_SAMPLES = 0.6, 1.0, 5
-"""A channel whose value does not change over so many samples while the stage moves so far is frozen: a load cell, and a
-sensor's output, which may be flat where the unit is hardly touched. Lines that a stall held back are older than the
-stage's position: a single one says nothing."""
 
 PRESSED_MM, MISSING_S, RISEN_MM = 0.8, 0.15, 0.1
 """A unit pressed this deep for so long must show a force; but not where the stage has risen this far since it did: a
 unit that relaxes comes back slowly."""
 
-JUMP_N, STANDING_S = 1.0, 0.3
-"""More from one sample to the next, while the stage stands for so long, is no force of the unit."""
+SUDDEN_N, LASTS_S = 1.0, 0.25
+"""A force that grows by this much while the stage homes, or from one sample to the next while it stands, is none of the
+unit's. What lasts so long (a stage that stands, a reading at its rail, lines that come late) is no accident."""
 
-STUCK_MM, STUCK_OUTPUT_MM, STUCK_MEAN_S, STUCK_NOISES, STUCK_SAMPLES = 1.2, 1.6, 0.1, 6.0, 6
+STUCK_MM, STUCK_OUTPUT_MM, FROZEN, STUCK_MEAN_S, STUCK_NOISES, STUCK_SAMPLES = 1.2, 1.6, 0.6, 0.1, 6.0, 6
 """The mean over so long must change by this many times its noise while the stage moves so far on the unit (a load cell,
-a sensor's output). A slow channel has few samples in a fast press: from fewer than these nothing is said."""
+a sensor's output); over this share of the way it must change at all. A slow channel has few samples in a fast press:
+from fewer than these nothing is said."""
 
-AGE_S, CLOCK_SHARE = 0.25, 0.02
-"""A line that brings readings this old is no guard; a device clock is off by less than this share."""
+CLOCK_SHARE = 0.02
+"""A device clock further off than this share is broken, or its rate is declared wrong."""
 
 SLOPE_SAMPLES = 4
-RATE_SAMPLES = 16
-LOSS_SAMPLES, LOST_SAMPLES = 50, 4
-"""More lost among so many received, and the wire is not fit to record."""
-
-RAIL_S = 0.3
+RATE_SAMPLES, MISSED_SAMPLES = 50, 4
+"""When more are missing, or too many, among so many samples, the device has another rate or its wire loses lines."""
 
 
 class ForceWatch:
@@ -113,23 +106,23 @@ class JumpWatch:
         if is_moving:
             self._moved_s = now_s
         last_N, self._last_N = self._last_N, force_N
-        if last_N is not None and now_s - self._moved_s > STANDING_S and abs(force_N - last_N) > JUMP_N:
+        if last_N is not None and now_s - self._moved_s > LASTS_S and abs(force_N - last_N) > SUDDEN_N:
             raise BadReply(reason("rig.jump", before_N=last_N, after_N=force_N))
 
 
 class StuckWatch:
-    """Whether a channel that is noisy still follows the stage: a cell that hangs, a motor without supply.
+    """Whether a channel still follows the stage: one that is frozen, a cell that hangs, a motor without supply.
 
     Args:
         name: of the device, as messages call it.
-        noise: standard deviation of the channel while nothing is pressed.
+        noise: standard deviation of the channel while nothing is pressed; 0 where any change will do.
         rate_Hz: of the channel.
         stuck_mm: how far the stage may move on the unit before the channel must follow.
     """
 
     def __init__(self, name: str, noise: float, rate_Hz: float, stuck_mm: float = STUCK_MM) -> None:
         self._stuck_mm = stuck_mm
-        averaged = max(1, round(STUCK_MEAN_S * rate_Hz))
+        averaged = max(1, round(STUCK_MEAN_S * rate_Hz)) if noise else 1
         self._name, self._least = name, STUCK_NOISES * noise / np.sqrt(averaged)
         self._recent: deque[float] = deque(maxlen=averaged)
         self._count, self._low, self._high = 0, float("inf"), float("-inf")
@@ -149,7 +142,7 @@ class StuckWatch:
         if len(self._recent) < (self._recent.maxlen or 1):
             return
         self._count += 1
-        mean = float(np.mean(self._recent))
+        mean = math.fsum(self._recent) / len(self._recent)
         self._low, self._high = min(self._low, mean), max(self._high, mean)
         self._shallow_mm, self._deep_mm = min(self._shallow_mm, pressed_mm), max(self._deep_mm, pressed_mm)
         if self._high - self._low > self._least:
@@ -164,14 +157,13 @@ class StuckWatch:
 
 
 class StreamWatch:
-    """Whether a stream still comes, at its rate, and still follows the stage.
+    """Whether a stream still comes, and at its rate.
 
     Args:
         reader: the device that is watched.
         bounds: the station's safety bounds.
         now_s: host time at which watching begins.
         rails: lowest and highest possible value of a readout, where staying there means a broken wire.
-        frozen_mm: how far the stage may move on the unit before the channel must change.
     """
 
     def __init__(
@@ -180,25 +172,20 @@ class StreamWatch:
         bounds: SafetyConfig,
         now_s: float,
         rails: tuple[float, float] | None = None,
-        frozen_mm: float = FROZEN_MM,
     ) -> None:
-        self._frozen_mm = frozen_mm
         self._reader, self._bounds, self._rails = reader, bounds, rails
         self._seen_s = now_s
-        self._times: deque[float] = deque(maxlen=LOSS_SAMPLES)
-        self._value: tuple[float, ...] | None = None
-        self._changed_at_mm, self._same = 0.0, 0
+        self._times: deque[float] = deque(maxlen=RATE_SAMPLES)
         self._on_rail_since_s: float | None = None
         self._earliest_s, self._old_since_s = float("inf"), float("inf")
 
-    def check(self, sample: Sample, pressed_mm: float) -> None:
-        """Take one sample; `pressed_mm` is how far the stage is below the contact, 0 above it.
+    def check(self, sample: Sample) -> None:
+        """Take one sample.
 
         Raises:
-            BadReply: the channel is frozen, at its rail, or comes at another rate than declared.
+            BadReply: the channel is at its rail, or comes at another rate than declared.
         """
         self._seen_s = sample.host_s
-        self._check_frozen(sample, pressed_mm)
         if self._rails:
             self._check_rails(sample, self._rails)
         if sample.device_s is not None:
@@ -215,27 +202,11 @@ class StreamWatch:
         allowed_s = CLOCK_SHARE * (device_s - self._times[-2]) if len(self._times) > 1 else 0.0
         self._earliest_s = min(self._earliest_s + allowed_s, host_s - device_s)
         age_s = host_s - device_s - self._earliest_s
-        if age_s <= AGE_S:
+        if age_s <= LASTS_S:
             self._old_since_s = float("inf")
         self._old_since_s = min(self._old_since_s, device_s)
-        if age_s > AGE_S and device_s - self._old_since_s > AGE_S:
+        if age_s > LASTS_S and device_s - self._old_since_s > LASTS_S:
             raise NoReply(reason("rig.old", device=named(self._reader.name), age_s=age_s))
-
-    def _check_frozen(self, sample: Sample, pressed_mm: float) -> None:
-        if sample.values != self._value or pressed_mm <= 0.0:
-            self._value, self._changed_at_mm, self._same = sample.values, pressed_mm, 1
-            return
-        self._same += 1
-        if self._same >= FROZEN_SAMPLES and abs(pressed_mm - self._changed_at_mm) > self._frozen_mm:
-            raise BadReply(
-                reason(
-                    "rig.frozen",
-                    device=named(self._reader.name),
-                    level=sample.values[0],
-                    unit=self._reader.unit,
-                    frozen_mm=self._frozen_mm,
-                )
-            )
 
     def _check_rails(self, sample: Sample, rails: tuple[float, float]) -> None:
         low, high = rails
@@ -243,20 +214,12 @@ class StreamWatch:
             self._on_rail_since_s = None
         elif self._on_rail_since_s is None:
             self._on_rail_since_s = sample.host_s
-        elif sample.host_s - self._on_rail_since_s > RAIL_S:
-            raise BadReply(reason("rig.rail", device=named(self._reader.name), rail_s=RAIL_S))
+        elif sample.host_s - self._on_rail_since_s > LASTS_S:
+            raise BadReply(reason("rig.rail", device=named(self._reader.name), rail_s=LASTS_S))
 
     def _check_rate(self, device_s: float) -> None:
         self._times.append(device_s)
-        if len(self._times) < RATE_SAMPLES:
-            return
-        seen_Hz = seen_rate_Hz(np.array(self._times)[-RATE_SAMPLES:])
-        if not 0.9 < seen_Hz / self._reader.rate_Hz < 1.1:
-            raise BadReply(
-                reason("rig.rate", device=named(self._reader.name), seen_Hz=seen_Hz, rate_Hz=self._reader.rate_Hz)
-            )
-        lost = round((device_s - self._times[0]) * seen_Hz) + 1 - len(self._times)
-        if lost > LOST_SAMPLES:
-            raise BadReply(
-                reason("rig.missing", device=named(self._reader.name), lost=lost, count=lost + len(self._times))
-            )
+        count, span_s = len(self._times), device_s - self._times[0]
+        if abs(round(span_s * self._reader.rate_Hz) + 1 - count) > MISSED_SAMPLES:
+            name, rate_Hz = named(self._reader.name), self._reader.rate_Hz
+            raise BadReply(reason("rig.rate", device=name, count=count, span_s=span_s, rate_Hz=rate_Hz))

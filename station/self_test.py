@@ -13,7 +13,7 @@ from softcal.station.clock import fit_clock, seen_rate_Hz
 from softcal.station.interfaces import Advises, ForceReader, Move, Readout, RunsOn, Sample
 from softcal.station.motion import Cancelled
 from softcal.station.named import named
-from softcal.station.recording import LARGEST_DRIFT
+from softcal.station.safety import CLOCK_SHARE
 from softcal.station.seconds import FEELING, seconds_of, shorter
 from softcal.station.watched import WatchedBench, bounds_of
 
@@ -144,7 +144,7 @@ def _stream_findings(reader: ForceReader | Readout, samples: Sequence[Sample]) -
     rate_Hz = seen_rate_Hz(device_s)
     is_right = abs(rate_Hz / reader.rate_Hz - 1) < RATE_SHARE
     slow = reason("cure.rate", rate_Hz=reader.rate_Hz)
-    drift = Reason("cure.clock") if abs(fit.rate - 1) > LARGEST_DRIFT else None
+    drift = Reason("cure.clock") if abs(fit.rate - 1) > CLOCK_SHARE else None
     return [
         *findings,
         SelfTestItem(

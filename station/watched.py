@@ -11,13 +11,15 @@ from softcal.core.words.reason import reason
 from softcal.station.bench import Bench
 from softcal.station.bounds import FULL, REACTION_S, ForceBounds, Reaction
 from softcal.station.config import LATEST_S
+from softcal.station.contact import unloaded
 from softcal.station.interfaces import Sample, StagePosition
 from softcal.station.interlock import Moves, StageWatch, State
 from softcal.station.motion import TICK_S, Motion
 from softcal.station.safety import (
-    FROZEN_OUTPUT_MM,
+    FROZEN,
     STUCK_MM,
     STUCK_OUTPUT_MM,
+    SUDDEN_N,
     FollowWatch,
     ForceWatch,
     JumpWatch,
@@ -28,9 +30,6 @@ from softcal.station.spool import Spool
 
 BOOT_S = 3.0
 """How long a board may take to boot: 1.5 s to 2 s for an Arduino with its boot loader."""
-
-HOMING_RISE_N = 1.0
-"""Homing goes away from the unit: a force that grows by this much says that it does not."""
 
 
 @dataclass
@@ -86,7 +85,7 @@ class WatchedBench:
         self._follow_watch = FollowWatch(bench.config.fixture.contact_N)
         self._jump_watch = JumpWatch()
         self._streams: dict[str, StreamWatch] = {}
-        self._stuck: dict[StageWatch, StuckWatch] = {}
+        self._stuck: dict[StageWatch, tuple[StuckWatch, StuckWatch]] = {}
         self._lowest_N, self._expected_N = float("inf"), self.bounds.limit_N
         force = bench.config.force
         if force is None or force.is_latency_stated:
@@ -120,9 +119,7 @@ class WatchedBench:
         """Begin to read, and to watch."""
         bench, now_s = self.bench, self.bench.clock.now_s()
         bench.readout.start()
-        self._streams["readout"] = StreamWatch(
-            bench.readout, bench.config.safety, now_s, bench.readout.range, FROZEN_OUTPUT_MM
-        )
+        self._streams["readout"] = StreamWatch(bench.readout, bench.config.safety, now_s, bench.readout.range)
         if bench.force is not None:
             bench.force.start()
             self._streams["force"] = StreamWatch(bench.force, bench.config.safety, now_s)
@@ -162,8 +159,8 @@ class WatchedBench:
 
     def expect_nothing(self) -> None:
         """Take the present force as that of an empty path: whatever adds the touch force to it is in the way."""
-        recent = [sample.values[0] for sample in self.readings.force[-10:]]
-        self.known.free_N = self.motion.zero_N = float(np.mean(recent)) if recent else 0.0
+        self.known.free_N = self.motion.zero_N = unloaded(self.readings.force[-10:])
+        self.motion.free_output = unloaded(self.readings.output[-10:])
         self.enter(State.APPROACHING)
 
     def take_zero(self, zero_N: float) -> None:
@@ -179,7 +176,8 @@ class WatchedBench:
             (StageWatch.STUCK_CELL, self.bench.force, self.readings.force, STUCK_MM),
         ):
             if reader is not None:
-                self._stuck[watch] = StuckWatch(reader.name, noise_of(samples), reader.rate_Hz, stuck_mm)
+                noisy = StuckWatch(reader.name, noise_of(samples), reader.rate_Hz, stuck_mm)
+                self._stuck[watch] = noisy, StuckWatch(reader.name, 0.0, reader.rate_Hz, FROZEN * stuck_mm)
         self.enter(State.FEELING)
 
     def learn_latency(self, late_s: float) -> None:
@@ -234,7 +232,7 @@ class WatchedBench:
 
     def _check_rise(self, force_N: float) -> None:
         self._lowest_N = min(self._lowest_N, force_N)
-        if force_N > self._lowest_N + HOMING_RISE_N:
+        if force_N > self._lowest_N + SUDDEN_N:
             raise SafetyStop(reason("rig.homing.rises", force_N=force_N - self._lowest_N))
 
     def _ahead_mm(self, to_mm: float, speed_mm_s: float) -> float:
@@ -285,9 +283,9 @@ class WatchedBench:
             pressed_mm = self.pressed_mm(late_s)
             for sample in samples:
                 if StageWatch.STREAM in on:
-                    self._streams[name].check(sample, pressed_mm)
-                if stuck in on:
-                    self._stuck[stuck].check(sample.values[0], pressed_mm)
+                    self._streams[name].check(sample)
+                for watch in self._stuck[stuck] if stuck in on else ():
+                    watch.check(sample.values[0], pressed_mm)
             if StageWatch.STREAM in on and name in self._streams:
                 self._streams[name].check_silence(now_s)
         if StageWatch.DEPTH in on:

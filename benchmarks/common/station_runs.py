@@ -198,6 +198,17 @@ class ModelCell:
         return [Sample(self._clock.now_s(), None, (self.shown_N,))]
 
 
+class ModelReadout:
+    """A sensor: it shows how deep the carriage presses the unit, 1 V/mm."""
+
+    def __init__(self, stage: ModelStage, clock: "_Clock") -> None:
+        self._stage, self._clock = stage, clock
+
+    def poll(self) -> list[Sample]:
+        """Return one reading."""
+        return [Sample(self._clock.now_s(), None, (max(0.0, self._stage.carriage_mm - TOUCH_MM),))]
+
+
 class _Endless(BaseException):
     """A run that would go on for ever."""
 
@@ -235,7 +246,8 @@ def run_once(given: Sequence[int]) -> tuple[Told, list[tuple[int, int]]]:
     force, fixture = ForceConfig("", latency_s=0.0), FixtureConfig(approach_mm=APPROACH_MM)
     config = SimpleNamespace(safety=SafetyConfig(), fixture=fixture, force=force)
     cell = ModelCell(stage, choices, clock)
-    bench: Any = SimpleNamespace(config=config, clock=clock, stage=stage, readout=None, force=cell)
+    readout = ModelReadout(stage, clock)
+    bench: Any = SimpleNamespace(config=config, clock=clock, stage=stage, readout=readout, force=cell)
     looks = 0
 
     def tick() -> None:
@@ -247,7 +259,7 @@ def run_once(given: Sequence[int]) -> tuple[Told, list[tuple[int, int]]]:
             _watch(choices.pick(5), stage, motion.row.watches)
 
     motion = Motion(bench, tick)
-    motion._interlock, motion.zero_N = _SeenInterlock(told), 0.0
+    motion._interlock, motion.zero_N, motion.free_output = _SeenInterlock(told), 0.0, 0.0
 
     def look() -> None:
         told.states.add((motion.state, stage.is_moving, stage.is_position_known, told.held_at is not None))

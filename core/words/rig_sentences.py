@@ -51,9 +51,8 @@ rig.behind: load cell: its readings come later than the stage moves; look for a 
   {declared_s:.3f} s, latency_s = {latency_s:.2f})
 rig.gain: load cell: one press shows another force than the next at equal depth; check the cell's
   amplifier, its mounting and the unit's seat, then press again ({ratio:.2f} x)
-rig.odd_force: load cell: its force does not fit the depth during a press; check the cell's plug and
-  amplifier, and whether something touches unit or stage; then press again ({off_N:+.2f} N,
-  {at_s:.1f} s after the first press began)
+rig.odd_force: load cell: its force does not fit depth and output; check its plug and amplifier, and
+  whether something touches unit or stage; then press again ({at_s:.1f} s after the first press began)
 rig.output_gain: sensor readout: one press changes the output more than the next at equal depth;
   check the motor for lost steps, the unit's seat and its connector; then press again ({ratio:.2f}
   x)
@@ -77,20 +76,16 @@ rig.no_force: load cell: {force_N:.2f} N although the stage is {pressed_mm:.2f} 
   contact; check the cell's bridge, the fixture and whether the stage is blocked
 rig.jump: load cell: jumped from {before_N:.2f} N to {after_N:.2f} N while the stage stands still;
   check its cable and mounting, keep hands off the rig
-rig.stuck: {device}: stays at {level:.4g} while the stage moves {stuck_mm:g} mm on the unit; check
+rig.stuck: {device}: stays at {level:.4g} while the stage moves {stuck_mm:.1f} mm on the unit; check
   the motor's supply, the channel and its cable
 rig.silent: {device}: nothing for {seconds:.2f} s; check its cable and supply, then start the run
   again
 rig.old: {device}: its readings have become {age_s:.2f} s old; check hub, cable and what else the
   computer does, then start the run again
-rig.frozen: {device}: its reading stands still while the stage moves; it is frozen, or not connected
-  to the unit; check its cable ({level:.4g} {unit} over {frozen_mm:g} mm)
 rig.rail: {device}: at the end of its range for {rail_s:g} s; check the unit's connector (open or
   short circuit)
-rig.rate: {device}: sends at another rate than expected; check its firmware, or ask the engineer to
-  correct the station file ({seen_Hz:.3g} Hz, expected {rate_Hz:g} Hz)
-rig.missing: {device}: some samples did not come; check its cable and whether it still sends at its
-  rate (missing: {lost}, samples: {count})
+rig.rate: {device}: loses samples or sends at another rate; check cable and firmware, or ask the
+  engineer to correct the station file ({count} in {span_s:.2f} s, expected {rate_Hz:g} Hz)
 rig.no_position.known: stage: does not say where it is; check its cable
 rig.defect: a defect of softcal ended the run; its log has more
 rig.silent.between: {device}: nothing for {seconds:.0f} s; check its cable and supply

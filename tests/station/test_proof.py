@@ -91,14 +91,42 @@ def test_a_press_with_another_gain_is_refused():
     refused("rig.gain", check_gain, stage_mm(t_s), np.where(t_s > 15.0, 0.6, 1.0) * force_N)
 
 
+def shown_by(force_N, rng):
+    """The output of a sensor that follows the force at once."""
+    return 1.4 + 0.1 * force_N + rng.normal(0, 0.002, len(force_N))
+
+
+def is_odd(t_s, force_N, output):
+    refused("rig.odd_force", check_law, t_s, force_N, output, stage_mm, 0.0)
+
+
 @pytest.mark.parametrize("gain", [0.5, 0.7, 1.5, 2.0])
 @pytest.mark.parametrize("samples_Hz", [10.0, 80.0])
 def test_a_gain_that_changes_once_is_refused_however_few_presses_there_are(gain, samples_Hz, rng):
     t_s = np.arange(0.0, 6.0, 1 / samples_Hz)
-    force_N = relaxing_force(t_s) + rng.normal(0, 0.01, len(t_s))
-    check_law(t_s, force_N, stage_mm, 0.0, 0.0)
-    values = refused("rig.gain", check_law, t_s, np.where(t_s > 3.0, gain, 1.0) * force_N, stage_mm, 0.0, 0.0)
-    assert values["ratio"] == pytest.approx(max(gain, 1 / gain), rel=0.03)
+    force_N, output = relaxing_force(t_s) + rng.normal(0, 0.01, len(t_s)), shown_by(relaxing_force(t_s), rng)
+    check_law(t_s, force_N, output, stage_mm, 0.0)
+    is_odd(t_s, np.where(t_s > 3.0, gain, 1.0) * force_N, output)
+
+
+@pytest.mark.parametrize("changes_s", [8.0, 15.0, 21.7])
+@pytest.mark.parametrize("samples_Hz", [10.0, 80.0])
+def test_a_gain_a_zero_or_a_delay_that_changes_a_little_at_any_moment_is_refused(samples_Hz, changes_s, rng):
+    t_s = np.arange(0.0, 30.0, 1 / samples_Hz)
+    force_N, output = relaxing_force(t_s) + rng.normal(0, 0.01, len(t_s)), shown_by(relaxing_force(t_s), rng)
+    check_law(t_s, force_N, output, stage_mm, 0.0)
+    late_N = relaxing_force(t_s - 0.1) + rng.normal(0, 0.01, len(t_s))
+    for changed_N in (0.85 * force_N, 1.15 * force_N, force_N + 0.3, force_N - 0.3, late_N):
+        is_odd(t_s, np.where(t_s > changes_s, changed_N, force_N), output)
+
+
+def test_a_unit_that_softens_or_a_sensor_that_drifts_is_no_cell_that_changes(rng):
+    t_s = np.arange(0.0, 30.0, 1 / 80)
+    noise_N = rng.normal(0, 0.01, len(t_s))
+    softer_N = np.where(t_s > 3.0, 0.93, 1.0) * relaxing_force(t_s) + noise_N
+    check_law(t_s, softer_N, shown_by(softer_N - noise_N, rng), stage_mm, 0.0)
+    drifting = shown_by(relaxing_force(t_s), rng) + 0.1 * (t_s > 12.0)
+    check_law(t_s, relaxing_force(t_s) + noise_N, drifting, stage_mm, 0.0)
 
 
 @pytest.mark.parametrize("held_s", [0.5, 1.0, 2.0])
@@ -106,11 +134,12 @@ def test_a_gain_that_changes_once_is_refused_however_few_presses_there_are(gain,
 def test_a_cell_that_hangs_for_a_moment_is_refused_although_its_noise_goes_on(held_s, samples_Hz, rng):
     t_s = np.arange(0.0, 12.0, 1 / samples_Hz)
     force_N = relaxing_force(t_s) + rng.normal(0, 0.01, len(t_s))
-    check_law(t_s, force_N, stage_mm, 0.0, 0.0)
+    output = shown_by(force_N, rng)
+    check_law(t_s, force_N, output, stage_mm, 0.0)
     begins = int(np.argmax(force_N > 1.0))
     is_held = (t_s >= t_s[begins]) & (t_s < t_s[begins] + held_s)
     hanging_N = np.where(is_held, force_N[begins] + rng.normal(0, 0.01, len(t_s)), force_N)
-    at_s = refused("rig.odd_force", check_law, t_s, hanging_N, stage_mm, 0.0, 0.0)["at_s"]
+    at_s = refused("rig.odd_force", check_law, t_s, hanging_N, output, stage_mm, 0.0)["at_s"]
     assert t_s[begins] - 0.1 <= at_s <= t_s[begins] + held_s + 0.1
 
 
@@ -127,7 +156,8 @@ def test_a_cell_whose_gain_halves_in_a_short_run_is_noticed(seed, tmp_path):
         for sample in run.force
     )
     assemble(Raw(run.output, run.force, run.polls), facts)
-    refused("rig.gain", assemble, Raw(run.output, halved, run.polls), facts)
+    with pytest.raises(BadReply):
+        assemble(Raw(run.output, halved, run.polls), facts)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

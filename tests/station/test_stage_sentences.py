@@ -118,6 +118,27 @@ def test_without_a_force_to_confirm_it_a_lift_is_told_and_not_confirmed():
     assert code_of(error) == "left.told"
 
 
+def dies(station):
+    station.rig.force_fault = lambda now_s, force_N: 0.0
+
+
+@pytest.mark.parametrize("lies", LIES)
+def test_a_cell_that_died_confirms_no_lift_of_a_stage_that_still_stands_on_the_unit(lies):
+    def breaks(station):
+        lies(station)
+        dies(station)
+
+    error, stands_mm = stopped_by_hand_at(1.5, breaks)
+    assert code_of(error) == ("left.told" if stands_mm > 0.0 else "left.lifted")
+
+
+def test_a_stage_that_touches_nothing_is_called_lifted_where_cell_and_sensor_are_at_rest():
+    error, stands_mm = stopped_by_hand_at(-0.3)
+    assert stands_mm < 0.0 and code_of(error) == "left.lifted"
+    error, _ = stopped_by_hand_at(-0.3, lambda station: station.readout_wire.unplug())
+    assert code_of(error) == "left.told"
+
+
 def test_a_late_cell_confirms_a_lift_only_once_it_tells_of_now():
     late = replace(QUICK, cell_late_s=0.3, latency_s=0.3)
     error, stands_mm = stopped_by_hand_at(1.5, lambda station: station.rig.cut_motor(), late)
