@@ -26,7 +26,7 @@ def _as_it_is(rng: np.random.Generator, twin: Twin) -> Twin:
 
 
 @dataclass(frozen=True)
-class Kind:
+class UnitKind:
     """What is special about units of a lot.
 
     Args:
@@ -72,7 +72,7 @@ class LotDesign:
     """
 
     good: int = 6
-    bad: Mapping[Kind, int] | None = None
+    bad: Mapping[UnitKind, int] | None = None
     shift: str = "none"
     source_s: float = 170.0
     unit_s: float = 60.0
@@ -122,7 +122,7 @@ def simulate_lot(seed: int, design: LotDesign | None = None) -> SimulatedLot:
     a fifth of their size.
     """
     design, rng = design or LotDesign(), np.random.default_rng(seed)
-    kinds = [Kind(GOOD)] * design.good + [kind for kind, count in (design.bad or {}).items() for _ in range(count)]
+    kinds = [UnitKind(GOOD)] * design.good + [kind for kind, count in (design.bad or {}).items() for _ in range(count)]
     twins = draw_twins(rng, len(kinds) + 1, design.spread, design.twin)
     source = _record(rng, twins[0], source_profile(rng, design.source_s, DEPTH_MM), "S0", design.has_stage)
     units = tuple(
@@ -191,7 +191,9 @@ def _jitter(rng: np.random.Generator, twin: Twin) -> Twin:
     return replace(twin, effects=effects)
 
 
-def _simulate_unit(rng: np.random.Generator, twin: Twin, kind: Kind, serial: str, design: LotDesign) -> SimulatedUnit:
+def _simulate_unit(
+    rng: np.random.Generator, twin: Twin, kind: UnitKind, serial: str, design: LotDesign
+) -> SimulatedUnit:
     own = kind.twin(rng, twin)
     profile = PROGRAMMES[design.shift](rng, design.unit_s)
     profile = kind.profile(rng) if kind.profile else profile

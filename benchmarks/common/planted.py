@@ -7,7 +7,7 @@ import numpy as np
 
 from softcal.core.profiles import Profile, ramps
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.simulated_lot import DEPTH_MM, Kind, SteadyLine
+from softcal.core.simulated_lot import DEPTH_MM, SteadyLine, UnitKind
 from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin
 
@@ -85,20 +85,20 @@ def _wrong_programme(rng: np.random.Generator) -> Profile:
     return ramps([rng.uniform(0.2, 0.5) * DEPTH_MM] * 6, rng.uniform(0.1, 0.4), rest_s=0.2)
 
 
-FAULTS: Mapping[str, Kind] = {
+FAULTS: Mapping[str, UnitKind] = {
     kind.name: kind
     for kind in (
-        Kind("dead", wired=_still),
-        Kind("saturated", _saturated),
-        Kind(OPPOSITE_DIRECTION, wired=_reversed),
-        Kind("other sensor", _other_sensor),
-        Kind("wrong programme", profile=_wrong_programme),
-        Kind("extra creep", _extra_creep),
+        UnitKind("dead", wired=_still),
+        UnitKind("saturated", _saturated),
+        UnitKind(OPPOSITE_DIRECTION, wired=_reversed),
+        UnitKind("other sensor", _other_sensor),
+        UnitKind("wrong programme", profile=_wrong_programme),
+        UnitKind("extra creep", _extra_creep),
     )
 }
 """Planted faults by name: what they do to the twin, the wiring or the programme."""
 
 
-def planted(names: Iterable[str], count: int = 1) -> Mapping[Kind, int]:
+def planted(names: Iterable[str], count: int = 1) -> Mapping[UnitKind, int]:
     """Return so many units of each of these faults, as the design of a lot takes them."""
     return {FAULTS[name]: count for name in names}
