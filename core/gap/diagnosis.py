@@ -28,9 +28,11 @@ from softcal.core.gap.named_causes import (
     estimates_of,
     gap_of_base,
     let_go,
+    nearest,
     on_unseen,
     shares_of,
     under_its_floor,
+    verdict_of,
 )
 from softcal.core.gap.next_experiment import NextExperiment, menu, propose
 from softcal.core.gap.odd_run import odd_run, odd_run_beside
@@ -41,7 +43,7 @@ from softcal.core.gap.posterior import log_evidences
 from softcal.core.gap.problem import BASE
 from softcal.core.gap.residual import Map, Regime, regimes, structure, three_maps
 from softcal.core.gap.search import EffectSearch, SearchConfig
-from softcal.core.gap.shrink import ChannelGap, Quantified, Shrink, quantify
+from softcal.core.gap.shrink import ChannelGap, Shrink, quantify
 from softcal.core.gap.start import unfitted
 from softcal.core.gap.strangers import stranger_of
 from softcal.core.recording import Array
@@ -52,12 +54,6 @@ from softcal.core.twin.mechanics import elastic_force_at
 from softcal.core.twin.record import twin_record
 from softcal.core.twin.simulate import Twin
 from softcal.core.words.reason import Reason, reason, several
-
-DOWN_TO_NOISE = 0.92
-"""Shrink on samples held back below which structure that is left is no mere difference between two equations."""
-
-OVER_FLOOR = 1.2
-"""Gap over the noise floor from which something is there that is no noise, whatever colour it was read as."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,14 +239,15 @@ def diagnose(
     told = with_constants(best)
     quantified = quantify(search.base, told, search.fits.values())
     share = float(np.clip(search.share(best), 0.0, 1.0))
-    verdict, is_standing = _verdict(search, group, quantified), quantified.stands or not best.hypothesis.ids
+    verdict = verdict_of(search, group, quantified, lambda found: loose_noise(found) is not None)
+    is_standing = quantified.stands or not best.hypothesis.ids
     # Among the catalogue's effects only; where none of them explains the gap, the truth is most likely none of them.
     doubt = UNKNOWN_TRUST * share if verdict == "unknown" else 1.0 if is_standing else IMITATED_TRUST
     chances = {i: p * doubt * (IMITATED_TRUST if i in doubted else 1.0) for i, p in chances_of(logs, group).items()}
     named = tuple(in_catalogue_form(found) for found in group)
     causes = _causes(search, named, chances, quantified.shrink.held_out)
     found_regimes = regimes(search.base)
-    partial = _nearest(search) if verdict == "unknown" else None
+    partial = _partial(search) if verdict == "unknown" else None
     say("describing what is left")
     beside = {"unknown": (search.base, told), "explained": (told,), "ambiguous": (told,)}
     return Diagnosis(
@@ -293,14 +290,11 @@ def told_by(base: Fit, depth_mm: float, force_N: float) -> Identifiability:
     return identifiability(base, visible_effects(case), menu(case, depth_mm, force_N), OFFSET_NAMES)
 
 
-def _nearest(search: EffectSearch) -> Partial | None:
-    """Return the hypothesis that takes most of the gap away; of those within a hundredth of it, the simplest."""
-    shares = {ids: float(np.clip(search.share(found), 0.0, 1.0)) for ids, found in search.fits.items() if ids}
-    if not shares:
-        return None
-    most = max(shares.values())
-    ids = min((i for i, s in shares.items() if s >= most - 0.01), key=lambda i: (len(i), -shares[i]))
-    return Partial(ids, shares[ids]) if most > 0.0 else None
+def _partial(search: EffectSearch) -> Partial | None:
+    """Return the causes that come nearest, and their share."""
+    found = nearest(search)
+    share = float(np.clip(search.share(found), 0.0, 1.0))
+    return Partial(found.hypothesis.ids, share) if found.hypothesis.ids and share > 0.0 else None
 
 
 def _stopped(base: Fit, found: tuple[DataMistake, ...]) -> Diagnosis:
@@ -331,20 +325,6 @@ def _stopped(base: Fit, found: tuple[DataMistake, ...]) -> Diagnosis:
 def _is_on_bound(parameter: Parameter, value: float) -> bool:
     near = 1e-9 * parameter.usual
     return any(math.isclose(value, end, rel_tol=1e-9, abs_tol=near) for end in (parameter.low, parameter.high))
-
-
-def _verdict(search: EffectSearch, group: tuple[Fit, ...], quantified: Quantified) -> DiagnosisVerdict:
-    best = search.best
-    if search.stranger is not None:
-        return "unknown"
-    if not best.hypothesis.ids or not quantified.stands:
-        bare = search.base if best.hypothesis.ids else best
-        is_over = any(g.rmse_before > OVER_FLOOR * g.noise_floor for g in quantified.gap.values())
-        return "no_gap" if search.is_clean(bare) and loose_noise(bare) is None and not is_over else "unknown"
-    is_left = not search.is_clean(best) and quantified.shrink.held_out < DOWN_TO_NOISE
-    if loose_noise(best) is not None or is_left or not search.is_explained(best):
-        return "unknown"
-    return "ambiguous" if len(group) > 1 else "explained"
 
 
 def _causes(
@@ -420,7 +400,7 @@ def _unknown_places(
     The share of each is that of the gap's energy in the regime where it stands out most.
     """
     channel, regime = _loudest(found)
-    partial = _nearest(search)
+    partial = _partial(search)
     share = partial.share if partial is not None else 0.0
     loose = loose_noise(search.best)
     stages: tuple[str, ...] = likely_stages(search.base, maps)

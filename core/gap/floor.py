@@ -1,8 +1,9 @@
 """The noise floor: is what a hypothesis leaves noise, and is it the same noise everywhere?
 
-Noise that fades looks like a gap, and a gap that nothing explains could be called noise. What is left counts as noise
-only where it passes three tests. What fades of it is as strong at rest as under load. It follows nothing that the chain
-knows: depth, speed, load, time, temperature, what came before. And nothing of it is seen in two channels at once.
+A gap that nothing explains could be called noise, and noise that fades looks like a gap. What is left counts as noise
+only where it passes these tests. It is no larger than its noise level. It follows nothing that is known of the runs:
+depth, speed, load, time, temperature, what came before, its own past, another channel at the same time. And what fades
+of it fades in time and is as strong at rest as under load.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -11,6 +12,7 @@ from typing import TypeAlias
 
 import numpy as np
 from scipy.optimize import minimize_scalar
+from scipy.special import ndtr
 
 from softcal.core.gap.case import Mask
 from softcal.core.gap.colour import Colour, Stretch, log_likelihood, read_noise
@@ -29,12 +31,14 @@ class FloorConfig:
     Args:
         uneven: log likelihood that noise of its own at rest, and of its own under load, may gain over the same fading
             noise in both: two numbers more gain 1 on average and 9 in one of 10,000.
-        coherent: standard errors by which what is left may follow the variables of the chain.
+        chance: from which what is left counts as noise: one channel of noise alone in a thousand does not.
+        lags: samples of its own past that a residual may follow.
         fewest: samples at rest and under load, each, that tell; fewer do not test.
     """
 
     uneven: float = 14.0
-    coherent: float = 4.5
+    chance: float = 1e-3
+    lags: int = 20
     fewest: int = 100
 
 
@@ -102,15 +106,42 @@ def of_chain(found: Fit, channel: str) -> list[Mapping[str, Array]]:
 
 
 def is_noise(found: Fit, halves: Sequence[Halves] = (under_load,), follows: Variables = of_chain) -> bool:
-    """Whether what a fit leaves in its channels of coloured noise fades, and passes the three tests."""
+    """Whether what a fit leaves in its channels of coloured noise fades alike everywhere, and all passes for noise."""
     # What has not faded by the longest time that is tried is no noise but a wander: an R0 that walks, a drift.
     longest_s = found.problem.colour_config.longest_s
     if any(colour.fading_s > WANDERS * longest_s for colour in found.problem.colour.values()):
         return False
-    return all(
-        all(_is_even(found, channel, half) for half in halves) and _is_free(found, channel, follows)
-        for channel in found.problem.colour
-    )
+    is_even = all(_is_even(found, channel, half) for half in halves for channel in found.problem.colour)
+    return is_even and noise_chance(found, tuple(found.problem.colour), follows) > CONFIG.chance
+
+
+def noise_chance(found: Fit, channels: Sequence[str] = (), follows: Variables = of_chain) -> float:
+    """Return how likely noise alone leaves as much as a fit does: its size, its memory, and what it follows.
+
+    Args:
+        channels: those that are looked at; all that are scored where none is named.
+    """
+    return min(_chance(found, channel, follows) for channel in channels or found.problem.scored_channels)
+
+
+def _chance(found: Fit, channel: str, follows: Variables) -> float:
+    # A measured force that drives the chain is smoothed: what is left of its noise has a memory, and is small.
+    tests = [_strays(found, channel)] if channel not in found.problem.colour else []
+    if not found.problem.is_driven_by_force:
+        # A filter has taken the memory out of noise that fades, and its size was read off what is left.
+        tests += [_remembers(found, channel)] if tests else []
+        groups = [[*group.values(), *_elsewhere(found, channel)] for group in follows(found, channel)]
+        tests += [_follows(found, columns) for columns in groups]
+    # The worst of several tests (Bonferroni).
+    return min(1.0, len(tests) * float(ndtr(-max(tests)))) if tests else 1.0
+
+
+def _strays(found: Fit, channel: str) -> float:
+    """Return by how many standard errors the mean square of a residual is above that of noise."""
+    squares = np.concatenate([found.residual[b.place] for b in _blocks(found, channel)]) ** 2
+    count = int(np.count_nonzero(squares))
+    # The noise level was estimated from the same samples: its error adds as much as it takes.
+    return (float(np.sum(squares)) - count) / float(np.sqrt(2.0 * max(count, 1)))
 
 
 def _is_even(found: Fit, channel: str, half: Halves) -> bool:
@@ -140,20 +171,27 @@ def _with_own_white(part: Sequence[Stretch], white: float, colour: Colour) -> fl
     return -float(found.fun)
 
 
-def _is_free(found: Fit, channel: str, follows: Variables) -> bool:
-    """Whether what is left follows none of the variables more than noise does by chance."""
-    groups = [[*group.values(), *_elsewhere(found, channel)] for group in follows(found, channel)]
-    return not any(_is_followed(found, columns) for columns in groups)
+def _remembers(found: Fit, channel: str) -> float:
+    """Return by how many standard errors more than by chance a residual follows its own past (Box and Pierce 1970)."""
+    parts, products, count = [found.residual[b.place] for b in _blocks(found, channel)], np.zeros(CONFIG.lags), 0
+    for part in parts:
+        count += len(part)
+        products += [float(part[k:] @ part[:-k]) for k in range(1, CONFIG.lags + 1)]
+    energy = sum(float(part @ part) for part in parts)
+    return _standard(count * float(np.sum((products / energy) ** 2)), CONFIG.lags) if energy > 0.0 else 0.0
 
 
-def _is_followed(found: Fit, columns: Sequence[Array]) -> bool:
+def _follows(found: Fit, columns: Sequence[Array]) -> float:
+    """Return by how many standard errors more than by chance a residual lies along columns, (samples,) each."""
     seen = projected([found.problem.whitened(column) for column in columns], found.jacobian)
-    by_chance = len(seen)
-    if not by_chance:
-        return False
-    # The cube root of χ² over its degrees of freedom is nearly normal, for few of them too (Wilson and Hilferty 1931).
-    gain, wide = float(np.sum(dots(seen, found.residual) ** 2)) / by_chance, 2.0 / (9.0 * by_chance)
-    return bool(np.cbrt(gain) > 1.0 - wide + CONFIG.coherent * np.sqrt(wide))
+    # A direction takes 1 off χ² by chance.
+    return _standard(float(np.sum(dots(seen, found.residual) ** 2)), len(seen)) if len(seen) else 0.0
+
+
+def _standard(chi2: float, freedom: int) -> float:
+    """Return χ² as a standard normal value; good for few degrees of freedom too (Wilson and Hilferty 1931)."""
+    wide = 2.0 / (9.0 * freedom)
+    return float((np.cbrt(chi2 / freedom) - 1.0 + wide) / np.sqrt(wide))
 
 
 def _elsewhere(found: Fit, channel: str) -> list[Array]:

@@ -9,11 +9,12 @@ import numpy as np
 from softcal.core.gap.coordinates import from_fit
 from softcal.core.gap.explained import form_of
 from softcal.core.gap.fit import Fit
+from softcal.core.gap.floor import CONFIG as FLOOR
 from softcal.core.gap.floor import coloured
 from softcal.core.gap.posterior import exact_log_evidence, probabilities
 from softcal.core.gap.problem import Problem
 from softcal.core.gap.search import EffectSearch
-from softcal.core.gap.shrink import ChannelGap, unsupported
+from softcal.core.gap.shrink import ChannelGap, Quantified, unsupported
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Parameter
@@ -25,6 +26,17 @@ SCHEMA = "softcal.gap/1"
 
 UNKNOWN_TRUST = 0.3
 """How far probabilities within the catalogue are trusted where the catalogue leaves a gap, for a share of 1."""
+
+DOUBTED_CHANCE = 0.05
+"""How likely noise leaves as much, below which what causes leave is no noise. Of a small gap much may go before the
+rest passes for noise at any stricter level; one right cause in twenty of a small gap is given up for it."""
+
+DOWN_TO_NOISE = 0.92
+"""Share of the gap, held out too, from which what causes leave is a difference between two equations of one cause.
+Chosen on the line `form` of `benchmarks/gap.py`."""
+
+NEAR_SHARE = 0.01
+"""Share of the gap that one cause more must take to be told as what comes nearest."""
 
 NOT_MEASURED = "not measured: the recordings hold a mistake"
 
@@ -141,6 +153,37 @@ def under_its_floor(
     again = searched(problem)
     again.run()
     return again if again.stranger is None and again.is_clean(again.best) and is_floor(again.best) else search
+
+
+def verdict_of(
+    search: EffectSearch,
+    group: tuple[Fit, ...],
+    quantified: Quantified,
+    is_uneven: Callable[[Fit], bool] = lambda _: False,
+) -> DiagnosisVerdict:
+    """Return the verdict: what is left is noise, or hardly anything of the gap is, held out too, or it is unknown.
+
+    Args:
+        group: the best hypothesis and its rivals.
+        is_uneven: whether noise that a hypothesis leaves is not the same everywhere.
+    """
+    best, base = search.best, search.base
+    if search.stranger is not None:
+        return "unknown"
+    if not best.hypothesis.ids or not quantified.stands:
+        is_sound = search.is_clean(base) and search.noise_chance(base) > FLOOR.chance and not is_uneven(base)
+        return "no_gap" if is_sound else "unknown"
+    is_small = min(search.share(best), quantified.shrink.held_out) >= DOWN_TO_NOISE and search.is_explained(best)
+    if is_uneven(best) or not (is_small or search.noise_chance(best) >= DOUBTED_CHANCE):
+        return "unknown"
+    return "ambiguous" if len(group) > 1 else "explained"
+
+
+def nearest(search: EffectSearch) -> Fit:
+    """Return the hypothesis that takes most of the gap away; of those within a little of it, the simplest."""
+    most = max(search.share(found) for found in search.fits.values())
+    near = [found for found in search.fits.values() if search.share(found) >= most - NEAR_SHARE]
+    return min(near, key=lambda found: (len(found.hypothesis.ids), found.chi2))
 
 
 def gap_of_base(base: Fit) -> dict[str, ChannelGap]:

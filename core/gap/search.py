@@ -10,7 +10,7 @@ from softcal.core.gap.case import Case
 from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.episodes import PLACERS, placed_again
 from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.floor import noise_of
+from softcal.core.gap.floor import noise_chance, noise_of
 from softcal.core.gap.forms import FORMS
 from softcal.core.gap.free_form import imitated_causes
 from softcal.core.gap.posterior import Yardstick, log_evidences
@@ -243,6 +243,10 @@ class EffectSearch:
     def is_clean(self, found: Fit) -> bool:
         """Whether a hypothesis leaves no structure."""
         return not structure(found).is_significant
+
+    def noise_chance(self, found: Fit) -> float:
+        """Return how likely noise alone leaves as much as a hypothesis does."""
+        return noise_chance(found)
 
     def is_explained(self, found: Fit) -> bool:
         """Whether what a hypothesis leaves is nothing, or little enough to be another equation of the same causes."""

@@ -37,6 +37,9 @@ Simulate: TypeAlias = Callable[[Columns, Mapping[str, float]], Columns]
 OFFSETS = ("zero", "gain", "delay", "drift")
 """What a run may have of its own in a channel."""
 
+STRAIGHT = "straight"
+"""How far a channel that is late goes from sample to sample by straight lines, 1, and not by a curve, 0."""
+
 
 class SimulatorFailed(InputError):
     """A simulator gave no finite channels at the parameters it was asked for."""
@@ -104,8 +107,9 @@ class Simulator:
 
     @cached_property
     def offsets(self) -> tuple[tuple[str, str], ...]:
-        """Channel and kind of everything that each run may have of its own."""
-        return tuple((channel, kind) for channel, kinds in self.per_run.items() for kind in kinds)
+        """Channel and kind of everything that each run may have of its own; a delay comes with its straightness."""
+        own = [(channel, kind) for channel, kinds in self.per_run.items() for kind in kinds]
+        return (*own, *((channel, STRAIGHT) for channel, kind in own if kind == "delay"))
 
     @property
     def parameter_names(self) -> list[str]:

@@ -30,9 +30,11 @@ from softcal.core.gap.named_causes import (
     estimates_of,
     gap_of_base,
     let_go,
+    nearest,
     on_unseen,
     shares_of,
     under_its_floor,
+    verdict_of,
 )
 from softcal.core.gap.next_experiment import MenuEntry, NextExperiment
 from softcal.core.gap.plausibility import DataMistake
@@ -48,18 +50,6 @@ from softcal.core.gap.simulator_search import SimulatorSearch, base_fit
 from softcal.core.gap.simulator_terms import SimulatorTerm, terms_of
 from softcal.core.twin.effects import Effect
 from softcal.core.words.reason import Reason, reason, several
-
-NEAR_share = 0.02
-"""Share of the gap that one cause more must take to be told as what comes nearest."""
-
-LEAST_GAIN, LEAST_SHRINK = 10.0, 0.3
-"""By how much χ² and the gap must fall on samples held back: what falls by less is no cause, whatever its evidence."""
-
-NOISE_SIGMA = 3.0
-"""Standard deviations of χ² up to which it is noise; chosen on plants 4 to 9 of `benchmarks/gap_plants.py`."""
-
-ENOUGH_SHRINK = 0.85
-"""Share of the gap, held out, from which causes explain it although structure is left: another equation of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,11 +166,11 @@ def diagnose_simulator(
     doubted |= idle
     say("measuring the shrink on samples no fit has seen")
     quantified = quantify(search.base, best, search.fits.values())
-    verdict = _verdict(search, group, quantified)
+    verdict = verdict_of(search, group, quantified)
     if verdict == "unknown":
-        best = _nearest(search)
+        best = nearest(search)
         quantified = quantify(search.base, best, is_given=True)
-        if not _stands(quantified):
+        if not quantified.stands:
             best = search.base
             quantified = quantify(search.base, best)
     elif verdict == "no_gap" and best.hypothesis.ids:
@@ -304,13 +294,6 @@ def _trust(quantified: Quantified, best: Fit) -> float:
     return UNKNOWN_TRUST * quantified.shrink.held_out if best.hypothesis.ids else UNKNOWN_TRUST
 
 
-def _nearest(search: EffectSearch) -> Fit:
-    """Return the hypothesis that takes most of the gap away; of those within a little of it, the simplest."""
-    most = max(search.share(found) for found in search.fits.values())
-    near = [found for found in search.fits.values() if search.share(found) >= most - NEAR_share]
-    return min(near, key=lambda found: (len(found.hypothesis.ids), found.chi2))
-
-
 def told_by(simulator: Simulator, base: Fit) -> Identifiability:
     """Return what the runs of a base fit tell of a simulator, and which of its experiments would tell the rest."""
     names = [f"{kind} of {channel}" for channel, kind in simulator.offsets]
@@ -320,27 +303,6 @@ def told_by(simulator: Simulator, base: Fit) -> Identifiability:
 def menu_of(simulator: Simulator) -> list[MenuEntry]:
     """Return the experiments of a simulator as runs that could be made."""
     return [MenuEntry(name, planned(simulator, name), one.minutes) for name, one in simulator.experiments.items()]
-
-
-def _stands(quantified: Quantified) -> bool:
-    """Whether the causes shrink the gap on samples that no fit has seen, beyond what noise does."""
-    return quantified.held_out_gain > LEAST_GAIN and quantified.shrink.held_out > LEAST_SHRINK
-
-
-def _is_within_noise(found: Fit) -> bool:
-    """Whether χ² is what noise alone leaves; structure in no condition may be a little in all of them."""
-    count = found.problem.count
-    return found.chi2 - count < NOISE_SIGMA * float(np.sqrt(2.0 * count))
-
-
-def _verdict(search: EffectSearch, group: tuple[Fit, ...], quantified: Quantified) -> DiagnosisVerdict:
-    best, held_out = search.best, quantified.shrink.held_out
-    if not best.hypothesis.ids or not _stands(quantified):
-        return "no_gap" if search.is_clean(search.base) else "unknown"
-    is_down = search.is_clean(best) and (_is_within_noise(best) or search.share(best) > ENOUGH_SHRINK)
-    if not is_down and held_out < ENOUGH_SHRINK:
-        return "unknown"
-    return "ambiguous" if len(group) > 1 else "explained"
 
 
 def _causes(

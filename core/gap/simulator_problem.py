@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from softcal.core.gap.case import Case, Mask, Run
 from softcal.core.gap.colour import ColourConfig, COMMON_STEP_s
@@ -14,9 +13,10 @@ from softcal.core.gap.library import columns_of
 from softcal.core.gap.offsets import Directions, Sizes
 from softcal.core.gap.problem import Block, Hypothesis, Problem
 from softcal.core.gap.scale import RigScale
-from softcal.core.gap.simulator import Simulator, SimulatorFailed, SimulatorRun
+from softcal.core.gap.simulator import STRAIGHT, Simulator, SimulatorFailed, SimulatorRun
 from softcal.core.gap.simulator_terms import TermStep
 from softcal.core.recording import Array
+from softcal.core.twin.signals import compiled
 
 KNOWN = 200
 """Answers of a simulator that are kept."""
@@ -102,7 +102,7 @@ class SimulatorProblem(Problem):
 
     @cached_property
     def largest_offsets(self) -> Array:
-        return np.array([self.of.per_run[channel][kind] for channel, kind in self.of.offsets])
+        return np.array([self.of.per_run[channel].get(kind, 1.0) for channel, kind in self.of.offsets])
 
     @cached_property
     def are_relative(self) -> Mask:
@@ -124,8 +124,7 @@ class SimulatorProblem(Problem):
             t_s = self.case.runs[block.run].elapsed_s
             values = out[block.place]
             if mine.get("delay") and np.all(np.isfinite(values)):
-                # A straight line between samples would err by more than the noise where a channel bends.
-                values = CubicSpline(t_s, values)(np.clip(t_s - mine["delay"], 0.0, t_s[-1]))
+                values = shifted(values, t_s, mine["delay"], mine[STRAIGHT])[0]
             out[block.place] = (
                 values * (1.0 + mine.get("gain", 0.0)) + mine.get("zero", 0.0) + mine.get("drift", 0.0) * t_s
             )
@@ -133,14 +132,18 @@ class SimulatorProblem(Problem):
 
     def directions(self, hypothesis: Hypothesis, coordinates: Array, clean: Array, sizes: Sizes) -> Directions:
         raw = self._simulated(hypothesis, coordinates)
-        return [self._along(block, clean[block.place], raw[block.place]) for block in self.blocks]
+        return [self._along(b, clean[b.place], raw[b.place], sizes.get(b.run)) for b in self.blocks]
 
-    def _along(self, block: Block, clean: Array, raw: Array) -> Array | None:
+    def _along(self, block: Block, clean: Array, raw: Array, sizes: Array | None) -> Array | None:
         """(k, n) change of a channel with each offset of its run; None where none is allowed."""
         if block.channel not in self.of.per_run:
             return None
-        t_s = self.case.runs[block.run].elapsed_s
-        of_kind = {"zero": np.ones(len(t_s)), "drift": t_s, "gain": raw, "delay": -np.gradient(clean, t_s)}
+        t_s, has = self.case.runs[block.run].elapsed_s, dict.fromkeys(self.of.offsets, 0.0)
+        has |= {} if sizes is None else dict(zip(self.of.offsets, sizes, strict=True))
+        late, slope, apart = raw, np.gradient(clean, t_s), np.zeros(len(t_s))
+        if has.get((block.channel, "delay")) and np.all(np.isfinite(raw)):
+            late, slope, apart = shifted(raw, t_s, has[block.channel, "delay"], has[block.channel, STRAIGHT])
+        of_kind = {"zero": np.ones(len(t_s)), "drift": t_s, "gain": late, "delay": -slope, STRAIGHT: apart}
         return np.array([of_kind[kind] * (channel == block.channel) for channel, kind in self.of.offsets])
 
     def _simulated(self, hypothesis: Hypothesis, coordinates: Array) -> Array:
@@ -204,6 +207,46 @@ class SimulatorProblem(Problem):
     @cached_property
     def _runs(self) -> list[SimulatorRun]:
         return [run for run in self.case.runs if isinstance(run, SimulatorRun)]
+
+
+@compiled
+def shifted(values: Array, t_s: Array, delay_s: float, straight: float) -> Array:
+    """Return (3, n) a channel as it is some time later, its rate of change, and straight lines less a curve.
+
+    The curve is the cubic spline through the samples, its third derivative continuous next to both ends.
+
+    Args:
+        values: (n,) with n of 4 and more, at the times t_s.
+        straight: how far it goes by straight lines from sample to sample; by a curve elsewhere.
+    """
+    count, step, rise = len(values), np.diff(t_s), np.diff(values) / np.diff(t_s)
+    first, last = step[0] + step[1], step[-1] + step[-2]
+    upper, slope = np.empty(count), np.empty(count)
+    upper[0] = first / step[1]
+    slope[0] = ((step[0] + 2.0 * first) * step[1] * rise[0] + step[0] ** 2 * rise[1]) / first / step[1]
+    for k in range(1, count):
+        if k < count - 1:
+            below, middle, above = step[k], 2.0 * (step[k - 1] + step[k]), step[k - 1]
+            right = 3.0 * (step[k] * rise[k - 1] + step[k - 1] * rise[k])
+        else:
+            below, middle, above = last, step[-2], 0.0
+            right = (step[-1] ** 2 * rise[-2] + (2.0 * last + step[-1]) * step[-2] * rise[-1]) / last
+        pivot = middle - below * upper[k - 1]
+        upper[k], slope[k] = above / pivot, (right - below * slope[k - 1]) / pivot
+    for k in range(count - 2, -1, -1):
+        slope[k] -= upper[k] * slope[k + 1]
+    out = np.empty((3, count))
+    for k in range(count):
+        at_s = min(max(t_s[k] - delay_s, t_s[0]), t_s[-1])
+        i = min(np.searchsorted(t_s, at_s, side="right") - 1, count - 2)
+        x, wide = (at_s - t_s[i]) / step[i], step[i]
+        bend, turn = slope[i] - rise[i], slope[i + 1] - rise[i]
+        apart = -x * (1.0 - x) * wide * ((1.0 - x) * bend - x * turn)
+        faster = (1.0 - x) * (1.0 - 3.0 * x) * bend + x * (3.0 * x - 2.0) * turn
+        out[0, k] = values[i] + x * wide * rise[i] - (1.0 - straight) * apart
+        out[1, k] = rise[i] + (1.0 - straight) * faster if t_s[k] - delay_s > t_s[0] else 0.0
+        out[2, k] = apart
+    return out
 
 
 def followed(found: Fit, channel: str) -> list[Mapping[str, Array]]:

@@ -11,13 +11,15 @@ from softcal.core.gap.candidates import Probe
 from softcal.core.gap.case import Case
 from softcal.core.gap.coordinates import from_fit
 from softcal.core.gap.fit import Fit, fit
+from softcal.core.gap.floor import CONFIG as FLOOR
+from softcal.core.gap.floor import noise_chance
 from softcal.core.gap.linear import energy
 from softcal.core.gap.offsets import rows_of_runs
 from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.gap.screen import Lead, Tangent
 from softcal.core.gap.search import EffectSearch, Progress, SearchConfig
 from softcal.core.gap.simulator import Simulator
-from softcal.core.gap.simulator_problem import SimulatorProblem
+from softcal.core.gap.simulator_problem import SimulatorProblem, followed
 from softcal.core.gap.start import best_start, likeliest, noise_levels, scattered
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
@@ -33,8 +35,8 @@ these must gain to go on."""
 MOST_PAIRS = 8
 """Pairs of causes that are tried from several starts: all of four or fewer candidates."""
 
-IMITATED = 1e-3
-"""Share of the energy of an offset common to all runs up to which the base has it as its own."""
+SHOWN_SIGMA = 5.0
+"""Standard deviations that the base may leave of the largest offset, common to all runs, which it has as its own."""
 
 
 class SimulatorSearch(EffectSearch):
@@ -47,6 +49,12 @@ class SimulatorSearch(EffectSearch):
         self._candidates = candidates
         probes = tuple(Probe(c, row, c.is_one_sided) for c in candidates for row in c.probes(extent))
         self._begin(base, probes, (), extent, CONFIG, say)
+
+    def noise_chance(self, found: Fit) -> float:
+        return noise_chance(found, follows=followed)
+
+    def is_clean(self, found: Fit) -> bool:
+        return self.noise_chance(found) > FLOOR.chance
 
     def _rough_start(self) -> Array:
         return self.base.coordinates[self.base.hypothesis.of_base]
@@ -155,4 +163,5 @@ def _shared_by_base(found: Fit) -> Problem:
     rows = rows_of_runs(problem, problem.directions(found.hypothesis, found.coordinates, bare.predicted, {}))
     space = Tangent(bare)
     shared = [bare.problem.whitened(row) for row in np.sum(list(rows.values()), axis=0)]
-    return replace(problem, of_base=tuple(energy(space.visible(row)) < IMITATED * energy(row) for row in shared))
+    left = np.array([energy(space.visible(row)) for row in shared]) * problem.largest_offsets**2
+    return replace(problem, of_base=tuple((left < SHOWN_SIGMA**2) & np.any(shared, axis=1)))

@@ -126,23 +126,25 @@ def test_what_runs_may_have_of_their_own_is_no_cause_and_hides_no_other(seed: in
 
 @pytest.mark.parametrize("hidden", ["none", "cubic", "slow_part", "late"])
 @pytest.mark.parametrize("seed", [only_for(seed) for seed in range(TUNED.stop, 10)])
-def test_an_offset_by_another_equation_is_not_named_as_a_cause(seed: int, hidden: str) -> None:
-    """Straight lines between samples are off a curve by some of the noise: that is enough for a false cause."""
+def test_a_clock_that_is_late_along_straight_lines_is_no_cause_and_hides_no_other(seed: int, hidden: str) -> None:
+    """Straight lines between samples are off a curve by many times this noise."""
     found = diagnosed(seed, 0.0005, True, hidden)
-    assert not named(found) & set(ALIASES)
     assert not any(found.told[alias].is_told for alias in ALIASES)
-    assert found.verdict == "unknown" or named(found) >= {hidden} - {"none", *ALIASES}
+    true = {hidden} - {"none", *ALIASES}
+    assert (named(found), found.verdict) == (true, "explained" if true else "no_gap")
 
 
-@pytest.mark.parametrize(
-    "seed", [10, pytest.param(12, marks=pytest.mark.long), pytest.param(13, marks=pytest.mark.long)]
-)
-def test_a_candidate_that_merely_resembles_the_cause_is_not_named(seed: int) -> None:
-    """A dead band bends as a cube does; what it leaves is no structure in one condition, yet more than noise."""
+def blind(seed: int) -> SimulatorDiagnosis:
+    """Diagnose a plant whose cause no candidate describes; a dead band bends as its cube does."""
     plant = Plant(seed)
     kept = tuple(c for c in CANDIDATES if c.id != "cubic")
-    blind = replace(plant.simulator, candidates=kept, run=lambda i, p: plant.run(i, {"cubic.a": 0.0, **p}))
-    found = diagnose_simulator(blind, plant.recorded(0.004, False, CAUSES["cubic"]))
+    bare = replace(plant.simulator, candidates=kept, run=lambda i, p: plant.run(i, {"cubic.a": 0.0, **p}))
+    return diagnose_simulator(bare, plant.recorded(0.004, False, CAUSES["cubic"]))
+
+
+@pytest.mark.parametrize("seed", [300, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(301, 306))])
+def test_a_gap_that_no_candidate_takes_down_to_the_noise_is_unknown(seed: int) -> None:
+    found = blind(seed)
     assert (found.verdict, named(found)) == ("unknown", set())
 
 

@@ -12,8 +12,12 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from softcal.core.errors import InputError
+from softcal.core.gap.case import Case
+from softcal.core.gap.floor import noise_chance
 from softcal.core.gap.simulator import Columns, Simulator, SimulatorRun, candidate, recorded
 from softcal.core.gap.simulator_diagnosis import diagnose_simulator
+from softcal.core.gap.simulator_problem import followed, shifted
+from softcal.core.gap.simulator_search import base_fit
 from softcal.core.gap.simulator_terms import term_of, with_terms
 from softcal.core.twin.effects import Parameter
 
@@ -340,6 +344,43 @@ def test_what_a_run_may_have_of_its_own_needs_no_cause(name: str, has_cause: boo
     assert found.verdict == ("explained" if has_cause else "no_gap")
     assert found.best.hypothesis.ids == (rig.causes if has_cause else ())
     assert diagnose_simulator(rig.simulator, runs).verdict == "unknown"
+
+
+def chance_of_noise(seed: int, left: float = 0.0) -> float:
+    """How likely noise leaves as much as the base of a sound spring does, with a ripple beside it of so many σ."""
+
+    def spoil(rng: np.random.Generator, values: np.ndarray) -> np.ndarray:
+        return np.asarray(values + left * SPRING.noise * np.sin(2.0 * np.pi * 1.9 * T))
+
+    rig = replace(sound(SPRING), spoil=spoil)
+    return noise_chance(base_fit(rig.simulator, Case("", tuple(rig.recorded(seed)))), follows=followed)
+
+
+def test_noise_passes_for_noise_as_often_as_is_said() -> None:
+    chances = np.array([chance_of_noise(seed) for seed in range(100)])
+    assert np.sum(chances < 0.05) <= 11 and np.sum(chances < 1e-3) <= 1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_ripple_that_sums_to_nothing_is_no_noise(seed: int) -> None:
+    rig = replace(sound(SPRING), spoil=lambda rng, v: v + 0.7 * SPRING.noise * np.sin(2.0 * np.pi * 1.9 * T))
+    assert chance_of_noise(seed, 0.7) < 1e-6
+    assert diagnose_simulator(rig.simulator, rig.recorded(seed)).verdict == "unknown"
+
+
+@pytest.mark.parametrize("straight", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("delay_s", [0.3, 2.7, -1.1])
+def test_a_channel_is_late_along_the_spline_or_along_straight_lines(straight: float, delay_s: float) -> None:
+    t_s = np.cumsum(np.random.default_rng(0).uniform(0.5, 1.5, 60))
+    t_s, at_s = t_s - t_s[0], np.clip(t_s - t_s[0] - delay_s, 0.0, t_s[-1] - t_s[0])
+    values = np.sin(0.6 * t_s)
+    curve, lines = CubicSpline(t_s, values)(at_s), np.interp(at_s, t_s, values)
+    late, slope, apart = shifted(values, t_s, delay_s, straight)
+    assert late == pytest.approx((1.0 - straight) * curve + straight * lines, abs=1e-12)
+    assert apart == pytest.approx(lines - curve, abs=1e-12)
+    nearby = shifted(values, t_s, delay_s - 1e-6, straight)[0]
+    inside = (at_s > 1e-5) & (at_s < t_s[-1] - 1e-5)
+    assert ((nearby - late) / 1e-6)[inside] == pytest.approx(slope[inside], abs=1e-4)
 
 
 def test_a_coarse_step_is_not_explained_by_what_does_not_shrink_the_gap() -> None:
