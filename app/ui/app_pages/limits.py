@@ -182,7 +182,7 @@ def _loads(now: LineRules, unit: str, mark: str) -> tuple[tuple[float, float], .
     for place, columns in enumerate(zip(cells[::2], cells[1::2], strict=True), 1):
         load = now.loads[place - 1] if place <= len(now.loads) else None
         value = columns[0].number_input(
-            f"{say('rules.load', place=place)} [{unit}]",
+            f"{say('rules.load', number=place)} [{unit}]",
             0.0,
             value=load.value if load else None,
             format="%.5g",
