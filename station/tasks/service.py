@@ -23,16 +23,16 @@ from softcal.core.profiles import Profile
 from softcal.core.quality.gate import Gate, RigFacts
 from softcal.core.quality.reading_at_rest import ReadingConfig
 from softcal.core.words.reason import Reason, reason, root_of, several
-from softcal.station.acquisition import RunProgress, ZeroMoved, record
-from softcal.station.at_rest import RestReading, read_at_rest
-from softcal.station.bench import Bench
+from softcal.station.devices.bench import Bench
 from softcal.station.interfaces import Reader, Stage
-from softcal.station.motion import Cancelled
+from softcal.station.motion.motion import Cancelled
 from softcal.station.named import named
-from softcal.station.recording import StationRecording
-from softcal.station.seconds import HOMING
-from softcal.station.self_test import SelfTestItem, self_test
-from softcal.station.spool import Spool
+from softcal.station.record.recording import StationRecording
+from softcal.station.record.spool import Spool
+from softcal.station.tasks.acquisition import RunProgress, ZeroMoved, record
+from softcal.station.tasks.at_rest import RestReading, read_at_rest
+from softcal.station.tasks.seconds import HOMING
+from softcal.station.tasks.self_test import SelfTestItem, self_test
 
 CODES: Mapping[type[SoftcalError], str] = {
     ZeroMoved: "E-ZERO",

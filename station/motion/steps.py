@@ -3,7 +3,7 @@
 from softcal.core.errors import CommandRefused
 from softcal.core.profiles import Profile
 from softcal.core.words.reason import reason
-from softcal.station.bench import Bench
+from softcal.station.devices.bench import Bench
 from softcal.station.interfaces import Hold, Move, Step
 
 

@@ -14,7 +14,7 @@ import tomlkit
 
 from softcal.core.errors import InputError, reason_of
 from softcal.core.words.reason import Reason, reason
-from softcal.station.transport import wire_of
+from softcal.station.wire.transport import wire_of
 
 Role: TypeAlias = Literal["stage", "cell", "readout"]
 
@@ -264,7 +264,7 @@ def with_own_keys(config: DeviceConfig) -> DeviceConfig:
     Raises:
         InputError: there is no such driver.
     """
-    from softcal.station.catalogue import driver_of  # The catalogue needs this module.
+    from softcal.station.devices.catalogue import driver_of  # The catalogue needs this module.
 
     kind: type[DeviceConfig] = driver_of(config.role, config.kind).config
     return config if isinstance(config, kind) else kind(**vars(config))
@@ -288,7 +288,7 @@ def device_section(name: str, table: dict[str, Any]) -> DeviceConfig:
     Raises:
         InputError: an unknown kind or key, a value of the wrong type, or a port its driver cannot open.
     """
-    from softcal.station.catalogue import driver_of  # The catalogue needs this module.
+    from softcal.station.devices.catalogue import driver_of  # The catalogue needs this module.
 
     common = _DEVICES[name]
     kind = table.get("kind", common.kind)

@@ -7,7 +7,8 @@ import numpy as np
 
 from softcal.core.errors import BadReply, NoReply, SafetyStop
 from softcal.core.words.reason import reason
-from softcal.station.config import SafetyConfig
+from softcal.station.clock import CLOCK_SHARE
+from softcal.station.devices.config import SafetyConfig
 from softcal.station.interfaces import ForceReader, Readout, Sample
 from softcal.station.named import named
 
@@ -23,9 +24,6 @@ STUCK_MM, STUCK_OUTPUT_MM, FROZEN, STUCK_MEAN_S, STUCK_NOISES, STUCK_SAMPLES = 1
 """The mean over so long must change by this many times its noise while the stage moves so far on the unit (a load cell,
 a sensor's output); over this share of the way it must change at all. A slow channel has few samples in a fast press:
 from fewer than these nothing is said."""
-
-CLOCK_SHARE = 0.02
-"""A device clock further off than this share is broken, or its rate is declared wrong."""
 
 SLOPE_SAMPLES = 4
 RATE_SAMPLES, MISSED_SAMPLES = 50, 4

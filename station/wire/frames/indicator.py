@@ -4,7 +4,7 @@ import re
 
 from softcal.core.errors import BadReply
 from softcal.core.words.reason import Reason, reason
-from softcal.station.frames.force_unit import in_newtons
+from softcal.station.wire.frames.force_unit import in_newtons
 
 _LINE = re.compile(r"(ST|US|OL),(GS|NT),([+-])\s*(\d+(?:\.\d+)?)\s*([A-Za-z]+)")
 

@@ -13,7 +13,7 @@ from softcal.core.errors import NoReply, reason_of
 from softcal.core.words.reason import Reason, reason
 from softcal.station.interfaces import Clock
 from softcal.station.named import named
-from softcal.station.transport import open_transport, wire_of
+from softcal.station.wire.transport import open_transport, wire_of
 
 POLL_S = 0.002
 """How long one wait for bytes lasts; bounds how late an answer is seen."""

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from softcal.core.profiles import Profile
-from softcal.station.bounds import ForceBounds
-from softcal.station.config import LATEST_S, StationConfig
+from softcal.station.devices.config import LATEST_S, StationConfig
+from softcal.station.motion.bounds import ForceBounds
 
 HOMING, READING, SEARCHING = "homing", "reading the unloaded channels", "searching for contact"
 FEELING, PRESSING, RETURNING = "feeling the unit", "pressing", "reading the zero return"

@@ -10,16 +10,20 @@ from softcal.core.errors import BadReply, CommandRefused, SafetyStop
 from softcal.core.profiles import Profile
 from softcal.core.recording import Array
 from softcal.core.words.reason import Reason, reason
-from softcal.station.bench import Bench
-from softcal.station.config import LATEST_S
-from softcal.station.contact import AGAIN_MM, SURE_MM, ContactSearch, Touch, slower_mm_s, stiffest_N_mm
+from softcal.station.devices.bench import Bench
+from softcal.station.devices.config import LATEST_S
 from softcal.station.interfaces import Move, OnWait, Step, ignore_wait
-from softcal.station.interlock import State
-from softcal.station.motion import RETRACT_MM_S
-from softcal.station.proof import check_lag, lag_s
-from softcal.station.recording import Raw, RunFacts, StationRecording, assemble, device_times_s
-from softcal.station.safety import STUCK_MM
-from softcal.station.seconds import (
+from softcal.station.motion.contact import AGAIN_MM, SURE_MM, ContactSearch, Touch, slower_mm_s, stiffest_N_mm
+from softcal.station.motion.interlock import State
+from softcal.station.motion.motion import RETRACT_MM_S
+from softcal.station.motion.safety import STUCK_MM
+from softcal.station.motion.steps import check_profile, steps_of
+from softcal.station.motion.watched import WatchedBench
+from softcal.station.record.proof import check_lag, lag_s
+from softcal.station.record.recording import Raw, RunFacts, StationRecording, assemble, device_times_s
+from softcal.station.record.spool import Spool
+from softcal.station.record.trajectory import DrivenMove, reconstruct
+from softcal.station.tasks.seconds import (
     FEEL_S,
     FEELING,
     HOMING,
@@ -31,10 +35,6 @@ from softcal.station.seconds import (
     STEP_MM,
     seconds_of,
 )
-from softcal.station.spool import Spool
-from softcal.station.steps import check_profile, steps_of
-from softcal.station.trajectory import DrivenMove, reconstruct
-from softcal.station.watched import WatchedBench
 
 SEARCH_WAY_MM = 0.05
 """A contact that is there after less than this cannot be located: nothing was read above it."""

@@ -9,11 +9,11 @@ from typing import TypeVar
 
 from softcal.core.errors import BadReply, DeviceError, NoReply, SafetyStop
 from softcal.core.words.reason import Reason, reason
-from softcal.station.bench import Bench
+from softcal.station.devices.bench import Bench
 from softcal.station.interfaces import Held, Move, RoughLift, RunsOn
-from softcal.station.interlock import Interlock, State, StateRow
-from softcal.station.safety import LASTS_S
-from softcal.station.trajectory import DrivenMove, Trapezoid
+from softcal.station.motion.interlock import Interlock, State, StateRow
+from softcal.station.motion.safety import LASTS_S
+from softcal.station.record.trajectory import DrivenMove, Trapezoid
 
 TICK_S = 0.005
 """How often the devices are read while something may move; far below every latency that is promised."""

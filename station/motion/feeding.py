@@ -6,7 +6,7 @@ from collections import deque
 import numpy as np
 
 from softcal.station.interfaces import Move
-from softcal.station.trajectory import Trapezoid
+from softcal.station.record.trajectory import Trapezoid
 
 PIECE_S, AHEAD_S = 0.1, 0.3
 """A move is fed in pieces of PIECE_S, at most AHEAD_S and the time of braking ahead: when the host dies, the stage soon

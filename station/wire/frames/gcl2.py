@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, NoReply
 from softcal.core.words.reason import Reason, reason
-from softcal.station.frames.force_unit import in_newtons
+from softcal.station.wire.frames.force_unit import in_newtons
 
 CURRENT, LIST = b"?C\r", b"LIST\r"
 END = b"\r"

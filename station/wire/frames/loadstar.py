@@ -2,7 +2,7 @@
 
 from softcal.core.errors import BadReply
 from softcal.core.words.reason import reason
-from softcal.station.frames.force_unit import in_newtons
+from softcal.station.wire.frames.force_unit import in_newtons
 
 END = b"\r"
 PING, MODEL, UNITS, STREAM = b"\r", b"MODEL\r", b"UNITS\r", b"WC\r"

@@ -8,10 +8,10 @@ import numpy as np
 from softcal.core.errors import BadReply, CommandRefused
 from softcal.core.recording import Array
 from softcal.core.words.reason import Reason
-from softcal.station.bench import Bench
-from softcal.station.motion import TICK_S
-from softcal.station.safety import StreamWatch
-from softcal.station.watched import BOOT_S
+from softcal.station.devices.bench import Bench
+from softcal.station.motion.motion import TICK_S
+from softcal.station.motion.safety import StreamWatch
+from softcal.station.motion.watched import BOOT_S
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from softcal.core.errors import NoReply
 from softcal.station.interfaces import Sample
-from softcal.station.link import Link
+from softcal.station.wire.link import Link
 
 LATE_S = 0.25
 """An answer that is out when reading begins again is waited for so long: it belongs to a question of before."""

@@ -8,14 +8,14 @@ import numpy as np
 
 from softcal.core.errors import BadReply, SafetyStop
 from softcal.core.words.reason import reason
-from softcal.station.bench import Bench
-from softcal.station.bounds import FULL, REACTION_S, ForceBounds, Reaction
-from softcal.station.config import LATEST_S
-from softcal.station.contact import unloaded
+from softcal.station.devices.bench import Bench
+from softcal.station.devices.config import LATEST_S
 from softcal.station.interfaces import Sample, StagePosition
-from softcal.station.interlock import Moves, StageWatch, State
-from softcal.station.motion import TICK_S, Motion
-from softcal.station.safety import (
+from softcal.station.motion.bounds import FULL, REACTION_S, ForceBounds, Reaction
+from softcal.station.motion.contact import unloaded
+from softcal.station.motion.interlock import Moves, StageWatch, State
+from softcal.station.motion.motion import TICK_S, Motion
+from softcal.station.motion.safety import (
     FROZEN,
     STUCK_MM,
     STUCK_OUTPUT_MM,
@@ -26,7 +26,7 @@ from softcal.station.safety import (
     StreamWatch,
     StuckWatch,
 )
-from softcal.station.spool import Spool
+from softcal.station.record.spool import Spool
 
 BOOT_S = 3.0
 """How long a board may take to boot: 1.5 s to 2 s for an Arduino with its boot loader."""

@@ -5,9 +5,9 @@ from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, get_type_hints
 
-from softcal.station.config import DeviceConfig, ForceConfig, ReadoutConfig, Role, StageConfig
+from softcal.station.devices.config import DeviceConfig, ForceConfig, ReadoutConfig, Role, StageConfig
 from softcal.station.interfaces import Clock, ForceReader, Readout, Stage
-from softcal.station.transport import WireKind
+from softcal.station.wire.transport import WireKind
 
 if TYPE_CHECKING:
     import numpy as np

@@ -7,12 +7,12 @@ import numpy as np
 from softcal.core.errors import BadReply, NoReply
 from softcal.core.words.reason import Reason, reason
 from softcal.station.clock import seen_rate_Hz
-from softcal.station.frames import esm, gcl2, grbl, loadstar, zaber
-from softcal.station.frames.indicator import OVERLOADED, parse_N
-from softcal.station.frames.text_stream import parse as parse_stream
 from softcal.station.interfaces import Clock
-from softcal.station.link import POLL_S, Line, Link
-from softcal.station.watched import BOOT_S
+from softcal.station.motion.watched import BOOT_S
+from softcal.station.wire.frames import esm, gcl2, grbl, loadstar, zaber
+from softcal.station.wire.frames.indicator import OVERLOADED, parse_N
+from softcal.station.wire.frames.text_stream import parse as parse_stream
+from softcal.station.wire.link import POLL_S, Line, Link
 
 LISTEN_S, FEW_LINES = 1.0, 5
 ANSWER_S = 2.5

@@ -9,9 +9,9 @@ import numpy as np
 
 from softcal.core.errors import DeviceError, NoReply
 from softcal.core.words.reason import Reason, several
-from softcal.station.catalogue import driver_of
 from softcal.station.clock import HostClock
-from softcal.station.config import (
+from softcal.station.devices.catalogue import driver_of
+from softcal.station.devices.config import (
     DeviceConfig,
     FixtureConfig,
     ForceConfig,
@@ -21,7 +21,7 @@ from softcal.station.config import (
     StationConfig,
     with_own_keys,
 )
-from softcal.station.driver import Opening
+from softcal.station.devices.driver import Opening
 from softcal.station.interfaces import Clock, ForceReader, Readout, Stage
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ import softcal.station.drivers
 from softcal.core.errors import InputError
 from softcal.core.plugins import installed
 from softcal.core.words.reason import reason
-from softcal.station.config import Role
-from softcal.station.driver import AnyDriver, Driver
+from softcal.station.devices.config import Role
+from softcal.station.devices.driver import AnyDriver, Driver
 
 SECTIONS: dict[Role, str] = {"stage": "stage", "cell": "force", "readout": "readout"}
 """Where the keys of a device stand in the station file."""
@@ -109,7 +109,9 @@ def _load(role: Role, point: EntryPoint) -> Offer:
     except (Exception, SystemExit) as error:  # Whatever a package of somebody else does wrong, the others stay usable.
         return Offer(role, point.name, package, release, None, f"cannot be loaded: {type(error).__name__}: {error}")
     if not isinstance(driver, Driver):
-        return Offer(role, point.name, package, release, None, f"{point.value} is no softcal.station.driver.Driver")
+        return Offer(
+            role, point.name, package, release, None, f"{point.value} is no softcal.station.devices.driver.Driver"
+        )
     if (driver.role, driver.kind) != (role, point.name):
         fault = f"{point.value} calls itself {driver.role} {driver.kind!r}; entry point and driver must agree"
         return Offer(role, point.name, package, release, None, fault)

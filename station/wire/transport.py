@@ -61,7 +61,7 @@ def open_transport(port: str, baud_rate: int) -> Transport:
         case "visa":
             return VisaTransport(port)
         case "ble":
-            from softcal.station.bluetooth import BleTransport
+            from softcal.station.wire.bluetooth import BleTransport
 
             return BleTransport(port.removeprefix(BLE))
         case _:

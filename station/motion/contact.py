@@ -10,7 +10,7 @@ from softcal.core.errors import BadReply
 from softcal.core.recording import Array
 from softcal.core.words.reason import reason
 from softcal.station.clock import fit_clock
-from softcal.station.config import FixtureConfig
+from softcal.station.devices.config import FixtureConfig
 from softcal.station.interfaces import Sample
 
 UNLOADED_SAMPLES = 25

@@ -8,10 +8,10 @@ import numpy as np
 from softcal.core.errors import BadReply, InputError
 from softcal.core.recording import Array, Indices, LabelledRecording, OutputRecording
 from softcal.core.words.reason import reason
-from softcal.station.clock import ClockFit, fit_clock, residual_offset_s
+from softcal.station.clock import CLOCK_SHARE, ClockFit, fit_clock, residual_offset_s
 from softcal.station.interfaces import Sample, StagePosition
 from softcal.station.named import named
-from softcal.station.proof import (
+from softcal.station.record.proof import (
     LATE_S,
     check_bits,
     check_follows,
@@ -21,9 +21,8 @@ from softcal.station.proof import (
     check_output_gain,
     lag_s,
 )
-from softcal.station.safety import CLOCK_SHARE
-from softcal.station.spool import SpooledRun
-from softcal.station.trajectory import DrivenMove, StageTrack, Trapezoid, reconstruct
+from softcal.station.record.spool import SpooledRun
+from softcal.station.record.trajectory import DrivenMove, StageTrack, Trapezoid, reconstruct
 
 LARGEST_LOSS = 0.02
 """A recording that lost more of its samples than this is not one."""
