@@ -1,4 +1,4 @@
-"""Every way a run can go, tried on the real `station.motion.Motion`: all faults at all steps, in all combinations.
+"""Every way a run can go, tried on the real `station.motion.motion.Motion`: all faults at all steps.
 
 A made-up stage asks at each step what happens next; the run is repeated until every answer was given at every step,
 with up to MOST_FAULTS answers in one run that are not "all is well". What the stage was told is judged against the

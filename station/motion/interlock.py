@@ -79,7 +79,7 @@ class StateRow(NamedTuple):
     Args:
         moves: what the stage may do.
         watches: those that are on.
-        needs: what must have been found before (attributes of `station.watched.Learned`).
+        needs: what must have been found before (attributes of `station.motion.watched.Learned`).
         late_s: how much longer than planned a move may take; for homing, how long it may take.
         exits: states that may follow.
     """

@@ -66,7 +66,10 @@ def test_every_shipped_driver_is_listed_with_its_origin():
     assert all(offer.package == "softcal" and offer.version != "unknown" for offer in listed.values())
 
 
-@pytest.mark.parametrize("module", ["bench", "catalogue", "driver", "link", "transport", "simulated/station"])
+@pytest.mark.parametrize(
+    "module",
+    ["devices/bench", "devices/catalogue", "devices/driver", "wire/link", "wire/transport", "simulated/station"],
+)
 def test_what_opens_devices_names_no_driver(module):
     # The default kind of a section stands in config.py, and nowhere else.
     text = (ROOT / "station" / f"{module}.py").read_text()
