@@ -149,7 +149,6 @@ class ProgressLine:
 
     Args:
         what: what is counted, in the plural.
-        total: how many there are.
         done: how many were done before; they count for the share and not for the speed.
     """
 

@@ -29,10 +29,8 @@ class Lot:
     """The units made together, calibrated against a source unit or several.
 
     Args:
-        id: name of the lot.
         source: serial of the first source unit.
         sample_rate_Hz: nominal sample rate of every recording of the lot.
-        sensor_model: what kind of sensor it is.
         reference_quantity, reference_unit: what the source's reference measures, for example force in N.
         output_unit: physical unit of the sensor output.
         limit_rmse: largest acceptable error of a unit in `reference_unit`; None leaves it to the source's own error.

@@ -57,7 +57,6 @@ class RunState(StrEnum):
 
     @property
     def is_active(self) -> bool:
-        """Whether the run occupies its station."""
         return self in (RunState.QUEUED, RunState.RUNNING)
 
 
@@ -126,7 +125,6 @@ class Progress:
     """How far one order is.
 
     Args:
-        order_id: the order it belongs to.
         state: queued, running, done, error or cancelled.
         phase: what happens now, in words ("searching for contact").
         fraction: 0 ... 1 of the run.
@@ -135,7 +133,6 @@ class Progress:
         message: what is said to the operator; on an error what happened and what to do. A text is one that was kept.
         recording_sha256: content hash of the stored recording, once there is one.
         verdict: pass, conditional, fail or retest once a unit is judged; of a golden unit pass or fail; else "".
-        signal: the live signal.
     """
 
     order_id: str
@@ -183,8 +180,6 @@ class Heartbeat:
     """What a station says of itself every second; older than 3 s means that nobody is there.
 
     Args:
-        station: name of the station.
-        state: what it is doing.
         at: when this was written, with time zone.
         reasons: why the gate is closed or the station stopped; empty when it is ready.
         process: host and process id of the owner of the ports.

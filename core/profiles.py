@@ -84,7 +84,6 @@ class Profile:
         return t_s, self.position_mm(t_s)
 
     def then(self, other: "Profile", name: str) -> "Profile":
-        """Return this profile followed by another."""
         return Profile(name, self.segments + other.segments)
 
 

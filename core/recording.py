@@ -84,7 +84,6 @@ class OutputRecording:
         return content_sha256(self.arrays(), self.settings())
 
     def arrays(self) -> dict[str, Array]:
-        """Return the columns under their names in files."""
         stage = {} if self.stage_mm is None else {"stage_mm": self.stage_mm}
         return {"t_s": self.t_s, "output": self.output, **stage}
 
@@ -132,7 +131,6 @@ class LabelledRecording:
         return content_sha256(self.arrays(), self.settings())
 
     def arrays(self) -> dict[str, Array]:
-        """Return the columns under their names in files."""
         return {**self.unlabelled.arrays(), "reference": self.reference}
 
     def settings(self) -> dict[str, float | str]:

@@ -145,7 +145,6 @@ def twin_of(seed: int, serial: str) -> Twin:
 
     Args:
         seed: of the lot: its nominal unit and its effects.
-        serial: of the unit.
     """
     rng, own = np.random.default_rng(seed), np.random.default_rng([seed, crc32(serial.encode())])
     nominal, effects = _nominal(rng), _mild_effects(rng)

@@ -67,8 +67,6 @@ class StoredCalibration:
     """One revision in the history of a serial.
 
     Args:
-        record: the calibration itself.
-        lot_id: lot it was made in.
         revision: 1, 2, 3 ... per serial.
         made_at: UTC; never before the revision it follows.
         actor, reason: who made it, and why.
@@ -138,14 +136,12 @@ class MadeCalibration:
 
     @classmethod
     def of(cls, record: "CalibrationRecord", revision: int) -> "MadeCalibration":
-        """Return what a report needs of a calibration."""
         same = (one.name for one in fields(cls) if one.name not in ("revision", "knowledge"))
         plain = {name: getattr(record, name) for name in same}
         return cls(**plain, revision=revision, knowledge=str(record.knowledge))
 
     @property
     def is_audited(self) -> bool:
-        """Whether its error was measured."""
         return self.decision.is_audited
 
 
@@ -176,9 +172,7 @@ class NetworkEntry:
 
     Args:
         id: content hash of the network.
-        lot_id: lot it was trained for.
         input_sha256: content hash of what it was trained from.
-        training: settings of the training.
         metrics: what the training reached.
         added_at: UTC.
     """
@@ -198,7 +192,6 @@ class RecordingEntry:
     Args:
         sha256: content hash, with serial, rate and units.
         kind: source, unit or audit.
-        samples: number of samples.
         reference_unit: None where it has no reference.
     """
 
@@ -303,7 +296,6 @@ class CellCertificate:
             raise InputError(f"certificate {self.number}: capacity and uncertainty must be positive numbers of N")
 
     def is_valid(self, on: date) -> bool:
-        """Whether it holds on this day."""
         return self.issued_on <= on < self.due_on
 
 
@@ -312,12 +304,10 @@ class GoldenRun:
     """One check of a station with a golden unit.
 
     Args:
-        station, serial: which station pressed which golden unit.
         made_at: UTC.
         value: what is charted, for example the mean error against the unit's own calibration, in `unit`.
         passed: whether it was inside the limits that held then; `reasons` say why not.
         actor: who did it.
-        recording_sha256: its recording, where it was kept.
     """
 
     station: str

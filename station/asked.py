@@ -20,7 +20,6 @@ class AskedReader:
     Args:
         name: how messages call the device.
         rate_Hz: questions per second.
-        link: its port.
         parse: one line, its end taken off -> one number per channel; raises `BadReply`.
         channels: numbers per reading.
         limits: of a readout: lowest and highest reading; one that stays there is saturated.

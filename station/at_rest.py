@@ -19,7 +19,6 @@ class RestReading:
     """What was read.
 
     Args:
-        serial: of the unit.
         output: (n, channels) in `output_unit`.
     """
 
@@ -35,7 +34,6 @@ def read_at_rest(
 
     Args:
         settle_s: before the reading begins.
-        reading_s: length of the reading.
         on_look: called at every look with the share that is done and the seconds that are left; what it raises ends
             the reading.
 

@@ -117,7 +117,6 @@ def residual_offset_s(leading: Array, following: Array, rate_Hz: float, reach_s:
     Args:
         leading: (n,) signal on a uniform grid.
         following: (n,) signal on the same grid.
-        rate_Hz: of the grid.
         reach_s: largest offset that is looked for.
 
     Returns:

@@ -25,7 +25,6 @@ class Measurement:
     """A number that can only be read.
 
     Args:
-        question: what is asked.
         doc: one sentence that begins with Get or Measure.
     """
 
@@ -55,7 +54,6 @@ class Control(Measurement):
     """A number that can be read and set, within limits; outside of them nothing is sent.
 
     Args:
-        question: what is asked.
         command: what is told, with one format field.
         limits: lowest and highest value.
         doc: one sentence that begins with Control.

@@ -29,7 +29,6 @@ class DeviceIdentity:
     """What answers at a port.
 
     Args:
-        port: device name.
         role: stage, force, readout; "" when it is nothing softcal knows, or could be either of two.
         kind: the dialect, as in the station file.
         says: what it said of itself and what it is taken for, or why it is not known.

@@ -66,7 +66,6 @@ class StationRecording:
 
     Args:
         serial: of the unit; with several channels each has a serial of its own, `serial` names the substrate.
-        profile: name of the profile.
         t_s: (n,) the sensor's own clock, s since the first sample of the profile.
         output: (n, channels) in `output_unit`.
         stage_mm: (n,) position, 0 at the start of the profile, positive when it compresses.
@@ -118,8 +117,6 @@ class RunFacts:
     """What a run says of itself beside its samples, in values a text file can hold.
 
     Args:
-        serial, profile: what was pressed with what.
-        sensor, output_unit, sample_rate_Hz: the readout.
         moves: (start_mm, end_mm, speed_mm_s, acceleration_mm_s2, begun_s, confirmed_s) of every move.
         span_s: host time at which the profile began and ended.
         zero_mm: stage position that is 0 in the recording.
@@ -151,7 +148,6 @@ class Raw:
 
     Args:
         output, force: samples of the readout and of the load cell (empty without one).
-        polls: status polls of the stage.
     """
 
     output: Sequence[Sample]

@@ -31,7 +31,6 @@ def seconds_of(config: StationConfig, bounds: ForceBounds, profile: Profile, fro
 
     Args:
         bounds: what a stop holds on this rig.
-        profile: what is pressed.
         from_mm: where the stage stands; None where it must be homed.
     """
     fixture, fastest_mm_s = config.fixture, config.safety.speed_mm_s

@@ -39,7 +39,6 @@ class SelfTestItem:
 
     Args:
         device: stage, load cell, sensor readout.
-        what: the quantity.
         value: what was found, with its unit.
         cure: what to do; None when it is good.
     """

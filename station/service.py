@@ -78,9 +78,7 @@ class StationService:
 
     Args:
         open_bench: opens the devices; called again after an acknowledged fault, since ports may have died.
-        profiles: profile per kind of order.
         spool_folder: where samples go as they come.
-        hooks: the host.
     """
 
     def __init__(

@@ -34,9 +34,7 @@ class ThreadedReader:
 
     Args:
         name: how messages call the device.
-        unit: of the readings.
         rate_Hz: calls per second at most.
-        clock: of the station.
         read: one reading; blocks as long as it must. Any error it raises ends the readings.
         close_library: gives the device back; called once, from the thread that closes.
         stale_s: no new reading for so long is an error.

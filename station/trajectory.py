@@ -15,9 +15,7 @@ class Trapezoid:
     """A straight move from rest to rest: accelerate, cruise, brake.
 
     Args:
-        start_mm, end_mm: positions.
         speed_mm_s: cruise speed; short moves do not reach it.
-        acceleration_mm_s2: of the drive.
     """
 
     start_mm: float
@@ -99,7 +97,6 @@ def reconstruct(polls: Sequence[StagePosition], moves: Sequence[DrivenMove]) -> 
 
     Args:
         polls: status polls of the run, in time order.
-        moves: the moves of the run, in time order.
 
     Raises:
         ValueError: no polls.

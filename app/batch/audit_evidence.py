@@ -77,11 +77,7 @@ Audited = Mapping[str, tuple[AuditedUnit, datetime, MadeCalibration]]
 
 
 class AuditReader:
-    """Reads what audits say. Calibrations keep it; of an older version's the recording is read, once.
-
-    Args:
-        registry: where audits are kept.
-    """
+    """Reads what audits say. Calibrations keep it; of an older version's the recording is read, once."""
 
     def __init__(self, registry: Registry) -> None:
         self._registry = registry

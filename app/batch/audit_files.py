@@ -18,8 +18,6 @@ class AuditFile:
     """What would become of one table.
 
     Args:
-        file: its name.
-        serial: of the unit it would audit.
         recording: None where it is refused.
         refusal: why; None where it is taken.
     """
@@ -38,7 +36,6 @@ def look_at_audits(
     Args:
         units: serials of the lot's target units.
         files: one per unit, called by its serial, or wide ones with a column per unit.
-        columns: which columns hold what.
         sheet: of Excel files; None takes the first.
     """
     plan = ImportPlan(files, columns, lot, audit=True, sheet=sheet)

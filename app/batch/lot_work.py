@@ -107,7 +107,6 @@ class Watch:
     Args:
         on_epoch: every epoch of a training.
         on_start: how many units the lot has.
-        on_unit: every result of this batch.
         on_done: how many units of the lot are done so far, by this batch and others.
         on_wait: how many units others hold, while there is nothing else to do.
     """
@@ -124,7 +123,6 @@ class LotWork:
 
     Args:
         facts: what the lot's units are calibrated with.
-        kept: what the registry has about each of them.
     """
 
     def __init__(

@@ -163,7 +163,6 @@ class _Standing:
     """What is known of a lot: the evidence it is decided on, and its units as they were then or came since.
 
     Args:
-        made: their calibrations.
         least: number of unmeasured ones that must pass.
     """
 
@@ -354,7 +353,6 @@ def judged_record(base: CalibrationRecord, decided: LotRelease) -> CalibrationRe
     """Return a calibration with what the audits of its lot say: forecast and interval scaled, the judgement beside.
 
     Args:
-        base: as it was fitted.
         decided: on its lot; the unit must be among `forecasts`.
     """
     judgement = decided.judgement(base.serial)

@@ -45,7 +45,6 @@ class BatchReport:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Units by verdict."""
         words = [unit.verdict for unit in self.units]
         return {str(word): words.count(word) for word in VERDICTS}
 

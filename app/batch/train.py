@@ -24,7 +24,6 @@ class TrainedOrFound:
     """The shared network of a lot.
 
     Args:
-        network: f.
         is_new: whether it was trained now; otherwise the registry had it.
         metrics: errors on the validation blocks of the source and how long training took, in named units.
     """

@@ -32,7 +32,6 @@ class _Axis:
     names: tuple[str, ...] = ()
 
     def at(self, values: Any) -> Array:
-        """Return the pixels of values, or of names."""
         if self.names:
             values = [self.names.index(str(value)) for value in values]
         share = (np.asarray(values, dtype=float) - self.low) / (self.high - self.low)

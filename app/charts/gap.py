@@ -74,8 +74,6 @@ class RunView:
     """What the page shows of one run.
 
     Args:
-        name: folder of the run.
-        profile: what was pressed.
         t_s: (n,) time since the start of the run.
         drive: (n,) stage position in mm, or the force in N where there is none; its slope tells the direction.
         load_N: (n,) force for the bands; measured where there is a load cell, predicted otherwise.

@@ -180,11 +180,7 @@ WITH_COUNTS = 8
 
 
 def yield_figure(found: Sequence[YieldAt], title: str, colours: Palette, words: Words) -> go.Figure:
-    """Draw the yield at each place with its 95 % interval and the number of units.
-
-    Args:
-        title: of the axis: what the places are.
-    """
+    """Draw the yield at each place with its 95 % interval and the number of units."""
     names = [one.name if one.name != DESK else words("lot.yield.desk") for one in found]
     counts = [words("lot.yield.count", good=one.share.count, of=one.share.of) for one in found]
     value = [100 * (one.share.value or 0.0) for one in found]

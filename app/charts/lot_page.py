@@ -21,7 +21,6 @@ def lot_page(view: LotView, units: Sequence[UnitEntry], words: Words, made: str)
     """Return the page of a lot as HTML.
 
     Args:
-        view: the lot at a glance.
         units: every target unit.
         words: the texts of one language.
         made: when and with what it was made, in words.

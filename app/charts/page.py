@@ -32,7 +32,6 @@ def document(title: str, parts: Iterable[str], style: str = "", language: str = 
     """Return a page from its parts, which are HTML.
 
     Args:
-        style: of this page alone.
         language: of the page; "" says nothing of it.
         has_plots: whether `figures` are on it; drawings need no library.
     """

@@ -12,7 +12,6 @@ class Palette:
     """Colours of one theme.
 
     Args:
-        text, grid: of charts.
         source, raw, mapped: the three window spaces a chart compares.
         band: fill of an interval.
         limit: lines that decide.

@@ -32,7 +32,6 @@ def why_figure(view: UnitView, colours: Palette, words: Words) -> go.Figure:
     the source are marked.
 
     Args:
-        view: one revision of a unit.
         colours, words: of the screen; `palette("light")` and a text function on the command line.
     """
     named = [words(f"why.{name}") for name in ("parts", "loads", "interval", "time")]

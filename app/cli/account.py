@@ -18,16 +18,11 @@ EXAMPLES = """examples:
 
 Operators need no account. The page People shows and changes the same accounts.
 """
+HELP = "people and programs, their roles and PINs"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal account`."""
-    parser = commands.add_parser(
-        "account",
-        help="people and programs, their roles and PINs",
-        description="Make, change and list accounts. Every change lands in the audit trail with its reason.",
-        epilog=EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Make, change and list accounts. Every change lands in the audit trail with its reason."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     change = actions.add_parser("set", help="make an account, or change its role, its PIN or whether it is active")
     change.add_argument("name", metavar="NAME")

@@ -39,17 +39,13 @@ Only t_s and output of IN are read. Row k of OUT depends on rows up to k alone; 
 (`recalibrate` once a calibration with a reference is due), and whether its map is `unwatched` (nothing to compare the
 use with yet), `held` (use or drift, which cannot be told) or `followed`. Damaged samples are flagged and move nothing.
 """
+HELP = "estimate over long use, the map following the drift"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal adapt`."""
-    parser = commands.add_parser(
-        "adapt",
-        help="estimate over long use, the map following the drift",
-        description="Estimate the reference from a long stream of a unit's output while its map follows the sensor's "
-        "drift. Where drift and a change of use cannot be told apart, the map is held and the file says so.",
-        epilog=EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Estimate the reference from a long stream of a unit's output while its map follows the sensor's drift. Where
+    drift and a change of use cannot be told apart, the map is held and the file says so.
+    """
     parser.add_argument("source", metavar="IN", help="CSV or Parquet with t_s, output; -, serial:PORT or simulated")
     parser.add_argument("--out", required=True, metavar="OUT", help="CSV or Parquet; live also - or tcp://HOST:PORT")
     parser.add_argument("--serial", required=True, metavar="S")
@@ -76,7 +72,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     add_lot_of_serial(parser)
     add_registry(parser)
     add_json(parser)
-    parser.set_defaults(run=run)
 
 
 MODE_HELP = (

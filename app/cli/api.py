@@ -24,16 +24,11 @@ EXAMPLES = """examples:
 
 A token may do what the role of its account may; `softcal account` makes accounts.
 """
+HELP = "the REST interface for other programs, and their tokens"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal api`."""
-    parser = commands.add_parser(
-        "api",
-        help="the REST interface for other programs, and their tokens",
-        description="Units, verdicts, files, lots, jobs and events for other programs, over HTTP.",
-        epilog=EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Units, verdicts, files, lots, jobs and events for other programs, over HTTP."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     serve = actions.add_parser("serve", help="serve the REST interface until Ctrl-C")
     add_registry(serve)

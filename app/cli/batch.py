@@ -27,16 +27,11 @@ EXAMPLES = """examples:
 Stopped in the middle? Run the same command again: finished units are kept.
 Exit code 0: every unit passed; 1: done, but some unit did not pass.
 """
+HELP = "calibrate a lot: train or reuse f, fit every map, verdicts, registry, exports"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal batch`."""
-    parser = commands.add_parser(
-        "batch",
-        help="calibrate a lot: train or reuse f, fit every map, verdicts, registry, exports",
-        description="Calibrate a lot folder. One bad unit never stops the lot; what is done is never done again.",
-        epilog=EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Calibrate a lot folder. One bad unit never stops the lot; what is done is never done again."""
     parser.add_argument("lot", type=Path, metavar="LOT", help="lot folder")
     add_registry(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="write calibration files of the released units here")
@@ -67,7 +62,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     add_network(parser)
     add_json(parser)
     add_csv(parser)
-    parser.set_defaults(run=run)
 
 
 def _parquet(text: str) -> Path:

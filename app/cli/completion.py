@@ -6,18 +6,12 @@ EXAMPLES = """examples:
   softcal completion bash > ~/.local/share/bash-completion/completions/softcal
   softcal completion zsh > ~/.zfunc/_softcal         # with fpath+=~/.zfunc before compinit
 """
+HELP = "print what a shell needs to complete commands and options"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal completion`."""
-    parser = commands.add_parser(
-        "completion",
-        help="print what a shell needs to complete commands and options",
-        description="Print a completion script for a shell; put it where the shell looks for it.",
-        epilog=EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Print a completion script for a shell; put it where the shell looks for it."""
     parser.add_argument("shell", choices=("bash", "zsh", "tcsh"))
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -18,16 +18,11 @@ EXAMPLES = """examples:
   softcal connect status                                how far every destination is, and what is wrong
   softcal adapt --serial A1 - --out - | softcal connect estimates plant.toml --serial A1
 """
+HELP = "send verdicts and alerts: webhooks, mail, MQTT, OPC UA"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal connect`."""
-    parser = commands.add_parser(
-        "connect",
-        help="send verdicts and alerts: webhooks, mail, MQTT, OPC UA",
-        description="Bring events to other programs and people, each at least once, across restarts of both sides.",
-        epilog=EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Bring events to other programs and people, each at least once, across restarts of both sides."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     run = actions.add_parser("run", help="serve every destination of a file until Ctrl-C")
     run.add_argument("file", type=Path, metavar="FILE", help="TOML with the destinations")

@@ -15,18 +15,14 @@ then look around:
   softcal registry list --registry sqlite:///softcal-demo/registry.db
   softcal ui --registry sqlite:///softcal-demo/registry.db
 """
+HELP = "the main job from end to end on a simulated station"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal demo`."""
-    parser = commands.add_parser(
-        "demo",
-        help="the main job from end to end on a simulated station",
-        description="Press a simulated lot; stage, load cell and sensor speak their real serial protocols. Train the "
-        "shared network on the source and fit every unit's map without labels. Judge, register, export, and print a "
-        "table like the paper's Table 1.",
-        epilog=EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Press a simulated lot; stage, load cell and sensor speak their real serial protocols. Train the shared network
+    on the source and fit every unit's map without labels. Judge, register, export, and print a table like the
+    paper's Table 1.
+    """
     parser.add_argument("--out", type=Path, default=Path("softcal-demo"), metavar="DIR", help="default: softcal-demo")
     parser.add_argument("--units", type=int, default=6, metavar="N", help="target units (default 6)")
     parser.add_argument("--twin", type=Path, metavar="FILE", help="units like this twin (softcal gap apply)")
@@ -34,7 +30,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     add_network(parser)
     add_json(parser)
     add_csv(parser)
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -15,21 +15,15 @@ EXAMPLES = """examples:
 
 No password, PIN or recording goes into the report; logs go in with the passwords of URLs masked.
 """
+HELP = "look the installation over; collect what support needs"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal doctor`."""
-    parser = commands.add_parser(
-        "doctor",
-        help="look the installation over; collect what support needs",
-        description="Versions, folders, free space, the registry and its integrity: what is there and what is wrong.",
-        epilog=EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Versions, folders, free space, the registry and its integrity: what is there and what is wrong."""
     add_registry(parser)
     add_json(parser)
     add_csv(parser)
     parser.add_argument("--out", type=Path, metavar="ZIP", help="write report and logs into one file for support")
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -21,16 +21,11 @@ EXAMPLES = """examples:
 
 Columns of the result: t_s, estimate, lower, upper (a 90 % interval), flag (why a row is not to be trusted).
 """
+HELP = "estimate the reference from a unit's output"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal estimate`."""
-    parser = commands.add_parser(
-        "estimate",
-        help="estimate the reference from a unit's output",
-        description="Estimate the reference from the columns t_s, output of a recording with the unit's current map.",
-        epilog=EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Estimate the reference from the columns t_s, output of a recording with the unit's current map."""
     parser.add_argument("recording", type=Path, metavar="IN", help="CSV, Excel or Parquet with t_s, output")
     parser.add_argument("--out", required=True, type=Path, metavar="OUT", help="CSV or Parquet to write")
     parser.add_argument("--serial", required=True, metavar="S")
@@ -39,7 +34,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     add_lot_of_serial(parser)
     add_registry(parser)
     add_json(parser)
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -12,16 +12,11 @@ EXAMPLES = """examples:
   softcal explain --serial A1 --method                every number it was calibrated with, and where each comes from
   softcal batch lot-1 --plots why                     a figure of every unit
 """
+HELP = "why the verdict of a unit is what it is: reasons, error budget, one figure"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal explain`."""
-    parser = commands.add_parser(
-        "explain",
-        help="why the verdict of a unit is what it is: reasons, error budget, one figure",
-        description="Show what a unit's verdict rests on: reasons, what the predicted error is made of, limit.",
-        epilog=EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Show what a unit's verdict rests on: reasons, what the predicted error is made of, limit."""
     parser.add_argument("--serial", required=True, metavar="S")
     parser.add_argument("--revision", type=int, metavar="N", help="an older map; default: the current one")
     parser.add_argument("--method", action="store_true", help="print every number of the method, with its origin")
@@ -30,7 +25,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     add_registry(parser)
     add_json(parser)
     add_csv(parser)
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

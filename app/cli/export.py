@@ -38,16 +38,11 @@ A unit file takes the least of 256, 512 and 1024 bytes that keeps the device wit
 --unit-bytes holds all units to one size. The table shows what the device form changes: `map` by its small curve,
 `error` in all, both as changes of the estimate on the unit's own recording.
 """
+HELP = "write calibration files for devices, PCs and auditors"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal export`."""
-    parser = commands.add_parser(
-        "export",
-        help="write calibration files for devices, PCs and auditors",
-        description="Write calibration files of units, or read an export folder back and check it.",
-        epilog=EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Write calibration files of units, or read an export folder back and check it."""
     units = parser.add_argument_group("which units")
     units.add_argument("--serial", action="append", default=[], metavar="S", help="a unit; may be repeated")
     units.add_argument("--lot", metavar="ID", help="every unit of a lot that is released; with --serial: its lot")
@@ -67,7 +62,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     add_registry(parser)
     add_json(parser)
     add_csv(parser)
-    parser.set_defaults(run=run)
 
 
 def _add_device_options(parser: argparse.ArgumentParser) -> None:

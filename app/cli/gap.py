@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from softcal.core.twin.parameters import ReadoutMetadata
     from softcal.core.twin.simulate import Twin
 
-_EXAMPLES = """examples:
+EXAMPLES = """examples:
   softcal gap diagnose rig-7 --json rig-7.gap.json --page rig-7.html
   softcal gap apply --report rig-7.gap.json --out rig-7.twin.json
   softcal gap transfer --report rig-7.gap.json --lot lot-1
@@ -51,17 +51,13 @@ _APPLY_EXAMPLES = """examples:
   softcal station unit --simulated --twin rig-7.twin.json --serial A1 --out A1.csv
   softcal demo --twin rig-7.twin.json
 """
+HELP = "diagnose the sim-to-real gap: where, which cause, how far it shrinks"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal gap` and its commands."""
-    parser = commands.add_parser(
-        "gap",
-        help="diagnose the sim-to-real gap: where, which cause, how far it shrinks",
-        description="Compare the twin with recordings of a rig: where it is wrong, which effect causes it, how far "
-        "the gap shrinks, what to press next.",
-        epilog=_EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Compare the twin with recordings of a rig: where it is wrong, which effect causes it, how far the gap shrinks,
+    what to press next.
+    """
     inner = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     _add_diagnose(inner)
     _add_check(inner)

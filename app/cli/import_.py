@@ -15,17 +15,13 @@ EXAMPLES = """examples:
         --time-column t_s --reference-quantity pressure --reference-unit bar --output-unit count --out lot-2
 then: softcal batch lot-1
 """
+HELP = "make a lot folder out of CSV, Excel or Parquet files"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal import`."""
-    parser = commands.add_parser(
-        "import",
-        help="make a lot folder out of CSV, Excel or Parquet files",
-        description="Make a lot folder: one file per unit, or one wide file with a column per unit. Nothing is "
-        "written unless every file can be used.",
-        epilog=EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Make a lot folder: one file per unit, or one wide file with a column per unit. Nothing is written unless every
+    file can be used.
+    """
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="CSV, .xlsx or Parquet; of a folder, all")
     parser.add_argument("--out", required=True, type=Path, help="lot folder to make; must not exist yet")
     parser.add_argument(
@@ -64,7 +60,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument("--output-unit", default="V")
     parser.add_argument("--limit", type=float, metavar="RMSE", help="largest acceptable error, in the reference unit")
     parser.add_argument("--json", metavar="FILE", help="machine-readable result; - for standard output")
-    parser.set_defaults(run=run)
 
 
 def _rows(text: str) -> tuple[int, int]:

@@ -23,16 +23,11 @@ then: softcal station check --station station.toml; softcal batch lot-1
 
 NO_CELL = "none"
 T = TypeVar("T")
+HELP = "make a lot folder or a station file by questions"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal init`."""
-    parser = commands.add_parser(
-        "init",
-        help="make a lot folder or a station file by questions",
-        description="Ask what a lot or a station is, and write it down. Nothing that exists is written over.",
-        epilog=EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Ask what a lot or a station is, and write it down. Nothing that exists is written over."""
     kinds = parser.add_subparsers(title="what to make", metavar="WHAT", required=True)
     lot = kinds.add_parser("lot", help="a folder with lot.toml, for recordings that are still to come")
     lot.add_argument("folder", type=Path, metavar="FOLDER", help="lot folder to make")

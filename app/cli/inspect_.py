@@ -13,21 +13,15 @@ EXAMPLES = """examples:
 
 A damaged file is refused with the reason; with --network the unit's self-tests are run as a device would.
 """
+HELP = "say what a calibration file holds, and whether it is whole"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal inspect`."""
-    parser = commands.add_parser(
-        "inspect",
-        help="say what a calibration file holds, and whether it is whole",
-        description="Show a network or unit file (.ssc, or its JSON twin), after checking all that can be checked.",
-        epilog=EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Show a network or unit file (.ssc, or its JSON twin), after checking all that can be checked."""
     parser.add_argument("file", type=Path, metavar="FILE", help=".ssc or .json")
     parser.add_argument("--network", type=Path, metavar="FILE", help="the network file, to run a unit's self-tests")
     add_json(parser)
     add_csv(parser)
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

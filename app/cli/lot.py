@@ -34,16 +34,11 @@ EXAMPLES = """examples:
 
 After `lot audit` run `softcal batch` again: it measures the audited units and judges the lot.
 """
+HELP = "watch a lot folder; set the limit of a lot; plan and judge its audit"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal lot`."""
-    parser = commands.add_parser(
-        "lot",
-        help="watch a lot folder; set the limit of a lot; plan and judge its audit",
-        description="What concerns a lot as a whole.",
-        epilog=EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """What concerns a lot as a whole."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     watch = actions.add_parser("watch", help="calibrate units as their recordings land")
     watch.add_argument("folder", type=Path, metavar="LOT", help="lot folder")

@@ -40,7 +40,8 @@ COMMANDS = (
     "doctor",
     "completion",
 )
-"""Modules of `softcal.app.cli`, in the order of `softcal --help`; each has `add_parser` and sets `run`."""
+"""Modules of `softcal.app.cli`, in the order of `softcal --help`; each has `HELP`, `EXAMPLES`, `arguments` and
+`run`, or actions that set it."""
 
 LOGGED = ("demo", "import_", "train", "batch", "trim", "adapt", "station", "lot", "ui", "account", "api", "connect")
 """Commands whose runs are in the log: with what they were called, what they did, how they ended."""
@@ -134,7 +135,11 @@ def command_parser(modules: Sequence[str] = COMMANDS) -> argparse.ArgumentParser
     parser.add_argument("--version", action="version", version=f"softcal {version('softcal')}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name in modules:
-        importlib.import_module(f"softcal.app.cli.{name}").add_parser(commands)
+        module = importlib.import_module(f"softcal.app.cli.{name}")
+        what = " ".join((module.arguments.__doc__ or "").split())
+        command = commands.add_parser(name.rstrip("_"), help=module.HELP, description=what, epilog=module.EXAMPLES)
+        module.arguments(command)
+        command.set_defaults(run=getattr(module, "run", None))
     return parser
 
 

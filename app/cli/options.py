@@ -1,7 +1,7 @@
 """Options that several commands share, and what they mean."""
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import TYPE_CHECKING
 
@@ -18,6 +18,21 @@ REGISTRY_HELP = (
     "SQLAlchemy URL of the registry; default: $SOFTCAL_REGISTRY, else an SQLite file in the user's data folder"
 )
 JSON_HELP = "machine-readable result; - for standard output"
+
+
+def add_action(
+    actions: "argparse._SubParsersAction[argparse.ArgumentParser]",
+    shared: Iterable[Callable[[argparse.ArgumentParser], None]],
+    name: str,
+    summary: str,
+    run: Callable[[argparse.Namespace], int],
+) -> argparse.ArgumentParser:
+    """Add an action of a command, described by its summary, with the options that `shared` adds."""
+    parser = actions.add_parser(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.")
+    for add in shared:
+        add(parser)
+    parser.set_defaults(run=run)
+    return parser
 
 
 def add_registry(parser: argparse.ArgumentParser) -> None:

@@ -1,11 +1,12 @@
 """`softcal quality`: gauge studies, capability, yields and golden units."""
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import add_csv, add_json, add_registry, registry_of
+from softcal.app.cli.options import add_action, add_csv, add_json, add_registry, registry_of
 from softcal.app.output import print_table, write_json
 from softcal.core.errors import InputError
 
@@ -22,50 +23,33 @@ EXAMPLES = """examples:
 
 A capability is refused while the process is not stable: the number would promise what nobody can keep.
 """
+HELP = "gauge R&R, capability, yields, golden-unit trends"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal quality`."""
-    parser = commands.add_parser(
-        "quality",
-        help="gauge R&R, capability, yields, golden-unit trends",
-        description="Numbers for quality: is the gauge good enough, is the process stable, how many units pass.",
-        epilog=EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Numbers for quality: is the gauge good enough, is the process stable, how many units pass."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
-    grr = _action(actions, "grr", "gauge repeatability and reproducibility", _grr)
+    action = partial(add_action, actions, (add_json, add_csv))
+    grr = action("grr", "gauge repeatability and reproducibility", _grr)
     grr.add_argument("file", type=Path, metavar="CSV", help="columns unit, station, trial, value")
     grr.add_argument("--method", choices=("anova", "range"), default="anova", help="default: anova")
     grr.add_argument("--tolerance", type=float, metavar="WIDTH", help="also in %% of this tolerance width")
-    able = _action(actions, "capability", "Cp, Cpk, Pp, Ppk with interval, on a stable process only", _capability)
+    able = action("capability", "Cp, Cpk, Pp, Ppk with interval, on a stable process only", _capability)
     add_registry(able)
     able.add_argument("--lot", metavar="ID", help="predicted errors of this lot")
     able.add_argument("--file", type=Path, metavar="CSV", help="numbers from a file instead, in time order")
     able.add_argument("--column", help="which column of the file")
     able.add_argument("--min", type=float, dest="minimum")
     able.add_argument("--max", type=float, dest="maximum", help="default: the lot's limit")
-    count = _action(actions, "yield", "first-pass, second-pass and final yield of a lot", _yield)
+    count = action("yield", "first-pass, second-pass and final yield of a lot", _yield)
     add_registry(count)
     count.add_argument("--lot", metavar="ID", required=True)
     count.add_argument("--conditional-is-good", action="store_true", help="count conditional verdicts as good")
-    golden = _action(actions, "golden", "control charts of the golden units", _golden)
+    golden = action("golden", "control charts of the golden units", _golden)
     add_registry(golden)
     golden.add_argument("--station", metavar="NAME")
     golden.add_argument("--serial")
     golden.add_argument("--baseline", type=int, metavar="N", help="limits from the first N checks (default: all)")
-
-
-def _action(
-    actions: "argparse._SubParsersAction[argparse.ArgumentParser]",
-    name: str,
-    summary: str,
-    action: Callable[[argparse.Namespace], int],
-) -> argparse.ArgumentParser:
-    parser = actions.add_parser(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.")
-    add_json(parser)
-    add_csv(parser)
-    parser.set_defaults(run=action)
-    return parser
 
 
 def _grr(options: argparse.Namespace) -> int:

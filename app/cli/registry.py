@@ -3,11 +3,20 @@
 import argparse
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal.app.bootstrap import registry_url
-from softcal.app.cli.options import add_csv, add_json, add_lot_of_serial, add_registry, registry_of, say_written
+from softcal.app.cli.options import (
+    add_action,
+    add_csv,
+    add_json,
+    add_lot_of_serial,
+    add_registry,
+    registry_of,
+    say_written,
+)
 from softcal.app.output import print_table, say, shown, write_json
 from softcal.core.errors import RegistryError
 
@@ -28,63 +37,46 @@ EXAMPLES = """examples:
 The registry is an SQLite file or a PostgreSQL database:
   --registry sqlite:///relative.db, sqlite:////absolute/file.db or postgresql://USER@HOST/DATABASE
 """
+HELP = "the database: list, history, verify, backup, restore, sync, rollback, upgrade"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal registry` and what it does."""
-    parser = commands.add_parser(
-        "registry",
-        help="the database: list, history, verify, backup, restore, sync, rollback, upgrade",
-        description="Units, maps and who did what: append-only, with a chained audit trail.",
-        epilog=EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Units, maps and who did what: append-only, with a chained audit trail."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
-    listing = _action(actions, "list", "units with their newest verdict", _list)
+    action = partial(add_action, actions, (add_registry, add_json))
+    listing = action("list", "units with their newest verdict", _list)
     listing.add_argument("--lot", metavar="ID", help="only this lot")
     add_csv(listing)
-    history = _action(actions, "history", "every revision of a unit's map", _history)
+    history = action("history", "every revision of a unit's map", _history)
     history.add_argument("--serial", required=True)
     add_lot_of_serial(history)
     add_csv(history)
-    verify = _action(actions, "verify", "check every stored byte, every row, the schema and the audit trail", _verify)
+    verify = action("verify", "check every stored byte, every row, the schema and the audit trail", _verify)
     verify.add_argument("--quick", action="store_true", help="leave out pages and blobs")
     verify.add_argument(
         "--against", action="append", type=Path, default=[], metavar="FILE",
         help="a backup, or audit.json of an export: nothing that it knows may be gone; may be repeated",
     )  # fmt: skip
-    backup = _action(actions, "backup", "write one consistent copy while the registry is in use", _backup)
+    backup = action("backup", "write one consistent copy while the registry is in use", _backup)
     backup.add_argument("file", type=Path, metavar="FILE", help="new SQLite file")
-    restore = _action(actions, "restore", "fill an empty registry from a backup", _restore)
+    restore = action("restore", "fill an empty registry from a backup", _restore)
     restore.add_argument("file", type=Path, metavar="FILE", help="a backup")
-    rollback = _action(actions, "rollback", "bring an older revision back into use", _rollback)
+    rollback = action("rollback", "bring an older revision back into use", _rollback)
     rollback.add_argument("--serial", required=True)
     add_lot_of_serial(rollback)
     rollback.add_argument("--to", required=True, type=int, metavar="REVISION")
     rollback.add_argument("--origin", metavar="REGISTRY", help="who made it, where two registries made this revision")
     rollback.add_argument("--reason", required=True, help="lands in the audit trail")
-    sync = _action(actions, "sync", "bring a station's registry and the line's together, both ways", _sync)
+    sync = action("sync", "bring a station's registry and the line's together, both ways", _sync)
     sync.add_argument("--with", required=True, dest="other", metavar="URL", help="the other registry")
-    grants = _action(actions, "grants", "print the SQL that gives a PostgreSQL role what the line needs", _grants)
+    grants = action("grants", "print the SQL that gives a PostgreSQL role what the line needs", _grants)
     grants.add_argument("--line", default="softcal_line", metavar="ROLE", help="may calibrate; default softcal_line")
     grants.add_argument(
         "--manager", default="softcal_manager", metavar="ROLE",
         help="may also set people, limits, rules and certificates; default softcal_manager",
     )  # fmt: skip
     grants.add_argument("--reader", default="softcal_reader", metavar="ROLE", help="may read; default softcal_reader")
-    _action(actions, "upgrade", "bring the tables to this version (SQLite: after a backup)", _upgrade)
-
-
-def _action(
-    actions: "argparse._SubParsersAction[argparse.ArgumentParser]",
-    name: str,
-    summary: str,
-    action: Callable[[argparse.Namespace], int],
-) -> argparse.ArgumentParser:
-    parser = actions.add_parser(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.")
-    add_registry(parser)
-    add_json(parser)
-    parser.set_defaults(run=action)
-    return parser
+    action("upgrade", "bring the tables to this version (SQLite: after a backup)", _upgrade)
 
 
 def _answer(options: argparse.Namespace, line: str, value: dict[str, object]) -> int:

@@ -11,22 +11,17 @@ EXAMPLES = """examples:
   softcal report lot-1                              writes lot-1.html
   softcal report lot-1 --out report.html --language ko
 """
+HELP = "one HTML page of a lot: verdicts, errors, process, every unit"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal report`."""
-    parser = commands.add_parser(
-        "report",
-        help="one HTML page of a lot: verdicts, errors, process, every unit",
-        description="Write one standalone HTML page of a lot in the registry: yields, errors predicted and measured, "
-        "control chart, why units did not pass, every unit. It needs no network to be read.",
-        epilog=EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Write one standalone HTML page of a lot in the registry: yields, errors predicted and measured, control chart,
+    why units did not pass, every unit. It needs no network to be read.
+    """
     parser.add_argument("lot", metavar="LOT", help="id of a lot in the registry, or its lot folder")
     parser.add_argument("--out", type=Path, metavar="FILE", help="default: LOT.html")
     parser.add_argument("--language", choices=("en", "ko"), default="en")
     add_registry(parser)
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -44,16 +44,11 @@ Exit code 3: a device is missing or failed; the stage was stopped and no file wa
 """
 
 SPOOL_HELP = "where samples go as they come; default: the user's data folder"
+HELP = "the rig: find devices, self-test, press and record a unit"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal station` and its actions."""
-    parser = commands.add_parser(
-        "station",
-        help="the rig: find devices, self-test, press and record a unit",
-        description="The rig: find its devices, test it, press a unit with a profile and record it.",
-        epilog=EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """The rig: find its devices, test it, press a unit with a profile and record it."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     _add_check(actions)
     for kind, what in (("source", "with the load cell: output and reference"), ("unit", "output only")):

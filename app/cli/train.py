@@ -10,23 +10,18 @@ EXAMPLES = """examples:
   softcal train lot-1
   softcal train lot-1 --registry sqlite:///line-3.db --hidden 32,16 --seed 7 --json -
 """
+HELP = "train the shared network f on the source unit"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal train`."""
-    parser = commands.add_parser(
-        "train",
-        help="train the shared network f on the source unit",
-        description="Train f on the source's labelled recording and store it under its content hash. The same "
-        "recording and configuration find the network trained before.",
-        epilog=EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Train f on the source's labelled recording and store it under its content hash. The same recording and
+    configuration find the network trained before.
+    """
     parser.add_argument("lot", type=Path, metavar="LOT", help="lot folder")
     add_registry(parser)
     add_network(parser)
     add_json(parser)
     add_csv(parser)
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

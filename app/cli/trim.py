@@ -12,22 +12,16 @@ EXAMPLES = """examples:
 Two loads fix zero and span: nothing on the unit, and a weight near the top of its range. Every trim is a
 revision of its own; `softcal registry rollback` takes it back.
 """
+HELP = "two or more known loads at the place of use re-anchor a unit's map"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal trim`."""
-    parser = commands.add_parser(
-        "trim",
-        help="two or more known loads at the place of use re-anchor a unit's map",
-        description="Correct gain and zero of a unit's map by known loads at its place of use.",
-        epilog=EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Correct gain and zero of a unit's map by known loads at its place of use."""
     parser.add_argument("--serial", required=True, metavar="S")
     parser.add_argument("--loads", required=True, type=Path, metavar="FILE", help="CSV or Parquet: output, reference")
     add_lot_of_serial(parser)
     add_registry(parser)
     add_json(parser)
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -14,16 +14,11 @@ EXAMPLES = """examples:
 
 Closing the application never stops the station: its service is a process of its own (softcal station serve).
 """
+HELP = "the operator's screen and the engineer's desk"
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add `softcal ui`."""
-    parser = commands.add_parser(
-        "ui",
-        help="the operator's screen and the engineer's desk",
-        description="Serve the Streamlit application on this machine only and open it. Needs no internet.",
-        epilog=EXAMPLES,
-    )
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Serve the Streamlit application on this machine only and open it. Needs no internet."""
     add_registry(parser)
     parser.add_argument("--port", type=int, default=0, help="default: the first free one from 8501")
     parser.add_argument("--address", default="127.0.0.1", help="default: this machine only")
@@ -41,7 +36,6 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument(
         "--accounts", type=Path, metavar="FILE", help="TOML with [auth]: sign in by company account (OIDC)"
     )
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -43,7 +43,6 @@ class RegistryEvent:
         at: when, UTC.
         subject: what it is about, as a path.
         data: JSON values.
-        after: cursor behind this event.
     """
 
     event_id: str

@@ -89,7 +89,6 @@ class Forwarder:
             self._registry.outbox.release(self.holder)
 
     def close(self) -> None:
-        """Close the sender, if it is open."""
         opened, self._opened, self._sender = self._opened, None, None
         if opened is not None:
             opened.__exit__(None, None, None)

@@ -19,7 +19,6 @@ class ServingOptions:
 
     Args:
         registry: URL of the registry; None takes the default.
-        host, port: where to listen.
         names: other names under which programs reach this server, as behind a proxy.
         cert_file, key_file: of the server; needed where other machines reach it.
     """

@@ -91,7 +91,6 @@ class SharedNetwork:
 
     @cached_property
     def file(self) -> NetworkFile:
-        """The shared device file of the lot."""
         return build_network_file(self.network, self.source)
 
 
@@ -123,7 +122,6 @@ class CalibratedUnit:
 
     @cached_property
     def calibration(self) -> Calibration:
-        """The calibration, ready to estimate with."""
         return Calibration.from_record(self.stored.record)
 
     @cached_property

@@ -23,7 +23,6 @@ class ExportedUnit:
     """What was written for one unit, or why something was not.
 
     Args:
-        serial, revision, verdict: which calibration.
         files: names of the files in the folder.
         refusal: why files that give numbers were not written; None where all were.
         device: sizes and errors of the device form; empty where none was asked for or it was refused.
@@ -58,7 +57,6 @@ def export_units(
     Args:
         formats: names of `softcal.app.export.names.formats`.
         out: folder; files of other units in it stay, and stay in its manifest.
-        options: choices for all of them.
         on_unit: told after each unit.
 
     Raises:

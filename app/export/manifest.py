@@ -59,7 +59,6 @@ class Manifest:
         return replace(self, files={name: entry for name, entry in self.files.items() if name not in names})
 
     def with_unit(self, serial: str, facts: Mapping[str, object]) -> "Manifest":
-        """Return the manifest with one more unit, or newer facts of it."""
         return replace(self, units={**self.units, serial: facts})
 
     def text(self) -> str:

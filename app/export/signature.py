@@ -45,7 +45,6 @@ class TrustedKey:
     """A public key somebody trusts.
 
     Args:
-        name: whose it is.
         valid_from, valid_until: first day it signs, first day it no longer does; None for no such day.
     """
 
@@ -56,7 +55,6 @@ class TrustedKey:
 
     @property
     def label(self) -> str:
-        """Name and fingerprint."""
         return f"{self.name} ({fingerprint(self.key)})"
 
     @property

@@ -55,8 +55,6 @@ class ImportPlan:
     """What to import and what the lot is to be.
 
     Args:
-        files: the tables.
-        columns: which columns hold what.
         lot: facts of the lot; its `sample_rate_Hz` must be known unless there is a time column.
         audit: whether references of target units are kept in audit/: what was measured decides about its unit.
         fit_rows, audit_rows: (start, stop) of data rows, counted from 0, for recordings that fit and that score;
@@ -124,7 +122,6 @@ def import_lot(plan: ImportPlan, folder: Path, on_remark: Callable[[str], None] 
     """Write a lot folder, whole or not at all, and return the serials of its target units.
 
     Args:
-        folder: the lot folder to make.
         on_remark: told what is odd but no error, for example one recording under two serials.
 
     Raises:
@@ -187,7 +184,6 @@ class LookedAt:
     """What one table, or one column of it, would become.
 
     Args:
-        file: name of the table.
         serial: of the unit; "" where the table as a whole cannot be read.
         unit: as read; None where it would be refused.
         problem: why it would be refused; "" where it would not.

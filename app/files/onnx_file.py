@@ -16,7 +16,6 @@ def onnx_bytes(graph: Graph, metadata: Mapping[str, str]) -> bytes:
     `source_window` (n, 15).
 
     Args:
-        graph: f∘γ.
         metadata: custom properties such as serial, units and hashes.
     """
     nodes = [

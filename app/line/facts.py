@@ -84,11 +84,9 @@ class LineFacts:
     """Where a line stands.
 
     Args:
-        now: this instant.
         stations: every station that ever gave a sign of life.
         heartbeat: of the chosen one; None where there is none.
         is_alive: whether its process lives; None where that cannot be seen from here.
-        lots: of the registry.
         lot: chosen or last used.
         active: the run that occupies the station.
         runs: newest runs of the station, newest first.
@@ -173,7 +171,6 @@ class LineFacts:
 
     @property
     def is_golden(self) -> bool:
-        """Whether the unit that waits is a golden one."""
         return bool(self.serial) and self.place.is_golden
 
     @property

@@ -61,7 +61,6 @@ class StationGate:
 
     Args:
         registry: knows certificates and golden runs.
-        station: name of the station.
         config: its load cell and safety bounds.
         rules: how strict the line is.
     """
@@ -121,7 +120,6 @@ def check_golden(
     within three sigma of its own control chart, before that below the limit of its lot.
 
     Args:
-        recording_sha256: its recording, where it is kept.
         source: where the golden unit is the source of a lot itself, which f reads without a map.
 
     Raises:

@@ -96,7 +96,6 @@ class StationHost:
 
     Args:
         queue: where orders come from and progress goes.
-        station: name of the station.
         keeper: takes finished runs.
         override: takes an engineer's decision to open the gate: who and why.
         make_service: the service for its two hooks, progress and stop; it is started by `run`.

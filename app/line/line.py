@@ -48,7 +48,6 @@ def take_scan(registry: Registry, screen: Screen, text: str, actor: str = "") ->
     """Do what a scan means; what it led to stands at the line, for every screen.
 
     Args:
-        screen: where it was scanned.
         text: as the scanner typed it.
         actor: who has shown who they are at this screen; "" leaves it to the badge.
 

@@ -22,8 +22,6 @@ class Note:
 
     Args:
         key: of the text `note.KEY`.
-        values: that it names.
-        is_refusal: whether the scan was refused.
         run: the newest run when it was said; a later run ends it.
         is_meanwhile: whether it was said while that run was in progress.
     """
@@ -51,7 +49,6 @@ class Place:
         lot_id: chosen by a scan; "" leaves it to the only one, or the last one used.
         tab: the screen that scanned.
         note: about the last scan.
-        operator, badged_at: from the last badge.
     """
 
     version: int = 0

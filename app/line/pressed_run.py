@@ -50,7 +50,6 @@ class RunKeeper:
 
     Args:
         registry: where recordings, networks and verdicts go.
-        station: name of the station.
         network: how f is trained from a source's recording.
         method: every number of the calibration.
         reference: what the station compares sources with; None where nobody said.
@@ -104,8 +103,6 @@ class RunKeeper:
         """Store a finished run and do what follows from it; return how the order ended.
 
         Args:
-            order: what was asked.
-            recording: what was pressed.
             tell: takes progress while a network is trained or a unit calibrated.
 
         Raises:

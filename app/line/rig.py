@@ -171,7 +171,6 @@ class StationCheck:
     findings: tuple[SelfTestItem, ...]
 
     def as_json(self) -> dict[str, object]:
-        """Return the report as JSON values."""
         return {
             "schema": "softcal.station-check/1",
             "station": self.config.name,
@@ -246,7 +245,6 @@ def record_to_files(
     """Press once and write one file per channel, whole or not at all.
 
     Args:
-        serials: one per channel of the readout.
         out: the file; with several channels the folder.
         spool_folder: samples go there as they come; removed again when the files are written.
 

@@ -15,9 +15,6 @@ def is_unheard_of(registry: Registry, lot: Lot, rules: LineRules, serial: str, p
 
     A unit that the lot knows is not asked for. Where the lot's units were registered by name, every other one is. Else
     it must fit the lot's rule or, where nobody set one, look like the source or like a unit pressed of late.
-
-    Args:
-        pressed: serials pressed of late in this lot.
     """
     if _is_of_lot(registry, lot, serial):
         return False

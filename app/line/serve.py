@@ -37,9 +37,7 @@ class Serving:
         station_file: the rig; None for the simulated one.
         simulated_seed: of the simulated rig and its lot of units; None for a real one.
         speed: simulated seconds per second.
-        source_s, unit_s, depth_mm, profile_seed: of the profiles it presses with.
         source_profile, unit_profile: files of profiles, where others are wanted.
-        rules: how strict its gate is.
         override: an engineer's reason to run in spite of the gate; "" where there is none.
         network: how f is trained from a source's recording.
     """

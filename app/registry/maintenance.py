@@ -60,7 +60,6 @@ class Verification:
     """What `registry verify` found.
 
     Args:
-        faults: a line each.
         audit_rows: rows of the audit trail, of all chains.
         heads: number and hash of the last row of each chain; written down elsewhere they prove that nothing was cut.
     """

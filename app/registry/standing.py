@@ -11,11 +11,7 @@ from softcal.db.registry import Registry
 
 
 def standing_of(registry: Registry, stored: StoredCalibration) -> UnitStanding:
-    """Return how the unit of a calibration stands now; without `made`, its newest result is no calibration.
-
-    Args:
-        stored: any calibration of the unit.
-    """
+    """Return how the unit of a calibration stands now; without `made`, its newest result is no calibration."""
     found = registry.pages.standings(stored.lot_id, [stored.serial]).get(stored.serial)
     nothing = UnitStanding(stored.serial, UNDECIDED, (plain("none of its calibrations is in use"),), stored.made_at)
     return nothing if found is None else found
@@ -25,7 +21,6 @@ def caution(registry: Registry, stored: StoredCalibration, action: str) -> str:
     """Return the warning, and record the use; empty where the calibration passed and the unit still does.
 
     Args:
-        stored: the calibration that is used.
         action: what is done with it, for example `estimate`.
     """
     standing = standing_of(registry, stored)

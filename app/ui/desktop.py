@@ -31,7 +31,6 @@ class UiOptions:
     Args:
         registry: URL of the registry; None takes the default.
         port: TCP port; 0 takes the first free one from 8501.
-        address: address to listen on.
         is_window, is_kiosk: open as an application window, full screen.
         opens_browser: otherwise open the default browser.
         station: name of the station at this screen.

@@ -61,8 +61,6 @@ class AdaptReport:
 
     Args:
         serial, revision, stream, mode: which unit, from which calibration, under which name, how.
-        lot: lot of the unit.
-        rows: rows taken.
         flags: rows by each word of their flags.
         verdicts: how often the map was followed, held or jumped.
         current: the correction in force.

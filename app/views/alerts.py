@@ -21,7 +21,6 @@ class Alert:
 
     Args:
         kind: of the text `alert.KIND`.
-        values: of that text.
         is_urgent: whether what is made meanwhile may be wrong.
     """
 

@@ -83,7 +83,6 @@ class Entry:
     """One line of the trail.
 
     Args:
-        row: as it is kept.
         section: of `HEADINGS`.
         what: a sentence: what was done to what.
         changes: (name, before, after) of what changed; before is "" where there was nothing.
@@ -125,7 +124,6 @@ class TrailFilter:
     until: datetime | None = None
 
     def takes(self, entry: Entry) -> bool:
-        """Whether a line is wanted."""
         return (
             (not self.actors or entry.row.actor in self.actors)
             and (not self.sections or entry.section in self.sections)

@@ -28,7 +28,6 @@ class AuditTrace:
     """The stretch of one audit that no fit has seen.
 
     Args:
-        serial: the unit.
         reference, estimate: (n,) in the reference unit.
     """
 

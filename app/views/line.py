@@ -47,7 +47,6 @@ class LineView:
         cells: (label, value) that are always visible.
         chips: the last units, newest first.
         actions: commands that make sense now.
-        phase, fraction, remaining: of a run.
         signal: live signal of a run.
         version: of what stands at the line, so that a key names what its person has seen.
     """
@@ -70,7 +69,6 @@ class LineView:
 
     @property
     def tone(self) -> str:
-        """The look of the state."""
         return STATES[self.state].tone
 
     @property
@@ -93,7 +91,6 @@ def line_view(facts: LineFacts, operator: str, words: Words) -> LineView:
     """Return what the screen shows.
 
     Args:
-        facts: where the line stands.
         operator: name of who has signed in at this screen; "" leaves it to the badge.
         words: texts of the language.
     """
@@ -366,7 +363,6 @@ class LineState:
         has_news: another network is told of.
         has_why: its reasons open with their numbers.
         instruction: the one thing to do now.
-        details: why it is so.
     """
 
     tone: str

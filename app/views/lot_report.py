@@ -23,7 +23,6 @@ class ReportPart:
     """A section of the report.
 
     Args:
-        title: above it.
         picture: the picture that says the same: errors, process, reasons or scores; "" for none.
         header, rows: its table; empty where a picture alone says it.
         shares: of the page's width, by column.

@@ -89,7 +89,6 @@ def loss_spec(trace: Mapping[str, Sequence[float]], unit: str, names: Mapping[st
 
     Args:
         trace: epoch, train, validation.
-        unit: of the errors.
         names: words for epoch, train and validation.
     """
     series = [

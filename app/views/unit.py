@@ -23,9 +23,7 @@ class UnitView:
     """One revision of one unit in full.
 
     Args:
-        stored: the revision as the registry has it.
         calibration: the same, ready to estimate with.
-        lot: facts of its lot.
         source: labelled recording of the lot's source unit.
         recording: the unit's own recording.
         estimate: f∘γ over that recording.
@@ -53,7 +51,6 @@ class UnitView:
 
     @property
     def flagged(self) -> int:
-        """Rows that are not to be trusted."""
         return int(np.sum(self.estimate.flag != ""))
 
 

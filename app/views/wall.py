@@ -36,7 +36,6 @@ class WallView:
     """The wall board.
 
     Args:
-        lot: its name.
         tiles: (label, value, what stands below it), the largest first.
         verdicts: (verdict, word, number of units).
         stations: every station that did not say goodbye.

@@ -58,7 +58,6 @@ class SealedCase:
     """What the seal holds of one case.
 
     Args:
-        name: folder of the case.
         line: the stratum it was drawn for.
         rig: base parameters.
         peak_N: force at full depth.

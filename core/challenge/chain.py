@@ -122,7 +122,6 @@ def record(
     Args:
         rig: base parameters and metadata.
         rack: the equations at work.
-        path: where the stage goes.
         temperature: °C at given times.
         rng: noise, and whatever an equation draws for this run.
         kind: a kind of TWIN.md; `rigid_block`, `dummy_resistor` and `dead_weights` change what is pressed.

@@ -161,8 +161,6 @@ def draw_case(seed: int, name: str, line: str) -> SealedCase:
     """Draw one case of a line; the same seed and line give the same case.
 
     Args:
-        seed: seed of everything in the case.
-        name: its folder.
         line: a key of `LINES`.
     """
     rng = np.random.default_rng([seed, list(LINES).index(line)])

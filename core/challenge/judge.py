@@ -24,7 +24,6 @@ class Answer:
     """What a report says, read once.
 
     Args:
-        verdict: word of the report.
         probabilities: stated probability of every effect of the catalogue.
         first: the effect with the highest probability, empty where none is above zero.
         named: effects with a probability of at least one half.
@@ -97,7 +96,6 @@ class Judged:
     """One case with its truth beside the answer.
 
     Args:
-        label: the opened label.
         answer: what the report said, None where there is no report or it cannot be read.
         realised_shrink: shrink on the run that was kept back, NaN where it was not computed.
         unread: why a report cannot be read; empty where it can, or where there is none.

@@ -48,7 +48,6 @@ class Mistake:
     seed: int = 0
 
     def to_text(self) -> str:
-        """Return it as one line for a label."""
         return json.dumps(self.__dict__)
 
     @classmethod

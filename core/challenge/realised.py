@@ -65,7 +65,6 @@ def realised_shrink(case: SealedCase, report: Mapping[str, Any]) -> float:
     """Return 1 − (after − floor)/(before − floor) on the kept-back run; channels add in units of their noise.
 
     Args:
-        case: the opened case.
         report: a record of schema `softcal.gap/1` with the fitted `base`; its named causes are the twin's effects.
 
     Returns:

@@ -163,7 +163,6 @@ def score_reports(
     """Score the reports of a challenge; a case without a report, or with one that cannot be read, counts as wrong.
 
     Args:
-        labels: the opened labels.
         reports: per case name, a report of schema `softcal.gap/1`.
         realised: shrink of a report's twin on the run that was kept back, NaN where it has none.
     """

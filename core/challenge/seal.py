@@ -46,9 +46,7 @@ def seal_labels(cases: Sequence[SealedCase], contents: Mapping[str, str], seed: 
     """Write the labels of a challenge as sealed text.
 
     Args:
-        cases: what was drawn.
         contents: content hash of every case by its name.
-        seed: the seed of the draw.
         nonce: random text of at least 128 bits.
     """
     labels = [

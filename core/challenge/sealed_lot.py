@@ -22,11 +22,7 @@ class LotRun:
 
 
 def press_lot(case: SealedCase, units: int) -> Iterator[LotRun]:
-    """Press a source unit and target units, each with an audit, on the rig of a sealed case.
-
-    Args:
-        units: number of target units.
-    """
+    """Press a source unit and target units, each with an audit, on the rig of a sealed case."""
     rng = np.random.default_rng([case.kept_back.seed, 40_009])
     for number in range(units + 1):
         unit, serial = sister(case, rng), f"R{number:02d}"

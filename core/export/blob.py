@@ -139,7 +139,6 @@ class NetworkFile:
     """The shared network as a device holds it; once per lot.
 
     Args:
-        network: f in integers.
         network_sha256: the registry's id of f (hex).
         source_serial: the unit f was trained on.
         period_us: time between two samples of a window in µs.
@@ -193,7 +192,6 @@ class UnitFile:
         revision: of the calibration in the registry; the newest valid one wins on the device.
         time_s: when it was calibrated, Unix time in s; 0 where unknown.
         flags: CONDITIONAL, FAILED or 0.
-        device_map: γ in integers.
         scale: what a code means in the sensor's output unit; the device does not need it.
         code_min, code_max: codes the unit was seen with; outside, the estimate is flagged.
         out_min, out_max: the estimate is clamped to these, in counts.

@@ -209,11 +209,9 @@ def compile_map(
     """Compile γ: the first of the forms that is as good as exact, else the nearest one within the limit.
 
     Args:
-        unit_map: γ as fitted.
         network: the shared network f.
         recording: the unit's own recording; the deviation is measured on its windows.
         limit: largest rms deviation of the estimate, in the network's reference unit.
-        forms: the forms to try.
         clear: largest deviation, in the same unit, of a form that is taken without trying those after it.
 
     Raises:

@@ -87,7 +87,6 @@ class UnitFacts:
     """What an export knows of one calibrated unit.
 
     Args:
-        serial, revision, verdict: of the calibration.
         time_s: when it was made, Unix time in s.
         recording: the unit's own recording.
         lower, upper: (m,) ends of the 90 % interval of f∘γ at every window of `recording`, in reference units.

@@ -40,7 +40,6 @@ def quantise_network(network: Network, source_windows: Array) -> IntegerNetwork:
     """Make the integer form of f; activation ranges come from the source's windows.
 
     Args:
-        network: f as trained.
         source_windows: (n, TAPS) windows of the source recording in `network.output_unit`.
 
     Raises:

@@ -38,7 +38,6 @@ class AnchoredMap:
         return self.offset + self.gain * self.inner.apply_signal(signal)
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Return the arrays of the inner map with gain and offset."""
         own = {"anchor_gain": np.array(self.gain), "anchor_offset": np.array(self.offset)}
         return self.inner.arrays() | own
 
@@ -83,7 +82,6 @@ def firmness(kind: str, config: AnchorConfig) -> Firmness:
 
     Args:
         kind: how its loads are known: `paired`, `stage` or anything else (`core/unit/knowledge.py`).
-        config: from the method.
     """
     firm = {"paired": config.firm_paired, "stage": config.firm_stage}
     if kind in firm:
@@ -106,7 +104,6 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, firm: Firmn
     were read in motion, whose scatter is that of sigma_k, change little.
 
     Args:
-        problem: source and network.
         unit_map: fitted without anchors.
         anchors: outputs at rest under known loads.
         firm: how far the map is believed beside them.

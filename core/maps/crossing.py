@@ -64,7 +64,6 @@ def level_path(recording: OutputRecording, average: int, config: CrossingConfig)
     Args:
         recording: the unit's output.
         average: samples averaged against noise before turning points are sought (`averaging_length`).
-        config: what counts as a swing.
     """
     # A share of the range: no unit, gain or readout changes what counts as a swing.
     threshold = config.threshold * _range(recording, config)

@@ -22,7 +22,6 @@ def exact_map(target: Array, source: Array, placed: Array, config: PlanConfig) -
         target: (m, taps) windows.
         source: (n, taps) windows they are coupled with.
         placed: (n, taps) where these stand in the space f reads; the source windows themselves, unless they were moved.
-        config: numbers of the plan.
     """
     rows = spread_rows(len(source), config.most_windows)
     target, source, placed = target[spread_rows(len(target), config.most_windows)], source[rows], placed[rows]

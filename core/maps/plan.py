@@ -54,7 +54,6 @@ class TransportMap:
         return self.apply(windows(signal))
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Return the stored windows and their displacements."""
         return {"stored": self.stored, "displacement": self.displacement}
 
     def settings(self) -> Settings:

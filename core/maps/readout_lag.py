@@ -39,9 +39,7 @@ def find_readout_lag(
     slowed source as well. Loads that change slowly show no lag, and suffer from none.
 
     Args:
-        source, target: both recordings.
         synchrony: what `find_synchrony` found between them.
-        maps: from the method.
     """
     config = maps.lag
     shared = (

@@ -107,10 +107,6 @@ def check_trainable(source: LabelledRecording) -> None:
 def validation_blocks(count: int, share: float) -> Mask:
     """Mark the windows kept for validation: several blocks in time, spread evenly over the recording.
 
-    Args:
-        count: number of windows.
-        share: share of them to keep.
-
     Returns:
         (count,) True where a window validates; a guard of TAPS windows beside each block belongs to neither side.
     """

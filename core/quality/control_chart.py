@@ -71,7 +71,6 @@ class ControlChart:
 
     @property
     def range_upper(self) -> float:
-        """Upper control limit of the moving ranges."""
         return D4 * D2 * self.sigma
 
     @cached_property

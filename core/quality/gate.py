@@ -79,7 +79,6 @@ class StationFacts:
         rig: what the rig says of itself.
         zero_return_limit_N: largest change of the load cell's zero over a run.
         warm_up: how long the load cell must be powered first.
-        has_cell: whether there is a load cell at all.
         needs_certificate, needs_golden: whether this line asks for them.
         override: an engineer's decision, where there is one.
     """

@@ -52,7 +52,6 @@ class GaugeStudy:
 
     @property
     def grr_percent(self) -> float:
-        """GRR in % of the total study variation."""
         return 100.0 * self.grr / self.total
 
     @property

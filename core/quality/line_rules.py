@@ -52,7 +52,6 @@ class LineRules:
                 raise InputError(f"retests {verdict}={times}; 0 to 99 after one of {', '.join(RETESTS)} was expected")
 
     def spelled(self, scanned: str) -> str:
-        """Return a serial as this lot spells it."""
         return {"upper": scanned.upper(), "lower": scanned.lower()}.get(self.letters, scanned)
 
     def fits(self, serial: str) -> bool:

@@ -22,7 +22,6 @@ class LotRelease:
 
     Args:
         qualification: whether units may be released, and on which audits.
-        promise: asked for.
         forecasts: forecast RMSE by serial of the units decided on.
         found: which of them are released; None without a qualification.
         widening: of their 90 % intervals.

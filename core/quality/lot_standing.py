@@ -30,7 +30,6 @@ class UnitInLot:
 
     Args:
         verdict: as it stands; None before the first result.
-        reasons: why.
         is_measured: whether its error was measured, by an audit that counts.
         had_passed: whether an earlier verdict released it.
         audited_at: when its newest audit came into the registry, UTC; None without one, whether it counts or not.
@@ -99,7 +98,6 @@ class LotStanding:
         return tuple(sorted(audited, key=lambda u: (u.doubt is None, -(u.measured_rmse or 0.0), u.serial)))
 
     def on(self, way: Way) -> tuple[UnitInLot, ...]:
-        """Return the units that are released by this, or kept by it."""
         return tuple(unit for unit in self.units if unit.way == way)
 
     def to_json(self) -> dict[str, object]:

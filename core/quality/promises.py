@@ -19,7 +19,6 @@ def promise_rows(
 
     Args:
         units: of the lot; None for any.
-        promise: asked for.
     """
     counts = sorted({3, ReleaseConfig.least_audits, audits_wanted(promise), 10, 20, audits_by_count(promise)})
     rows: list[list[object]] = []

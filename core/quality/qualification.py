@@ -42,8 +42,6 @@ class Qualification:
         source: `this lot`, `earlier lots` or `none`.
         audits: the audited units that count; empty where there is none.
         wanted: audits of this lot that are still missing; 0 where it is qualified.
-        reason: why.
-        here: audited units of this lot, enough or not.
     """
 
     source: str

@@ -27,7 +27,6 @@ class AuditedUnit:
     Args:
         forecast_rmse: forecast before it was measured, in the reference unit.
         measured_rmse: RMSE against the reference, in the same.
-        lot_id: lot it belongs to.
 
     Raises:
         InputError: an error is not a positive number.

@@ -66,7 +66,6 @@ def yields(runs: Mapping[str, Sequence[UnitRun]], golden: Collection[str] = (), 
     Args:
         runs: per serial its runs in time order; a unit without a run does not count.
         golden: serials that check the station; they are left out.
-        good: verdicts that count as good.
     """
     kept = [unit for serial, unit in runs.items() if unit and serial not in golden]
     verdicts = [[run.verdict in good for run in unit] for unit in kept]

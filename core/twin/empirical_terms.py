@@ -198,7 +198,6 @@ class EmpiricalTerm:
             raise InputError(f"{self.place} += … {self.variable}: load_N and depth_mm must be above 0")
 
     def sized(self, coefficient: float) -> "EmpiricalTerm":
-        """Return the same term with another coefficient."""
         return replace(self, coefficient=coefficient)
 
     @property

@@ -173,7 +173,6 @@ class TwinStream:
     The same samples in chunks of any size give the same numbers as in one call.
 
     Args:
-        twin: the unit.
         rng: source of the noise; None for a unit without noise. The ADC always rounds.
     """
 
@@ -246,7 +245,6 @@ def simulate(
     """Return force_N and output_V, (n,) each, of one run that starts from rest at t_s[0].
 
     Args:
-        twin: the unit.
         t_s: (n,) strictly increasing instants in s.
         stage_mm: (n,) stage position in mm.
         rng: source of the noise; None for no noise.

@@ -28,7 +28,6 @@ def output_level(recording: OutputRecording, *, is_rising: bool, rest: float) ->
     """Return where the output of a unit stands.
 
     Args:
-        is_rising: whether the output rises with the load.
         rest: share of the samples at whose quantile a unit is at rest.
     """
     low, high = (float(value) for value in np.quantile(recording.output, (rest, 1 - rest)))
@@ -96,7 +95,6 @@ def read_audit(
     Args:
         value: (n,) estimates, NaN where there is none.
         half: (n,) half-width of their 90 % interval, before audits of other units scaled it.
-        recording: of the same unit.
         rest: share of the samples at whose quantile a unit is at rest.
     """
     rows = np.flatnonzero(np.isfinite(value))

@@ -33,7 +33,6 @@ class Reference:
     except the drift: nobody knows it to be smaller than U, so U stands for it.
 
     Args:
-        cell: serial of the instrument.
         certificate, laboratory: number of its calibration certificate, and who issued it.
         issued_on, due_on: first day the certificate holds, first day it no longer holds.
         used_on: day the source was recorded with it.
@@ -79,7 +78,6 @@ class Reference:
 
     @property
     def standing(self) -> Standing:
-        """What can be traced to it."""
         if self.is_simulated:
             return Standing.SIMULATED
         if not self.certificate or self.uncertainty is None or self.due_on is None or self.used_on is None:
@@ -161,7 +159,6 @@ class Contribution:
     """One line of a budget.
 
     Args:
-        name: what it comes from.
         value: standard deviation or half-width, in the unit of the quantity.
         distribution: normal or rectangular.
         factor: coverage factor of `value` where it is an expanded uncertainty.

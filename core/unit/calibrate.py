@@ -65,7 +65,6 @@ class UnitProblem:
 
     Args:
         source: what `make_source_model` made of the lot's source with the method in force.
-        recording: unlabelled recording of the unit.
         limit: tolerance limit of the lot; None derives one from the source's own error and says so.
         anchors: known loads of the unit, where someone took them.
         audit: labelled recording of the unit, which decides and fits nothing; None where there is none.
@@ -101,7 +100,6 @@ def input_sha256(facts: UnitProblem, method: Method) -> str:
     """Return the content hash of everything a calibration depends on: equal input, equal result.
 
     Args:
-        facts: of the unit and its lot.
         method: every number of the calibration.
     """
     anchors, audit = facts.anchors, facts.audit

@@ -181,7 +181,6 @@ class Calibration:
         forecast: error forecast without labels, in the reference unit; None where none can be made.
         decision: what was decided, on what, and why.
         grounds: what it was decided on, but the limit; None in records of older versions.
-        knowledge: how the loads on the unit are known.
         evidence: numbers and words behind it.
         method: every number it was made with; None in records of versions that kept none.
         scores: errors on the unit's audit; None without one.

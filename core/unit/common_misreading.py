@@ -75,7 +75,6 @@ class CommonMisreading:
 
     Args:
         line: what the audited units misread alike, on average.
-        audits: how many they are.
         gain: natural logarithm of the gain over that of the span.
         zero: in the reference unit, over the output at rest.
     """
@@ -180,7 +179,6 @@ def corrected(record: CalibrationRecord, source: LabelledRecording, found: Commo
     A straight line behind the map, through the source's levels at both ends of its range: a device trims so, too.
 
     Args:
-        record: as it was fitted.
         source: labelled recording of the source that f was trained on.
     """
     calibration = Calibration.from_record(record)

@@ -56,7 +56,6 @@ def estimate(network: Network, calibration: Calibration, recording: OutputRecord
 
     Args:
         network: the shared network f the calibration belongs to.
-        calibration: of the unit that was recorded.
 
     Raises:
         InputError: the calibration belongs to another network, or the output has another physical unit.

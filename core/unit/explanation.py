@@ -56,7 +56,6 @@ def explain(model: SourceModel, calibration: Calibration, target: OutputRecordin
 
     Args:
         model: the lot's source.
-        target: the recording it was made from.
     """
     interval = model.interval
     evidence = gather_evidence(model, target, calibration.unit_map, (), (), calibration.output_limits)

@@ -51,7 +51,6 @@ def contradictions(
 
     Args:
         limits: of the unit's output.
-        method: in force.
         shared: what both outputs say about a common load; None where nobody compared them in time.
     """
     config = method.findings
@@ -72,7 +71,6 @@ def opening_findings(evidence: Mapping[str, float | str], config: FindingConfig)
 
     Args:
         evidence: of the chosen map (`ChosenMap.evidence`).
-        config: how late is too late.
     """
     lag_s = float(evidence.get("lag_s", 0.0))
     if "shared_until_s" not in evidence or lag_s < config.late_s:

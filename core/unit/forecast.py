@@ -45,7 +45,6 @@ class MapEvidence:
         budget: standard uncertainties in the reference unit: `model` and the terms of every kind of knowledge
             (`knowledge.py`). `stage` and `slow` are there where source and unit carry the stage position, `line` where
             the spread of the line was stated, `day` where a golden run measured its day.
-        knowledge: how the loads on this unit are known.
         rest: level of the estimates at rest, in the reference unit.
     """
 
@@ -109,7 +108,6 @@ def gather_evidence(
 
     Args:
         model: the lot's source.
-        unit_map: the chosen map.
         alternatives: other candidates for the whole recording.
         resampled: the same kind of map fitted to parts of the recording.
         limits: rails of the raw output.
@@ -201,7 +199,6 @@ class _KnownUse:
         loads: quantiles of f on the source, in the reference unit.
         rest_spread: standard deviation of f at rest, in the reference unit.
         rms_load: RMS load above rest, in the reference unit.
-        fast, sharpness: of its movements.
         step: of its readout, in the output unit.
         levels, slopes: edges of the grid that uses are compared on.
         use: share of the source's windows in each cell of it.

@@ -170,7 +170,6 @@ def known_by(budget: Mapping[str, float], kinds: KnowledgeTable, is_anchored: bo
     Args:
         budget: terms of the unit's error budget: `paired` stands in it where unit and source were pressed by one load
             at once, `stage` where both carry the stage position.
-        kinds: from the method.
         is_anchored: known loads of the unit were given.
     """
     kind = next((name for name in ("paired", "stage") if name in budget), "blind")

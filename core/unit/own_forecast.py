@@ -76,7 +76,6 @@ def noise_error(
 
     Args:
         network: the shared network f.
-        recording: of the unit.
         windows: how many of it are looked at; of a short one some count twice.
         unit_map: its map; None for the source.
         estimate: f on all the recording's mapped windows, where it is known.

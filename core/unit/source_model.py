@@ -55,11 +55,9 @@ def make_source_model(
     """Compare the source with itself once for the whole lot.
 
     Args:
-        source: labelled recording of the source unit.
         network: the shared network f trained on it.
         held_out: indices of the windows kept out of the training (`TrainedNetwork.validation_rows`); by default those
             that the default training keeps out of this recording.
-        method: the method in force.
     """
     windows = source.windows
     # A network that was stored has no list of them; the default split of the same recording is the same again.

@@ -15,7 +15,6 @@ class StageDifference:
     """Difference between estimates and the source's reference at equal stage histories, in the reference unit.
 
     Args:
-        rms: of all windows.
         slow_rms: of its means over a second or so (`StageCheckConfig.slow_s`).
     """
 

@@ -117,7 +117,6 @@ def source_residuals(
     All windows give the pattern over bands and directions, the held-out ones alone its size.
 
     Args:
-        network: the shared network f.
         windows: (n, TAPS) of the source.
         reference: (n,) beside them.
         held_out: indices of windows kept out of the training.

@@ -149,7 +149,6 @@ class Judgement:
     """What one error, forecast or measured, says together with what was found.
 
     Args:
-        verdict: the word.
         reasons: why, most important first.
     """
 
@@ -186,7 +185,6 @@ class Decision:
 
     @property
     def verdict(self) -> Verdict:
-        """The word that counts."""
         if self.doubt is not None:
             return Verdict.RETEST
         known = self.measured or self.sampled
@@ -274,7 +272,6 @@ def decide(
 
     Args:
         error: forecast or measured, in the limit's unit.
-        limit: tolerance limit.
         findings: each with the best word it still allows.
         source: `predicted` or `measured`.
     """
@@ -312,9 +309,7 @@ def decide_audited(
     Args:
         before, after: RMSE of f on raw and on mapped windows of the audit, in the limit's unit.
         windows: number of windows behind them.
-        limit: tolerance limit.
         config: how wide the guard band is.
-        held: what rules have against the unit.
 
     The standard deviation of an RMSE from n independent errors is RMSE / sqrt(2 n); errors of neighbouring windows are
     alike, so n is the number of windows that do not overlap.

@@ -93,7 +93,6 @@ class Lesson:
 
     Args:
         activity: None where the cycles are no steady activity.
-        reason: why not, in words.
         trend, trend_sd: (2,) change of level and log scale over the cycles, and its standard deviation.
     """
 

@@ -80,7 +80,6 @@ class Doubt:
     """How wrong the corrected output may be.
 
     Args:
-        widening: for intervals.
         growth: for the predicted error.
         of_use: squares of what may be use as well as drift, by why: it holds the map.
         of_map: squares of what is in doubt about the correction that is applied, by why: it raises the alarm.

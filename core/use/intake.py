@@ -67,7 +67,6 @@ class Intake:
     """Keeps the last window of a stream.
 
     Args:
-        sample_rate_Hz: nominal sample rate.
         blank: fills windows that are not full, in the unit of the output.
         config: tolerances of rate, gaps and clock.
     """

@@ -77,10 +77,8 @@ class QueuedTransport(Batches):
     source of the later ones.
 
     Args:
-        network: the shared network f.
         calibration: of the unit, from the registry: f∘γ₀, which holds until the first swap, and its interval.
         recording: the unit's own output at calibration; what a drift is stated against.
-        source: labelled recording of the source unit.
         config: mode `ot` or `ot-improved`; improved, the source becomes each queue with its best estimates.
         pool: solves plans while estimates go on; None solves each at its swap.
 

@@ -127,7 +127,6 @@ class DriftTracker:
         return self._compare(standard, index)
 
     def start(self) -> Observation:
-        """Return what is known before the first cycle."""
         shift_sd, log_gain_sd = np.sqrt(np.diag(self._now.filter.doubt())).tolist()
         return Observation(0.0, HELD, "", 0.0, 0.0, shift_sd, log_gain_sd, -1)
 
@@ -297,7 +296,6 @@ class DriftTracker:
         now.recent, now.recent_of = [*before[-self._method.jump.recent + 1 :], log_gain], index
 
     def _accept(self, measured: DriftFilter, index: int) -> None:
-        """Take a measurement for the drift."""
         now = self._now
         now.filter, now.latest, now.unseen_s = measured, index, 0.0
         # A use that was known before the latest was learnt shows where the sensor is.

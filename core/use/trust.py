@@ -32,7 +32,6 @@ class Trust:
         seated: log gain that came with re-seatings.
         seen_before, applied_before: log gain estimated and applied before the latest re-seating.
         step, fresh: how far that moved the rest, and cycles left in which the gain that came with it is found.
-        config: thresholds.
     """
 
     zero: float | None

@@ -91,7 +91,6 @@ class People(RegistryBase):
             return user_of(connection, kept)
 
     def all(self) -> list[User]:
-        """Return everybody by name."""
         with self.database.reading() as connection:
             return [user_of(connection, row) for row in self.database.rows(select(users).order_by(users.c.name))]
 

@@ -32,7 +32,6 @@ class TokenTable(RegistryBase):
         """Make a token for an account; return it and the secret text, which is kept nowhere.
 
         Args:
-            purpose: what the token is for, in words.
             days: after so many days it no longer holds.
 
         Raises:

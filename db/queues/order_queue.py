@@ -76,11 +76,7 @@ class OrderQueue(OncePerCut):
             return True
 
     def take(self, station: str, only: OrderKind | None = None) -> Order | None:
-        """Return the station's next order and mark it running; what is no run (STOP) comes before everything else.
-
-        Args:
-            only: take orders of this kind alone.
-        """
+        """Return the station's next order and mark it running; what is no run (STOP) comes before everything else."""
         query = select(orders).where(orders.c.station == station, orders.c.state == RunState.QUEUED)
         query = query if only is None else query.where(orders.c.kind == only)
         with self.database.writing(in_turn=False) as connection:

@@ -24,7 +24,6 @@ class Delivery:
     """Where a destination stands.
 
     Args:
-        destination: its name.
         cursor: the last rows it has.
         delivered: events it got since it is known.
         failures: tries in a row that failed.
@@ -107,7 +106,6 @@ class Outbox(OncePerCut):
         self._change(destination, values, holder)
 
     def deliveries(self) -> list[Delivery]:
-        """Return all destinations by name."""
         return [Delivery(**row) for row in self.database.rows(select(deliveries).order_by(deliveries.c.destination))]
 
     def _change(self, destination: str, values: Mapping[str, object], holder: str | None) -> None:

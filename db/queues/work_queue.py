@@ -32,7 +32,6 @@ class WorkSet:
     Args:
         lot_id: the lot whose units they are.
         name: hash of the settings that all of them share.
-        kind: what is to be done with each.
     """
 
     lot_id: str

@@ -116,11 +116,7 @@ class InUseTable(RegistryBase):
         return {serial: work for serial, (_, work) in newest.items() if work is not None}
 
     def inputs_of_works(self, lot_id: str, works: Mapping[str, str]) -> dict[str, str]:
-        """Return the input from which each work was once calibrated, by serial.
-
-        Args:
-            works: hash of the work by serial.
-        """
+        """Return the input from which each work was once calibrated, by serial."""
         u = in_use.c
         found = {}
         for part in parts(list(works)):

@@ -56,7 +56,6 @@ class LotTables(RegistryBase):
             return [self._lot(row) for row in self.database.rows(select(lots).order_by(lots.c.id))]
 
     def ids(self) -> list[str]:
-        """Return the id of every lot."""
         return self.database.values(select(lots.c.id).order_by(lots.c.id))
 
     def get(self, lot_id: str) -> Lot:

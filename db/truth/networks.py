@@ -30,7 +30,6 @@ class NetworkState:
     """Whether the line may use a network.
 
     Args:
-        network: what is known of it.
         state: draft, released or withdrawn.
         since: when it became so; of a draft when it was trained.
         actor, reason: who decided it, and why; "" where nobody had to decide.

@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply
+from softcal.core.errors import BadReply, DeviceError, NoReply
 from softcal.core.words.reason import Reason, reason
 from softcal.station.config import ForceConfig, StageConfig
 from softcal.station.driver import Driver, Opening, Simulated, Surroundings
@@ -271,11 +271,7 @@ class EsmGauge:
         self._next_s = 0.0
         for command in ("CUR", "N"):
             port.link.write(esm.to_gauge(command))
-        settings = gcl2.parse_settings(port.answer(esm.to_gauge("LIST")))
-        if (settings.mode, settings.unit) != ("CUR", "N"):
-            raise NoReply(reason("gauge.mode", mode=settings.mode, unit=settings.unit))
-        if not settings.has_units or not settings.has_sign:
-            raise CommandRefused(Reason("gauge.settings"))
+        gcl2.check_settings(port.answer(esm.to_gauge("LIST")))
 
     def start(self) -> None:
         self._port.read()

@@ -52,7 +52,6 @@ class LabjackConfig(ReadoutConfig):
 
     @property
     def inputs(self) -> list[str]:
-        """Names of the inputs that are read."""
         return [f"AIN{self.first_input + channel}" for channel in range(self.channels)]
 
     def library(self) -> Any:

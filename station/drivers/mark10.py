@@ -2,31 +2,21 @@
 
 from dataclasses import dataclass
 
-from softcal.core.errors import CommandRefused, NoReply
-from softcal.core.words.reason import Reason, reason
 from softcal.station.asked import AskedReader
-from softcal.station.config import ForceConfig
-from softcal.station.driver import Driver, Opening, Simulated, Surroundings
+from softcal.station.driver import Driver, Simulated, Surroundings
+from softcal.station.drivers.serial_cell import SerialCellConfig, opens
 from softcal.station.frames import gcl2
 from softcal.station.interfaces import Sample
-from softcal.station.link import Link, link_for_driver
+from softcal.station.link import Link
 
 ANSWER_S = 1.0
 
 
 @dataclass(frozen=True)
-class Mark10Config(ForceConfig):
-    """Mark-10 gauges, GCL2.
-
-    Args:
-        baud_rate: of its port.
-        sign: 1 where compression reads positive, −1 otherwise.
-    """
+class Mark10Config(SerialCellConfig):
+    """Mark-10 gauges, GCL2."""
 
     kind: str = "mark10"
-    baud_rate: int = 115200
-    rate_Hz: float = 50.0
-    sign: float = 1.0
 
 
 class Mark10Gauge:
@@ -77,16 +67,7 @@ class Mark10Gauge:
         for command in commands:
             self._link.write(command.encode() + gcl2.END)
         self._link.write(gcl2.LIST)
-        settings = gcl2.parse_settings(self._link.next_line(ANSWER_S).text)
-        if (settings.mode, settings.unit) != ("CUR", "N"):
-            raise NoReply(reason("gauge.mode", mode=settings.mode, unit=settings.unit))
-        if not settings.has_units or not settings.has_sign:
-            raise CommandRefused(Reason("gauge.settings"))
-
-
-def _open(config: Mark10Config, opening: Opening) -> Mark10Gauge:
-    with link_for_driver(config.port, opening.clock, config.baud_rate, Mark10Gauge.name) as link:
-        return Mark10Gauge(link, config.capacity_N, config.sign, config.rate_Hz)
+        gcl2.check_settings(self._link.next_line(ANSWER_S).text)
 
 
 def _simulate(around: Surroundings) -> Simulated[Mark10Config]:
@@ -95,4 +76,4 @@ def _simulate(around: Surroundings) -> Simulated[Mark10Config]:
     return Simulated(Mark10Config(around.wire.port), SimulatedMark10(around.wire, around.force_N))
 
 
-DRIVERS = (Driver("mark10", "Mark-10 gauges, GCL2", Mark10Config, _open, _simulate),)
+DRIVERS = (Driver("mark10", "Mark-10 gauges, GCL2", Mark10Config, opens(Mark10Gauge), _simulate),)

@@ -3,7 +3,7 @@
 import re
 from dataclasses import dataclass
 
-from softcal.core.errors import BadReply
+from softcal.core.errors import BadReply, CommandRefused, NoReply
 from softcal.core.words.reason import Reason, reason
 from softcal.station.frames.force_unit import in_newtons
 
@@ -65,6 +65,20 @@ def parse_settings(line: bytes) -> GaugeSettings:
     if len(fields) < 4 or not fields[0].startswith("V") or not modes:
         raise BadReply(reason("gcl2.list", line=repr(line[:60])))
     return GaugeSettings(fields[1], modes[0], "NUM" not in fields, "NOPOL" not in fields)
+
+
+def check_settings(line: bytes) -> None:
+    """Check by the answer to `LIST` that readings are in N, as they are now, with unit and sign.
+
+    Raises:
+        NoReply: mode or unit is another one.
+        CommandRefused: readings without unit or sign, which its menu must change.
+    """
+    settings = parse_settings(line)
+    if (settings.mode, settings.unit) != ("CUR", "N"):
+        raise NoReply(reason("gauge.mode", mode=settings.mode, unit=settings.unit))
+    if not settings.has_units or not settings.has_sign:
+        raise CommandRefused(Reason("gauge.settings"))
 
 
 def _text(line: bytes) -> str:

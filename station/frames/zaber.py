@@ -61,7 +61,6 @@ class Reply:
         is_ok: OK, or rejected (RJ): then `data` says why.
         is_busy: whether the axis moves.
         warning: worst warning flag, "--" for none.
-        data: what was asked for.
     """
 
     device: int

@@ -34,12 +34,9 @@ class Fault:
     """One way a station can fail.
 
     Args:
-        name: in words.
         phase: phase of the run in which it happens; "" for before the run.
         after_s: seconds into that phase.
-        inject: breaks the station.
         is_seen_late: whether it takes a stretch of the run, or all of it, to show this; others are seen at once.
-        has_cell: whether the station has a load cell at all.
         stage_kind, force_kind: which drivers, as in a station file.
     """
 

@@ -24,7 +24,6 @@ class SimulatedMark10:
         self._received = b""
 
     def receive(self, now_s: float) -> None:
-        """Take what the host has written and answer every whole command."""
         *lines, self._received = (self._received + self.wire.receive()).split(b"\r")
         for line in lines:
             answer = self.answer(line.strip().decode("ascii", "replace"), now_s)
@@ -105,7 +104,6 @@ class SimulatedLoadstar:
         self._received = b""
 
     def receive(self, now_s: float) -> None:
-        """Take what the host has written and answer every whole command."""
         *lines, self._received = (self._received + self.wire.receive()).split(b"\r")
         for line in lines:
             self._due_s = now_s + self._period_s if line == b"WC" else float("inf")

@@ -17,7 +17,6 @@ class SimulatedLabjack(SimulatedAnswers):
     """Answers `number NAME[=value] …` with `number value … checksum`, as Modbus answers by transaction.
 
     Args:
-        wire: its line.
         inputs_V: (simulated time in s) -> voltage of each analog input.
     """
 

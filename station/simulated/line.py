@@ -19,7 +19,6 @@ class SimulatedLine:
     """Opens simulated stations one after the other, as a real one is opened again after a fault.
 
     Args:
-        unit_of: the twin of a serial.
         seed: of noise, delays and mounting.
         time_factor: simulated seconds per real second at most; None runs as fast as the computer can.
     """

@@ -23,9 +23,6 @@ class Axis:
     """A carriage driven by a planner.
 
     Blocks in one direction are joined without a stop as far as the queue reaches; a reversal goes through rest.
-
-    Args:
-        acceleration_mm_s2: of the drive.
     """
 
     def __init__(self, acceleration_mm_s2: float) -> None:
@@ -44,7 +41,6 @@ class Axis:
         return bool(self._phases)
 
     def add(self, block: QueuedMove) -> None:
-        """Queue a move behind the others."""
         self.queue.append(block)
         if not self.is_held:
             self._plan()

@@ -16,7 +16,6 @@ class SimulatedScpi(ABC):
     Faults are switches: `is_overloaded`, `refuses` (a command it calls undefined), and all the wire can do.
 
     Args:
-        wire: the line.
         identity: answer to `*IDN?`.
         settings: header -> value after a reset; other headers are undefined.
         measure: (simulated time) -> answer to one reading.
@@ -95,7 +94,6 @@ class SimulatedDmm(SimulatedScpi):
     """A 34461A: `READ?` triggers and answers.
 
     Args:
-        wire: the line.
         value: (simulated time) -> what it measures, in its own unit.
     """
 
@@ -121,7 +119,6 @@ class SimulatedLcr(SimulatedScpi):
     """An E4980A: a trigger measures, `FETC?` answers once the measurement is done.
 
     Args:
-        wire: the line.
         value: (simulated time) -> primary parameter in its own unit, F or ohm.
     """
 

@@ -48,7 +48,6 @@ class World:
         self._lock = threading.RLock()
 
     def add(self, far_end: FarEnd) -> None:
-        """Let a far end live in this world."""
         self._far_ends.append(far_end)
 
     def at(self, time_s: float, happening: Callable[[], None]) -> None:

@@ -47,7 +47,6 @@ class SimulatedZaber:
         }
 
     def receive(self, now_s: float) -> None:
-        """Take what the host has written and answer every whole command."""
         self._now_s = now_s
         content = self.wire.receive()
         if not content:

@@ -114,7 +114,6 @@ class Certificate:
         low, high: range that both the source's reference and the unit's own recording cover.
         forecast, measured: predicted RMSE, and that on an audit recording; None where there is none.
         limit: largest error a unit may have, and where that comes from.
-        verdict, reasons: of the line.
         is_sampled: whether audits of other units decided.
         is_trimmed: whether its map was trimmed since it was judged by its recording and its audit.
         reference: what the source was compared with; None where nobody said.
@@ -300,7 +299,6 @@ class Certificate:
 
     @property
     def traceability(self) -> str:
-        """What the results are traced to."""
         if self.is_simulated:
             return SIMULATED
         cell, chain = self.reference, f"Traced through source unit {self.source} of lot {self.lot}"

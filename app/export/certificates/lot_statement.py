@@ -40,10 +40,8 @@ class LotStatementFacts:
     """What the page says.
 
     Args:
-        standing: of its units.
         decided: on those that nobody measured.
         network_id, method_id: content hashes of the shared network and of the method.
-        made_on, software: when and by what the statement was made.
         drawn: how many units were drawn at random of how many; None where no draw was written down.
         is_simulated: whether the lot's recordings come from a simulation.
     """

@@ -26,10 +26,7 @@ class Document:
     """What holds for every page of a document.
 
     Args:
-        footer: at the foot of every page.
-        made_on: day it was made.
         across: word written across every page; empty for none.
-        numbering: of the pages, at the foot.
     """
 
     title: str

@@ -66,7 +66,6 @@ def bars_plot(edges: Array, counts: Array, limit: Level | None, labels: tuple[st
         edges: (n + 1,) of the bars.
         counts: (n,) of each bar.
         limit: value and name; None draws none.
-        labels: of the axes.
         width: on paper, in points.
     """
     most = max(float(counts.max(initial=0.0)), 1.0)
@@ -89,7 +88,6 @@ def course_plot(values: Array, levels: Sequence[Level], labels: tuple[str, str],
 
     Args:
         values: (n,).
-        labels: of the axes.
         width: on paper, in points.
     """
     at = np.arange(1, len(values) + 1, dtype=float)

@@ -10,9 +10,14 @@ from softcal.app.jobs.process import start_job
 from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.callbacks import in_one_piece
 from softcal.app.ui.components.job_panel import job_panel, newest_job
-from softcal.app.ui.components.looks import looks
-from softcal.app.ui.components.lot_filter import chosen_lot_view
-from softcal.app.ui.components.process_panel import capability_panel, control_panel, reasons_panel, yield_panel
+from softcal.app.ui.components.lot_parts import (
+    capability_panel,
+    chosen_lot_view,
+    control_panel,
+    looks,
+    reasons_panel,
+    yield_panel,
+)
 from softcal.app.ui.components.unit_table import unit_table
 from softcal.app.ui.desk import colours, empty, language, registry, words, zone
 from softcal.app.ui.first_paint import rest_may_follow

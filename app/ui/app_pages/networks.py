@@ -4,15 +4,22 @@ from collections.abc import Sequence
 
 import streamlit as st
 
-from softcal.app.ui.account import actor
-from softcal.app.ui.components.network_panels import comparison, training
-from softcal.app.ui.desk import ask_reason, empty, in_words, instant, registry, words
+from softcal.app.charts import compare as charts_compare
+from softcal.app.jobs.process import start_job
+from softcal.app.ui.account import actor, permit, person
+from softcal.app.ui.components.job_panel import job_panel, newest_job
+from softcal.app.ui.desk import ask_reason, colours, empty, in_words, instant, registry, show_figure, words
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import headline, lot_heading, table, told
 from softcal.app.views.common import number
-from softcal.app.views.network import NetworkRow, network_rows
+from softcal.app.views.network import NetworkRow, hidden_widths, loss_spec, network_rows
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
+from softcal.core.maps.catalogue import FAMILIES
+from softcal.core.maps.config import DEFAULT
+from softcal.core.network.config import NetworkConfig
+from softcal.db.access.people import may
+from softcal.db.queues.job_board import Job
 from softcal.db.truth.networks import RELEASED
 
 
@@ -99,3 +106,122 @@ def _decide(row: NetworkRow, what: str) -> None:
     decide(row.id, reason=reason, actor=actor())
     st.session_state[DONE] = say(f"networks.{what}.done", network=row.id[:12])
     st.rerun()
+
+
+USUAL = NetworkConfig()
+MOST_UNITS = 200
+
+
+def training(lot: Lot) -> None:
+    """Draw the form beside the newest training of the lot."""
+    say = words()
+    st.header(say("networks.train"))
+    left, right = st.columns([2, 3])
+    job = newest_job("train", lot=lot.id)
+    with left:
+        _train_form(lot, is_busy=job is not None and job.state.is_active)
+    with right:
+        if job is None:
+            st.caption(say("networks.train.how"))
+        elif job_panel(job, lambda running: _loss(running, lot)):
+            found = say("networks.trained" if job.result["is_new"] else "networks.found", network=job.message)
+            st.success(found, icon=":material/check:")
+            _loss(job, lot)
+
+
+def _train_form(lot: Lot, is_busy: bool) -> None:
+    say = words()
+    if not may(person(), "set_up"):
+        st.caption(say("reason.not_allowed", role=say(f"role.{person().role}")))
+        return
+    with st.form("train", border=True):
+        hidden = st.text_input(say("networks.hidden"), "-".join(map(str, USUAL.hidden)), key="train-hidden")
+        left, middle, right = st.columns(3)
+        members = left.number_input(say("networks.members"), 1, 10, USUAL.members, key="train-members")
+        seed = middle.number_input(say("networks.seed"), 0, 10**6, USUAL.seed, key="train-seed")
+        epochs = right.number_input(say("networks.max_epochs"), 5, 2000, USUAL.max_epochs, key="train-epochs")
+        if not st.form_submit_button(say("networks.train.do"), type="primary", disabled=is_busy):
+            return
+    permit("set_up")
+    try:
+        widths = hidden_widths(str(hidden))
+    except InputError as error:
+        st.error(in_words(error), icon=":material/error:")
+        return
+    request = {"lot": lot.id, "hidden": widths, "seed": seed, "members": members, "max_epochs": epochs}
+    start_job(registry(), "train", request, actor())
+    st.rerun()
+
+
+def _loss(job: Job, lot: Lot) -> None:
+    trace = job.trace or job.result.get("trace", {})
+    if trace.get("epoch"):
+        names = {name: words()(f"networks.{name}") for name in ("epoch", "train", "validation")}
+        spec = loss_spec(trace, lot.reference_unit, names | {"train": words()("networks.training_error")})
+        st.echarts_chart(spec, height=300, key=f"loss-{job.job_id}")
+
+
+def comparison(lot: Lot, rows: Sequence[NetworkRow]) -> None:
+    """Draw the choice of what to compare and the newest comparison."""
+    say = words()
+    st.header(say("networks.compare"))
+    st.caption(say("networks.compare.how"))
+    job = newest_job("compare", lot=lot.id)
+    if may(person(), "set_up"):
+        _compare_form(lot, rows, is_busy=job is not None and job.state.is_active)
+    if job is not None and job_panel(job):
+        _compared(job, lot)
+
+
+def _compare_form(lot: Lot, rows: Sequence[NetworkRow], is_busy: bool) -> None:
+    say = words()
+    names = {row.id: f"{row.id[:12]} · {row.layers}" for row in rows}
+    with st.form("compare", border=True):
+        left, middle, right = st.columns([3, 3, 1], vertical_alignment="bottom")
+        networks = left.multiselect(
+            say("networks.networks"),
+            list(names),
+            default=list(names)[:2],
+            format_func=names.__getitem__,
+            placeholder=say("choose.some"),
+        )
+        families = middle.multiselect(
+            say("column.family"),
+            [DEFAULT, *FAMILIES],
+            default=[DEFAULT, "affine"],
+            placeholder=say("choose.some"),
+        )
+        units = right.number_input(say("lot.units"), 1, MOST_UNITS, 12)
+        is_asked = st.form_submit_button(say("networks.compare.do"), disabled=is_busy)
+    if not is_asked:
+        return
+    if not networks or not families:
+        st.warning(say("networks.compare.choose"), icon=":material/edit:")
+        return
+    permit("set_up")
+    request = {"lot": lot.id, "networks": networks, "families": families, "units": units}
+    start_job(registry(), "compare", request, actor())
+    st.rerun()
+
+
+def _compared(job: Job, lot: Lot) -> None:
+    say, unit = words(), lot.reference_unit
+    found = job.result["rows"]
+    show_figure(charts_compare.comparison(found, unit, colours(), say), f"compared-{job.job_id}")
+    table(
+        [
+            {
+                say("column.network"): row["network"][:12],
+                say("column.family"): row["family"],
+                say("lot.units"): row["units"],
+                say("verdict.pass"): row["passed"],
+                say("networks.refused"): row["refused"],
+                say("column.predicted"): number(row["predicted"], unit),
+                say("lot.audited"): row["audited"],
+                say("column.before"): number(row["before"], unit),
+                say("column.after"): number(row["after"], unit),
+                say("networks.after_95"): number(row["after_95"], unit),
+            }
+            for row in found
+        ]
+    )
