@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction, rivals
+from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction
 from softcal.core.gap.candidates import is_told, visible_effects
 from softcal.core.gap.case import Case
 from softcal.core.gap.empirical import LearnedResidual, learned, terms_of_twin
@@ -16,34 +16,28 @@ from softcal.core.gap.fit import Fit
 from softcal.core.gap.floor import is_noise
 from softcal.core.gap.identifiability import Identifiability, identifiability, sentences
 from softcal.core.gap.named_causes import (
-    IMITATED_TRUST,
     NOT_MEASURED,
     SCHEMA,
-    UNKNOWN_TRUST,
     DiagnosisVerdict,
     GapPlace,
     Partial,
     RankedCause,
-    chances_of,
     estimates_of,
     gap_of_base,
-    let_go,
+    judged,
     nearest,
-    on_unseen,
     shares_of,
     under_its_floor,
-    verdict_of,
 )
 from softcal.core.gap.next_experiment import NextExperiment, menu, propose
 from softcal.core.gap.odd_run import odd_run, odd_run_beside
 from softcal.core.gap.offsets import OFFSET_NAMES, Offsets, offsets
 from softcal.core.gap.place import likely_stages, loose_noise
 from softcal.core.gap.plausibility import DataMistake, doubts, mistakes
-from softcal.core.gap.posterior import log_evidences
 from softcal.core.gap.problem import BASE
 from softcal.core.gap.residual import Map, Regime, regimes, structure, three_maps
 from softcal.core.gap.search import EffectSearch, SearchConfig
-from softcal.core.gap.shrink import ChannelGap, Shrink, quantify
+from softcal.core.gap.shrink import ChannelGap, Shrink
 from softcal.core.gap.start import unfitted
 from softcal.core.gap.strangers import stranger_of
 from softcal.core.recording import Array
@@ -226,26 +220,15 @@ def diagnose(
         return _stopped(search.base, (odd,))
     if search.stranger is None:
         search.hold_open()
-    say("holding back samples from every cause")
-    doubted = let_go(search)
-    best, logs = search.best, log_evidences(search.fits)
+    found = judged(search, EFFECTS, say, with_constants, lambda fitted: loose_noise(fitted) is not None)
+    group, verdict, quantified = found.group, found.verdict, found.quantified
+    best, told = search.best, with_constants(search.best)
     if on_fits is not None:
         on_fits(search.fits)
-    group, idle = on_unseen(rivals(search.fits, best, logs, tuple(search.held_open.values())), doubted)
-    doubted |= idle | set(search.held_open)
     say("refitting the three maps separately")
     maps = three_maps(case)
-    say("measuring the shrink on samples no fit has seen")
-    told = with_constants(best)
-    quantified = quantify(search.base, told, search.fits.values())
-    share = float(np.clip(search.share(best), 0.0, 1.0))
-    verdict = verdict_of(search, group, quantified, lambda found: loose_noise(found) is not None)
-    is_standing = quantified.stands or not best.hypothesis.ids
-    # Among the catalogue's effects only; where none of them explains the gap, the truth is most likely none of them.
-    doubt = UNKNOWN_TRUST * share if verdict == "unknown" else 1.0 if is_standing else IMITATED_TRUST
-    chances = {i: p * doubt * (IMITATED_TRUST if i in doubted else 1.0) for i, p in chances_of(logs, group).items()}
     named = tuple(in_catalogue_form(found) for found in group)
-    causes = _causes(search, named, chances, quantified.shrink.held_out)
+    causes = _causes(search, named, found.chances, quantified.shrink.held_out)
     found_regimes = regimes(search.base)
     partial = _partial(search) if verdict == "unknown" else None
     say("describing what is left")
@@ -268,7 +251,7 @@ def diagnose(
         ambiguous_with=confused_pairs(group),
         hidden_fraction={i: hidden_fraction(best, i) for i in best.hypothesis.ids},
         next_experiment=_next(case, search, group, verdict),
-        explained_share=share if partial is None else partial.share,
+        explained_share=float(np.clip(search.share(best), 0.0, 1.0)) if partial is None else partial.share,
         mistakes=doubts(case),
         partial=partial,
         residual=learned(search.base, beside.get(verdict, ()), terms_of_twin),

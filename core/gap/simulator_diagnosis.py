@@ -11,37 +11,31 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.gap import next_experiment
-from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction, rivals
+from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction
 from softcal.core.gap.case import Case
 from softcal.core.gap.empirical import LearnedResidual, learned
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.floor import coloured, is_noise
 from softcal.core.gap.identifiability import Identifiability, identifiability, sentences
 from softcal.core.gap.named_causes import (
-    IMITATED_TRUST,
     NOT_MEASURED,
     SCHEMA,
-    UNKNOWN_TRUST,
     DiagnosisVerdict,
     GapPlace,
     Partial,
     RankedCause,
-    chances_of,
     estimates_of,
     gap_of_base,
-    let_go,
+    judged,
     nearest,
-    on_unseen,
     shares_of,
     under_its_floor,
-    verdict_of,
 )
 from softcal.core.gap.next_experiment import MenuEntry, NextExperiment
 from softcal.core.gap.plausibility import DataMistake
-from softcal.core.gap.posterior import log_evidences
 from softcal.core.gap.problem import Problem
 from softcal.core.gap.search import EffectSearch, Progress
-from softcal.core.gap.shrink import ChannelGap, Quantified, Shrink, quantify
+from softcal.core.gap.shrink import ChannelGap, Shrink, quantify
 from softcal.core.gap.simulator import Simulator, SimulatorRun, planned
 from softcal.core.gap.simulator_place import places_of
 from softcal.core.gap.simulator_plausibility import against_others, cut_off, shown
@@ -159,14 +153,8 @@ def diagnose_simulator(
     for line in sentences(told):
         say(line)
     search = _searched(simulator, base, told, say)
-    doubted = let_go(search)
-    best, ids = search.best, [c.id for c in simulator.candidates]
-    logs = log_evidences(search.fits)
-    group, idle = on_unseen(rivals(search.fits, best, logs), doubted)
-    doubted |= idle
-    say("measuring the shrink on samples no fit has seen")
-    quantified = quantify(search.base, best, search.fits.values())
-    verdict = verdict_of(search, group, quantified)
+    found = judged(search, [c.id for c in simulator.candidates], say)
+    group, verdict, quantified, best = found.group, found.verdict, found.quantified, search.best
     if verdict == "unknown":
         best = nearest(search)
         quantified = quantify(search.base, best, is_given=True)
@@ -177,10 +165,7 @@ def diagnose_simulator(
         best, group = search.base, (search.base,)
         quantified = quantify(search.base, best)
     share = float(np.clip(search.share(best), 0.0, 1.0))
-    doubt = _trust(quantified, best) if verdict in ("unknown", "no_gap") else 1.0
-    every = chances_of(logs, group, ids)
-    chances = {i: p * doubt * (IMITATED_TRUST if i in doubted else 1.0) for i, p in every.items()}
-    causes = _causes(search, best, simulator, group, chances, quantified.shrink.held_out)
+    causes = _causes(search, best, simulator, group, found.chances, quantified.shrink.held_out)
     return SimulatorDiagnosis(
         simulator=simulator,
         serial=serial,
@@ -287,11 +272,6 @@ def _searched(simulator: Simulator, base: Fit, told: Identifiability, say: Progr
         return SimulatorSearch(candidates, min(fits, key=lambda found: found.chi2), say)
 
     return under_its_floor(search, again, is_floor, say)
-
-
-def _trust(quantified: Quantified, best: Fit) -> float:
-    """How far the evidence among the candidates is trusted where they leave a gap: the truth may be none of them."""
-    return UNKNOWN_TRUST * quantified.shrink.held_out if best.hypothesis.ids else UNKNOWN_TRUST
 
 
 def told_by(simulator: Simulator, base: Fit) -> Identifiability:
