@@ -29,9 +29,8 @@ def found(
     process: ProcessView = STILL, drop=None, golden=(), beats=(), certificates=(), adapted=(), withdrawn=()
 ) -> list[Alert]:
     registry = SimpleNamespace(
-        golden_runs=lambda: list(golden),
-        certificates=lambda: list(certificates),
-        adapted_units=lambda: list(adapted),
+        stations=SimpleNamespace(golden_runs=lambda: list(golden), certificates=lambda: list(certificates)),
+        adaptations=SimpleNamespace(units=lambda: list(adapted)),
         order_queue=SimpleNamespace(stations=lambda: list(beats)),
     )
     return list(alerts(registry, SimpleNamespace(process=process, drop=drop, withdrawn=withdrawn), NOW))  # type: ignore[arg-type]

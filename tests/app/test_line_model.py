@@ -79,30 +79,29 @@ class Played:
     world: World
     ordered: list[Order] = field(default_factory=list)
 
+    stations = SimpleNamespace(golden_runs=lambda station: [])
+
     @property
-    def order_queue(self) -> "Played":
-        return self
+    def order_queue(self) -> Any:
+        return SimpleNamespace(stations=self._beats, runs=self._orders, active=self.active, place=self.place)
 
     @property
     def line_places(self) -> "Played":
         return self
 
-    def stations(self) -> list[Heartbeat]:
+    def _beats(self) -> list[Heartbeat]:
         if self.world.station is StationState.OFF:
             return [Heartbeat("line-1", StationState.OFF, datetime.now(UTC), process=f"elsewhere:{self.world.process}")]
         return [Heartbeat("line-1", self.world.station, datetime.now(UTC), process=f"elsewhere:{self.world.process}")]
 
-    def runs(self, station: str, count: Any = None) -> Any:
-        if station in LOTS:
-            return [
-                RunEntry(serial, NOW, verdict, ("because",))
-                for serial, verdict in self.world.results
-                if serial == count
-            ]
+    def _orders(self, station: str = "line-1", count: int = 2) -> Any:
         return [_run(values, self.world.loads) for values in self.world.orders]
 
+    def _results(self, lot_id: str, serial: str) -> list[RunEntry]:
+        return [RunEntry(one, NOW, verdict, ("because",)) for one, verdict in self.world.results if one == serial]
+
     def active(self, station: str) -> Any:
-        return next((run for run in self.runs(station) if run[1].state.is_active), None)
+        return next((run for run in self._orders() if run[1].state.is_active), None)
 
     def place(self, order: Order, until_s: float | None = None) -> bool:
         self.ordered.append(order)
@@ -126,38 +125,33 @@ class Played:
         self.world = replace(self.world, place=(seen_version + 1, frozen))
         return True
 
-    def lot_ids(self) -> list[str]:
-        return list(LOTS)
+    @property
+    def lots(self) -> Any:
+        return SimpleNamespace(
+            ids=lambda: list(LOTS),
+            get=LOTS.__getitem__,
+            all=lambda: list(LOTS.values()),
+            units=self._units,
+            runs=self._results,
+            line_rules=lambda lot: replace(RULES, loads=self.world.loads),
+        )
 
-    def lot(self, lot_id: str) -> Lot:
-        return LOTS[lot_id]
+    networks = SimpleNamespace(released=lambda lot_id: None)
+    people = SimpleNamespace(all=lambda: [])
 
-    def lots(self) -> list[Lot]:
-        return list(LOTS.values())
+    @property
+    def pages(self) -> Any:
+        return SimpleNamespace(
+            verdict_counts=lambda lot_id: {},
+            standings=self._standings,
+            unit_page=lambda *_, **__: SimpleNamespace(units=()),
+        )
 
-    def line_rules(self, lot: Lot) -> LineRules:
-        return replace(RULES, loads=self.world.loads)
-
-    def released_network(self, lot_id: str) -> None:
-        return None
-
-    def verdict_counts(self, lot_id: str) -> dict[str, int]:
-        return {}
-
-    def standings(self, lot_id: str, serials: Any) -> dict[str, UnitStanding]:
+    def _standings(self, lot_id: str, serials: Any) -> dict[str, UnitStanding]:
         newest = dict(self.world.results)
         return {s: UnitStanding(s, newest[s], (sentence("because"),), NOW) for s in serials if s in newest}
 
-    def golden_runs(self, station: str) -> list[Any]:
-        return []
-
-    def users(self) -> list[Any]:
-        return []
-
-    def unit_page(self, *_: Any, **__: Any) -> Any:
-        return SimpleNamespace(units=())
-
-    def units(self, serial: str) -> list[Any]:
+    def _units(self, serial: str) -> list[Any]:
         known = {"X7": "L2", **{one: "L1" for one, _ in self.world.results}}
         if serial not in known:
             raise InputError("not in the registry")

@@ -96,7 +96,7 @@ def test_the_line_reads_no_recording_and_the_other_units_only_where_an_audit_cam
     serials = [unit["serial"] for unit in _unmeasured(report)]
     recordings, asked = [], []
     reads, standings = registry.recordings.get, registry.pages.standings
-    monkeypatch.setattr(registry.recordings.of_lot, "get", lambda sha256: (recordings.append(sha256), reads(sha256))[1])
+    monkeypatch.setattr(registry.recordings, "get", lambda sha256: (recordings.append(sha256), reads(sha256))[1])
     monkeypatch.setattr(registry.pages, "standings", lambda lot, of: (asked.append(list(of)), standings(lot, of))[1])
     line = LineRelease(registry)
     line.press("large", serials[0])

@@ -1,6 +1,5 @@
 """`softcal station` as a person uses it: files, exit codes, one clear line."""
 
-import argparse
 import io
 import json
 import os
@@ -14,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softcal.app.cli import station as command
+from softcal.app.cli.main import command_parser
 from softcal.app.files.lot_folder import open_lot_folder, read_labelled
 from softcal.app.files.recording_file import read_recording
 from softcal.core.errors import InputError, NoReply
@@ -32,8 +31,7 @@ SOFTCAL = Path(sys.executable).with_name("softcal")
 @pytest.fixture
 def softcal():
     """Run `softcal station ...` as the command line does, and give its exit code."""
-    parser = argparse.ArgumentParser()
-    command.add_parser(parser.add_subparsers())
+    parser = command_parser(["station"])
 
     def call(*words: object) -> int:
         options = parser.parse_args(["station", *map(str, words)])
@@ -147,8 +145,8 @@ def test_a_killed_process_leaves_its_samples_and_no_recording(tmp_path):
     words = ["station", "unit", "--simulated", "--serial", "A1", "--out", str(tmp_path / "A1.csv")]
     words += ["--seconds", "3000", "--spool", str(tmp_path / "spool")]
     code = (
-        "import argparse; from softcal.app.cli import station; parser = argparse.ArgumentParser(); "
-        f"station.add_parser(parser.add_subparsers()); options = parser.parse_args({words!r}); options.run(options)"
+        "from softcal.app.cli.main import command_parser; "
+        f"options = command_parser(['station']).parse_args({words!r}); options.run(options)"
     )
     process = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)
     while process.poll() is None and sum(p.stat().st_size for p in tmp_path.glob("spool/*")) < 20_000:
