@@ -78,7 +78,7 @@ class Goal:
 GOALS = {
     "docs": Goal(0.01, 1030),
     "reasons": Goal(0.0, 185),
-    "help": Goal(0.0, 200),
+    "help": Goal(0.0, 240),
     "docstrings": Goal(0.02, 2000),
 }
 """A goal for each kind of text; `tests/house/test_plain.py` holds them."""
@@ -347,7 +347,10 @@ def pages(place: str) -> dict[str, str]:
 
 @cache
 def code_texts(place: str) -> dict[str, str]:
-    """Return what the code of a folder or of a revision says to people: `help` of commands, and `docstrings`."""
+    """Return what the code of a folder or of a revision says to people: `help` of commands, and `docstrings`.
+
+    The help of this tree is what its commands print; of another one, what stands in its code as `help=`.
+    """
     said = {"help": list[str](), "docstrings": list[str]()}
     for name, text in _modules(place):
         tree = ast.parse(text)
@@ -356,7 +359,31 @@ def code_texts(place: str) -> dict[str, str]:
         if name.startswith("app/cli/"):
             keywords = [k for k in ast.walk(tree) if isinstance(k, ast.keyword) and k.arg in ("help", "description")]
             said["help"] += [v for k in keywords if isinstance(k.value, ast.Constant) and (v := str(k.value.value))]
+    if Path(place).resolve() == ROOT:
+        said["help"] = sorted({text for parser in parsers() for text in _helped(parser)})
     return {kind: "\n\n".join(texts) for kind, texts in said.items()}
+
+
+def parsers(parser: argparse.ArgumentParser | None = None) -> Iterable[argparse.ArgumentParser]:
+    """Yield the parser of `softcal` and of every command below it."""
+    from softcal.app.cli.main import command_parser
+
+    parser = parser or command_parser()
+    yield parser
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for below in action.choices.values():
+                yield from parsers(below)
+
+
+def _helped(parser: argparse.ArgumentParser) -> Iterable[str]:
+    """Yield the description of a command and what it says of each option and of each command below it."""
+    below = [a._choices_actions for a in parser._actions if isinstance(a, argparse._SubParsersAction)]
+    said = [
+        parser.description,
+        *(action.help for action in [*parser._actions, *(one for group in below for one in group)]),
+    ]
+    yield from (text for text in said if text and text != argparse.SUPPRESS)
 
 
 def _as_items(docstring: str) -> str:
@@ -378,9 +405,12 @@ def _modules(place: str) -> Iterable[tuple[str, str]]:
 
 
 def _git(*words: str) -> str:
-    return subprocess.run(
-        ["git", *words], cwd=ROOT, check=True, capture_output=True, text=True, encoding="utf-8"
-    ).stdout
+    done = subprocess.run(["git", *words], cwd=ROOT, check=False, capture_output=True, text=True, encoding="utf-8")
+    if done.returncode:
+        raise SystemExit(
+            f"{done.stderr.strip()}; reasons are read from the first revision that keeps them as a page on"
+        )
+    return done.stdout
 
 
 def main() -> None:

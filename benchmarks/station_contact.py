@@ -13,9 +13,9 @@ from common.rig_trial import RigCase, open_rig
 
 from softcal.core.profiles import Profile, ramps
 from softcal.core.simulated_lot import draw_twins
-from softcal.station.acquisition import record
-from softcal.station.bench import open_simulated_bench
-from softcal.station.config import UNKNOWN_S
+from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.devices.config import UNKNOWN_S
+from softcal.station.tasks.acquisition import record
 
 UNITS, TOUCHES = 12, 8
 COEFFICIENTS, POWERS = (0.5, 1.2, 5.0), (1.0, 1.1, 1.25, 1.4, 1.5, 1.75, 2.0)

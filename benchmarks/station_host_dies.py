@@ -10,8 +10,8 @@ from common.law_unit import ForceLaw
 from common.rig_trial import RigCase, press_until_gone
 
 from softcal.core.profiles import ramps
-from softcal.station.config import UNKNOWN_S
-from softcal.station.seconds import FEELING
+from softcal.station.devices.config import UNKNOWN_S
+from softcal.station.tasks.seconds import FEELING
 
 STOP_MM = 0.5
 PLACES_MM = (-0.02, -0.005, -0.002, 0.0, 0.001, 0.002, 0.003)

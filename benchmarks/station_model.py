@@ -8,7 +8,7 @@ import time
 
 from common.station_runs import MOST_FAULTS, broken_property, explore
 
-from softcal.station.interlock import TABLE
+from softcal.station.motion.interlock import TABLE
 
 
 def main() -> None:

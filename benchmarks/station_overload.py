@@ -10,8 +10,8 @@ from softcal.core.errors import SafetyStop
 from softcal.core.profiles import ramps
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import Twin
-from softcal.station.acquisition import record
-from softcal.station.bench import open_simulated_bench
+from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.tasks.acquisition import record
 
 LIMIT_N = 5.0
 SEEDS = 3

@@ -19,8 +19,8 @@ from common.law_unit import ForceLaw
 from common.rig_trial import RigCase, RigOutcome, press
 
 from softcal.core.profiles import ramps
-from softcal.station.bounds import FULL, REACTION_S, ForceBounds, Reaction
-from softcal.station.config import LATEST_S, UNKNOWN_S, FixtureConfig
+from softcal.station.devices.config import LATEST_S, UNKNOWN_S, FixtureConfig
+from softcal.station.motion.bounds import FULL, REACTION_S, ForceBounds, Reaction
 
 ACCELERATIONS, STOPS, SPEEDS = (10.0, 50.0, 500.0), (1.0, 20.0, 100.0, 1000.0), (1.0, 5.0, 20.0)
 CELLS = tuple(itertools.product((80.0, 10.0), (0.0, 0.1, 0.5)))

@@ -22,12 +22,12 @@ from softcal.core.profiles import unit_profile
 from softcal.core.quality.gate import Gate
 from softcal.core.simulated_lot import twin_of
 from softcal.core.twin.spread import draw_lot
-from softcal.station.acquisition import record
-from softcal.station.bench import open_simulated_bench
-from softcal.station.service import Hooks, StationService
+from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.simulated.faults import HOMING
 from softcal.station.simulated.line import NAMES, SimulatedLine
 from softcal.station.simulated.station import SimulatedStation
+from softcal.station.tasks.acquisition import record
+from softcal.station.tasks.service import Hooks, StationService
 
 UNITS_PER_H = 90
 """About so many are pressed; faults are drawn among them."""

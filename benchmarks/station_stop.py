@@ -31,9 +31,9 @@ from softcal.core.profiles import unit_profile
 from softcal.core.quality.gate import Gate
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
-from softcal.station.bench import Bench, open_simulated_bench
-from softcal.station.service import Hooks, StationService
+from softcal.station.devices.bench import Bench, open_simulated_bench
 from softcal.station.simulated.station import SimulatedStation
+from softcal.station.tasks.service import Hooks, StationService
 
 STATION, LOT = "line-1", "L1"
 PHASES = ("homing", "searching for contact", "feeling the unit", "pressing", "reading the zero return")

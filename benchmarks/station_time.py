@@ -13,9 +13,9 @@ import numpy as np
 
 from softcal.core.profiles import unit_profile
 from softcal.core.twin.simulate import Twin, simulate
-from softcal.station.acquisition import record
-from softcal.station.bench import open_simulated_bench
 from softcal.station.clock import residual_offset_s
+from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.tasks.acquisition import record
 
 LINES = {
     "0.04 ms": (0.00004, 0.0, 0.0),

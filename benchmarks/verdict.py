@@ -9,11 +9,12 @@ from collections import Counter
 from collections.abc import Iterable
 
 import numpy as np
+from common.planted import OPPOSITE_DIRECTION
 from common.simulated_cases import Case, cases, coverage, roc_auc
 from scipy.optimize import minimize
 from scipy.stats import spearmanr
 
-from softcal.core.simulated_lot import GOOD, OPPOSITE_DIRECTION
+from softcal.core.simulated_lot import GOOD
 from softcal.core.unit.knowledge import KnowledgeTable
 from softcal.core.unit.method import DecisionConfig
 from softcal.core.unit.verdict import VERDICTS

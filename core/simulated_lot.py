@@ -15,27 +15,43 @@ from softcal.core.twin.spread import LotSpread, draw_lot
 
 GOOD = "good"
 DEPTH_MM = 3.5
-OPPOSITE_DIRECTION, STILL = "reversed", "dead"
 DAY = 86_400
 """Sets the draw of a day apart from all other draws of a lot."""
 GOLDEN = 86_401
 """The same for the golden run."""
 
 
+def _as_it_is(rng: np.random.Generator, twin: Twin) -> Twin:
+    return twin
+
+
 @dataclass(frozen=True)
-class LineEffects:
-    """What the line does to the units' recordings and not to their audits: nothing unlabelled shows it.
+class UnitKind:
+    """What is special about units of a lot.
 
     Args:
-        load_spread: standard deviation of the load at equal travel from unit to unit, as a share of it: stiffness,
-            contact and mounting on the press.
-        day_gain: standard deviation of the gain of the readout on the day the units were recorded, one for the lot.
-        day_zero: the same for its zero, as a share of the range of the source's output.
+        name: what it is called; good units have `GOOD`.
+        twin: what it does to the unit.
+        wired: what its wiring does to a recording.
+        profile: what it is pressed with in the place of the lot's programme; None for that.
     """
 
-    load_spread: float = 0.0
-    day_gain: float = 0.0
-    day_zero: float = 0.0
+    name: str
+    twin: Callable[[np.random.Generator, Twin], Twin] = _as_it_is
+    wired: Callable[[LabelledRecording], LabelledRecording] = lambda recording: recording
+    profile: Callable[[np.random.Generator], Profile] | None = None
+
+
+class SteadyLine:
+    """What the line does to the units' recordings and not to their audits: this one does nothing."""
+
+    def pressed(self, rng: np.random.Generator, twin: Twin) -> Twin:
+        """Return the unit as the press of the line meets it."""
+        return twin
+
+    def day(self, source: LabelledRecording, rng: np.random.Generator) -> Callable[[OutputRecording], OutputRecording]:
+        """Return how the readout shows a recording on the day of the units; source and audits have another one."""
+        return lambda recording: recording
 
 
 @dataclass(frozen=True)
@@ -44,7 +60,7 @@ class LotDesign:
 
     Args:
         good: number of units in good order.
-        bad: number of units per planted fault, names of `FAULTS`.
+        bad: number of units of each other kind.
         shift: how the loads of the units' recordings differ from the source's, a name of `PROGRAMMES`.
         source_s, unit_s, audit_s: length of the recordings.
         has_stage: whether the recordings carry the stage position.
@@ -56,7 +72,7 @@ class LotDesign:
     """
 
     good: int = 6
-    bad: Mapping[str, int] | None = None
+    bad: Mapping[UnitKind, int] | None = None
     shift: str = "none"
     source_s: float = 170.0
     unit_s: float = 60.0
@@ -64,15 +80,11 @@ class LotDesign:
     has_stage: bool = False
     spread: LotSpread = LotSpread(u0_mm=0.005, k1=0.003, k3=0.003)
     twin: Twin | None = None
-    line: LineEffects = LineEffects()
+    line: SteadyLine = SteadyLine()
 
     def __post_init__(self) -> None:
-        for kind, name, known in [
-            ("shift", self.shift, PROGRAMMES),
-            *(("fault", name, FAULTS) for name in self.bad or {}),
-        ]:
-            if name not in known:
-                raise InputError(f"{kind} {name!r} is unknown; known: {', '.join(known)}")
+        if self.shift not in PROGRAMMES:
+            raise InputError(f"shift {self.shift!r} is unknown; known: {', '.join(PROGRAMMES)}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +92,7 @@ class SimulatedUnit:
     """One unit of a simulated lot.
 
     Args:
-        kind: `good` or the name of the planted fault.
+        kind: its name.
         recording: what the line would record.
         audit: a labelled recording of the source's programme, for the truth and for a calibration of its own.
     """
@@ -110,7 +122,7 @@ def simulate_lot(seed: int, design: LotDesign | None = None) -> SimulatedLot:
     a fifth of their size.
     """
     design, rng = design or LotDesign(), np.random.default_rng(seed)
-    kinds = [GOOD] * design.good + [name for name, count in (design.bad or {}).items() for _ in range(count)]
+    kinds = [UnitKind(GOOD)] * design.good + [kind for kind, count in (design.bad or {}).items() for _ in range(count)]
     twins = draw_twins(rng, len(kinds) + 1, design.spread, design.twin)
     source = _record(rng, twins[0], source_profile(rng, design.source_s, DEPTH_MM), "S0", design.has_stage)
     units = tuple(
@@ -119,7 +131,7 @@ def simulate_lot(seed: int, design: LotDesign | None = None) -> SimulatedLot:
     )
     later = np.random.default_rng([seed, GOLDEN])
     golden = _record(later, twins[0], PROGRAMMES[design.shift](later, design.unit_s), "S0", design.has_stage)
-    day = _day(source, np.random.default_rng([seed, DAY]), design.line)
+    day = design.line.day(source, np.random.default_rng([seed, DAY]))
     units = tuple(replace(unit, recording=day(unit.recording)) for unit in units)
     return SimulatedLot(source, units, replace(golden, unlabelled=day(golden.unlabelled)))
 
@@ -179,33 +191,15 @@ def _jitter(rng: np.random.Generator, twin: Twin) -> Twin:
     return replace(twin, effects=effects)
 
 
-def _simulate_unit(rng: np.random.Generator, twin: Twin, kind: str, serial: str, design: LotDesign) -> SimulatedUnit:
-    faulty = twin if kind == GOOD else FAULTS[kind](rng, twin)
+def _simulate_unit(
+    rng: np.random.Generator, twin: Twin, kind: UnitKind, serial: str, design: LotDesign
+) -> SimulatedUnit:
+    own = kind.twin(rng, twin)
     profile = PROGRAMMES[design.shift](rng, design.unit_s)
-    if kind == "wrong programme":
-        profile = ramps([rng.uniform(0.2, 0.5) * DEPTH_MM] * 6, rng.uniform(0.1, 0.4), rest_s=0.2)
-    recording = _record(rng, _pressed(rng, faulty, design.line), profile, serial, design.has_stage)
-    audit = _record(rng, faulty, source_profile(rng, design.audit_s, DEPTH_MM), serial, design.has_stage)
-    return SimulatedUnit(kind, _rewired(recording, kind).unlabelled, _rewired(audit, kind))
-
-
-def _pressed(rng: np.random.Generator, twin: Twin, line: LineEffects) -> Twin:
-    """Return the unit as the press of the line meets it: its load at equal travel is off by a factor."""
-    if not line.load_spread:
-        return twin
-    factor, base = 1 + line.load_spread * float(np.clip(rng.normal(), -2.0, 2.0)), twin.parameters
-    return replace(twin, parameters=replace(base, k1_N_mm=factor * base.k1_N_mm, k3_N_mm3=factor * base.k3_N_mm3))
-
-
-def _day(
-    source: LabelledRecording, rng: np.random.Generator, line: LineEffects
-) -> Callable[[OutputRecording], OutputRecording]:
-    """Return how the readout shows a recording on the day of the units; source and audits have another one."""
-    if not (line.day_gain or line.day_zero):
-        return lambda recording: recording
-    low, high = np.quantile(source.unlabelled.output, (0.02, 0.98))
-    gain, zero_V = 1 + line.day_gain * rng.normal(), line.day_zero * (high - low) * rng.normal()
-    return lambda recording: replace(recording, output=low + gain * (recording.output - low) + zero_V)
+    profile = kind.profile(rng) if kind.profile else profile
+    recording = _record(rng, design.line.pressed(rng, own), profile, serial, design.has_stage)
+    audit = _record(rng, own, source_profile(rng, design.audit_s, DEPTH_MM), serial, design.has_stage)
+    return SimulatedUnit(kind.name, kind.wired(recording).unlabelled, kind.wired(audit))
 
 
 def _record(rng: np.random.Generator, twin: Twin, profile: Profile, serial: str, has_stage: bool) -> LabelledRecording:
@@ -215,57 +209,6 @@ def _record(rng: np.random.Generator, twin: Twin, profile: Profile, serial: str,
     return LabelledRecording(
         OutputRecording(serial, t_s, output_V, rate_Hz, stage_mm=stage_mm if has_stage else None), force_N
     )
-
-
-def _rewired(recording: LabelledRecording, kind: str) -> LabelledRecording:
-    """Return the recording as a line with this wiring fault would show it."""
-    raw = recording.unlabelled
-    if kind == OPPOSITE_DIRECTION:
-        return replace(recording, unlabelled=replace(raw, output=ReadoutMetadata().vref_V - raw.output))
-    if kind == STILL:
-        return replace(recording, unlabelled=replace(raw, output=np.full(len(raw), raw.output[0])))
-    return recording
-
-
-def _with(twin: Twin, name: str, **values: float) -> Twin:
-    others = tuple(effect for effect in twin.effects if effect.effect_id != name)
-    return replace(twin, effects=(*others, EffectSetting(name, values)))
-
-
-def _same(rng: np.random.Generator, twin: Twin) -> Twin:
-    return twin
-
-
-def _saturated(rng: np.random.Generator, twin: Twin) -> Twin:
-    base, readout = twin.parameters, twin.metadata
-    rest_ohm = base.r0_ohm
-    # Force at full depth: where in the range between rest and there the readout clips.
-    depth_mm = DEPTH_MM - base.u0_mm
-    peak_ohm = rest_ohm / (1 - base.kappa_per_N * (base.k1_N_mm * depth_mm + base.k3_N_mm3 * depth_mm**3))
-    rest_V, peak_V = (readout.vref_V * ohm / (ohm + readout.r_series_ohm) for ohm in (rest_ohm, peak_ohm))
-    return _with(twin, "adc_saturation", V_max=rest_V + rng.uniform(0.3, 0.7) * (peak_V - rest_V))
-
-
-def _other_sensor(rng: np.random.Generator, twin: Twin) -> Twin:
-    if rng.random() < 0.5:
-        return _with(twin, "readout_lag", tau=rng.uniform(0.25, 0.8))
-    parameters = replace(twin.parameters, kappa_per_N=rng.uniform(0.1, 0.2))
-    return replace(twin, parameters=parameters, metadata=replace(twin.metadata, sensor_type="strain"))
-
-
-def _extra_creep(rng: np.random.Generator, twin: Twin) -> Twin:
-    return _with(twin, "channel_creep", c=rng.uniform(0.15, 0.4), tau=float(np.exp(rng.uniform(np.log(2), np.log(30)))))
-
-
-FAULTS: Mapping[str, Callable[[np.random.Generator, Twin], Twin]] = {
-    STILL: _same,
-    "saturated": _saturated,
-    OPPOSITE_DIRECTION: _same,
-    "other sensor": _other_sensor,
-    "wrong programme": _same,
-    "extra creep": _extra_creep,
-}
-"""Planted faults by name: what they do to the twin; wiring and programme act on the recording."""
 
 
 def _scaled(factor: float) -> Callable[[np.random.Generator, float], Profile]:

@@ -7,6 +7,9 @@ import numpy as np
 
 from softcal.core.recording import Array
 
+CLOCK_SHARE = 0.02
+"""A device clock further off than this share is broken, or its rate is declared wrong."""
+
 WRAP_MS = 2**32
 """`millis()` of an Arduino starts again at 0 after 49.7 days."""
 

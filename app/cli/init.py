@@ -12,7 +12,7 @@ from softcal.app.output import say
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
-    from softcal.station.config import DeviceConfig, Role
+    from softcal.station.devices.config import DeviceConfig, Role
 
 EXAMPLES = """examples:
   softcal init lot lot-1               # asks; Enter takes the value in brackets
@@ -81,8 +81,8 @@ def run_lot(options: argparse.Namespace) -> int:
 def run_station(options: argparse.Namespace) -> int:
     """Ask for the parts of the rig and its limits, and write the station file."""
     from softcal.app.files.atomic import write_text
-    from softcal.station.catalogue import SECTIONS
-    from softcal.station.config import SafetyConfig, station_from_table, station_toml
+    from softcal.station.devices.catalogue import SECTIONS
+    from softcal.station.devices.config import SafetyConfig, station_from_table, station_toml
 
     _refuse_existing(options.file)
     table: dict[str, Any] = {"name": asked("name of the station", str, "station")}
@@ -101,7 +101,7 @@ def run_station(options: argparse.Namespace) -> int:
 
 def _device(section: str, role: "Role") -> dict[str, Any]:
     """Ask for one device; nothing where the station has no load cell."""
-    from softcal.station.catalogue import driver_of, offers
+    from softcal.station.devices.catalogue import driver_of, offers
 
     none = [NO_CELL] if role == "cell" else []
     kinds = none + sorted(offer.kind for offer in offers() if offer.role == role and offer.driver is not None)
@@ -119,7 +119,7 @@ def _device(section: str, role: "Role") -> dict[str, Any]:
 
 def _answers(section: str, config: type[Any], names: set[str]) -> dict[str, Any]:
     """Ask for the keys of one section, in the order and with the meaning in which they are declared."""
-    from softcal.station.config import meanings
+    from softcal.station.devices.config import meanings
 
     for line in meanings(config):
         if line.strip().partition(":")[0].partition(",")[0] in names or line.startswith(" " * 8):

@@ -17,10 +17,10 @@ from softcal.core.words.reason import Reason
 if TYPE_CHECKING:
     from softcal.app.line.recover import Recovered
     from softcal.core.twin.simulate import Twin
-    from softcal.station.acquisition import OnProgress
-    from softcal.station.catalogue import Offer
-    from softcal.station.identify import DeviceIdentity
-    from softcal.station.self_test import SelfTestItem
+    from softcal.station.devices.catalogue import Offer
+    from softcal.station.tasks.acquisition import OnProgress
+    from softcal.station.tasks.identify import DeviceIdentity
+    from softcal.station.tasks.self_test import SelfTestItem
 
 EXAMPLES = """examples:
   softcal station check                                       look at every USB serial port
@@ -182,7 +182,7 @@ def run_check(options: argparse.Namespace) -> int:
         print_table(("device", "what", "value", "to do"), [_row(finding) for finding in check.findings])
     if options.write:
         from softcal.app.files.atomic import write_text
-        from softcal.station.config import station_toml
+        from softcal.station.devices.config import station_toml
 
         write_text(options.write, station_toml(check.config, _either(check.devices)))
         say(f"{options.write}: station file written; set the safety bounds, the load cell's serial and its scale in it")
@@ -286,7 +286,7 @@ def run_calibrate_cell(options: argparse.Namespace) -> int:
     """Ask for weights, fit, write the station file."""
     from softcal.app.files.atomic import write_text
     from softcal.app.line.cell_scale import calibrate_cell
-    from softcal.station.config import read_station_file, station_toml
+    from softcal.station.devices.config import read_station_file, station_toml
 
     def wait_for(mass_kg: float) -> None:
         say(f"put {mass_kg:g} kg on the load cell and press Enter" if mass_kg else "unload the cell and press Enter")
@@ -306,8 +306,8 @@ def run_calibrate_cell(options: argparse.Namespace) -> int:
 
 def run_drivers(options: argparse.Namespace) -> int:
     """List the drivers there are."""
-    from softcal.station.catalogue import SECTIONS, offers
-    from softcal.station.config import meanings
+    from softcal.station.devices.catalogue import SECTIONS, offers
+    from softcal.station.devices.config import meanings
 
     found = [offer for offer in offers() if options.kind in (None, offer.kind)]
     if not found:
@@ -327,7 +327,7 @@ def run_drivers(options: argparse.Namespace) -> int:
 
 
 def _driver_row(offer: "Offer") -> tuple[str, str, str, str, str]:
-    from softcal.station.catalogue import SECTIONS
+    from softcal.station.devices.catalogue import SECTIONS
 
     what, wires = (
         ("cannot be loaded", "") if offer.driver is None else (offer.driver.what, "/".join(offer.driver.wires))
@@ -369,7 +369,7 @@ def _row(finding: "SelfTestItem") -> tuple[str, str, str, str]:
 
 
 def _progress() -> "OnProgress":
-    from softcal.station.acquisition import RunProgress
+    from softcal.station.tasks.acquisition import RunProgress
 
     shown_phase, shown_percent = "", -10
 

@@ -1,6 +1,8 @@
 """The REST answers: each one use case that commands and pages call, too."""
 
 import hashlib
+import io
+import zipfile
 from collections.abc import Callable
 from datetime import UTC, datetime
 from functools import partial
@@ -15,6 +17,9 @@ from softcal.app.connect import rest_models as answers
 from softcal.app.connect.alert_watch import open_alerts
 from softcal.app.connect.events import CHANGE, KINDS, events_after
 from softcal.app.connect.stations import order_json, station_json
+from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
+from softcal.app.export.certificates.laboratory import kept_laboratory
+from softcal.app.export.formats import writer_of
 from softcal.app.jobs import process
 from softcal.app.registry.listing import history_json, unit_json
 from softcal.app.texts.catalogue import text
@@ -22,6 +27,7 @@ from softcal.app.texts.reasons import told
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.orders import RunState
+from softcal.core.unit.verdict import Release
 from softcal.db.access.people import PERMISSIONS, may, permissions
 from softcal.db.entries import User
 from softcal.db.queues.job_board import Job
@@ -169,7 +175,7 @@ def files(
     conditional: Annotated[bool, Query(description="conditional units have their files, too")] = False,
 ) -> Response:
     """Give the calibration files of a unit with their manifest; a unit that is not released is refused (409)."""
-    from softcal.app.connect.unit_files import unit_archive
+    from softcal.app.connect.rest_routes import unit_archive
 
     _unit(registry, lot, serial)
     packed = unit_archive(registry, lot, serial, format, conditional, user.name)
@@ -324,3 +330,26 @@ def _job_json(job: Job) -> dict[str, Any]:
         "is_cancel_wanted": job.is_cancel_wanted,
         "is_lost": job.is_lost(datetime.now(UTC)),
     }
+
+
+def unit_archive(
+    registry: Registry, lot_id: str, serial: str, file_format: str, with_conditional: bool, actor: str
+) -> bytes:
+    """Return the files of a format as a ZIP archive; who took them lands in the audit trail.
+
+    Args:
+        with_conditional: whether conditional units have their files, too.
+
+    Raises:
+        InputError: no such format, or no calibration.
+        UnitRefused: the newest verdict of the unit, or its map, allows no such file.
+    """
+    release = Release.CONDITIONAL if with_conditional else Release.PASS
+    options = ExportOptions(release=release, lot_id=lot_id, laboratory=kept_laboratory())
+    contents = writer_of(file_format)(UnitLoader(registry, options).load(serial))
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in contents.items():
+            archive.writestr(zipfile.ZipInfo(name), content)
+    registry.trail.add("export", "units", (serial,), {"lot_id": lot_id, "formats": [file_format]}, actor=actor)
+    return packed.getvalue()

@@ -14,8 +14,7 @@ from softcal.core.errors import InputError, UnitRefused
 from softcal.core.export.blob import longest_step_ms
 from softcal.core.export.c_text import intel_hex, network_header, unit_header
 from softcal.core.export.compile_map import compile_map, fine_forms
-from softcal.core.export.cost import device_cost
-from softcal.core.export.device import device_limit, limits_of_unit, sample_period_us
+from softcal.core.export.device import device_cost, device_limit, limits_of_unit, sample_period_us
 from softcal.core.export.graph import compose
 from softcal.core.export.json_text import json_text, network_values, unit_values
 from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE

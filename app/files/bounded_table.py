@@ -63,7 +63,10 @@ def _csv(file: BinaryIO, path: Path, most_cells: int) -> "pd.DataFrame":
 
     separator = "\t" if path.suffix.lower() == ".tsv" else ","
     _check_text(file, path, separator.encode(), most_cells)
-    _check_names(_header(file, separator), path)
+    names = _header(file, separator)
+    if len(names) == 1 and ";" in names[0]:
+        raise InputError(f"{path}: its cells are separated by ';'; save it with ',' between cells and decimal points")
+    _check_names(names, path)
     table = pd.read_csv(file, sep=separator, low_memory=False)
     # Where rows have a cell more than the header pandas takes the first one for a name, and columns shift.
     if not isinstance(table.index, pd.RangeIndex):

@@ -13,7 +13,7 @@ import numpy as np
 from softcal.app.files.atomic import whole_folder
 from softcal.app.files.bounded_table import MOST_CELLS
 from softcal.app.files.lot_folder import same_recording, write_lot_toml
-from softcal.app.files.recording_file import STAGE, SUFFIXES, column, naming, read_table, write_columns
+from softcal.app.files.recording_file import STAGE, SUFFIXES, column, naming, read_table, timed, write_columns
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
@@ -273,7 +273,7 @@ def _read_units(plan: ImportPlan) -> dict[str, ImportedUnit]:
 def _read_unit(table: "pd.DataFrame", path: Path, output: str, serial: str, plan: ImportPlan) -> ImportedUnit:
     columns, rate_Hz = plan.columns, plan.lot.sample_rate_Hz
     values = column(table, output, path)
-    t_s = np.arange(len(values)) / rate_Hz if columns.time is None else column(table, columns.time, path)
+    t_s = timed(table, columns.time, rate_Hz, path)
     is_still = columns.stage is None or (columns.stage == STAGE and STAGE not in table.columns)
     stage_mm = None if is_still else column(table, str(columns.stage), path)
     reference = None
@@ -301,7 +301,7 @@ def median_rate_Hz(path: Path, time_column: str, sheet: str | None = None, most_
             f"{path}: column {time_column!r} is in {found[1]} by its name, not in s; convert it, or leave out "
             "the time column and give the sample rate"
         )
-    t_s = column(read_table(path, sheet, most_cells=most_cells, wanted=time_column.__eq__), time_column, path)
+    t_s = timed(read_table(path, sheet, most_cells=most_cells, wanted=time_column.__eq__), time_column, 1.0, path)
     steps = np.diff(t_s)
     if not np.any(steps > 0):
         raise InputError(f"{path}: column {time_column!r} never advances; give the sample rate, or another time column")

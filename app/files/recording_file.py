@@ -87,8 +87,8 @@ def read_table(
     return table
 
 
-def named_column(table: "pd.DataFrame", name: str, path: Path) -> "pd.Series[Any]":
-    """Return one column as it stands in the file.
+def named_column(table: "pd.DataFrame", name: str, path: Path, cure: str = "") -> "pd.Series[Any]":
+    """Return one column as it stands in the file; `cure` says what else helps where it is missing.
 
     Raises:
         InputError: the column is missing or stands there twice.
@@ -98,19 +98,26 @@ def named_column(table: "pd.DataFrame", name: str, path: Path) -> "pd.Series[Any
         there = table.attrs.get(NAMES, names)
         seen = ", ".join(there[:12]) + (", ..." if len(there) > 12 else "")
         problem = "there is no column" if name not in names else "more than one column is named"
-        raise InputError(f"{path}: {problem} {name!r}; the file has: {seen}; name the one that is meant")
+        raise InputError(f"{path}: {problem} {name!r}; the file has: {seen}; name the one that is meant{cure}")
     return table.iloc[:, names.index(name)]
 
 
-def column(table: "pd.DataFrame", name: str, path: Path) -> Array:
-    """Return one column as finite numbers.
+def timed(table: "pd.DataFrame", name: str | None, rate_Hz: float, path: Path) -> Array:
+    """Return the column of time in s as finite numbers; made from the rate where no column is named."""
+    if name is None:
+        return np.arange(len(table)) / rate_Hz
+    return column(table, name, path, ", or give the sample rate")
+
+
+def column(table: "pd.DataFrame", name: str, path: Path, cure: str = "") -> Array:
+    """Return one column as finite numbers; `cure` says what else helps where it is missing.
 
     Raises:
         InputError: the column is missing, stands there twice, or holds something that is not a finite number.
     """
     import pandas as pd
 
-    raw = named_column(table, name, path)
+    raw = named_column(table, name, path, cure)
     truth = [value for value in raw if isinstance(value, bool)] if raw.dtype == object else []
     is_time = pd.api.types.is_datetime64_any_dtype(raw) or pd.api.types.is_timedelta64_dtype(raw)
     if pd.api.types.is_bool_dtype(raw) or truth or is_time:
@@ -183,7 +190,7 @@ def _recording(
     names: ColumnNames = PLAIN,
 ) -> OutputRecording:
     output = column(table, names.output, path)
-    t_s = np.arange(len(output)) / (names.rate_Hz or 1.0) if names.time is None else column(table, names.time, path)
+    t_s = timed(table, names.time, names.rate_Hz or 1.0, path)
     stage_mm = column(table, STAGE, path) if STAGE in table.columns else None
     with naming(path):
         return OutputRecording(serial, t_s, output, sample_rate_Hz or _median_rate_Hz(t_s), output_unit, stage_mm)

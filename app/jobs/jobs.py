@@ -150,7 +150,7 @@ def diagnose(registry: Registry, job: Job, tell: Teller) -> Outcome:
 def check(registry: Registry, job: Job, tell: Teller) -> Outcome:
     """Find and test the devices of a rig; request: file or simulated, ports, may_move."""
     from softcal.app.line.rig import check_station
-    from softcal.station.config import station_toml
+    from softcal.station.devices.config import station_toml
 
     request = job.request
     file = None if request["file"] is None else Path(request["file"])

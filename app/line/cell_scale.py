@@ -4,10 +4,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from softcal.core.errors import InputError
-from softcal.station.bench import open_force
-from softcal.station.cell_calibration import CellCalibration, fit_cell, read_steady
 from softcal.station.clock import HostClock
-from softcal.station.config import StationConfig, with_own_keys
+from softcal.station.devices.bench import open_force
+from softcal.station.devices.cell_calibration import CellCalibration, fit_cell, read_steady
+from softcal.station.devices.config import StationConfig, with_own_keys
 from softcal.station.drivers.hx711 import Hx711Config
 
 

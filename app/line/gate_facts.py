@@ -28,7 +28,7 @@ from softcal.core.unit.verdict import default_limit
 from softcal.core.words.reason import Reason, reason
 from softcal.db.entries import GoldenRun
 from softcal.db.registry import Registry
-from softcal.station.config import StationConfig
+from softcal.station.devices.config import StationConfig
 
 FIRST_RUNS = 8
 """So many runs of a golden unit make its control limits; until then the lot's limit judges it."""

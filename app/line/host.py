@@ -17,9 +17,9 @@ from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState,
 from softcal.core.quality.known_loads import ordered_load
 from softcal.core.words.reason import Reason, reason
 from softcal.db.queues.order_queue import TAKEN_OVER_AFTER, OrderQueue
-from softcal.station.at_rest import RestReading
-from softcal.station.recording import StationRecording
-from softcal.station.service import StationService
+from softcal.station.record.recording import StationRecording
+from softcal.station.tasks.at_rest import RestReading
+from softcal.station.tasks.service import StationService
 
 BEAT_S = 1.0
 REPORT_S = 0.2

@@ -31,8 +31,8 @@ from softcal.core.unit.verdict import Verdict
 from softcal.core.words.reason import Reason, joined, reason
 from softcal.db.entries import NetworkEntry
 from softcal.db.registry import Registry
-from softcal.station.at_rest import RestReading
-from softcal.station.recording import StationRecording
+from softcal.station.record.recording import StationRecording
+from softcal.station.tasks.at_rest import RestReading
 
 Tell = Callable[[Progress], None]
 

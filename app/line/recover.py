@@ -12,8 +12,8 @@ from softcal.app.line.serials import numbered
 from softcal.core.errors import BadReply, InputError
 from softcal.core.lot import check_serial
 from softcal.station.interfaces import Sample
-from softcal.station.recording import StationRecording, restore
-from softcal.station.spool import SpooledRun, read_spool
+from softcal.station.record.recording import StationRecording, restore
+from softcal.station.record.spool import SpooledRun, read_spool
 
 
 @dataclass(frozen=True)

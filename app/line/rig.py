@@ -19,21 +19,21 @@ from softcal.core.profiles import Profile, source_profile, unit_profile
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.budget import SIMULATED, Reference
 from softcal.core.words.reason import Reason, reason, several
-from softcal.station.acquisition import OnProgress, record
-from softcal.station.bench import SIMULATED_NAME, Bench, open_bench, open_simulated_bench
 from softcal.station.clock import HostClock
-from softcal.station.config import (
+from softcal.station.devices.bench import SIMULATED_NAME, Bench, open_bench, open_simulated_bench
+from softcal.station.devices.config import (
     ForceConfig,
     ReadoutConfig,
     StageConfig,
     StationConfig,
     read_station_file,
 )
-from softcal.station.identify import DeviceIdentity, identify
-from softcal.station.link import available_ports
-from softcal.station.recording import StationRecording
-from softcal.station.self_test import SelfTestItem, self_test
-from softcal.station.spool import Spool
+from softcal.station.record.recording import StationRecording
+from softcal.station.record.spool import Spool
+from softcal.station.tasks.acquisition import OnProgress, record
+from softcal.station.tasks.identify import DeviceIdentity, identify
+from softcal.station.tasks.self_test import SelfTestItem, self_test
+from softcal.station.wire.link import available_ports
 
 if TYPE_CHECKING:
     from softcal.core.twin.simulate import Twin

@@ -18,9 +18,9 @@ from softcal.core.orders import OrderKind, Progress
 from softcal.core.profiles import Profile
 from softcal.core.unit.budget import SIMULATED
 from softcal.db.registry import Registry
-from softcal.station.bench import SIMULATED_NAME, Bench, open_bench
-from softcal.station.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig, read_station_file
-from softcal.station.service import Hooks, StationService
+from softcal.station.devices.bench import SIMULATED_NAME, Bench, open_bench
+from softcal.station.devices.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig, read_station_file
+from softcal.station.tasks.service import Hooks, StationService
 
 SIMULATED_RIG = StationConfig(
     StageConfig(""), ReadoutConfig(""), ForceConfig("", serial="SIM-CELL"), name=SIMULATED_NAME

@@ -13,6 +13,7 @@ from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
+from common.planted import planted
 from common.screens import THEMES, Theme, keep_picture, served
 from playwright.sync_api import Browser, Page, ViewportSize
 
@@ -101,7 +102,7 @@ def fill(url: str, folder: Path) -> None:
 def write_lot(folder: Path) -> None:
     """Write a lot folder of a source, twenty good units and one of each of six faults; every other one is audited."""
     faults = ("dead", "saturated", "reversed", "other sensor", "wrong programme", "extra creep")
-    design = LotDesign(good=20, bad=dict.fromkeys(faults, 1), unit_s=40, audit_s=60, has_stage=True)
+    design = LotDesign(good=20, bad=planted(faults), unit_s=40, audit_s=60, has_stage=True)
     sim = simulate_lot(7, design)
     folder.mkdir(parents=True)
     (folder / "lot.toml").write_text(LOT_TOML)

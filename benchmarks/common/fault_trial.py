@@ -9,12 +9,12 @@ from typing import Any
 from softcal.core.errors import DeviceError
 from softcal.core.profiles import Profile, moves
 from softcal.core.words.reason import Reason
-from softcal.station.acquisition import RunProgress, record
-from softcal.station.bench import Bench, open_simulated_bench
-from softcal.station.motion import TICK_S
+from softcal.station.devices.bench import Bench, open_simulated_bench
+from softcal.station.motion.motion import TICK_S
+from softcal.station.record.spool import Spool, read_spool
 from softcal.station.simulated.faults import MOMENTS, PRESS, RETURN, Fault
 from softcal.station.simulated.station import SimulatedStation
-from softcal.station.spool import Spool, read_spool
+from softcal.station.tasks.acquisition import RunProgress, record
 
 PROFILE: Profile = moves("trial", [0.0, 3.0, 0.0, 3.0, 0.0], [2.0, 2.0, 2.0, 10.0, 10.0], [1.0, 1.0, 0.5, 0.0, 1.0])
 

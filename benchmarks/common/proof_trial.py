@@ -11,13 +11,13 @@ from common.law_unit import ForceLaw, LawUnit
 from softcal.core.profiles import Profile, ramps, source_profile, unit_profile
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import EffectSetting, Twin, TwinStream
-from softcal.station.acquisition import RunProgress, record
-from softcal.station.bench import Bench, open_bench, simulated_config
-from softcal.station.config import UNKNOWN_S
-from softcal.station.recording import StationRecording
+from softcal.station.devices.bench import Bench, open_bench, simulated_config
+from softcal.station.devices.config import UNKNOWN_S
+from softcal.station.record.recording import StationRecording
+from softcal.station.record.spool import Spool
 from softcal.station.simulated.rig import Physics
 from softcal.station.simulated.station import SimulatedStation
-from softcal.station.spool import Spool
+from softcal.station.tasks.acquisition import RunProgress, record
 
 CELL_HZ = (10.0, 20.0, 80.0)
 """Rates of the load cells that are drawn: both of an HX711, and a rate between."""

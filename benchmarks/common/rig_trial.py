@@ -11,10 +11,10 @@ from common.law_unit import ForceLaw, LawUnit
 from softcal.core.errors import DeviceError
 from softcal.core.profiles import Profile
 from softcal.core.twin.simulate import Twin
-from softcal.station.acquisition import RunProgress, record
-from softcal.station.bench import Bench, open_bench, simulated_config
-from softcal.station.config import UNKNOWN_S
+from softcal.station.devices.bench import Bench, open_bench, simulated_config
+from softcal.station.devices.config import UNKNOWN_S
 from softcal.station.simulated.station import SimulatedStation
+from softcal.station.tasks.acquisition import RunProgress, record
 
 GONE_S = 10.0
 """Longer than anything that was sent ahead takes."""

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from common.planted import FAULTS, planted
 
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.maps.interface import FitProblem
@@ -12,7 +13,7 @@ from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, LabelledRecording
-from softcal.core.simulated_lot import FAULTS, SHIFTS, LotDesign, SimulatedUnit, simulate_lot
+from softcal.core.simulated_lot import SHIFTS, LotDesign, SimulatedUnit, simulate_lot
 from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import Estimate, estimate
@@ -75,7 +76,7 @@ def lot_design(seed: int, faults: tuple[str, ...] = tuple(FAULTS)) -> LotDesign:
     """Return the design of a lot: each fault once; even seeds know the stage position and see every shift in turn."""
     has_stage = seed % 2 == 0
     shifts = tuple(SHIFTS) if has_stage else SHIFTS_WITHOUT_STAGE
-    return LotDesign(good=5, bad=dict.fromkeys(faults, 1), shift=shifts[(seed // 2) % len(shifts)], has_stage=has_stage)
+    return LotDesign(good=5, bad=planted(faults), shift=shifts[(seed // 2) % len(shifts)], has_stage=has_stage)
 
 
 def cases(seeds: range, faults: tuple[str, ...] = tuple(FAULTS), has_own: bool = True) -> Iterator[Case]:

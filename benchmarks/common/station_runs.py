@@ -14,10 +14,10 @@ from common.fault_trial import is_true
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply, SafetyStop
 from softcal.core.words.reason import Reason, plain
-from softcal.station.config import FixtureConfig, ForceConfig, SafetyConfig
+from softcal.station.devices.config import FixtureConfig, ForceConfig, SafetyConfig
 from softcal.station.interfaces import Held, Move, OnWait, Sample, StagePosition
-from softcal.station.interlock import TABLE, Interlock, Moves, StageWatch, State
-from softcal.station.motion import Cancelled, Motion
+from softcal.station.motion.interlock import TABLE, Interlock, Moves, StageWatch, State
+from softcal.station.motion.motion import Cancelled, Motion
 
 MOST_FAULTS = 3
 LONGEST_S = 120.0

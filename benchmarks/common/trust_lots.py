@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from common.map_methods import DATA, egain, insole, taxel, taxels
+from common.planted import LineEffects, planted
 from common.simulated_cases import NETWORK
 from numpy.typing import NDArray
 
@@ -22,7 +23,7 @@ from softcal.core.network.training import fit_network
 from softcal.core.profiles import Profile, moves, random_presses, source_profile, unit_profile
 from softcal.core.quality.widening import AuditedSamples, Widening
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.simulated_lot import DEPTH_MM, LineEffects, LotDesign, draw_twins, simulate_lot
+from softcal.core.simulated_lot import DEPTH_MM, LotDesign, draw_twins, simulate_lot
 from softcal.core.twin.simulate import Twin, simulate
 from softcal.core.unit.audit_reading import OutputLevel, line_of
 from softcal.core.unit.bridge import make_bridge
@@ -114,7 +115,7 @@ class RawLot:
 
 def designs(units: int) -> dict[str, LotDesign]:
     """Return the kinds of lot on the twin, by name."""
-    bad = {"extra creep": 1, "other sensor": 1, "saturated": 1}
+    bad = planted(("extra creep", "other sensor", "saturated"))
     return {
         "in step": LotDesign(units),
         "own programme": LotDesign(units, shift=OWN),

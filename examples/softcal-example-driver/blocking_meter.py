@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from lab_meter import MeterConfig, simulate
 
 from softcal.core.errors import NoReply
-from softcal.station.driver import Driver, Opening
-from softcal.station.threaded import Reading, ThreadedReader
+from softcal.station.devices.driver import Driver, Opening
+from softcal.station.wire.threaded import Reading, ThreadedReader
 
 
 class MakersLibrary:

@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, InputError
-from softcal.station.asked import AskedReader
-from softcal.station.config import ReadoutConfig
-from softcal.station.driver import Driver, Opening, Simulated, Surroundings
-from softcal.station.link import link_for_driver
+from softcal.station.devices.config import ReadoutConfig
+from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.simulated.answering import SimulatedAnswers
+from softcal.station.wire.asked import AskedReader
+from softcal.station.wire.link import link_for_driver
 
 
 @dataclass(frozen=True)

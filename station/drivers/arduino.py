@@ -4,12 +4,12 @@ from dataclasses import dataclass, replace
 
 from softcal.core.errors import InputError
 from softcal.core.words.reason import reason
-from softcal.station.config import ReadoutConfig
-from softcal.station.driver import Driver, Opening, Simulated, Surroundings
+from softcal.station.devices.config import ReadoutConfig
+from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.text_stream import TextStream
 from softcal.station.interfaces import Sample
-from softcal.station.link import Link, link_for_driver
-from softcal.station.transport import WireKind
+from softcal.station.wire.link import Link, link_for_driver
+from softcal.station.wire.transport import WireKind
 
 
 @dataclass(frozen=True)

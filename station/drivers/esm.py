@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, DeviceError, NoReply
 from softcal.core.words.reason import Reason, reason
-from softcal.station.config import ForceConfig, StageConfig
-from softcal.station.driver import Driver, Opening, Simulated, Surroundings
+from softcal.station.devices.config import ForceConfig, StageConfig
+from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.admission import admit
-from softcal.station.frames import esm, gcl2
 from softcal.station.interfaces import Move, OnWait, Sample, StagePosition, ignore_wait
-from softcal.station.link import POLL_S, Line, Link, link_for_driver
+from softcal.station.wire.frames import esm, gcl2
+from softcal.station.wire.link import POLL_S, Line, Link, link_for_driver
 
 STOPS_WITHIN_S = 1.0
 SILENCE_S = 0.25

@@ -5,15 +5,15 @@ from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, InputError, NoReply
 from softcal.core.words.reason import Reason, reason
-from softcal.station.config import StageConfig
-from softcal.station.driver import Driver, Opening, Simulated, Surroundings
+from softcal.station.devices.config import StageConfig
+from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.admission import admit
 from softcal.station.drivers.grbl_settings import ANSWER_S, read_settings
-from softcal.station.feeding import PieceFeed, runs_on_mm, runs_on_s
-from softcal.station.frames import grbl
 from softcal.station.interfaces import Held, Move, OnWait, StagePosition, ignore_wait
-from softcal.station.link import POLL_S, Line, Link, link_for_driver
-from softcal.station.trajectory import Trapezoid
+from softcal.station.motion.feeding import PieceFeed, runs_on_mm, runs_on_s
+from softcal.station.record.trajectory import Trapezoid
+from softcal.station.wire.frames import grbl
+from softcal.station.wire.link import POLL_S, Line, Link, link_for_driver
 
 STATUS_S = 0.1
 """Status polls: ten a second is the controller's limit."""

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 from softcal.core.errors import BadReply, CommandRefused
 from softcal.core.words.reason import Reason, reason, several
-from softcal.station.frames import grbl
-from softcal.station.link import Link
+from softcal.station.wire.frames import grbl
+from softcal.station.wire.link import Link
 
 ANSWER_S = 2.0
 

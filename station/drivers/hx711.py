@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, InputError
 from softcal.core.words.reason import Reason, reason
-from softcal.station.config import ForceConfig
-from softcal.station.driver import Driver, Opening, Simulated, Surroundings
+from softcal.station.devices.config import ForceConfig
+from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.text_stream import TextStream
 from softcal.station.interfaces import Sample
-from softcal.station.link import Link, link_for_driver
 from softcal.station.named import named
-from softcal.station.transport import WireKind
+from softcal.station.wire.link import Link, link_for_driver
+from softcal.station.wire.transport import WireKind
 
 RAILS = (-(2**23), 2**23 - 1)
 """Counts of a saturated converter: overload, or a bridge that is not connected."""

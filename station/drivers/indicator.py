@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from softcal.station.driver import Driver, Simulated, Surroundings
+from softcal.station.devices.driver import Driver, Simulated, Surroundings
 from softcal.station.drivers.serial_cell import LineCell, SerialCellConfig, opens
-from softcal.station.frames.indicator import OVERLOADED, parse_N
+from softcal.station.wire.frames.indicator import OVERLOADED, parse_N
 
 
 @dataclass(frozen=True)

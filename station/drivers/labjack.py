@@ -10,10 +10,10 @@ from typing import Any
 
 from softcal.core.errors import BadReply, CommandRefused, InputError, NoReply
 from softcal.core.words.reason import reason
-from softcal.station.config import ReadoutConfig
-from softcal.station.driver import Driver, Opening, Simulated, Surroundings
+from softcal.station.devices.config import ReadoutConfig
+from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.named import named
-from softcal.station.threaded import Reading, ThreadedReader
+from softcal.station.wire.threaded import Reading, ThreadedReader
 
 NAME = "sensor readout"
 RANGES_V = (10.0, 1.0, 0.1, 0.01)

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 from softcal.core.errors import NoReply
 from softcal.core.words.reason import reason
-from softcal.station.driver import Driver, Simulated, Surroundings
+from softcal.station.devices.driver import Driver, Simulated, Surroundings
 from softcal.station.drivers.serial_cell import LineCell, SerialCellConfig, opens
-from softcal.station.frames import loadstar
-from softcal.station.link import Link
+from softcal.station.wire.frames import loadstar
+from softcal.station.wire.link import Link
 
 ANSWER_S = 1.0
 

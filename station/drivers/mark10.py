@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
-from softcal.station.asked import AskedReader
-from softcal.station.driver import Driver, Simulated, Surroundings
+from softcal.station.devices.driver import Driver, Simulated, Surroundings
 from softcal.station.drivers.serial_cell import SerialCellConfig, opens
-from softcal.station.frames import gcl2
 from softcal.station.interfaces import Sample
-from softcal.station.link import Link
+from softcal.station.wire.asked import AskedReader
+from softcal.station.wire.frames import gcl2
+from softcal.station.wire.link import Link
 
 ANSWER_S = 1.0
 

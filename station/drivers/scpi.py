@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, InputError, NoReply
 from softcal.core.words.reason import Reason, reason
-from softcal.station.asked import AskedReader
-from softcal.station.config import ReadoutConfig
-from softcal.station.driver import Driver, Opening, Simulated, Surroundings
+from softcal.station.devices.config import ReadoutConfig
+from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.interfaces import Sample
-from softcal.station.link import Link, link_for_driver
 from softcal.station.named import named
-from softcal.station.transport import WireKind
+from softcal.station.wire.asked import AskedReader
+from softcal.station.wire.link import Link, link_for_driver
+from softcal.station.wire.transport import WireKind
 
 NAME = "sensor readout"
 ANSWER_S = 3.0

@@ -6,11 +6,11 @@ from typing import TypeVar
 
 from softcal.core.errors import BadReply
 from softcal.core.words.reason import Reason
-from softcal.station.config import ForceConfig
-from softcal.station.driver import Opening
+from softcal.station.devices.config import ForceConfig
+from softcal.station.devices.driver import Opening
 from softcal.station.drivers.text_stream import BAD_IN_A_ROW
 from softcal.station.interfaces import Sample
-from softcal.station.link import Link, link_for_driver
+from softcal.station.wire.link import Link, link_for_driver
 
 Cell = TypeVar("Cell")
 

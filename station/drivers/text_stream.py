@@ -3,10 +3,10 @@
 from softcal.core.errors import BadReply, reason_of
 from softcal.core.words.reason import reason
 from softcal.station.clock import unwrap_ms
-from softcal.station.frames.text_stream import parse
 from softcal.station.interfaces import Sample
-from softcal.station.link import Link
 from softcal.station.named import named
+from softcal.station.wire.frames.text_stream import parse
+from softcal.station.wire.link import Link
 
 BAD_IN_A_ROW = 10
 """So many unreadable lines one after the other are no longer noise."""

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, InputError, NoReply
 from softcal.core.words.reason import reason
-from softcal.station.command import Control, Measurement
-from softcal.station.config import StageConfig
-from softcal.station.driver import Driver, Opening, Simulated, Surroundings
+from softcal.station.devices.config import StageConfig
+from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.admission import admit
-from softcal.station.frames import zaber
 from softcal.station.interfaces import Move, OnWait, StagePosition, ignore_wait
-from softcal.station.link import POLL_S, Link, link_for_driver
+from softcal.station.wire.command import Control, Measurement
+from softcal.station.wire.frames import zaber
+from softcal.station.wire.link import POLL_S, Link, link_for_driver
 
 ANSWER_S = 0.5
 SILENCE_S = 0.25

@@ -5,9 +5,9 @@ import re
 from collections import deque
 from collections.abc import Callable
 
-from softcal.station.frames import grbl
 from softcal.station.simulated.motion import Axis, QueuedMove
 from softcal.station.simulated.wire import Wire
+from softcal.station.wire.frames import grbl
 
 PLANNER_BLOCKS = 15
 RECEIVE_BYTES = 128

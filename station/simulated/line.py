@@ -7,7 +7,7 @@ from functools import partial
 from softcal.core.errors import InputError
 from softcal.core.twin.simulate import Twin
 from softcal.core.words.reason import Reason, reason
-from softcal.station.bench import Bench, open_simulated_bench
+from softcal.station.devices.bench import Bench, open_simulated_bench
 from softcal.station.simulated.faults import FAULTS, Fault
 from softcal.station.simulated.station import SimulatedStation
 

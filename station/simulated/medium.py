@@ -4,7 +4,7 @@ import os
 import socket
 from typing import Protocol
 
-from softcal.station.transport import BLE
+from softcal.station.wire.transport import BLE
 
 
 class Medium(Protocol):

@@ -7,9 +7,9 @@ import numpy as np
 
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import Twin, TwinStream
-from softcal.station.catalogue import driver_of
-from softcal.station.config import ForceConfig, ReadoutConfig, Role, StageConfig
-from softcal.station.driver import AnyDriver, Simulated, Surroundings
+from softcal.station.devices.catalogue import driver_of
+from softcal.station.devices.config import ForceConfig, ReadoutConfig, Role, StageConfig
+from softcal.station.devices.driver import AnyDriver, Simulated, Surroundings
 from softcal.station.simulated.grbl import SimulatedGrbl
 from softcal.station.simulated.medium import BleEnd, SocketEnd
 from softcal.station.simulated.motion import Axis

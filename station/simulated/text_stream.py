@@ -2,8 +2,8 @@
 
 from collections.abc import Callable
 
-from softcal.station.frames.text_stream import StreamLine, format_line
 from softcal.station.simulated.wire import Wire
+from softcal.station.wire.frames.text_stream import StreamLine, format_line
 
 CELL_COUNTS_PER_N, CELL_ZERO_COUNTS = 9870.0, 84_210.0
 """Of the simulated load cell behind its HX711."""

@@ -2,9 +2,9 @@
 
 from softcal.core.errors import BadReply
 from softcal.station.drivers.zaber import ACCELERATION_UNIT, SPEED_UNIT
-from softcal.station.frames import zaber
 from softcal.station.simulated.motion import Axis, QueuedMove
 from softcal.station.simulated.wire import Wire
+from softcal.station.wire.frames import zaber
 
 HOMING_MM_S = 10.0
 

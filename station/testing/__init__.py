@@ -14,7 +14,7 @@ Needs no pytest: a check is called and raises `Nonconformity`, an `AssertionErro
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from softcal.station.driver import AnyDriver
+from softcal.station.devices.driver import AnyDriver
 from softcal.station.testing.common import COMMON
 from softcal.station.testing.reader import READER
 from softcal.station.testing.rig import DriverRig, Nonconformity

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import fields
 
 from softcal.core.errors import DeviceError, InputError
-from softcal.station.catalogue import SECTIONS
-from softcal.station.config import filled, meanings
+from softcal.station.devices.catalogue import SECTIONS
+from softcal.station.devices.config import filled, meanings
 from softcal.station.testing.rig import DriverRig, require
 
 OPENING_S = 60.0

@@ -9,10 +9,10 @@ import numpy as np
 
 from softcal.core.errors import DeviceError
 from softcal.core.twin.parameters import ReadoutMetadata
-from softcal.station.catalogue import driver_of
 from softcal.station.clock import HostClock
-from softcal.station.config import DeviceConfig
-from softcal.station.driver import AnyDriver, Opening, Simulated, Surroundings
+from softcal.station.devices.catalogue import driver_of
+from softcal.station.devices.config import DeviceConfig
+from softcal.station.devices.driver import AnyDriver, Opening, Simulated, Surroundings
 from softcal.station.interfaces import Clock, Reader, Sample, Stage, StagePosition
 from softcal.station.simulated.motion import Axis
 from softcal.station.simulated.station import wire_for

@@ -22,8 +22,8 @@ from softcal.app.use.sink import open_sink
 from softcal.app.use.source import AWAY_S, SILENCE_S, lines_of, on_one_clock, readings, replugged
 from softcal.core.errors import BadReply, NoReply
 from softcal.db.connection import open_registry
-from softcal.station.frames.text_stream import StreamLine, format_line
 from softcal.station.interfaces import Sample
+from softcal.station.wire.frames.text_stream import StreamLine, format_line
 
 
 @pytest.fixture(scope="module")

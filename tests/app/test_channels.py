@@ -11,9 +11,9 @@ from softcal.core.orders import Order, OrderKind, RunState
 from softcal.core.profiles import ramps
 from softcal.core.twin.spread import draw_lot
 from softcal.db.connection import open_registry
-from softcal.station.acquisition import record
-from softcal.station.bench import open_simulated_bench
-from softcal.station.spool import Spool
+from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.record.spool import Spool
+from softcal.station.tasks.acquisition import record
 
 
 @pytest.fixture(scope="module")

@@ -77,12 +77,26 @@ def _empty(folder: Path) -> Path:
     return path
 
 
+def _of_another_country(folder: Path) -> Path:
+    path = _table(folder)
+    path.write_text(path.read_text().replace(",", ";").replace(".", ","))
+    return path
+
+
+def _without_time(folder: Path) -> Path:
+    path = _table(folder)
+    pd.read_csv(path).drop(columns="t").to_csv(path, index=False)
+    return path
+
+
 @pytest.mark.parametrize(
     ("make", "says"),
     [
         (_broken_excel, "S1.xlsx"),
         (_with_text, "line 42, column 'volts': 'abc'"),
         (_empty, "S1.csv"),
+        (_of_another_country, "separated by ';'"),
+        (_without_time, "or give the sample rate"),
         (lambda folder: folder / "S1.csv", "S1.csv"),
         (lambda folder: _table(folder, rows=10), " 15"),
         (lambda folder: _table(folder, volts=[np.nan] * 60), "(60 "),

@@ -22,7 +22,7 @@ from softcal.core.orders import Order, OrderKind, Progress
 from softcal.db.connection import open_registry
 from softcal.db.entries import StoredCalibration
 from softcal.db.registry import Registry
-from softcal.station.recording import Alignment, StationRecording
+from softcal.station.record.recording import Alignment, StationRecording
 
 DAY_GAIN, DAY_ZERO_V = 1.06, 0.01
 SMALL = ("--hidden", "16,8")

@@ -18,8 +18,8 @@ from softcal.core.orders import Order, OrderKind
 from softcal.core.unit.budget import SIMULATED, Reference, Standing
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate
-from softcal.station.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig
-from softcal.station.recording import Alignment, StationRecording
+from softcal.station.devices.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig
+from softcal.station.record.recording import Alignment, StationRecording
 
 CELL = CellCertificate("LC-7", "D-K-1", "DAkkS", date(2026, 1, 1), date(2028, 1, 1), 10.0, 0.012)
 NAMED = '[reference]\nunit = "N"\ncell = "LC-7"\nused_on = {used_on}\n'

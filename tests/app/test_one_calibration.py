@@ -34,8 +34,8 @@ from softcal.core.unit.verdict import stated_limit
 from softcal.db.care.sync import synchronise
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
-from softcal.station.at_rest import RestReading
-from softcal.station.recording import Alignment, StationRecording
+from softcal.station.record.recording import Alignment, StationRecording
+from softcal.station.tasks.at_rest import RestReading
 
 SMALL = ("--hidden", "16,8")
 REFERENCE = {"source": "reference", "audit": "reference"}

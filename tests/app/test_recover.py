@@ -7,10 +7,10 @@ import pytest
 
 from softcal.app.line.recover import recover
 from softcal.core.profiles import ramps
-from softcal.station.acquisition import record
-from softcal.station.bench import open_simulated_bench
+from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.interfaces import Sample, StagePosition
-from softcal.station.spool import Spool, _line
+from softcal.station.record.spool import Spool, _line
+from softcal.station.tasks.acquisition import record
 
 
 @pytest.fixture(scope="module")

@@ -167,8 +167,8 @@ import sys
 from dataclasses import replace
 import numpy as np
 from softcal.core.twin.spread import draw_lot
-from softcal.station.bench import simulated_config
-from softcal.station.config import station_toml
+from softcal.station.devices.bench import simulated_config
+from softcal.station.devices.config import station_toml
 from softcal.station.simulated.station import SimulatedStation
 
 units = draw_lot(np.random.default_rng(5), 4)

@@ -20,11 +20,11 @@ from softcal.app.files.recording_file import read_recording
 from softcal.core.errors import InputError, NoReply
 from softcal.core.twin.simulate import Twin
 from softcal.core.words.reason import Reason
-from softcal.station.bench import simulated_config
-from softcal.station.config import read_station_file, station_toml
+from softcal.station.devices.bench import simulated_config
+from softcal.station.devices.config import read_station_file, station_toml
 from softcal.station.interfaces import Sample, StagePosition
+from softcal.station.record.spool import Spool, read_spool
 from softcal.station.simulated.station import SimulatedStation
-from softcal.station.spool import Spool, read_spool
 
 SOFTCAL = Path(sys.executable).with_name("softcal")
 

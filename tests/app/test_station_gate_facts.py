@@ -13,7 +13,7 @@ from softcal.core.quality.gate import RigFacts
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate, GoldenRun
-from softcal.station.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig
+from softcal.station.devices.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig
 
 CONFIG = StationConfig(StageConfig("a"), ReadoutConfig("b"), ForceConfig("c", serial="K1"))
 NOW = datetime.now(UTC)

@@ -20,8 +20,8 @@ from softcal.core.quality.gate import Gate
 from softcal.db.connection import open_registry
 from softcal.db.queues.order_queue import OrderQueue
 from softcal.db.truth.recordings import RecordingTables
-from softcal.station.bench import Bench, open_simulated_bench
-from softcal.station.service import Hooks, StationService
+from softcal.station.devices.bench import Bench, open_simulated_bench
+from softcal.station.tasks.service import Hooks, StationService
 
 QUICK = ramps([2.0], 4.0, rest_s=0.3, name="quick")
 

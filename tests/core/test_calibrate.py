@@ -5,12 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from common.planted import FAULTS, planted
 
 from softcal.core.errors import InputError
 from softcal.core.maps.config import MapConfig
 from softcal.core.metrics import rmse
 from softcal.core.recording import OutputRecording
-from softcal.core.simulated_lot import FAULTS, LotDesign, simulate_lot
+from softcal.core.simulated_lot import LotDesign, simulate_lot
 from softcal.core.unit.calibrate import UnitProblem
 from softcal.core.unit.calibrate import calibrate as calibrate_problem
 from softcal.core.unit.calibration import Calibration
@@ -168,7 +169,7 @@ def test_the_explanation_adds_up_to_the_forecast(calibrate, source_model, good):
 
 
 def test_a_simulated_lot_depends_on_its_seed_alone_and_holds_every_fault():
-    design = LotDesign(good=2, bad=dict.fromkeys(FAULTS, 1), source_s=60.0, unit_s=20.0, audit_s=20.0)
+    design = LotDesign(good=2, bad=planted(FAULTS), source_s=60.0, unit_s=20.0, audit_s=20.0)
     one, two = simulate_lot(5, design), simulate_lot(5, design)
     assert {u.kind for u in one.units} == {"good", *FAULTS}
     for a, b in zip(one.units, two.units, strict=True):
@@ -176,9 +177,9 @@ def test_a_simulated_lot_depends_on_its_seed_alone_and_holds_every_fault():
     assert not np.array_equal(one.source.reference, simulate_lot(6, design).source.reference)
 
 
-def test_an_unknown_fault_lists_the_known_ones():
-    with pytest.raises(InputError, match="'haunted'.*dead, saturated"):
-        LotDesign(bad={"haunted": 1})
+def test_an_unknown_shift_lists_the_known_ones():
+    with pytest.raises(InputError, match="'haunted'.*none, short profile"):
+        LotDesign(shift="haunted")
 
 
 def test_unit_pressed_at_once_with_the_source_is_measured_against_its_reference(calibrate, linear_network, press):

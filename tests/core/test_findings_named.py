@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from common.planted import planted
 
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
@@ -57,7 +58,7 @@ def test_a_good_unit_with_a_programme_of_its_own_is_not_told_it_was_pressed_ligh
 
 @pytest.mark.parametrize("shift", ["none", "own programme"])
 def test_wrong_polarity_is_named_alone(seed: int, model: SourceModel, shift: str) -> None:
-    for unit in lot(seed, good=0, bad={"reversed": 2}, shift=shift).units:
+    for unit in lot(seed, good=0, bad=planted(["reversed"], 2), shift=shift).units:
         made, names = found(model, unit.recording)
         assert names == {"reversed"} and made.decision.verdict == "fail"
 
@@ -73,7 +74,7 @@ def test_twice_the_noise_is_not_clipping(seed: int, model: SourceModel, shift: s
 
 
 def test_a_readout_that_clips_is_named_for_it_and_not_for_a_light_press(seed: int, model: SourceModel) -> None:
-    for unit in lot(seed, good=0, bad={"saturated": 3}, shift="own programme").units:
+    for unit in lot(seed, good=0, bad=planted(["saturated"], 3), shift="own programme").units:
         names = found(model, unit.recording)[1]
         assert "saturated" in names and "stretched" not in names
 
@@ -108,7 +109,7 @@ def test_a_readout_that_lags_beside_a_shared_clock_is_named_for_it(seed: int, mo
 
 @pytest.mark.long
 def test_a_clock_that_is_ahead_and_creep_are_no_lag(seed: int, model: SourceModel) -> None:
-    for unit in lot(seed, good=2, bad={"extra creep": 2}).units:
+    for unit in lot(seed, good=2, bad=planted(["extra creep"], 2)).units:
         ahead = replace(unit.recording, t_s=unit.recording.t_s + 0.2)
         for recording in (unit.recording, ahead):
             assert "lagging" not in found(model, recording)[1]

@@ -1,8 +1,9 @@
 """What the line does to a simulated lot's recordings, and never to its audits."""
 
 import numpy as np
+from common.planted import LineEffects
 
-from softcal.core.simulated_lot import SHIFTS, LineEffects, LotDesign, simulate_lot
+from softcal.core.simulated_lot import SHIFTS, LotDesign, simulate_lot
 
 SHORT = {"good": 4, "source_s": 60.0, "unit_s": 20.0, "audit_s": 20.0, "has_stage": True}
 

@@ -14,7 +14,7 @@ import pytest
 from softcal.core.export.blob import LoadLevels, NetworkFile, UnitFile
 from softcal.core.export.blob_reader import read_network, read_unit
 from softcal.core.export.c_text import network_header, unit_header
-from softcal.core.export.cost import device_cost
+from softcal.core.export.device import device_cost
 from softcal.core.export.integer_network import IntegerMix
 from softcal.core.export.loader import open_sensor, run_self_test
 from tests.firmware.device_stream import DeviceStream, Trim, TrimResult, find_trim

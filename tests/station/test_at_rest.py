@@ -5,9 +5,9 @@ import pytest
 
 from softcal.core.errors import CommandRefused, NoReply
 from softcal.core.simulated_lot import draw_lot
-from softcal.station.at_rest import read_at_rest
-from softcal.station.bench import open_simulated_bench
+from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.interfaces import Move
+from softcal.station.tasks.at_rest import read_at_rest
 
 SETTLE_S, READING_S = 2.0, 3.0
 

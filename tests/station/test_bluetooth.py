@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 
 from softcal.core.errors import DeviceError, NoReply
-from softcal.station.bluetooth import NOTIFIES, TAKES, BleTransport
-from softcal.station.catalogue import driver_of
 from softcal.station.clock import HostClock
-from softcal.station.link import Link
+from softcal.station.devices.catalogue import driver_of
 from softcal.station.testing import DriverRig, checks
-from softcal.station.transport import wire_of
+from softcal.station.wire.bluetooth import NOTIFIES, TAKES, BleTransport
+from softcal.station.wire.link import Link
+from softcal.station.wire.transport import wire_of
 
 ADDRESS = "ble://AA:BB:CC:DD:EE:FF"
 

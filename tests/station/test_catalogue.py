@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from softcal.core.errors import InputError
-from softcal.station import catalogue
-from softcal.station.catalogue import SECTIONS, driver_of, offers
-from softcal.station.config import ReadoutConfig, StageConfig, StationConfig, station_from_table, station_toml
-from softcal.station.driver import Driver
+from softcal.station.devices import catalogue
+from softcal.station.devices.catalogue import SECTIONS, driver_of, offers
+from softcal.station.devices.config import ReadoutConfig, StageConfig, StationConfig, station_from_table, station_toml
+from softcal.station.devices.driver import Driver
 from softcal.station.drivers.grbl import DRIVERS as GRBL
 from softcal.station.drivers.hx711 import Hx711Config
 
@@ -89,7 +89,7 @@ def test_a_driver_of_an_installed_package_is_used_like_a_shipped_one(installed):
     ("entry_point", "code", "fault"),
     [
         ("softcal.readouts", "import there_is_no_such_library", "ModuleNotFoundError"),
-        ("softcal.readouts", "DRIVER = 7", "softcal.station.driver.Driver"),
+        ("softcal.readouts", "DRIVER = 7", "softcal.station.devices.driver.Driver"),
         ("softcal.stages", GOOD, "readout 'ours'"),
         ("softcal.readouts", "raise SystemError('no dongle')", "no dongle"),
     ],
@@ -173,7 +173,7 @@ def test_a_declaration_that_is_none_is_refused():
 
 def test_listing_drivers_needs_neither_torch_nor_streamlit_nor_pyvisa():
     code = (
-        "import sys; from softcal.station.catalogue import offers; offers(); "
+        "import sys; from softcal.station.devices.catalogue import offers; offers(); "
         "print([m for m in ('torch', 'streamlit', 'pyvisa', 'softcal.station.simulated.station') if m in sys.modules])"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -11,11 +11,11 @@ from softcal.core.errors import BadReply
 from softcal.core.profiles import ramps
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import Twin
-from softcal.station.acquisition import record
-from softcal.station.bench import open_simulated_bench
-from softcal.station.config import UNKNOWN_S, FixtureConfig
-from softcal.station.contact import ContactSearch, bend
+from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.devices.config import UNKNOWN_S, FixtureConfig
 from softcal.station.interfaces import Sample
+from softcal.station.motion.contact import ContactSearch, bend
+from softcal.station.tasks.acquisition import record
 
 SEARCHING = "searching for contact"
 TOUCH = ramps([0.5], 4.0, rest_s=0.1)

@@ -3,17 +3,17 @@
 import pytest
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, InputError, NoReply
-from softcal.station.bench import open_bench
-from softcal.station.config import ReadoutConfig, StageConfig, StationConfig
+from softcal.station.devices.bench import open_bench
+from softcal.station.devices.config import ReadoutConfig, StageConfig, StationConfig
 from softcal.station.drivers.esm import EsmConfig, EsmGaugeConfig, EsmStage
-from softcal.station.frames import esm
 from softcal.station.interfaces import Move
-from softcal.station.link import Link
 from softcal.station.simulated.esm import SimulatedEsm
 from softcal.station.simulated.force_gauge import SimulatedMark10
 from softcal.station.simulated.motion import Axis
 from softcal.station.simulated.wire import Wire
 from softcal.station.simulated.world import World
+from softcal.station.wire.frames import esm
+from softcal.station.wire.link import Link
 
 
 def test_commands_of_the_manual():

@@ -6,12 +6,12 @@ from softcal.core.errors import BadReply, CommandRefused, NoReply
 from softcal.station.drivers.indicator import IndicatorCell
 from softcal.station.drivers.loadstar import LoadstarCell
 from softcal.station.drivers.mark10 import Mark10Gauge
-from softcal.station.frames import gcl2, loadstar
-from softcal.station.frames.indicator import parse_N
-from softcal.station.link import Link
 from softcal.station.simulated.force_gauge import SimulatedIndicator, SimulatedLoadstar, SimulatedMark10
 from softcal.station.simulated.wire import Wire
 from softcal.station.simulated.world import World
+from softcal.station.wire.frames import gcl2, loadstar
+from softcal.station.wire.frames.indicator import parse_N
+from softcal.station.wire.link import Link
 
 
 def test_readings_of_the_manual_in_newtons():

@@ -3,7 +3,7 @@
 import pytest
 
 from softcal.core.errors import BadReply
-from softcal.station.frames import grbl
+from softcal.station.wire.frames import grbl
 
 
 def test_status_report_of_the_manual():

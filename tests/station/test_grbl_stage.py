@@ -5,13 +5,13 @@ import pytest
 
 from softcal.core.errors import CommandRefused, DeviceError, NoReply
 from softcal.station.drivers.grbl import GrblStage
-from softcal.station.feeding import AHEAD_S, PIECE_S
 from softcal.station.interfaces import Move
-from softcal.station.link import Link
+from softcal.station.motion.feeding import AHEAD_S, PIECE_S
 from softcal.station.simulated.grbl import SEGMENTS_S, SimulatedGrbl
 from softcal.station.simulated.motion import Axis
 from softcal.station.simulated.wire import Wire
 from softcal.station.simulated.world import World
+from softcal.station.wire.link import Link
 
 
 @pytest.fixture

@@ -14,21 +14,21 @@ from softcal.app.line.rig import station_of
 from softcal.core.errors import DeviceError, InputError, NoReply
 from softcal.core.profiles import ramps
 from softcal.core.words.reason import plain
-from softcal.station.acquisition import record
-from softcal.station.config import station_from_table
+from softcal.station.devices.config import station_from_table
 from softcal.station.drivers.grbl import GrblStage
-from softcal.station.identify import DeviceIdentity, identify
 from softcal.station.interfaces import Held, Move
-from softcal.station.link import Link
-from softcal.station.motion import StoppedByHand
-from softcal.station.seconds import FEELING, PRESSING
-from softcal.station.self_test import self_test
+from softcal.station.motion.motion import StoppedByHand
+from softcal.station.motion.watched import bounds_of
 from softcal.station.simulated.grbl import SimulatedGrbl
 from softcal.station.simulated.motion import Axis
 from softcal.station.simulated.text_stream import SimulatedTextStream
 from softcal.station.simulated.wire import Wire
 from softcal.station.simulated.world import World
-from softcal.station.watched import bounds_of
+from softcal.station.tasks.acquisition import record
+from softcal.station.tasks.identify import DeviceIdentity, identify
+from softcal.station.tasks.seconds import FEELING, PRESSING
+from softcal.station.tasks.self_test import self_test
+from softcal.station.wire.link import Link
 
 QUICK = RigCase(latency_s=0.0, stiffest_N_mm=100.0)
 PROFILE = ramps([2.0, 2.0], 4.0, rest_s=0.5)

@@ -13,13 +13,13 @@ from softcal.app.texts.reasons import said
 from softcal.core.errors import CommandRefused, NoReply
 from softcal.core.profiles import ramps
 from softcal.core.twin.simulate import Twin
-from softcal.station import link
-from softcal.station.acquisition import record
-from softcal.station.bench import open_simulated_bench
+from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.drivers.grbl import GrblStage
-from softcal.station.identify import identify
-from softcal.station.self_test import self_test
 from softcal.station.simulated.station import SimulatedStation
+from softcal.station.tasks.acquisition import record
+from softcal.station.tasks.identify import identify
+from softcal.station.tasks.self_test import self_test
+from softcal.station.wire import link
 
 QUICK = ramps([2.0], 4.0, rest_s=0.3, name="quick")
 

@@ -7,14 +7,14 @@ import pytest
 
 from softcal.core.errors import CommandRefused, InputError, NoReply
 from softcal.core.profiles import moves
-from softcal.station.acquisition import record
-from softcal.station.bench import open_simulated_bench
-from softcal.station.catalogue import driver_of
 from softcal.station.clock import HostClock
-from softcal.station.config import device_section
-from softcal.station.driver import Opening
+from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.devices.catalogue import driver_of
+from softcal.station.devices.config import device_section
+from softcal.station.devices.driver import Opening
 from softcal.station.drivers.labjack import LabjackConfig
 from softcal.station.simulated.labjack import SimulatedLjm
+from softcal.station.tasks.acquisition import record
 from softcal.station.testing import DriverRig
 
 DRIVER = driver_of("readout", "labjack")

@@ -5,8 +5,8 @@ import pytest
 
 from softcal.core.errors import NoReply
 from softcal.station.clock import HostClock
-from softcal.station.link import Link
 from softcal.station.simulated.wire import Wire
+from softcal.station.wire.link import Link
 
 
 @pytest.fixture

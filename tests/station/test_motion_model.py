@@ -5,13 +5,13 @@ from common.station_runs import KNOWN, broken_property, explore, run_once
 
 from softcal.core.errors import DeviceError
 from softcal.core.words.reason import Reason, plain
-from softcal.station import interlock, motion
-from softcal.station.bench import open_simulated_bench
+from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.interfaces import Move
-from softcal.station.interlock import TABLE, Interlock, Moves, StageWatch, State
-from softcal.station.motion import Motion
-from softcal.station.safety import FollowWatch, ForceWatch, JumpWatch, StreamWatch, StuckWatch
-from softcal.station.watched import Learned, WatchedBench
+from softcal.station.motion import interlock, motion
+from softcal.station.motion.interlock import TABLE, Interlock, Moves, StageWatch, State
+from softcal.station.motion.motion import Motion
+from softcal.station.motion.safety import FollowWatch, ForceWatch, JumpWatch, StreamWatch, StuckWatch
+from softcal.station.motion.watched import Learned, WatchedBench
 
 RESTS = (State.STOPPED, State.OVER)
 RUNNING = [state for state, row in TABLE.items() if State.OVER in row.exits]

@@ -9,10 +9,9 @@ from common.proof_trial import draw_good_rig, open_good_rig, press_good_rig
 from softcal.core.errors import BadReply
 from softcal.core.profiles import ramps
 from softcal.core.twin.simulate import Twin, simulate
-from softcal.station.acquisition import record
-from softcal.station.bench import open_simulated_bench
-from softcal.station.config import UNKNOWN_S
-from softcal.station.proof import (
+from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.devices.config import UNKNOWN_S
+from softcal.station.record.proof import (
     check_bits,
     check_follows,
     check_gain,
@@ -22,8 +21,9 @@ from softcal.station.proof import (
     lag_s,
     press_gains,
 )
-from softcal.station.recording import Raw, RunFacts, assemble
-from softcal.station.spool import read_spool
+from softcal.station.record.recording import Raw, RunFacts, assemble
+from softcal.station.record.spool import read_spool
+from softcal.station.tasks.acquisition import record
 
 TURNS_S, DEPTHS_MM = np.arange(0.0, 31.0, 1.5), np.tile([0.0, 3.0, 0.0, 2.0], 6)[:21]
 

@@ -9,8 +9,8 @@ import pytest
 
 from softcal.station.clock import HostClock
 from softcal.station.drivers.arduino import ArduinoReadout
-from softcal.station.identify import identify
-from softcal.station.link import Link
+from softcal.station.tasks.identify import identify
+from softcal.station.wire.link import Link
 
 SKETCH = Path(__file__).parents[2] / "firmware" / "readout" / "readout.ino"
 CORE = Path("/usr/share/arduino/hardware/arduino/avr")

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from softcal.core.errors import BadReply
-from softcal.station.safety import FROZEN, MISSING_S, PRESSED_MM, STUCK_MM, FollowWatch, StuckWatch
+from softcal.station.motion.safety import FROZEN, MISSING_S, PRESSED_MM, STUCK_MM, FollowWatch, StuckWatch
 
 RATE_HZ = 50.0
 STALL_S = 0.1

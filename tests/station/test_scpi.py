@@ -5,16 +5,16 @@ import pytest
 
 from softcal.core.errors import BadReply, CommandRefused, InputError, NoReply
 from softcal.core.profiles import moves
-from softcal.station.acquisition import record
-from softcal.station.bench import open_simulated_bench
 from softcal.station.clock import HostClock
-from softcal.station.driver import Opening
+from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.devices.driver import Opening
 from softcal.station.drivers.scpi import DRIVERS, DmmConfig, LcrConfig, dmm_setup, lcr_setup, parse_reading
-from softcal.station.link import Link
 from softcal.station.simulated.medium import SocketEnd, serial_line
 from softcal.station.simulated.scpi import SimulatedDmm, SimulatedLcr
 from softcal.station.simulated.wire import Wire
 from softcal.station.simulated.world import World
+from softcal.station.tasks.acquisition import record
+from softcal.station.wire.link import Link
 
 DMM, LCR = DRIVERS
 

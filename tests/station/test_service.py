@@ -8,8 +8,8 @@ from softcal.core.errors import NoReply, RegistryError
 from softcal.core.orders import Condition, Order, OrderKind, RunState, StationState
 from softcal.core.profiles import ramps
 from softcal.core.quality.gate import Gate
-from softcal.station.bench import open_simulated_bench
-from softcal.station.service import Hooks, StationService
+from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.tasks.service import Hooks, StationService
 
 QUICK = ramps([2.0], 4.0, rest_s=0.3, name="quick")
 PROFILES = {OrderKind.SOURCE: QUICK, OrderKind.UNIT: QUICK, OrderKind.GOLDEN: QUICK}

@@ -9,11 +9,11 @@ from common.fault_trial import FillingSpool
 
 from softcal.core.errors import DeviceError, InputError
 from softcal.core.profiles import ramps
-from softcal.station.acquisition import record
-from softcal.station.bench import open_simulated_bench
+from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.interfaces import Sample, StagePosition
-from softcal.station.recording import restore
-from softcal.station.spool import Spool, read_spool
+from softcal.station.record.recording import restore
+from softcal.station.record.spool import Spool, read_spool
+from softcal.station.tasks.acquisition import record
 
 SAMPLES = [Sample(0.1 * k, 0.02 * k, (float(k),)) for k in range(5)]
 

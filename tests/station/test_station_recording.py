@@ -9,8 +9,8 @@ from softcal.core.errors import CommandRefused
 from softcal.core.profiles import ramps, unit_profile
 from softcal.core.twin.simulate import Twin, simulate
 from softcal.core.twin.spread import draw_lot
-from softcal.station.acquisition import record
-from softcal.station.bench import open_simulated_bench
+from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.tasks.acquisition import record
 
 
 @pytest.fixture(scope="module")

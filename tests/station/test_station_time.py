@@ -5,9 +5,9 @@ import pytest
 
 from softcal.core.profiles import unit_profile
 from softcal.core.twin.simulate import Twin, simulate
-from softcal.station.acquisition import record
-from softcal.station.bench import open_simulated_bench
 from softcal.station.clock import residual_offset_s
+from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.tasks.acquisition import record
 
 
 @pytest.mark.parametrize("delays", [(0.00004, 0.0, 0.0), (0.001, 0.002, 0.1), (0.001, 0.010, 0.1)])

@@ -5,8 +5,8 @@ import pytest
 from softcal.core.errors import BadReply
 from softcal.station.drivers.hx711 import Hx711Cell
 from softcal.station.drivers.text_stream import TextStream
-from softcal.station.frames.text_stream import StreamLine, format_line, parse
-from softcal.station.link import Line
+from softcal.station.wire.frames.text_stream import StreamLine, format_line, parse
+from softcal.station.wire.link import Line
 
 
 class ScriptedLink:

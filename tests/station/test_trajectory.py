@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from softcal.station.interfaces import StagePosition
+from softcal.station.record.trajectory import DrivenMove, Trapezoid, reconstruct
 from softcal.station.simulated.motion import Axis, QueuedMove
-from softcal.station.trajectory import DrivenMove, Trapezoid, reconstruct
 
 
 @pytest.mark.parametrize(("start", "end", "speed"), [(0.0, 3.0, 2.0), (3.0, 0.5, 10.0), (1.0, 1.02, 8.0)])

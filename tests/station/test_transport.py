@@ -9,14 +9,14 @@ import pytest
 
 from softcal.core.errors import NoReply
 from softcal.core.profiles import moves
-from softcal.station.acquisition import record
-from softcal.station.bench import open_simulated_bench
 from softcal.station.clock import HostClock
-from softcal.station.link import Link, link_for_driver
+from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.simulated.medium import SocketEnd
 from softcal.station.simulated.wire import Wire
 from softcal.station.simulated.world import World
-from softcal.station.transport import VisaTransport, wire_of
+from softcal.station.tasks.acquisition import record
+from softcal.station.wire.link import Link, link_for_driver
+from softcal.station.wire.transport import VisaTransport, wire_of
 
 USB_DEVICE = """
 spec: "1.0"
@@ -238,7 +238,7 @@ def test_a_session_that_is_given_up_while_a_question_is_open_ends_quietly(monkey
             pass
 
     monkeypatch.setattr(pyvisa.ResourceManager, "open_resource", lambda *args, **kwargs: Session())
-    monkeypatch.setattr("softcal.station.transport.VISA_ANSWER_S", 0.05)
+    monkeypatch.setattr("softcal.station.wire.transport.VISA_ANSWER_S", 0.05)
     failed = []
     monkeypatch.setattr(threading, "excepthook", failed.append)
     wire = VisaTransport("USB0::1::2::3::INSTR")

@@ -8,11 +8,11 @@ from common.law_unit import ForceLaw
 from common.rig_trial import RigCase, open_rig
 
 from softcal.core.profiles import ramps, unit_profile
-from softcal.station.acquisition import record
-from softcal.station.config import UNKNOWN_S
-from softcal.station.seconds import FEELING, seconds_of, shorter, unit_s
-from softcal.station.self_test import self_test
-from softcal.station.watched import bounds_of
+from softcal.station.devices.config import UNKNOWN_S
+from softcal.station.motion.watched import bounds_of
+from softcal.station.tasks.acquisition import record
+from softcal.station.tasks.seconds import FEELING, seconds_of, shorter, unit_s
+from softcal.station.tasks.self_test import self_test
 
 SOFT = RigCase(latency_s=0.0, stiffest_N_mm=60.0, limit_N=12.0, law=ForceLaw(0.8, 1.2))
 RIGID = replace(SOFT, stiffest_N_mm=1000.0)

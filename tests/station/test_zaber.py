@@ -7,13 +7,13 @@ from zaber_motion.exceptions import CommandFailedException
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError
 from softcal.station.drivers.zaber import ZaberStage
-from softcal.station.frames import zaber
 from softcal.station.interfaces import Move
-from softcal.station.link import Link
 from softcal.station.simulated.motion import Axis
 from softcal.station.simulated.wire import Wire
 from softcal.station.simulated.world import World
 from softcal.station.simulated.zaber import SimulatedZaber
+from softcal.station.wire.frames import zaber
+from softcal.station.wire.link import Link
 
 SENT_BY_THE_OFFICIAL_LIBRARY = [
     (b"/0 0 01:FF", zaber.Command(0, 0, 1, "")),

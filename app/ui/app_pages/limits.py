@@ -1,11 +1,15 @@
 """The limit and the rules of a lot in versions: what holds, who set it and why, and what another limit would do."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import streamlit as st
 
 from softcal.app.batch.judging import judge_again
 from softcal.app.charts import lot as charts_lot
+from softcal.app.line.load_readings import check_stated
+from softcal.app.registry.lot_recordings import source_recording
 from softcal.app.ui.account import actor
-from softcal.app.ui.components.rules_form import rules_form
 from softcal.app.ui.desk import ask_reason, colours, in_words, instant, registry, words
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import figure_under, headline, lot_heading, table
@@ -13,7 +17,12 @@ from softcal.app.ui.server_memory import remembered_lot_view
 from softcal.app.views.common import limit_said, number, percent
 from softcal.app.views.lot import LotView
 from softcal.core.errors import InputError
-from softcal.db.entries import LimitEntry
+from softcal.core.lot import Lot
+from softcal.core.quality.known_loads import MOST_LOADS
+from softcal.core.quality.line_rules import LETTERS, LineRules
+from softcal.core.unit.method import Method
+from softcal.core.unit.verdict import VERDICTS
+from softcal.db.entries import LimitEntry, LineRulesEntry
 
 
 def render() -> None:
@@ -92,3 +101,116 @@ def _preview(view: LotView, wanted: float) -> None:
         share = percent(within / len(errors))
         st.markdown(say("limits.within", within=within, count=len(errors), share=share))
     st.caption(say("limits.note"))
+
+
+MOST_UNITS, MOST_RETESTS = 10_000_000, 99
+
+
+def rules_form(lot: Lot) -> None:
+    """Draw the rules that hold, what to set instead, and every version."""
+    say = words()
+    st.header(say("rules.title"))
+    if done := st.session_state.pop("rules-done", ""):
+        st.success(done, icon=":material/check:")
+    versions = registry().lots.line_rules_versions(lot.id)
+    with st.container(border=True):
+        _change_rules(lot, versions)
+    if versions:
+        table([_rule_row(entry) for entry in reversed(versions)])
+    else:
+        st.caption(say("rules.none"))
+
+
+def _change_rules(lot: Lot, versions: Sequence[LineRulesEntry]) -> None:
+    # The version a person decides on is the one first drawn, not one that somebody else has written meanwhile.
+    looked_at = f"rules-seen-{lot.id}"
+    version = st.session_state.setdefault(looked_at, versions[-1].version if versions else 0)
+    wanted = _asked(registry().lots.line_rules(lot), lot.reference_unit, f"{lot.id}-{version}")
+    reason = ask_reason(f"rules-{lot.id}-{version}", words()("rules.set"), "set_limit")
+    if reason is None:
+        return
+    st.session_state.pop(looked_at)
+    try:
+        rules = LineRules(**wanted)
+        state = registry().networks.released(lot.id)
+        if state is not None and rules.loads:
+            check_stated(rules.loads, source_recording(registry(), state.network.id), Method().map.anchors)
+        registry().lots.set_line_rules(lot.id, rules, reason=reason, actor=actor(), expected_version=version)
+    except InputError as error:
+        st.error(in_words(error), icon=":material/error:")
+        return
+    st.session_state["rules-done"] = words()("rules.done")
+    st.rerun()
+
+
+def _asked(now: LineRules, unit: str, mark: str) -> dict[str, Any]:
+    """Draw one field per rule with what holds now; return what stands in them."""
+    say = words()
+    left, middle, right = st.columns([3, 2, 2])
+    pattern = left.text_input(
+        say("rules.pattern"), now.serial_pattern, key=f"rules-pattern-{mark}", help=say("rules.pattern.help")
+    )
+    letters = middle.selectbox(
+        say("rules.letters"),
+        LETTERS,
+        LETTERS.index(now.letters),
+        format_func=lambda name: say(f"rules.letters.{name.replace(' ', '_')}"),
+        key=f"rules-letters-{mark}",
+    )
+    target = right.number_input(
+        say("rules.target"), 1, MOST_UNITS, now.target, key=f"rules-target-{mark}", placeholder=say("rules.target.none")
+    )
+    st.markdown(say("rules.retests"))
+    retests = {
+        verdict: int(
+            column.number_input(
+                say(f"verdict.{verdict}"), 0, MOST_RETESTS, now.retests.get(verdict, 0), key=f"rules-{verdict}-{mark}"
+            )
+        )
+        for verdict, column in zip(VERDICTS, st.columns(len(VERDICTS)), strict=True)
+    }
+    fixed = {"serial_pattern": str(pattern).strip(), "letters": letters, "target": target, "retests": retests}
+    return fixed | {"loads": _loads(now, unit, mark)}
+
+
+def _loads(now: LineRules, unit: str, mark: str) -> tuple[tuple[float, float], ...]:
+    """Draw the known loads the line asks for; return those that are given, as (load, U) in the lot's unit."""
+    say = words()
+    st.markdown(say("rules.loads"), help=say("rules.loads.help"))
+    found = []
+    cells = st.columns(2 * MOST_LOADS)
+    for place, columns in enumerate(zip(cells[::2], cells[1::2], strict=True), 1):
+        load = now.loads[place - 1] if place <= len(now.loads) else None
+        value = columns[0].number_input(
+            f"{say('rules.load', number=place)} [{unit}]",
+            0.0,
+            value=load.value if load else None,
+            format="%.5g",
+            key=f"rules-load-{place}-{mark}",
+        )
+        expanded = columns[1].number_input(
+            f"{say('rules.load_uncertainty')} [{unit}]",
+            0.0,
+            value=load.expanded if load else 0.0,
+            format="%.5g",
+            key=f"rules-load-u-{place}-{mark}",
+        )
+        if value is not None:
+            found.append((float(value), float(expanded or 0.0)))
+    return tuple(found)
+
+
+def _rule_row(entry: LineRulesEntry) -> dict[str, object]:
+    say, rules = words(), entry.rules
+    retests = ", ".join(f"{say(f'verdict.{verdict}')} {times}" for verdict, times in rules.retests.items())
+    return {
+        say("limits.version"): entry.version,
+        say("rules.pattern"): rules.serial_pattern or say("rules.pattern.any"),
+        say("rules.letters"): say(f"rules.letters.{rules.letters.replace(' ', '_')}"),
+        say("rules.target"): rules.target,
+        say("rules.retests.column"): retests,
+        say("rules.loads.column"): ", ".join(f"{load.value:.5g} ± {load.expanded:.2g}" for load in rules.loads),
+        say("column.made"): instant(entry.made_at),
+        say("column.actor"): entry.actor,
+        say("column.reason"): entry.reason,
+    }

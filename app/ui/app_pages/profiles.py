@@ -13,7 +13,7 @@ from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import heading, numbers
 from softcal.app.views.profile import bounds
 from softcal.core.profiles import BUILT_IN, Profile
-from softcal.station.config import FixtureConfig, SafetyConfig
+from softcal.station.devices.config import FixtureConfig, SafetyConfig
 
 FILE = "file"
 

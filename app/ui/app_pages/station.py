@@ -19,7 +19,7 @@ from softcal.app.ui.panels import heading, table
 from softcal.core.orders import OrderKind
 from softcal.core.words.reason import Reason
 from softcal.db.access.people import may
-from softcal.station.link import available_ports
+from softcal.station.wire.link import available_ports
 
 RUNS = 25
 POLL_S = 2.0

@@ -1,0 +1,1 @@
+"""Which devices there are, what a station file says of them, and the bench they make."""

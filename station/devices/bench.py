@@ -1,0 +1,162 @@
+"""The devices of one station, opened together: real ones, or simulated ones behind the same drivers."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+
+import numpy as np
+
+from softcal.core.errors import DeviceError, NoReply
+from softcal.core.words.reason import Reason, several
+from softcal.station.clock import HostClock
+from softcal.station.devices.catalogue import driver_of
+from softcal.station.devices.config import (
+    DeviceConfig,
+    FixtureConfig,
+    ForceConfig,
+    ReadoutConfig,
+    SafetyConfig,
+    StageConfig,
+    StationConfig,
+    with_own_keys,
+)
+from softcal.station.devices.driver import Opening
+from softcal.station.interfaces import Clock, ForceReader, Readout, Stage
+
+if TYPE_CHECKING:
+    from softcal.core.twin.simulate import Twin
+    from softcal.station.simulated.station import SimulatedStation
+
+SIMULATED_NAME = "simulated"
+"""Name of every simulated station: nothing it measures is traceable."""
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Open devices and the clock they live in."""
+
+    config: StationConfig
+    clock: Clock
+    stage: Stage
+    readout: Readout
+    force: ForceReader | None
+
+
+class _Device(Protocol):
+    def close(self) -> None: ...
+
+
+_D = TypeVar("_D", bound=_Device)
+
+
+@contextmanager
+def open_bench(config: StationConfig, clock: Clock | None = None) -> Iterator[Bench]:
+    """Open every device of a station and give all ports back at the end.
+
+    Raises:
+        DeviceError: names all devices that are missing, not only the first.
+    """
+    clock = clock or HostClock()
+    with ExitStack() as stack:
+        missing: list[Reason] = []
+
+        def opened(make: Callable[[], _D]) -> _D | None:
+            try:
+                device = make()
+            except DeviceError as error:
+                missing.append(error.reason)
+                return None
+            stack.callback(device.close)
+            return device
+
+        stage: Stage | None = opened(lambda: _open(config.stage, Opening(clock)))
+        opening, force_config = Opening(clock, stage), config.force
+        readout: Readout | None = opened(lambda: _open(config.readout, opening))
+        force: ForceReader | None = None
+        if force_config is not None:
+            force = opened(lambda: _open(force_config, opening))
+        if missing or stage is None or readout is None:
+            raise NoReply(several(missing))
+        yield Bench(config, clock, stage, readout, force)
+
+
+@contextmanager
+def open_simulated_bench(
+    unit: "Twin | None" = None,
+    seed: int = 0,
+    time_factor: float | None = None,
+    stage_kind: str = StageConfig.kind,
+    force_kind: str = ForceConfig.kind,
+    beside: "Sequence[Twin]" = (),
+    readout_kind: str = ReadoutConfig.kind,
+) -> "Iterator[tuple[Bench, SimulatedStation]]":
+    """Open the same drivers on simulated far ends, each behind its own serial line.
+
+    Args:
+        unit: the unit under the stage; None for a nominal one. `SimulatedStation.mount` changes it.
+        seed: of noise, delays and mounting.
+        time_factor: simulated seconds per real second at most; None runs as fast as the computer can. A driver that
+            reads in a thread of its own makes simulated time real time.
+        stage_kind, force_kind, readout_kind: which drivers, as in a station file.
+        beside: more units under the same stage, each on a channel of its own.
+
+    Returns:
+        The bench, and the simulated station with its fault switches.
+    """
+    # The simulator is an extra: a real rig does without it.
+    from softcal.core.twin.simulate import Twin
+    from softcal.station.simulated.station import SimulatedStation
+
+    twin = unit or Twin()
+    rng = np.random.default_rng(seed)
+    station = SimulatedStation(twin, rng, time_factor, stage_kind, force_kind, beside, readout_kind)
+    with ExitStack() as stack:
+        stack.callback(station.close)
+        if station.is_threaded:
+            stack.enter_context(station.world.in_background())
+        clock = HostClock() if station.is_threaded else station.world
+        yield stack.enter_context(open_bench(simulated_config(station), clock)), station
+
+
+def simulated_config(station: "SimulatedStation") -> StationConfig:
+    """Return the station file that belongs to a simulated station."""
+    fixture = FixtureConfig()
+    return StationConfig(
+        station.stage_config,
+        station.readout_config,
+        replace(station.force_config, latency_s=0.0),
+        SafetyConfig(stiffest_N_mm=60.0),
+        replace(
+            fixture, approach_mm=station.free_mm, contact_output=fixture.contact_output * abs(station.reading_per_V)
+        ),
+        name=SIMULATED_NAME,
+    )
+
+
+@contextmanager
+def open_force(config: ForceConfig, clock: Clock) -> Iterator[ForceReader]:
+    """Open the load cell alone.
+
+    Raises:
+        DeviceError: it is missing.
+    """
+    reader: ForceReader = _open(config, Opening(clock))
+    try:
+        yield reader
+    finally:
+        reader.close()
+
+
+def open_readout(config: ReadoutConfig, clock: Clock) -> Readout:
+    """Open the sensor's readout alone; whoever opened it closes it.
+
+    Raises:
+        DeviceError: it is missing.
+    """
+    readout: Readout = _open(config, Opening(clock))
+    return readout
+
+
+def _open(config: DeviceConfig, opening: Opening) -> Any:
+    return driver_of(config.role, config.kind).open(with_own_keys(config), opening)

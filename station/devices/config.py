@@ -1,0 +1,361 @@
+"""What belongs to one station and to no run: ports, dialects, capacities, safety bounds, from one TOML file."""
+
+import inspect
+import math
+import tomllib
+from collections.abc import Iterable
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from difflib import get_close_matches
+from itertools import combinations
+from pathlib import Path
+from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, get_type_hints
+
+import tomlkit
+
+from softcal.core.errors import InputError, reason_of
+from softcal.core.words.reason import Reason, reason
+from softcal.station.wire.transport import wire_of
+
+Role: TypeAlias = Literal["stage", "cell", "readout"]
+
+
+LARGEST_LIMIT = 0.8
+"""A force limit above this share of the load cell's capacity leaves no room to stop in."""
+
+UNKNOWN_S, LATEST_S = -1.0, 0.5
+"""A latency that is not stated, and the largest that is reckoned with."""
+
+
+@dataclass(frozen=True)
+class DeviceConfig:
+    """What every device's section of the station file holds; a driver adds its own keys in a class derived from this.
+
+    Args:
+        port: a serial port, tcp://host:port or a VISA resource.
+        kind: which driver speaks to it (`softcal station drivers` lists them).
+    """
+
+    port: str
+    kind: str = ""
+
+    role: ClassVar[Role]
+    shares_port: ClassVar[bool] = False
+    """Whether another device of the same kind may stand behind the same port."""
+
+
+@dataclass(frozen=True)
+class StageConfig(DeviceConfig):
+    """The stage."""
+
+    kind: str = "grbl"
+
+    role = "stage"
+
+
+@dataclass(frozen=True)
+class ForceConfig(DeviceConfig):
+    """The load cell.
+
+    Args:
+        serial: of the cell, as on its certificate.
+        capacity_N: rated load.
+        rate_Hz: readings per second.
+        latency_s: how late its readings are against the stage; −1: not known, the stage then feels its way very slowly
+            and every run says what it found.
+    """
+
+    kind: str = "hx711"
+    serial: str = ""
+    capacity_N: float = 20.0
+    rate_Hz: float = 80.0
+    latency_s: float = -1.0
+
+    role = "cell"
+
+    @property
+    def is_latency_stated(self) -> bool:
+        """Whether the station file says how late its readings are."""
+        return self.latency_s != UNKNOWN_S
+
+
+@dataclass(frozen=True)
+class ReadoutConfig(DeviceConfig):
+    """The sensor's electronics.
+
+    Args:
+        rate_Hz: readings per second.
+        channels: sensors read at once.
+    """
+
+    kind: str = "arduino"
+    rate_Hz: float = 50.0
+    channels: int = 1
+
+    role = "readout"
+
+
+@dataclass(frozen=True)
+class SafetyConfig:
+    """What stops the rig.
+
+    Args:
+        force_N: more than this stops the stage.
+        deepest_mm: stage position that is never exceeded, from the homing switch.
+        speed_mm_s: fastest move that is allowed.
+        silence_s: a device that says nothing for so long stops the run.
+        zero_N: largest reading of the unloaded load cell before a run.
+        zero_return_N: largest change of that reading over a run.
+        stiffest_N_mm: the stiffest thing the stage may meet; where nothing was felt yet it goes so slowly that a stop
+            on such a thing ends below 0.9 of the load cell's capacity.
+        without_cell: true where no [force] is there and a person answers for it that the stage can hurt nothing.
+    """
+
+    force_N: float = 12.0
+    deepest_mm: float = 12.0
+    speed_mm_s: float = 10.0
+    silence_s: float = 0.25
+    zero_N: float = 1.0
+    zero_return_N: float = 0.2
+    stiffest_N_mm: float = 1000.0
+    without_cell: bool = False
+
+
+@dataclass(frozen=True)
+class FixtureConfig:
+    """Where a unit lies and how its surface is found.
+
+    Args:
+        approach_mm: stage position that is free of any unit; reached at full speed.
+        search_mm_s: speed of the search for contact below it.
+        contact_N: change of force that is contact.
+        touch_N: force at which the search ends; the contact is where the force began to rise towards it.
+        contact_output: change of output that is contact, where no load cell reads.
+        clearance_mm: a profile starts this far above the contact; it is position 0 of every recording.
+    """
+
+    approach_mm: float = 4.0
+    search_mm_s: float = 0.5
+    contact_N: float = 0.08
+    touch_N: float = 0.3
+    contact_output: float = 0.03
+    clearance_mm: float = 0.3
+
+
+@dataclass(frozen=True)
+class StationConfig:
+    """One station as its TOML file describes it.
+
+    Raises:
+        InputError: two devices that cannot share a port, or a number outside its physical range.
+    """
+
+    stage: StageConfig
+    readout: ReadoutConfig
+    force: ForceConfig | None = None
+    safety: SafetyConfig = field(default_factory=SafetyConfig)
+    fixture: FixtureConfig = field(default_factory=FixtureConfig)
+    name: str = "station"
+
+    def __post_init__(self) -> None:
+        self._check_ports()
+        if self.force is not None:
+            _within("safety.force_N", self.safety.force_N, 0.0, LARGEST_LIMIT * self.force.capacity_N)
+            _within("fixture.touch_N", self.fixture.touch_N, 0.0, self.safety.force_N)
+            if self.force.is_latency_stated:
+                _within("force.latency_s", self.force.latency_s, 0.0, LATEST_S)
+        _within("safety.stiffest_N_mm", self.safety.stiffest_N_mm, 0.1, 1e5)
+        _within("safety.silence_s", self.safety.silence_s, 0.15, 1.0)
+        _within("fixture.approach_mm", self.fixture.approach_mm, 0.0, self.safety.deepest_mm)
+        _within("fixture.search_mm_s", self.fixture.search_mm_s, 0.01, self.safety.speed_mm_s)
+
+    def _check_ports(self) -> None:
+        devices = {"stage": self.stage, "readout": self.readout} | ({"force": self.force} if self.force else {})
+        for (name, device), (other, beside) in combinations(devices.items(), 2):
+            may_share = device.shares_port and beside.shares_port and device.kind == beside.kind
+            if device.port and device.port == beside.port and not may_share:
+                raise InputError(
+                    reason(
+                        "station_file.same_port",
+                        name=name,
+                        other=other,
+                        port=repr(device.port),
+                        kind=repr(device.kind),
+                        kind2=repr(beside.kind),
+                    )
+                )
+
+
+_T = TypeVar("_T")
+_DEVICES: dict[str, type[DeviceConfig]] = {"stage": StageConfig, "force": ForceConfig, "readout": ReadoutConfig}
+_SECTIONS: dict[str, type[Any]] = {**_DEVICES, "safety": SafetyConfig, "fixture": FixtureConfig}
+
+
+def read_station_file(path: Path) -> StationConfig:
+    """Return the station a TOML file describes.
+
+    Raises:
+        InputError: the file cannot be read, a key is unknown or missing, a value has the wrong type.
+    """
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(reason("station_file.unreadable", path=str(path), error=reason_of(error))) from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(reason("station_file.no_toml", path=str(path), error=reason_of(error))) from error
+    try:
+        return station_from_table(content)
+    except InputError as error:
+        raise InputError(reason("station_file.at", path=str(path), why=reason_of(error))) from error
+
+
+def station_from_table(content: dict[str, Any]) -> StationConfig:
+    """Return the station that nested tables describe; unknown keys are errors that list the known ones."""
+    unknown = set(content) - set(_SECTIONS) - {"name"}
+    if unknown:
+        raise InputError(reason("station_file.unknown_top", key=repr(min(unknown)), known=", ".join(_SECTIONS)))
+    for needed in ("stage", "readout"):
+        if needed not in content:
+            raise InputError(reason("station_file.no_section", section=needed))
+    sections = {name: _section(name, content[name]) for name in _SECTIONS if name in content}
+    config = StationConfig(name=str(content.get("name", "station")), **sections)
+    if config.force is None and not config.safety.without_cell:
+        raise InputError(Reason("station_file.no_force"))
+    return config
+
+
+def station_toml(config: StationConfig, choices: str = "") -> str:
+    """Return the station file of a configuration, every key in it and what it means, to be read and edited.
+
+    Args:
+        choices: what stands beside a port that is still open.
+    """
+    document = tomlkit.document()
+    document["name"] = config.name
+    for name in _SECTIONS:
+        section = getattr(config, name)
+        if isinstance(section, DeviceConfig):
+            section = with_own_keys(section)
+        if section is None:
+            continue
+        table = tomlkit.table()
+        for line in meanings(type(section)):
+            table.add(tomlkit.comment(line.strip()))
+        for f in fields(section):
+            table[f.name] = getattr(section, f.name)
+        if isinstance(section, DeviceConfig) and not section.port:
+            table["port"].comment(f"CHOOSE one: {choices}")
+        document[name] = table
+    return tomlkit.dumps(document)
+
+
+def meanings(kind: type[Any]) -> list[str]:
+    """Return what the keys of a section mean, from where they are documented: first the common ones, then its own."""
+    lines = []
+    for each in reversed(kind.__mro__):
+        text = inspect.cleandoc(each.__doc__ or "") if is_dataclass(each) else ""
+        _, _, keys = text.partition("Args:")
+        lines += [line for line in keys.partition("Raises:")[0].splitlines() if line.strip()]
+    return lines
+
+
+def with_own_keys(config: DeviceConfig) -> DeviceConfig:
+    """Return the section of a device with its driver's own keys, at their defaults where only common ones are given.
+
+    Raises:
+        InputError: there is no such driver.
+    """
+    from softcal.station.devices.catalogue import driver_of  # The catalogue needs this module.
+
+    kind: type[DeviceConfig] = driver_of(config.role, config.kind).config
+    return config if isinstance(config, kind) else kind(**vars(config))
+
+
+def _section(name: str, table: object) -> Any:
+    if not isinstance(table, dict):
+        raise InputError(reason("station_file.no_table", name=name))
+    if name not in _DEVICES:
+        return filled(name, _SECTIONS[name], table)
+    return device_section(name, table)
+
+
+def device_section(name: str, table: dict[str, Any]) -> DeviceConfig:
+    """Return the section of one device as its driver understands it.
+
+    Args:
+        name: of the section: stage, force, readout.
+        table: its keys; a kind that is not given is that of the section.
+
+    Raises:
+        InputError: an unknown kind or key, a value of the wrong type, or a port its driver cannot open.
+    """
+    from softcal.station.devices.catalogue import driver_of  # The catalogue needs this module.
+
+    common = _DEVICES[name]
+    kind = table.get("kind", common.kind)
+    driver = driver_of(common.role, str(kind))
+    config: DeviceConfig = filled(name, driver.config, {**table, "kind": kind})
+    if not config.port and "library" not in driver.wires:
+        raise InputError(reason("station_file.no_port", section=name))
+    if "library" not in driver.wires and wire_of(config.port) not in driver.wires:
+        raise InputError(
+            reason(
+                "station_file.wrong_wire",
+                section=name,
+                port=repr(config.port),
+                wire=wire_of(config.port),
+                kind=repr(kind),
+                wires=", ".join(driver.wires),
+            )
+        )
+    return config
+
+
+def filled(name: str, kind: type[_T], table: dict[str, Any]) -> _T:
+    """Return the values of one section.
+
+    Args:
+        name: of the section.
+        kind: the dataclass that declares its keys.
+        table: the keys as TOML gives them.
+
+    Raises:
+        InputError: an unknown key, which lists the known ones; a missing one; a value of the wrong type.
+    """
+    known = {f.name: f for f in fields(kind)}  # type: ignore[arg-type]
+    types = get_type_hints(kind)
+    values = {}
+    for key, value in table.items():
+        if key not in known:
+            raise InputError(
+                reason(
+                    "station_file.unknown_key",
+                    section=name,
+                    key=repr(key),
+                    known=", ".join(known),
+                    similar=_similar(key, known),
+                )
+            )
+        values[key] = _typed(f"{name}.{key}", value, types[key])
+    for key, each in known.items():
+        if key not in values and each.default is MISSING and each.default_factory is MISSING:
+            raise InputError(reason("station_file.no_key", section=name, key=key))
+    return kind(**values)
+
+
+def _similar(key: str, known: Iterable[str]) -> str:
+    close = get_close_matches(key, known, 1)
+    return f"; did you mean {close[0]}?" if close else ""
+
+
+def _typed(name: str, value: object, kind: object) -> object:
+    if kind is float and isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value):
+        return float(value)
+    if kind is not float and type(value) is kind:
+        return value
+    expected = {float: "a number", int: "a whole number", str: "text", bool: "true or false"}.get(kind, str(kind))  # type: ignore[call-overload]
+    raise InputError(reason("station_file.wrong_type", name=name, value=repr(value), expected=expected))
+
+
+def _within(name: str, value: float, low: float, high: float) -> None:
+    if not low <= value <= high:
+        raise InputError(reason("station_file.outside", name=name, value=value, low=low, high=high))

@@ -1,0 +1,143 @@
+"""What a driver declares of itself: with that a station file, a bench and a simulated rig use it without its name."""
+
+import json
+from collections.abc import Callable
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, get_type_hints
+
+from softcal.station.devices.config import DeviceConfig, ForceConfig, ReadoutConfig, Role, StageConfig
+from softcal.station.interfaces import Clock, ForceReader, Readout, Stage
+from softcal.station.wire.transport import WireKind
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from softcal.core.twin.parameters import ReadoutMetadata
+    from softcal.station.simulated.motion import Axis
+    from softcal.station.simulated.wire import Wire
+    from softcal.station.simulated.world import FarEnd
+
+BASES: tuple[type[DeviceConfig], ...] = (StageConfig, ForceConfig, ReadoutConfig)
+
+C = TypeVar("C", bound=DeviceConfig)
+D = TypeVar("D", bound=Stage | ForceReader | Readout)
+
+
+@dataclass(frozen=True)
+class Opening:
+    """What a driver finds when it is opened.
+
+    Args:
+        clock: stamps what is read; waiting on it is what lets simulated time pass.
+        stage: the station's stage where it is open already, for a cell or readout behind the same port.
+    """
+
+    clock: Clock
+    stage: Stage | None = None
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What a simulated device finds around it.
+
+    Args:
+        wire: the device's end of its line; its `port` is what the host opens.
+        axis: the drive of the simulated stage, its position counts in the pressing direction, mm.
+        force_N: (simulated time in s) -> what presses on the load cell, N.
+        outputs_V: (simulated time in s) -> output of each sensor, V.
+        electronics: rate and range of the sensor's readout.
+        rng: draws noise and clock errors.
+        stage_port: of the stage, for a device behind it.
+    """
+
+    wire: "Wire"
+    axis: "Axis"
+    force_N: Callable[[float], float]
+    outputs_V: Callable[[float], tuple[float, ...]]
+    electronics: "ReadoutMetadata"
+    rng: "np.random.Generator"
+    stage_port: str = ""
+
+
+@dataclass(frozen=True)
+class Simulated(Generic[C]):
+    """A simulated device, and the section of the station file with which its driver opens it.
+
+    Args:
+        config: with `port` as the host opens it.
+        far_end: what lives at the other end of the wire; None where another device's far end speaks for it.
+        reading_per_V: what a readout of another unit than V shows for 1 V of output.
+    """
+
+    config: C
+    far_end: "FarEnd | None"
+    reading_per_V: float = 1.0
+
+
+@dataclass(frozen=True)
+class Driver(Generic[C, D]):
+    """One kind of device that a station can use.
+
+    Args:
+        kind: its name in the station file.
+        what: the instruments it is for, in a few words.
+        config: a frozen dataclass of its keys, derived from `StageConfig`, `ForceConfig` or `ReadoutConfig`; it checks
+            its values by raising `InputError`.
+        open: opens the device or raises `DeviceError`, with everything it opened given back.
+        simulate: makes the device for the simulated station and for the test kit.
+        wires: what `port` may name, the simulated device stands behind the first of them.
+        is_threaded: whether it reads in a thread of its own; then simulated time is real time.
+
+    Raises:
+        ValueError: the declaration is none.
+    """
+
+    kind: str
+    what: str
+    config: type[C]
+    open: Callable[[C, Opening], D]
+    simulate: Callable[[Surroundings], Simulated[C]]
+    wires: tuple[WireKind, ...] = ("serial", "tcp")
+    is_threaded: bool = False
+
+    def __post_init__(self) -> None:
+        if not (is_dataclass(self.config) and issubclass(self.config, BASES)):
+            known = ", ".join(base.__name__ for base in BASES)
+            raise ValueError(f"driver {self.kind!r}: config must be a frozen dataclass derived from one of {known}")
+        if not self.wires:
+            raise ValueError(f"driver {self.kind!r}: wires is empty; say what its port may name")
+
+    @property
+    def role(self) -> Role:
+        """Whether it drives a stage, a load cell or a readout."""
+        return self.config.role
+
+    @property
+    def keys(self) -> dict[str, object]:
+        """Its keys in the station file and their defaults; None where a value must be given."""
+        return {f.name: None if f.default is MISSING else f.default for f in fields(self.config)}
+
+    @property
+    def described_keys(self) -> list[tuple[str, str, str, str]]:
+        """Its keys as (name, type, default, unit): a default as the station file has it, "needed" without one."""
+        types, names = (
+            get_type_hints(self.config),
+            {float: "number", int: "whole number", str: "text", bool: "true/false"},
+        )
+        defaults = {f.name: "needed" if f.default is MISSING else json.dumps(f.default) for f in fields(self.config)}
+        return [(key, names.get(types[key], str(types[key])), value, unit_of(key)) for key, value in defaults.items()]
+
+
+UNITS = {
+    "_per_N": "1/N", "_N_mm": "N/mm", "_mm_s2": "mm/s²", "_mm_s": "mm/s", "_mm": "mm", "_N": "N", "_Hz": "Hz",
+    "_ohm": "ohm", "_V": "V", "_s": "s", "baud_rate": "baud", "_bits": "bit", "_counts": "counts",
+}  # fmt: skip
+"""Units by how a key ends, the longest first."""
+
+
+def unit_of(key: str) -> str:
+    """Return the unit a key of the station file carries in its name, "" for none."""
+    return next((unit for end, unit in UNITS.items() if key.endswith(end)), "")
+
+
+AnyDriver: TypeAlias = Driver[Any, Any]

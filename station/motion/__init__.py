@@ -1,0 +1,1 @@
+"""How the stage moves: bounds, watches, feeding, contact."""

@@ -1,0 +1,241 @@
+"""Where the stage touches the unit: seen by the load cell, or by the output where no load cell reads. No I/O here."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from softcal.core.errors import BadReply
+from softcal.core.recording import Array
+from softcal.core.words.reason import reason
+from softcal.station.clock import fit_clock
+from softcal.station.devices.config import FixtureConfig
+from softcal.station.interfaces import Sample
+
+UNLOADED_SAMPLES = 25
+
+OUTPUT_AHEAD = 4.0
+"""When the output has changed by so many thresholds and the force by none, the load cell is dead."""
+
+REACH_MM, GRID_MM = 1.5, 0.02
+"""The contact is looked for within REACH_MM above the deepest point of the search, first on a grid."""
+
+POWERS = (1.0, 1.25, 1.5, 1.75, 2.0)
+"""Force laws from a flat pad to a cone, to begin with."""
+
+CURVED = 9.0
+"""A curve must leave this much less than a line, in variances of one sample."""
+
+SURE_MM = 0.0033
+"""A contact with a larger standard deviation is touched again, more slowly: three of them are 10 µm."""
+
+FINEST_MM_S = 0.08
+"""No touch is slower than this: a soft cone would take half a minute."""
+
+AGAIN_MM = 0.15
+"""The second touch begins so far above the first."""
+
+STRETCH_MM = 0.1
+
+
+@dataclass(frozen=True)
+class Foot:
+    """Where values begin to rise or fall.
+
+    Args:
+        at_mm: stage position.
+        doubt_mm: its standard deviation, from the noise that the fit leaves.
+    """
+
+    at_mm: float
+    doubt_mm: float
+
+
+@dataclass(frozen=True, eq=False)
+class Touch:
+    """What was read on one way down until something was touched.
+
+    Args:
+        stage_at: host times -> stage positions in mm on that way.
+        host_s: (n,) when the readings came, host clock.
+        values: (n,) force or output.
+    """
+
+    stage_at: Callable[[Array], Array]
+    host_s: Array
+    values: Array
+
+    def foot(self, late_s: float) -> Foot:
+        """Return the stage position at which the signal leaves its unloaded value.
+
+        Args:
+            late_s: how late the readings are, as far as that is known.
+        """
+        return bend(self.stage_at(self.host_s - late_s), self.values)
+
+
+class ContactSearch:
+    """A search for contact over samples that keep coming.
+
+    Args:
+        fixture: what counts as contact.
+        has_force: whether a load cell reads.
+        cell, output: everything read so far; both lists grow while the search goes on.
+        late_s: how late the load cell may be: so long the output may be ahead of it.
+    """
+
+    def __init__(
+        self,
+        fixture: FixtureConfig,
+        has_force: bool,
+        cell: Sequence[Sample],
+        output: Sequence[Sample],
+        late_s: float = 0.0,
+    ) -> None:
+        self._fixture, self._has_force, self._late_s = fixture, has_force, late_s
+        self._cell, self._output = cell, output
+        self._free_N, self._free_output = unloaded(cell), unloaded(output)
+        self.begin()
+
+    def begin(self) -> None:
+        """Search from here on, against the unloaded values of the first time."""
+        self._seen_cell, self._seen_output = len(self._cell), len(self._output)
+        self._began_at = self._seen_cell if self._has_force else self._seen_output
+        self._is_felt = self.has_found = False
+        self._ahead_since_s: float | None = None
+
+    def is_over(self) -> bool:
+        """Whether the touch that was looked for has come; `has_found` keeps the answer.
+
+        Raises:
+            BadReply: the output shows contact, the load cell does not.
+        """
+        self.has_found = self.has_found or self._is_touched()
+        return self.has_found
+
+    def _is_touched(self) -> bool:
+        """Whether what came since the last call shows the touch that was looked for.
+
+        Raises:
+            BadReply: the output shows contact, the load cell does not.
+        """
+        new, self._seen_cell = self._cell[self._seen_cell :], len(self._cell)
+        for sample in new:
+            change_N = abs(sample.values[0] - self._free_N)
+            self._is_felt = self._is_felt or change_N > self._fixture.contact_N
+            if change_N > self._fixture.touch_N:
+                return True
+        new, self._seen_output = self._output[self._seen_output :], len(self._output)
+        for sample in new:
+            change = abs(sample.values[0] - self._free_output)
+            if not self._has_force and change > self._fixture.contact_output:
+                return True
+            if self._is_felt or change <= OUTPUT_AHEAD * self._fixture.contact_output:
+                self._ahead_since_s = None
+                continue
+            if self._ahead_since_s is None:
+                self._ahead_since_s = sample.host_s
+            if sample.host_s - self._ahead_since_s >= self._late_s:
+                raise BadReply(reason("rig.no_contact.cell", change=change))
+        return False
+
+    def touch(self, stage_at: Callable[[Array], Array]) -> Touch:
+        """Return what was read since the search began.
+
+        Args:
+            stage_at: host times -> stage positions in mm during the search.
+        """
+        samples = self._cell if self._has_force else self._output
+        host_s = np.array([sample.host_s for sample in samples])
+        if samples[0].device_s is not None:
+            # Lines come late; a line 20 ms late is a contact 10 µm too deep.
+            device_s = np.array([sample.device_s for sample in samples], dtype=np.float64)
+            host_s = fit_clock(device_s, host_s).to_host(device_s)
+        values = np.array([sample.values[0] for sample in samples])
+        return Touch(stage_at, host_s[self._began_at :], values[self._began_at :])
+
+
+def bend(stage_mm: Array, values: Array) -> Foot:
+    """Return where values that were constant begin to rise or fall as a power of the way that follows.
+
+    Least squares of values = b + k · max(0, stage_mm − x0)^p over b, k, x0 and p in [1, 2]: a flat pad rises with
+    p = 1, a ball on soft rubber with 1.5, a cone with 2. Unlike the crossing of a threshold it does not depend on
+    the unit's stiffness, and noise is averaged.
+
+    Args:
+        stage_mm: (n,) positions of the search, mm, ending in contact.
+        values: (n,) force or output there.
+    """
+    starts = [_start(stage_mm, values, power) for power in POWERS]
+    line, left_by_line = _fitted(stage_mm, values, starts[0], is_straight=True)
+    curve, left = _fitted(stage_mm, values, max(starts, key=lambda start: start.explained), is_straight=False)
+    # A straight line unless a curve is clearly better: a free power costs certainty where it is not needed.
+    return curve if left < left_by_line * (1.0 - CURVED / len(values)) else line
+
+
+@dataclass(frozen=True)
+class _Start:
+    at_mm: float
+    power: float
+    explained: float
+
+
+def _start(stage_mm: Array, values: Array, power: float) -> _Start:
+    """Return the foot on a coarse grid that explains most of the values with this power, and how much that is."""
+    deepest_mm = float(np.max(stage_mm))
+    shallowest_mm = max(float(np.min(stage_mm)), deepest_mm - REACH_MM)
+    candidates_mm = np.arange(shallowest_mm, deepest_mm, GRID_MM)
+    shape = np.maximum(0.0, stage_mm - candidates_mm[:, None]) ** power  # (candidates, n)
+    shape -= shape.mean(axis=1, keepdims=True)
+    explained = (shape @ (values - values.mean())) ** 2 / np.maximum(np.sum(shape**2, axis=1), 1e-300)
+    k = int(np.argmax(explained))
+    return _Start(float(candidates_mm[k]), power, float(explained[k]))
+
+
+def _fitted(stage_mm: Array, values: Array, start: _Start, is_straight: bool) -> tuple[Foot, float]:
+    """Return the foot of a line or of a free power, and the sum of squares that it leaves."""
+
+    def left(parameters: Array) -> Array:
+        level, slope, at_mm = parameters[:3]
+        power = 1.0 if is_straight else parameters[3]
+        return np.asarray(level + slope * np.maximum(0.0, stage_mm - at_mm) ** power - values)
+
+    power = 1.0 if is_straight else float(np.clip(start.power, 1.05, 1.95))
+    slope, level = np.polyfit(np.maximum(0.0, stage_mm - start.at_mm) ** power, values, 1)
+    low, high = [-np.inf, -np.inf, float(np.min(stage_mm)) - 1e-6], [np.inf, np.inf, float(np.max(stage_mm))]
+    first = [level, slope, start.at_mm]
+    if not is_straight:
+        first, low, high = [*first, power], [*low, POWERS[0]], [*high, POWERS[-1]]
+    found = least_squares(left, first, bounds=(low, high), x_scale="jac")
+    squares = float(2.0 * found.cost)
+    variance = squares / max(1, len(values) - len(first))
+    doubt_mm = float(np.sqrt(np.linalg.pinv(found.jac.T @ found.jac)[2, 2] * variance))
+    return Foot(float(found.x[2]), doubt_mm), squares
+
+
+def slower_mm_s(speed_mm_s: float, doubt_mm: float) -> float:
+    """Return the speed of a search that is sure enough: noise is averaged over as many more readings."""
+    return max(FINEST_MM_S, speed_mm_s * (SURE_MM / doubt_mm) ** 2)
+
+
+def stiffest_N_mm(stage_mm: Array, force_N: Array) -> float:
+    """Return the steepest slope of force against position, over stretches of STRETCH_MM.
+
+    Args:
+        stage_mm: (n,) positions of a slow press downward.
+        force_N: (n,) force there.
+    """
+    bins = np.floor((stage_mm - np.min(stage_mm)) / STRETCH_MM).astype(int)
+    means = np.array([(stage_mm[bins == k].mean(), force_N[bins == k].mean()) for k in np.unique(bins)])
+    if len(means) < 2:
+        return 0.0
+    # The last stretch may be a short one, full of readings at rest.
+    way_mm = np.maximum(np.diff(means[:, 0]), 0.5 * STRETCH_MM)
+    return float(np.max(np.diff(means[:, 1]) / way_mm))
+
+
+def unloaded(samples: Sequence[Sample]) -> float:
+    """Return the mean of the last samples of a channel with nothing on it; 0 without any."""
+    values = [sample.values[0] for sample in samples[-UNLOADED_SAMPLES:]]
+    return float(np.mean(values)) if values else 0.0

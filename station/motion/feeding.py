@@ -1,0 +1,69 @@
+"""A move fed to a controller in pieces: how long each is, and when it may be sent. No I/O here."""
+
+import math
+from collections import deque
+
+import numpy as np
+
+from softcal.station.interfaces import Move
+from softcal.station.record.trajectory import Trapezoid
+
+PIECE_S, AHEAD_S = 0.1, 0.3
+"""A move is fed in pieces of PIECE_S, at most AHEAD_S and the time of braking ahead: when the host dies, the stage soon
+stops by itself. A planner that sees less than its braking distance would never get up to speed."""
+
+PIECES_AHEAD = 3
+"""Where the way ahead is bounded, so many pieces fit into it."""
+
+LEAST_MM = 0.001
+"""No piece is shorter: it would be less than a step of most drives."""
+
+
+class PieceFeed:
+    """The pieces of one move that were not sent yet.
+
+    Args:
+        path: of the whole move.
+        ahead_mm: how far the controller may have been told to go beyond where the stage is.
+        now_s: the move begins now.
+    """
+
+    def __init__(self, path: Trapezoid, ahead_mm: float, now_s: float) -> None:
+        self._began_s = now_s
+        peak_mm_s = max(path.peak_mm_s, 1e-9)
+        piece_s = min(PIECE_S, max(LEAST_MM, ahead_mm / PIECES_AHEAD) / peak_mm_s)
+        self._ahead_s = min(_ahead_s(path.peak_mm_s, path.acceleration_mm_s2), ahead_mm / peak_mm_s - piece_s)
+        edges_s = np.linspace(0.0, path.duration_s, 1 + max(1, math.ceil(path.duration_s / piece_s)))
+        ends_mm = [*path.position_mm(edges_s[1:-1]), path.end_mm]
+        self._pieces = deque((float(s), float(mm)) for s, mm in zip(edges_s, ends_mm, strict=False))
+
+    def __bool__(self) -> bool:
+        return bool(self._pieces)
+
+    def due_mm(self, now_s: float) -> float | None:
+        """Return where the next piece ends when it may be sent; None while it is too early, or none is left."""
+        if not self._pieces:
+            return None
+        starts_s, ends_mm = self._pieces[0]
+        return ends_mm if now_s - self._began_s - starts_s >= -self._ahead_s else None
+
+    def sent(self, now_s: float) -> None:
+        """Take note that the next piece was sent."""
+        starts_s, _ = self._pieces.popleft()
+        # After a stall of the host the stage has paused; what follows must not run ahead of it.
+        self._began_s += max(0.0, now_s - self._began_s - starts_s)
+
+
+def runs_on_mm(move: Move, acceleration_mm_s2: float) -> float:
+    """Return how far a stage that is fed in pieces still goes, at most, once the host is gone in a move."""
+    fed_s = _ahead_s(move.speed_mm_s, acceleration_mm_s2) + PIECE_S
+    return min(move.ahead_mm, move.speed_mm_s * fed_s)
+
+
+def runs_on_s(speed_mm_s: float, acceleration_mm_s2: float) -> float:
+    """Return after how long it stands, at most: the pieces that were fed, and braking."""
+    return _ahead_s(speed_mm_s, acceleration_mm_s2) + PIECE_S + speed_mm_s / acceleration_mm_s2
+
+
+def _ahead_s(speed_mm_s: float, acceleration_mm_s2: float) -> float:
+    return AHEAD_S + 0.5 * speed_mm_s / acceleration_mm_s2

@@ -1,0 +1,314 @@
+"""The one place that moves a stage: each move is watched, has a deadline, ends standing or in a stop that says so.
+
+Nothing else in softcal calls `home`, `begin` or `stop` of a stage; `tests/station/test_holes.py` holds that.
+"""
+
+import math
+from collections.abc import Callable, Collection, Sequence
+from typing import TypeVar
+
+from softcal.core.errors import BadReply, DeviceError, NoReply, SafetyStop
+from softcal.core.words.reason import Reason, reason
+from softcal.station.devices.bench import Bench
+from softcal.station.interfaces import Held, Move, RoughLift, RunsOn
+from softcal.station.motion.interlock import Interlock, State, StateRow
+from softcal.station.motion.safety import LASTS_S
+from softcal.station.record.trajectory import DrivenMove, Trapezoid
+
+TICK_S = 0.005
+"""How often the devices are read while something may move; far below every latency that is promised."""
+
+RETRACT_MM_S = 5.0
+PATIENCE_S = 1.5
+"""How long load cell and sensor are read to say what stands on the unit: readings may be old, a unit comes back."""
+
+LIFT_MM = 1.0
+"""A stage is lifted at least so far, wherever it stood."""
+
+REST = 0.5
+"""A load cell within this share of the contact force is at rest."""
+
+_T = TypeVar("_T")
+
+
+class Cancelled(DeviceError):
+    """Somebody asked for a stop."""
+
+
+class StoppedByHand(Cancelled):
+    """Somebody stopped the run at the keyboard."""
+
+
+class Motion:
+    """The moves of one run.
+
+    Args:
+        bench: open devices.
+        tick: lets a little time pass, reads every device and raises what is wrong; called all through every move.
+        ahead_mm: (position to go down to, speed) -> how far ahead its controller may be told to go.
+    """
+
+    def __init__(
+        self,
+        bench: Bench,
+        tick: Callable[[], None],
+        ahead_mm: Callable[[float, float], float] = lambda to_mm, speed_mm_s: math.inf,
+    ) -> None:
+        self._bench, self._clock, self._stage, self._tick = bench, bench.clock, bench.stage, tick
+        self._ahead_mm = ahead_mm
+        self._interlock = Interlock()
+        self._path: Trapezoid | None = None
+        self._cell: list[tuple[float, float]] = []  # (arrival, value) of every reading since the stop
+        self._output: list[tuple[float, float]] = []
+        self.zero_N: float | None = None
+        self.free_output: float | None = None  # What the sensor shows with nothing on it.
+
+    @property
+    def state(self) -> State:
+        """How far the run is."""
+        return self._interlock.state
+
+    @property
+    def row(self) -> StateRow:
+        """What holds in this state."""
+        return self._interlock.row
+
+    def enter(self, state: State, known: Collection[str] = ()) -> None:
+        """Go on to a later state of the run; what is known decides whether it may begin."""
+        self._interlock.enter(state, known)
+
+    @property
+    def speed_mm_s(self) -> float:
+        """Largest speed of the move in progress; 0 while the stage stands."""
+        return 0.0 if self._path is None else self._path.peak_mm_s
+
+    @property
+    def left_mm(self) -> float:
+        """How far the move in progress still goes."""
+        return 0.0 if self._path is None else abs(self._path.end_mm - self._stage.position_mm)
+
+    @property
+    def is_lowering(self) -> bool:
+        """Whether the stage goes towards the unit."""
+        return self._path is not None and self._path.end_mm > self._path.start_mm
+
+    def supervise(self, action: Callable[[], _T]) -> _T:
+        """Return what an action gives; whatever it raises, the stage is made safe first and the message says how.
+
+        Raises:
+            DeviceError: as raised, with what became of the stage.
+            StoppedByHand: Ctrl-C.
+        """
+        try:
+            result = action()
+            self.enter(State.OVER)
+            return result
+        except KeyboardInterrupt as stop:
+            raise StoppedByHand(reason("rig.keyboard", state=self.make_safe(stop))) from stop
+        except DeviceError as error:
+            raise type(error)(reason("rig.aborted", why=error.reason, state=self.make_safe(error))) from error
+        except BaseException as error:
+            self.make_safe(error)
+            raise
+
+    def home(self, on_wait: Callable[[], None]) -> None:
+        """Home the stage.
+
+        Args:
+            on_wait: called every few milliseconds; what it raises ends the homing.
+
+        Raises:
+            DeviceError: as the stage, or it took too long.
+        """
+        self.enter(State.HOMING)
+        end_s = self._clock.now_s() + self.row.late_s
+
+        def watch() -> None:
+            on_wait()
+            if self._clock.now_s() > end_s:
+                raise NoReply(reason("rig.not_home", seconds=self.row.late_s))
+
+        self._stage.home(watch)
+
+    def go(self, to_mm: float, speed_mm_s: float, is_over: Callable[[], bool] | None = None) -> DrivenMove:
+        """Go to a position, or until `is_over`, and stand there.
+
+        Raises:
+            SafetyStop: deeper than allowed; nothing was sent.
+            NoReply: late.
+            DeviceError: whatever tick and stage raise.
+        """
+        self._check_depth(to_mm)
+        path = Trapezoid(self._stage.position_mm, to_mm, speed_mm_s, self._stage.acceleration_mm_s2)
+        began_s = self._clock.now_s()
+        is_down = to_mm > self._stage.position_mm
+        self._interlock.check_move(is_down)
+        self._path = path
+        self._stage.begin(Move(to_mm, speed_mm_s, self._ahead_mm(to_mm, speed_mm_s) if is_down else math.inf))
+        while self._stage.is_moving:
+            self._tick()
+            if is_over is not None and is_over():
+                return self._brake(path, began_s)
+            if self._clock.now_s() - began_s > path.duration_s + self.row.late_s:
+                raise NoReply(reason("rig.late", seconds=self.row.late_s, to_mm=to_mm))
+        self._path = None
+        return DrivenMove(path, began_s, self._clock.now_s())
+
+    def wait(self, seconds: float) -> None:
+        """Stand and watch for so long."""
+        end_s = self._clock.now_s() + seconds
+        while self._clock.now_s() < end_s:
+            self._tick()
+
+    def make_safe(self, cause: BaseException) -> Reason:
+        """Stop the stage, lift it where that is safe, and say what was done and what stands on the unit.
+
+        It lifts where the position is known, or was lost by the stop alone. It never lifts while somebody holds the
+        stage, after a door, an emergency stop or an alarm, nor a second time after an interruption.
+        """
+        if self.state in (State.STOPPED, State.OVER):
+            return self._left(Reason("left.stopped"))
+        self.enter(State.STOPPING)
+        self._path, self._cell, self._output = None, [], []
+        try:
+            return self._stop_and_lift(cause)
+        except KeyboardInterrupt:
+            return self._stop_again()
+
+    def _brake(self, path: Trapezoid, began_s: float) -> DrivenMove:
+        move = DrivenMove(path, began_s, self._clock.now_s())
+        self._stage.stop()
+        if not self._stage.is_position_known:
+            raise DeviceError(Reason("rig.lost.at_touch"))
+        self._path = None
+        return move
+
+    def _check_depth(self, to_mm: float) -> None:
+        deepest_mm = self._bench.config.safety.deepest_mm
+        if to_mm > deepest_mm:
+            raise SafetyStop(reason("rig.too_deep", to_mm=to_mm, deepest_mm=deepest_mm))
+
+    def _stop_and_lift(self, cause: BaseException) -> Reason:
+        try:
+            self._stage.stop()
+        except Held:
+            return self._left(Reason("left.held"))
+        except DeviceError:
+            self.enter(State.STOPPED)
+            return self._unreachable()
+        if isinstance(cause, Held):
+            return self._left(Reason("left.held"))
+        if not isinstance(cause, (Exception, KeyboardInterrupt)):
+            return self._left(Reason("left.stopped"))
+        can_lift_roughly = isinstance(self._stage, RoughLift) and self._stage.can_lift_roughly
+        if not self._stage.is_position_known and not can_lift_roughly:
+            return self._left(Reason("left.must_home"))
+        return self._lift()
+
+    def _lift(self) -> Reason:
+        stage = self._stage
+        # Never deeper; what is in the way above the approach is let go as well.
+        to_mm = max(0.0, min(self._bench.config.fixture.approach_mm, stage.position_mm - LIFT_MM))
+        speed_mm_s = min(RETRACT_MM_S, stage.max_speed_mm_s)
+        path = Trapezoid(stage.position_mm, to_mm, speed_mm_s, stage.acceleration_mm_s2)
+        self.enter(State.LIFTING)
+        self._listen()
+        try:
+            if path.start_mm > path.end_mm:
+                self._begin_lift(path)
+                self._follow_lift(self._clock.now_s() + path.duration_s + self.row.late_s)
+        except Held:
+            return self._left(Reason("left.held"))
+        except DeviceError:
+            self._stop_quietly()
+            return self._left(Reason("left.not_lifted"))
+        return self._confirmed()
+
+    def _begin_lift(self, path: Trapezoid) -> None:
+        self._interlock.check_move(path.end_mm > path.start_mm)
+        if not self._stage.is_position_known and isinstance(self._stage, RoughLift):
+            self._stage.lift_roughly(path.start_mm - path.end_mm, path.speed_mm_s)
+        else:
+            self._stage.begin(Move(path.end_mm, path.speed_mm_s))
+
+    def _follow_lift(self, end_s: float) -> None:
+        while self._stage.is_moving:
+            self._clock.sleep_s(TICK_S)
+            try:
+                self._stage.poll()
+            except BadReply:
+                pass  # A line with noise says nothing about the lift; silence and alarms do.
+            self._listen()
+            if self._clock.now_s() > end_s:
+                raise NoReply(Reason("rig.late.lifting"))
+
+    def _confirmed(self) -> Reason:
+        """Say that the stage is lifted where the load cell has fallen to rest; a controller's count proves nothing.
+
+        A cell that showed no force before may be dead: then the sensor must be at rest, too.
+        """
+        fixture, force_N = self._bench.config.fixture, self._standing_N()
+        if force_N is not None and abs(force_N) > fixture.contact_N:
+            return self._said(Reason("left.stays"), force_N)
+        has_fallen = max((value for _, value in self._cell), default=0.0) - (self.zero_N or 0.0) > fixture.contact_N
+        output, free = self._newest(self._output), self.free_output
+        is_output_free = output is not None and free is not None and abs(output - free) <= fixture.contact_output
+        if force_N is None or abs(force_N) > REST * fixture.contact_N or not (has_fallen or is_output_free):
+            return self._said(Reason("left.told"), force_N)
+        self.enter(State.STOPPED)
+        return Reason("left.lifted" if self._stage.is_position_known else "left.lifted_roughly")
+
+    def _stop_again(self) -> Reason:
+        """A second interruption: stand, wherever it is."""
+        is_told = self.state is not State.STOPPING
+        self._stop_quietly()
+        return self._left(Reason("left.told" if is_told else "left.there"))
+
+    def _stop_quietly(self) -> None:
+        try:
+            self._stage.stop()
+        except DeviceError:
+            pass  # It was told to stop all the same.
+
+    def _unreachable(self) -> Reason:
+        if isinstance(self._stage, RunsOn):
+            s = self._stage.runs_on_s(self._bench.config.safety.speed_mm_s)
+            return reason("left.runs_on", seconds=s)
+        return Reason("left.unreachable")
+
+    def _left(self, state: Reason) -> Reason:
+        """Return what became of a stage that stays where it is, with what stands on the unit."""
+        return self._said(state, self._standing_N())
+
+    def _said(self, state: Reason, force_N: float | None) -> Reason:
+        if self.state in (State.STOPPING, State.LIFTING):
+            self.enter(State.STOPPED)
+        if force_N is None:
+            return reason("left.may_stand", state=state)
+        if not self._stage.is_position_known:
+            return reason("left.stands_lost", state=state, force_N=force_N)
+        return reason("left.stands", state=state, force_N=force_N, at_mm=self._stage.position_mm)
+
+    def _standing_N(self) -> float | None:
+        """Return what the load cell shows at last; None where it says nothing, or has no zero."""
+        if self._bench.force is None or self.zero_N is None:
+            return None
+        end_s = self._clock.now_s() + PATIENCE_S
+        while self._clock.now_s() < end_s:
+            self._clock.sleep_s(TICK_S)
+            self._listen()
+        shown_N = self._newest(self._cell)
+        return None if shown_N is None else shown_N - self.zero_N
+
+    def _listen(self) -> None:
+        """Take what load cell and sensor show; one that fails is no witness."""
+        for reader, seen in ((self._bench.force, self._cell), (self._bench.readout, self._output)):
+            try:
+                seen += [(self._clock.now_s(), sample.values[0]) for sample in (reader.poll() if reader else ())]
+            except DeviceError:
+                seen.clear()
+
+    def _newest(self, readings: Sequence[tuple[float, float]]) -> float | None:
+        """Return the mean of what came just now; None where nothing did."""
+        values = [value for arrival_s, value in readings if arrival_s > self._clock.now_s() - LASTS_S]
+        return sum(values) / len(values) if values else None

@@ -1,0 +1,223 @@
+"""Safety bounds, checked on every sample while the stage moves. What is not right raises; nothing here moves."""
+
+import math
+from collections import deque
+
+import numpy as np
+
+from softcal.core.errors import BadReply, NoReply, SafetyStop
+from softcal.core.words.reason import reason
+from softcal.station.clock import CLOCK_SHARE
+from softcal.station.devices.config import SafetyConfig
+from softcal.station.interfaces import ForceReader, Readout, Sample
+from softcal.station.named import named
+
+PRESSED_MM, MISSING_S, RISEN_MM = 0.8, 0.15, 0.1
+"""A unit pressed this deep for so long must show a force; but not where the stage has risen this far since it did: a
+unit that relaxes comes back slowly."""
+
+SUDDEN_N, LASTS_S = 1.0, 0.25
+"""A force that grows by this much while the stage homes, or from one sample to the next while it stands, is none of the
+unit's. What lasts so long (a stage that stands, a reading at its rail, lines that come late) is no accident."""
+
+STUCK_MM, STUCK_OUTPUT_MM, FROZEN, STUCK_MEAN_S, STUCK_NOISES, STUCK_SAMPLES = 1.2, 1.6, 0.6, 0.1, 6.0, 6
+"""The mean over so long must change by this many times its noise while the stage moves so far on the unit (a load cell,
+a sensor's output); over this share of the way it must change at all. A slow channel has few samples in a fast press:
+from fewer than these nothing is said."""
+
+SLOPE_SAMPLES = 4
+RATE_SAMPLES, MISSED_SAMPLES = 50, 4
+"""When more are missing, or too many, among so many samples, the device has another rate or its wire loses lines."""
+
+
+class ForceWatch:
+    """Force limit of one load cell.
+
+    Args:
+        bounds: the station's safety bounds.
+        zero_N: reading of the unloaded cell, subtracted from every sample.
+
+    `ahead_s` is to be kept up to date: for how long the force may still grow at its present rate, until the stage has
+    been stopped or has ended its move.
+    """
+
+    def __init__(self, bounds: SafetyConfig, zero_N: float = 0.0) -> None:
+        self._bounds, self.zero_N = bounds, zero_N
+        self.ahead_s = 0.0
+        self._recent: deque[tuple[float, float]] = deque(maxlen=SLOPE_SAMPLES)
+
+    def check(self, sample: Sample) -> None:
+        """Raise `SafetyStop` when the force is, or by the time the stage can brake will be, above the limit."""
+        force_N = sample.values[0] - self.zero_N
+        time_s = sample.host_s if sample.device_s is None else sample.device_s
+        self._recent.append((time_s, force_N))
+        coming_N = force_N + max(0.0, self._slope_N_s()) * self.ahead_s
+        if max(coming_N, -force_N) > self._bounds.force_N:
+            raise SafetyStop(reason("rig.force", force_N=force_N, coming_N=coming_N, limit_N=self._bounds.force_N))
+
+    def _slope_N_s(self) -> float:
+        if len(self._recent) < SLOPE_SAMPLES:
+            return 0.0
+        (first_s, first_N), (last_s, last_N) = self._recent[0], self._recent[-1]
+        return (last_N - first_N) / (last_s - first_s) if last_s > first_s else 0.0
+
+
+class FollowWatch:
+    """Whether there is a force where the stage presses.
+
+    Args:
+        contact_N: change of force that is contact.
+    """
+
+    def __init__(self, contact_N: float) -> None:
+        self._contact_N = contact_N
+        self._missing_since_s: float | None = None
+        self._felt_mm, self._turned_mm = 0.0, math.inf
+        """Deepest with a force since the stage was last above the contact, and shallowest since there is none."""
+
+    def check(self, force_N: float, pressed_mm: float, now_s: float) -> None:
+        """Raise `BadReply` when a stage well below the contact meets no force for a while."""
+        is_felt = force_N > self._contact_N
+        if is_felt:
+            self._felt_mm, self._turned_mm = max(self._felt_mm, pressed_mm), math.inf
+        else:
+            self._felt_mm = self._felt_mm if pressed_mm > 0.0 else 0.0
+            self._turned_mm = min(self._turned_mm, pressed_mm)
+        may_be_slow = pressed_mm < self._felt_mm - RISEN_MM and pressed_mm < self._turned_mm + PRESSED_MM
+        if is_felt or pressed_mm < PRESSED_MM or may_be_slow:
+            self._missing_since_s = None
+        elif self._missing_since_s is None:
+            self._missing_since_s = now_s
+        elif now_s - self._missing_since_s > MISSING_S:
+            raise BadReply(reason("rig.no_force", force_N=force_N, pressed_mm=pressed_mm))
+
+
+class JumpWatch:
+    """Whether the force jumps while nothing moves: a cable, an amplifier, or a hand at the rig."""
+
+    def __init__(self) -> None:
+        self._last_N: float | None = None
+        self._moved_s = 0.0
+
+    def check(self, force_N: float, is_moving: bool, now_s: float) -> None:
+        """Raise `BadReply` when one sample differs from the one before by what no unit at rest can do."""
+        if is_moving:
+            self._moved_s = now_s
+        last_N, self._last_N = self._last_N, force_N
+        if last_N is not None and now_s - self._moved_s > LASTS_S and abs(force_N - last_N) > SUDDEN_N:
+            raise BadReply(reason("rig.jump", before_N=last_N, after_N=force_N))
+
+
+class StuckWatch:
+    """Whether a channel still follows the stage: one that is frozen, a cell that hangs, a motor without supply.
+
+    Args:
+        name: of the device, as messages call it.
+        noise: standard deviation of the channel while nothing is pressed; 0 where any change will do.
+        rate_Hz: of the channel.
+        stuck_mm: how far the stage may move on the unit before the channel must follow.
+    """
+
+    def __init__(self, name: str, noise: float, rate_Hz: float, stuck_mm: float = STUCK_MM) -> None:
+        self._stuck_mm = stuck_mm
+        averaged = max(1, round(STUCK_MEAN_S * rate_Hz)) if noise else 1
+        self._name, self._least = name, STUCK_NOISES * noise / np.sqrt(averaged)
+        self._recent: deque[float] = deque(maxlen=averaged)
+        self._count, self._low, self._high = 0, float("inf"), float("-inf")
+        self._shallow_mm, self._deep_mm = float("inf"), float("-inf")
+
+    def check(self, value: float, pressed_mm: float) -> None:
+        """Raise `BadReply` when the stage has moved far on the unit and the channel has not followed.
+
+        Args:
+            value: of the channel.
+            pressed_mm: how far the stage is below the contact, 0 above it.
+        """
+        self._recent.append(value)
+        if pressed_mm <= 0.0:
+            self._forget()
+            return
+        if len(self._recent) < (self._recent.maxlen or 1):
+            return
+        self._count += 1
+        mean = math.fsum(self._recent) / len(self._recent)
+        self._low, self._high = min(self._low, mean), max(self._high, mean)
+        self._shallow_mm, self._deep_mm = min(self._shallow_mm, pressed_mm), max(self._deep_mm, pressed_mm)
+        if self._high - self._low > self._least:
+            self._forget()
+        elif self._deep_mm - self._shallow_mm > self._stuck_mm and self._count >= STUCK_SAMPLES:
+            raise BadReply(reason("rig.stuck", device=named(self._name), level=mean, stuck_mm=self._stuck_mm))
+
+    def _forget(self) -> None:
+        self._count = 0
+        self._low = self._shallow_mm = float("inf")
+        self._high = self._deep_mm = float("-inf")
+
+
+class StreamWatch:
+    """Whether a stream still comes, and at its rate.
+
+    Args:
+        reader: the device that is watched.
+        bounds: the station's safety bounds.
+        now_s: host time at which watching begins.
+        rails: lowest and highest possible value of a readout, where staying there means a broken wire.
+    """
+
+    def __init__(
+        self,
+        reader: ForceReader | Readout,
+        bounds: SafetyConfig,
+        now_s: float,
+        rails: tuple[float, float] | None = None,
+    ) -> None:
+        self._reader, self._bounds, self._rails = reader, bounds, rails
+        self._seen_s = now_s
+        self._times: deque[float] = deque(maxlen=RATE_SAMPLES)
+        self._on_rail_since_s: float | None = None
+        self._earliest_s, self._old_since_s = float("inf"), float("inf")
+
+    def check(self, sample: Sample) -> None:
+        """Take one sample.
+
+        Raises:
+            BadReply: the channel is at its rail, or comes at another rate than declared.
+        """
+        self._seen_s = sample.host_s
+        if self._rails:
+            self._check_rails(sample, self._rails)
+        if sample.device_s is not None:
+            self._check_rate(sample.device_s)
+            self._check_age(sample.host_s, sample.device_s)
+
+    def check_silence(self, now_s: float) -> None:
+        """Raise `NoReply` when no sample came for too long."""
+        if now_s - self._seen_s > self._bounds.silence_s:
+            raise NoReply(reason("rig.silent", device=named(self._reader.name), seconds=now_s - self._seen_s))
+
+    def _check_age(self, host_s: float, device_s: float) -> None:
+        """A line may begin to hold readings back: against the earliest arrivals of before, these are old."""
+        allowed_s = CLOCK_SHARE * (device_s - self._times[-2]) if len(self._times) > 1 else 0.0
+        self._earliest_s = min(self._earliest_s + allowed_s, host_s - device_s)
+        age_s = host_s - device_s - self._earliest_s
+        if age_s <= LASTS_S:
+            self._old_since_s = float("inf")
+        self._old_since_s = min(self._old_since_s, device_s)
+        if age_s > LASTS_S and device_s - self._old_since_s > LASTS_S:
+            raise NoReply(reason("rig.old", device=named(self._reader.name), age_s=age_s))
+
+    def _check_rails(self, sample: Sample, rails: tuple[float, float]) -> None:
+        low, high = rails
+        if not any(value <= low or value >= high for value in sample.values):
+            self._on_rail_since_s = None
+        elif self._on_rail_since_s is None:
+            self._on_rail_since_s = sample.host_s
+        elif sample.host_s - self._on_rail_since_s > LASTS_S:
+            raise BadReply(reason("rig.rail", device=named(self._reader.name), rail_s=LASTS_S))
+
+    def _check_rate(self, device_s: float) -> None:
+        self._times.append(device_s)
+        count, span_s = len(self._times), device_s - self._times[0]
+        if abs(round(span_s * self._reader.rate_Hz) + 1 - count) > MISSED_SAMPLES:
+            name, rate_Hz = named(self._reader.name), self._reader.rate_Hz
+            raise BadReply(reason("rig.rate", device=name, count=count, span_s=span_s, rate_Hz=rate_Hz))

@@ -1,0 +1,46 @@
+"""A profile as what the stage is told: moves from rest to rest and holds, checked before anything moves."""
+
+from softcal.core.errors import CommandRefused
+from softcal.core.profiles import Profile
+from softcal.core.words.reason import reason
+from softcal.station.devices.bench import Bench
+from softcal.station.interfaces import Hold, Move, Step
+
+
+def check_profile(bench: Bench, profile: Profile) -> None:
+    """Raise `CommandRefused` when a profile would leave the bounds of stage or station at any contact position."""
+    bounds, fixture = bench.config.safety, bench.config.fixture
+    fastest_mm_s = min(bounds.speed_mm_s, bench.stage.max_speed_mm_s)
+    deepest_mm = min(bounds.deepest_mm, bench.stage.travel_mm)
+    for segment in steps_of(profile):
+        if isinstance(segment, Move) and segment.speed_mm_s > fastest_mm_s * (1 + 1e-9):
+            raise CommandRefused(
+                reason(
+                    "rig.profile.speed",
+                    profile=repr(profile.name),
+                    speed_mm_s=segment.speed_mm_s,
+                    most_mm_s=fastest_mm_s,
+                )
+            )
+        if isinstance(segment, Move) and not -fixture.clearance_mm <= segment.to_mm <= deepest_mm - fixture.approach_mm:
+            raise CommandRefused(
+                reason(
+                    "rig.profile.depth",
+                    profile=repr(profile.name),
+                    to_mm=segment.to_mm,
+                    most_mm=deepest_mm - fixture.approach_mm,
+                )
+            )
+
+
+def steps_of(profile: Profile) -> list[Step]:
+    """Return a profile as moves from rest to rest and holds."""
+    steps: list[Step] = []
+    at_mm = 0.0
+    for segment in profile.segments:
+        if segment.target_mm == at_mm:
+            steps.append(Hold(segment.duration_s))
+        else:
+            steps.append(Move(segment.target_mm, abs(segment.target_mm - at_mm) / segment.duration_s))
+        at_mm = segment.target_mm
+    return steps

@@ -1,0 +1,353 @@
+"""A bench whose every reading is kept and checked while its stage moves: what a run and a self-test have in common."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from softcal.core.errors import BadReply, SafetyStop
+from softcal.core.words.reason import reason
+from softcal.station.devices.bench import Bench
+from softcal.station.devices.config import LATEST_S
+from softcal.station.interfaces import Sample, StagePosition
+from softcal.station.motion.bounds import FULL, REACTION_S, ForceBounds, Reaction
+from softcal.station.motion.contact import unloaded
+from softcal.station.motion.interlock import Moves, StageWatch, State
+from softcal.station.motion.motion import TICK_S, Motion
+from softcal.station.motion.safety import (
+    FROZEN,
+    STUCK_MM,
+    STUCK_OUTPUT_MM,
+    SUDDEN_N,
+    FollowWatch,
+    ForceWatch,
+    JumpWatch,
+    StreamWatch,
+    StuckWatch,
+)
+from softcal.station.record.spool import Spool
+
+BOOT_S = 3.0
+"""How long a board may take to boot: 1.5 s to 2 s for an Arduino with its boot loader."""
+
+
+@dataclass
+class Readings:
+    """Everything that was read, as it came."""
+
+    output: list[Sample] = field(default_factory=list)
+    force: list[Sample] = field(default_factory=list)
+    polls: list[StagePosition] = field(default_factory=list)
+
+
+@dataclass
+class Learned:
+    """What a run has found so far; None for not yet. A state that needs something does not begin without it.
+
+    Args:
+        free_N, zero_N: the force in an empty path, and of the unloaded cell.
+        contact_mm: where the unit's surface is.
+        felt_mm: so deep the unit was pressed slowly: what lies above holds no surprise.
+        safe_mm_s: fastest speed down to there that a stop can hold.
+        late_s: how late the load cell is.
+    """
+
+    free_N: float | None = None
+    zero_N: float | None = None
+    contact_mm: float | None = None
+    felt_mm: float | None = None
+    safe_mm_s: float | None = None
+    late_s: float | None = None
+
+    @property
+    def names(self) -> list[str]:
+        """What is known."""
+        return [name for name, value in vars(self).items() if value is not None]
+
+
+class WatchedBench:
+    """The devices of a station with the watches on that `interlock.TABLE` names.
+
+    Args:
+        bench: open devices.
+        spool: where everything that is read goes as it comes.
+        on_tick: called after every look at the devices; what it raises stops the stage.
+    """
+
+    def __init__(self, bench: Bench, spool: Spool | None = None, on_tick: Callable[[], None] = lambda: None) -> None:
+        self.bench, self._spool, self._on_tick = bench, spool, on_tick
+        self.readings = Readings()
+        self.motion = Motion(bench, self.tick, self._ahead_mm)
+        self.bounds = bounds_of(bench)
+        self.known = Learned()
+        self._force_watch = ForceWatch(bench.config.safety)
+        self._follow_watch = FollowWatch(bench.config.fixture.contact_N)
+        self._jump_watch = JumpWatch()
+        self._streams: dict[str, StreamWatch] = {}
+        self._stuck: dict[StageWatch, tuple[StuckWatch, StuckWatch]] = {}
+        self._lowest_N, self._expected_N = float("inf"), self.bounds.limit_N
+        force = bench.config.force
+        if force is None or force.is_latency_stated:
+            self.known.late_s = 0.0 if force is None else force.latency_s
+
+    @property
+    def late_s(self) -> float:
+        """How late the load cell is, as far as that is known."""
+        return self.known.late_s or 0.0
+
+    @property
+    def latest_s(self) -> float:
+        """How late the load cell may be: the latest that is allowed while nobody knows."""
+        return LATEST_S if self.known.late_s is None else self.known.late_s
+
+    @property
+    def fastest_mm_s(self) -> float:
+        """Fastest speed down in this state."""
+        bounds, moves = self.bounds, self.motion.row.moves
+        by_force = {Moves.KNOWN: self.known.safe_mm_s, Moves.NONE: 0.0, Moves.HOME: 0.0, Moves.UP: 0.0}
+        fastest_mm_s = by_force.get(moves, bounds.noticed_mm_s(self.noticed_N))
+        if self.bench.force is None:
+            fastest_mm_s = math.inf
+        return min(fastest_mm_s or 0.0, self.bench.config.safety.speed_mm_s, self.bench.stage.max_speed_mm_s)
+
+    def enter(self, state: State) -> None:
+        """Go on to a later state: with it the watches of its row are on, and no others."""
+        self.motion.enter(state, self.known.names)
+
+    def start(self) -> None:
+        """Begin to read, and to watch."""
+        bench, now_s = self.bench, self.bench.clock.now_s()
+        bench.readout.start()
+        self._streams["readout"] = StreamWatch(bench.readout, bench.config.safety, now_s, bench.readout.range)
+        if bench.force is not None:
+            bench.force.start()
+            self._streams["force"] = StreamWatch(bench.force, bench.config.safety, now_s)
+
+    def await_streams(self) -> None:
+        """Wait until every channel speaks, before anything moves.
+
+        A board that is reset when its port is opened says nothing before it has booted.
+
+        Raises:
+            NoReply: one stays silent.
+        """
+        silent, end_s = set(self._streams), self.bench.clock.now_s() + BOOT_S
+        while silent and self.bench.clock.now_s() < end_s:
+            self.bench.clock.sleep_s(TICK_S)
+            try:
+                output, cell = self._read(())
+            except BadReply:
+                break  # It speaks: what it says is judged where that is due.
+            silent -= {name for name, samples in (("readout", output), ("force", cell)) if samples}
+            self._on_tick()
+        else:
+            for name in sorted(silent):
+                self._streams[name].check_silence(self.bench.clock.now_s())
+        self.start()
+
+    def home(self) -> None:
+        """Home the stage while the force is watched, and begin to read anew.
+
+        Raises:
+            SafetyStop: the force grows although homing goes away from the unit.
+        """
+        self._lowest_N = float("inf")
+        self.motion.home(self._look_while_homing)
+        self.start()  # A reset of the controller may have taken longer than any silence that is allowed.
+        self.enter(State.LISTENING)
+
+    def expect_nothing(self) -> None:
+        """Take the present force as that of an empty path: whatever adds the touch force to it is in the way."""
+        self.known.free_N = self.motion.zero_N = unloaded(self.readings.force[-10:])
+        self.motion.free_output = unloaded(self.readings.output[-10:])
+        self.enter(State.APPROACHING)
+
+    def take_zero(self, zero_N: float) -> None:
+        """Take the reading of the unloaded load cell, from now on subtracted."""
+        self.known.zero_N = self._force_watch.zero_N = self.motion.zero_N = zero_N
+        self.enter(State.SEARCHING)
+
+    def expect_contact(self, contact_mm: float) -> None:
+        """Take where the unit's surface is: from here on every channel must follow the stage."""
+        self.known.contact_mm = contact_mm
+        for watch, reader, samples, stuck_mm in (
+            (StageWatch.STUCK_OUTPUT, self.bench.readout, self.readings.output, STUCK_OUTPUT_MM),
+            (StageWatch.STUCK_CELL, self.bench.force, self.readings.force, STUCK_MM),
+        ):
+            if reader is not None:
+                noisy = StuckWatch(reader.name, noise_of(samples), reader.rate_Hz, stuck_mm)
+                self._stuck[watch] = noisy, StuckWatch(reader.name, 0.0, reader.rate_Hz, FROZEN * stuck_mm)
+        self.enter(State.FEELING)
+
+    def learn_latency(self, late_s: float) -> None:
+        """Take how late the load cell was found to be, where the station file does not say it."""
+        self.known.late_s = late_s
+        delay_s = self.bounds.reaction.delay_s - LATEST_S + late_s
+        self.bounds = replace(self.bounds, reaction=replace(self.bounds.reaction, delay_s=delay_s))
+
+    def expect_press(self, contact_mm: float, felt_mm: float, safe_mm_s: float) -> None:
+        """Take the surface as a cell shows it whose lateness is known, and how deep and how fast it may be pressed."""
+        self.known.contact_mm, self.known.felt_mm, self.known.safe_mm_s = contact_mm, felt_mm, safe_mm_s
+        self._expected_N = self.bounds.limit_N
+        self.enter(State.PRESSING)
+
+    def tick(self) -> None:
+        """Let a little time pass, read every device, and check everything that was read."""
+        self.bench.clock.sleep_s(TICK_S)
+        self._take(self.bench.stage.poll())
+
+    def leave_stage_alone(self, seconds: float) -> None:
+        """StageWatch the channels and tell the stage nothing, as if its host had died."""
+        end_s = self.bench.clock.now_s() + seconds
+        while self.bench.clock.now_s() < end_s:
+            self.bench.clock.sleep_s(TICK_S)
+            self._take(())
+
+    def _take(self, polls: Sequence[StagePosition]) -> None:
+        self.readings.polls += polls
+        output, cell = self._read(polls)
+        self._look_ahead()
+        self._check(output, cell)
+        self._on_tick()
+
+    def _read(self, polls: Sequence[StagePosition]) -> tuple[Sequence[Sample], Sequence[Sample]]:
+        cell = self.bench.force.poll() if self.bench.force is not None else ()
+        output = self.bench.readout.poll()
+        if self._spool is not None:
+            self._spool.append(output, cell, polls)
+        self.readings.force += cell
+        self.readings.output += output
+        return output, cell
+
+    def _look_while_homing(self) -> None:
+        try:
+            _, cell = self._read(())
+        except BadReply:
+            return self._on_tick()  # Homing may begin under an overload: it is what takes it off.
+        if StageWatch.RISE in self.motion.row.watches:
+            for sample in cell:
+                self._check_rise(sample.values[0])
+        self._on_tick()
+
+    def _check_rise(self, force_N: float) -> None:
+        self._lowest_N = min(self._lowest_N, force_N)
+        if force_N > self._lowest_N + SUDDEN_N:
+            raise SafetyStop(reason("rig.homing.rises", force_N=force_N - self._lowest_N))
+
+    def _ahead_mm(self, to_mm: float, speed_mm_s: float) -> float:
+        if speed_mm_s > self.fastest_mm_s * (1.0 + 1e-9):
+            raise ValueError(f"down with {speed_mm_s} mm/s, at most {self.fastest_mm_s} mm/s; nothing was sent")
+        if self.bench.force is None or to_mm <= (self.known.felt_mm or 0.0):
+            return math.inf
+        return self.bounds.ahead_mm(speed_mm_s, self.noticed_N)
+
+    @property
+    def noticed_N(self) -> float:
+        """The force at which whatever is met stops the stage: the touch; the limit, or what a step lets expect."""
+        return self.bounds.touch_N if self.motion.row.moves is Moves.FREE else self._expected_N
+
+    def expect_rise(self, last_N: float) -> float:
+        """Take what the force may grow to over the next step of a slow press; return the present force.
+
+        Args:
+            last_N: by how much it grew over the step before; inf for any force up to the limit.
+        """
+        self._expected_N = min(self.bounds.limit_N, self._force_N + self.bounds.rise_N(last_N))
+        return self._force_N
+
+    def has_risen(self) -> bool:
+        """Whether the force has grown beyond that."""
+        return self._force_N > self._expected_N
+
+    @property
+    def _force_N(self) -> float:
+        return self.readings.force[-1].values[0] - self._force_watch.zero_N if self.readings.force else 0.0
+
+    def _look_ahead(self) -> None:
+        """How long the force may still grow: until a stop holds, or until the move ends by itself."""
+        speed_mm_s = self.motion.speed_mm_s
+        if not self.motion.is_lowering or speed_mm_s == 0.0:
+            self._force_watch.ahead_s = 0.0
+            return
+        reaction = self.bounds.reaction
+        stop_s = REACTION_S + self.late_s + 0.5 * speed_mm_s / reaction.acceleration_mm_s2
+        self._force_watch.ahead_s = min(stop_s, self.late_s + self.motion.left_mm / speed_mm_s)
+
+    def _check(self, output: Sequence[Sample], cell: Sequence[Sample]) -> None:
+        on, now_s = self.motion.row.watches, self.bench.clock.now_s()
+        for sample in cell:
+            self._check_force(sample)
+        # A unit that relaxed leaves the stage for a while: where there is no force, FOLLOW says whether that may be.
+        is_touched = self.bench.force is None or self._force_N > self.bench.config.fixture.contact_N
+        # A cell that is late tells of where the stage was.
+        for name, samples, stuck, late_s in (
+            ("force", cell, StageWatch.STUCK_CELL, self.late_s),
+            ("readout", output, StageWatch.STUCK_OUTPUT, 0.0),
+        ):
+            pressed_mm = self.pressed_mm(late_s) if is_touched else 0.0
+            for sample in samples:
+                if StageWatch.STREAM in on:
+                    self._streams[name].check(sample)
+                for watch in self._stuck[stuck] if stuck in on else ():
+                    watch.check(sample.values[0], pressed_mm)
+            if StageWatch.STREAM in on and name in self._streams:
+                self._streams[name].check_silence(now_s)
+        if StageWatch.DEPTH in on:
+            self._check_depth()
+
+    def _check_force(self, sample: Sample) -> None:
+        on, newton = self.motion.row.watches, sample.values[0]
+        if StageWatch.FORCE in on:
+            self._force_watch.check(sample)
+        if StageWatch.FREE in on:
+            self._check_free(newton)
+        if StageWatch.FOLLOW in on:
+            self._follow_watch.check(newton - self._force_watch.zero_N, self.pressed_mm(self.late_s), sample.host_s)
+        if StageWatch.JUMP in on:
+            self._jump_watch.check(newton, self.bench.stage.is_moving, sample.host_s)
+
+    def _check_free(self, force_N: float) -> None:
+        touch_N, free_N = self.bench.config.fixture.touch_N, self.known.free_N or 0.0
+        if self.motion.is_lowering and force_N - free_N > touch_N:
+            raise SafetyStop(
+                reason("rig.in_the_way", position_mm=self.bench.stage.position_mm, force_N=force_N - free_N)
+            )
+
+    def pressed_mm(self, ago_s: float = 0.0) -> float:
+        """How far the stage was below the contact so long ago; 0 above it, or before it was found."""
+        contact_mm = self.known.contact_mm
+        if contact_mm is None or not self.readings.polls:
+            return 0.0
+        then_s = self.bench.clock.now_s() - ago_s
+        newest = self.readings.polls[-1]
+        poll = next((p for p in reversed(self.readings.polls) if p.host_s <= then_s), newest) if ago_s else newest
+        return max(0.0, poll.position_mm - contact_mm)
+
+    def _check_depth(self) -> None:
+        deepest_mm = self.bench.config.safety.deepest_mm
+        if self.readings.polls and self.readings.polls[-1].position_mm > deepest_mm + 0.01:
+            at_mm = self.readings.polls[-1].position_mm
+            raise SafetyStop(reason("rig.deepest", at_mm=at_mm, deepest_mm=deepest_mm))
+
+
+def bounds_of(bench: Bench) -> ForceBounds:
+    """Return what a stop on this bench holds."""
+    config, reader = bench.config, bench.force
+    force = config.force
+    late_s = force.latency_s if force is not None and force.is_latency_stated else LATEST_S
+    period_s = 0.0 if reader is None else 1.0 / reader.rate_Hz
+    capacity_N = float("inf") if reader is None else reader.capacity_N
+    return ForceBounds(
+        Reaction(period_s + late_s + REACTION_S, bench.stage.acceleration_mm_s2),
+        config.safety.force_N,
+        config.fixture.touch_N,
+        FULL * capacity_N,
+        config.safety.stiffest_N_mm,
+    )
+
+
+def noise_of(samples: Sequence[Sample]) -> float:
+    """Return the standard deviation of the first channel from sample to sample, drift left out."""
+    values = np.array([sample.values[0] for sample in samples])
+    return float(np.std(np.diff(values)) / np.sqrt(2)) if len(values) > 2 else 0.0

@@ -1,0 +1,319 @@
+"""What one finished run gives: channels on the sensor's own clock, and the facts about how they were aligned."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from softcal.core.errors import BadReply, InputError
+from softcal.core.recording import Array, Indices, LabelledRecording, OutputRecording
+from softcal.core.words.reason import reason
+from softcal.station.clock import CLOCK_SHARE, ClockFit, fit_clock, residual_offset_s
+from softcal.station.interfaces import Sample, StagePosition
+from softcal.station.named import named
+from softcal.station.record.proof import (
+    LATE_S,
+    check_bits,
+    check_follows,
+    check_gain,
+    check_lag,
+    check_law,
+    check_output_gain,
+    lag_s,
+)
+from softcal.station.record.spool import SpooledRun
+from softcal.station.record.trajectory import DrivenMove, StageTrack, Trapezoid, reconstruct
+
+LARGEST_LOSS = 0.02
+"""A recording that lost more of its samples than this is not one."""
+
+LONGEST_GAP_S = 0.25
+"""Force is read between two samples of the load cell no further apart than this: one of a cell at 10 Hz may be lost."""
+
+FIT_SAMPLES = 3000
+"""Enough of a run for a fit of force and depth: how late the load cell is, and whether one law holds."""
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """How the channels came onto one time axis.
+
+    Args:
+        sensor_drift, force_drift: rate of the device clocks against the host's, minus 1.
+        sensor_late_s, force_late_s: median delay of a line behind its earliest possible arrival.
+        force_offset_s, stage_offset_s: how much later the output shows what force and stage show, from their rates of
+            change; not applied, since the sensor's own lag is in it. NaN where there is no such channel.
+        stage_residual_mm: root mean square of status polls against the reconstructed path.
+        force_behind_s: how far the load cell was found behind the stage.
+    """
+
+    sensor_drift: float
+    force_drift: float
+    sensor_late_s: float
+    force_late_s: float
+    force_offset_s: float
+    stage_offset_s: float
+    stage_residual_mm: float
+    force_behind_s: float = float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class StationRecording:
+    """One finished run of one unit.
+
+    Args:
+        serial: of the unit; with several channels each has a serial of its own, `serial` names the substrate.
+        t_s: (n,) the sensor's own clock, s since the first sample of the profile.
+        output: (n, channels) in `output_unit`.
+        stage_mm: (n,) position, 0 at the start of the profile, positive when it compresses.
+        force_N: (n,) force beside it, zero subtracted; None for a unit without reference.
+        contact_mm: where contact was found, from the homing switch.
+        zero_N, zero_return_N: the unloaded load cell before the run, and its change over the run.
+        lost: samples missing in `t_s`.
+        alignment: how the channels were brought together.
+    """
+
+    serial: str
+    profile: str
+    t_s: Array
+    output: Array
+    stage_mm: Array
+    force_N: Array | None
+    sample_rate_Hz: float
+    output_unit: str
+    contact_mm: float
+    zero_N: float
+    zero_return_N: float
+    lost: int
+    alignment: Alignment
+
+    def output_recording(self, channel: int = 0, serial: str | None = None) -> OutputRecording:
+        """Return one channel without any reference."""
+        return OutputRecording(
+            serial or self.serial,
+            self.t_s,
+            self.output[:, channel],
+            self.sample_rate_Hz,
+            self.output_unit,
+            self.stage_mm,
+        )
+
+    def labelled_recording(self, channel: int = 0, serial: str | None = None) -> LabelledRecording:
+        """Return one channel with the force beside it.
+
+        Raises:
+            ValueError: the run kept no reference.
+        """
+        if self.force_N is None:
+            raise ValueError(f"{self.serial}: recorded without a reference")
+        return LabelledRecording(self.output_recording(channel, serial), self.force_N, "N")
+
+
+@dataclass(frozen=True)
+class RunFacts:
+    """What a run says of itself beside its samples, in values a text file can hold.
+
+    Args:
+        moves: (start_mm, end_mm, speed_mm_s, acceleration_mm_s2, begun_s, confirmed_s) of every move.
+        span_s: host time at which the profile began and ended.
+        zero_mm: stage position that is 0 in the recording.
+        contact_mm, zero_N, zero_return_N: as in `StationRecording`.
+        with_reference: whether the recording keeps the force.
+        force_late_s: how late the load cell is, as far as that was known in the run; taken off its times.
+        is_latency_stated: whether the station file says that; where it does not, what the run shows is taken off.
+    """
+
+    serial: str
+    profile: str
+    sensor: str
+    output_unit: str
+    sample_rate_Hz: float
+    moves: Sequence[tuple[float, float, float, float, float, float]]
+    span_s: tuple[float, float]
+    zero_mm: float
+    contact_mm: float
+    zero_N: float
+    zero_return_N: float
+    with_reference: bool
+    force_late_s: float = 0.0
+    is_latency_stated: bool = True
+
+
+@dataclass(frozen=True)
+class Raw:
+    """Everything a run read, as it came.
+
+    Args:
+        output, force: samples of the readout and of the load cell (empty without one).
+    """
+
+    output: Sequence[Sample]
+    force: Sequence[Sample]
+    polls: Sequence[StagePosition]
+
+
+def assemble(raw: Raw, facts: RunFacts) -> StationRecording:
+    """Bring all channels onto the sensor's clock and cut the profile out of the run.
+
+    Raises:
+        BadReply: too many samples were lost, a device clock is far off, or the load cell does not tell the stage's
+            story (late, another gain from press to press).
+    """
+    sensor_s, output = _columns(raw.output)
+    sensor = _fitted(sensor_s, raw.output, facts.sensor)
+    begun_s, ended_s = facts.span_s
+    chosen = (sensor.to_host(sensor_s) >= begun_s) & (sensor.to_host(sensor_s) <= ended_s)
+    sensor_s, output = sensor_s[chosen], output[chosen]
+    lost = _count_lost(sensor_s, facts)
+    host_s = sensor.to_host(sensor_s)
+    moves = [DrivenMove(Trapezoid(*row[:4]), *row[4:]) for row in facts.moves]
+    track = reconstruct([poll for poll in raw.polls if poll.host_s >= moves[0].begun_s], moves)
+    stage_mm = track.at(host_s) - facts.zero_mm
+    check_bits(output)
+    check_follows(host_s, output, track.at, facts.contact_mm)
+    cell = _fitted(_columns(raw.force)[0], raw.force, "load cell") if raw.force else None
+    force_N, behind_s = None, float("nan")
+    if cell is None:
+        check_output_gain(stage_mm, output[:, 0])
+    else:
+        behind_s = _behind_s(raw.force, cell, track, facts)
+        late_s = facts.force_late_s
+        if not facts.is_latency_stated and abs(behind_s - late_s) > LATE_S:
+            late_s = behind_s
+        _check_cell(raw, cell, sensor, track, facts, late_s)
+        force_N = _force_at(host_s, raw.force, cell, facts, late_s)
+    return StationRecording(
+        facts.serial,
+        facts.profile,
+        sensor_s - sensor_s[0],
+        output,
+        stage_mm,
+        force_N if facts.with_reference else None,
+        facts.sample_rate_Hz,
+        facts.output_unit,
+        facts.contact_mm,
+        facts.zero_N,
+        facts.zero_return_N,
+        lost,
+        _alignment(sensor, cell, track, output[:, 0], stage_mm, force_N, facts.sample_rate_Hz, behind_s),
+    )
+
+
+def restore(run: SpooledRun) -> StationRecording:
+    """Make the recording of a finished run again from its spool.
+
+    Raises:
+        InputError: the run was aborted or cut off; it is not a recording and never becomes one. Or its facts are not
+            those of its samples: another version of softcal wrote them.
+        BadReply: as `assemble`.
+    """
+    serial = run.header.get("serial", "?")
+    if not run.is_whole or not run.facts:
+        raise InputError(reason("rig.run_ended", serial=serial, end=run.end))
+    try:
+        return assemble(Raw(run.output, run.force, run.polls), RunFacts(**run.facts))
+    except (IndexError, TypeError, ValueError) as error:
+        raise InputError(reason("rig.run_facts", serial=serial)) from error
+
+
+def device_times_s(samples: Sequence[Sample]) -> Array:
+    """Return (n,) when samples were taken, host clock: by the device's clock where it has one."""
+    device_s, _ = _columns(samples)
+    if samples[0].device_s is None:
+        return device_s
+    return fit_clock(device_s, np.array([sample.host_s for sample in samples])).to_host(device_s)
+
+
+def _columns(samples: Sequence[Sample]) -> tuple[Array, Array]:
+    """Return (n,) device times, the host's where the device has no clock, and (n, channels) values."""
+    times = np.array([s.host_s if s.device_s is None else s.device_s for s in samples])
+    return times, np.array([s.values for s in samples])
+
+
+def _fitted(device_s: Array, samples: Sequence[Sample], name: str) -> ClockFit:
+    if samples[0].device_s is None:
+        return ClockFit(0.0, 1.0, 0.0, 0.0)
+    fit = fit_clock(device_s, np.array([sample.host_s for sample in samples]))
+    if abs(fit.rate - 1) > CLOCK_SHARE:
+        raise BadReply(reason("rig.clock", device=named(name), percent=100 * (fit.rate - 1)))
+    return fit
+
+
+def _count_lost(sensor_s: Array, facts: RunFacts) -> int:
+    expected = round((sensor_s[-1] - sensor_s[0]) * facts.sample_rate_Hz) + 1
+    lost = max(0, int(expected) - len(sensor_s))
+    if lost > LARGEST_LOSS * expected:
+        raise BadReply(reason("rig.lost", device=named(facts.sensor), lost=lost, count=expected))
+    return lost
+
+
+def _behind_s(samples: Sequence[Sample], cell: ClockFit, track: StageTrack, facts: RunFacts) -> float:
+    """Return how late the load cell is behind the stage, and check it against what was stated.
+
+    The slow press before the profile counts, too: presses at one speed cannot tell a delay from a loop of the unit's.
+    """
+    device_s, force_N = _columns(samples)
+    force_s = cell.to_host(device_s)
+    inside = _enough(_in_presses(force_s, facts))
+    found_s = lag_s(force_s[inside], force_N[inside, 0], track.at, facts.contact_mm)
+    if facts.is_latency_stated:
+        check_lag(found_s, facts.force_late_s, float(np.median(np.diff(device_s))))
+    return found_s
+
+
+def _in_presses(force_s: Array, facts: RunFacts) -> Indices:
+    """Return the samples from the slow press before the profile to its end."""
+    return np.flatnonzero((force_s >= facts.moves[0][4]) & (force_s <= facts.span_s[1]))
+
+
+def _enough(samples: Indices) -> Indices:
+    """Return every so many of them that a fit stays fast."""
+    return samples[:: max(1, len(samples) // FIT_SAMPLES)]
+
+
+def _check_cell(raw: Raw, cell: ClockFit, sensor: ClockFit, track: StageTrack, facts: RunFacts, late_s: float) -> None:
+    """Compare all presses, the slow one before the profile too: a gain may change while the first one begins."""
+    device_s, force_N = _columns(raw.force)
+    force_s = cell.to_host(device_s) - late_s
+    inside = _in_presses(force_s, facts)
+    if not len(inside):
+        return
+    check_gain(track.at(force_s[inside]) - facts.zero_mm, force_N[inside, 0] - facts.zero_N)
+    inside = _enough(inside)
+    sensor_s, output = _columns(raw.output)
+    shown = np.interp(force_s[inside], sensor.to_host(sensor_s), output[:, 0])
+    check_law(force_s[inside], force_N[inside, 0] - facts.zero_N, shown, track.at, facts.contact_mm)
+
+
+def _force_at(host_s: Array, samples: Sequence[Sample], cell: ClockFit, facts: RunFacts, late_s: float) -> Array:
+    """Return the force at host times, zero subtracted, from a load cell whose readings are late by so much."""
+    device_s, force_N = _columns(samples)
+    force_s = cell.to_host(device_s) - late_s
+    # One sample beyond either end is needed, too; what lies before it is homing and the search for contact.
+    first, last = np.searchsorted(force_s, (host_s[0], host_s[-1]))
+    longest_s = float(np.max(np.diff(force_s[max(0, first - 1) : last + 1]), initial=0.0))
+    if longest_s > LONGEST_GAP_S:
+        raise BadReply(reason("rig.gap", seconds=longest_s))
+    return np.interp(host_s, force_s, force_N[:, 0]) - facts.zero_N
+
+
+def _alignment(
+    sensor: ClockFit,
+    cell: ClockFit | None,
+    track: StageTrack,
+    output: Array,
+    stage_mm: Array,
+    force_N: Array | None,
+    rate_Hz: float,
+    force_behind_s: float,
+) -> Alignment:
+    return Alignment(
+        sensor.rate - 1,
+        float("nan") if cell is None else cell.rate - 1,
+        sensor.late_s,
+        float("nan") if cell is None else cell.late_s,
+        float("nan") if force_N is None else residual_offset_s(force_N, output, rate_Hz),
+        residual_offset_s(np.maximum(stage_mm, 0.0), output, rate_Hz),
+        track.residual_mm,
+        force_behind_s,
+    )

@@ -1,0 +1,1 @@
+"""What a station does: record, rest, test itself, find its devices, serve."""

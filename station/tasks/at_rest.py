@@ -1,0 +1,74 @@
+"""The sensor read at rest, under a load that a person put on the unit. Nothing is ever told to the stage here."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from softcal.core.errors import BadReply, CommandRefused
+from softcal.core.recording import Array
+from softcal.core.words.reason import Reason
+from softcal.station.devices.bench import Bench
+from softcal.station.motion.motion import TICK_S
+from softcal.station.motion.safety import StreamWatch
+from softcal.station.motion.watched import BOOT_S
+
+
+@dataclass(frozen=True, eq=False)
+class RestReading:
+    """What was read.
+
+    Args:
+        output: (n, channels) in `output_unit`.
+    """
+
+    serial: str
+    output: Array
+    output_unit: str
+
+
+def read_at_rest(
+    bench: Bench, serial: str, settle_s: float, reading_s: float, on_look: Callable[[float, float], None]
+) -> RestReading:
+    """Wait until a unit has settled, then read its output.
+
+    Args:
+        settle_s: before the reading begins.
+        on_look: called at every look with the share that is done and the seconds that are left; what it raises ends
+            the reading.
+
+    Raises:
+        CommandRefused: the stage moves.
+        NoReply, BadReply: the readout falls silent or is broken.
+    """
+    if bench.stage.is_moving:
+        raise CommandRefused(Reason("rig.moves"))
+    clock, readout, total_s = bench.clock, bench.readout, settle_s + reading_s
+    readout.start()
+    began_s = clock.now_s()
+    # A board that is still booting says nothing for a while.
+    patient = replace(bench.config.safety, silence_s=max(bench.config.safety.silence_s, BOOT_S))
+    watch = StreamWatch(readout, patient, began_s, readout.range)
+    kept: list[tuple[float, ...]] = []
+    while (gone_s := clock.now_s() - began_s) < total_s:
+        clock.sleep_s(TICK_S)
+        for sample in readout.poll():
+            watch.check(sample)
+            if gone_s >= settle_s:
+                kept.append(sample.values)
+        watch.check_silence(clock.now_s())
+        _pass_by(bench)
+        on_look(min(gone_s / total_s, 1.0), max(0.0, total_s - gone_s))
+    if not kept:
+        watch.check_silence(float("inf"))
+    return RestReading(serial, np.array(kept, np.float64), readout.unit)
+
+
+def _pass_by(bench: Bench) -> None:
+    """Take what stage and load cell say meanwhile, so that nothing old waits in their lines."""
+    bench.stage.poll()
+    if bench.force is not None:
+        try:
+            bench.force.poll()
+        except BadReply:
+            bench.force.start()  # A hand at the unit may saturate the cell; no load is read from it here.

@@ -1,0 +1,194 @@
+"""What is on the other end of a serial port: listen first, ask only then, and never move anything."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from softcal.core.errors import BadReply, NoReply
+from softcal.core.words.reason import Reason, reason
+from softcal.station.clock import seen_rate_Hz
+from softcal.station.interfaces import Clock
+from softcal.station.motion.watched import BOOT_S
+from softcal.station.wire.frames import esm, gcl2, grbl, loadstar, zaber
+from softcal.station.wire.frames.indicator import OVERLOADED, parse_N
+from softcal.station.wire.frames.text_stream import parse as parse_stream
+from softcal.station.wire.link import POLL_S, Line, Link
+
+LISTEN_S, FEW_LINES = 1.0, 5
+ANSWER_S = 2.5
+"""An Arduino that was reset by opening its port is in its boot loader for about 1.5 s."""
+
+QUICK_S = 0.5
+
+CONVERTER_COUNTS, CELL_RATES_HZ = 4095, (10.0, 80.0)
+"""Largest count of a 12-bit converter; the rates of an HX711."""
+
+
+@dataclass(frozen=True)
+class DeviceIdentity:
+    """What answers at a port.
+
+    Args:
+        role: stage, force, readout; "" when it is nothing softcal knows, or could be either of two.
+        kind: the dialect, as in the station file.
+        says: what it said of itself and what it is taken for, or why it is not known.
+        rate_Hz: of a stream, by its own clock.
+        channels: of a stream; of a stand 1 where a gauge answers behind it.
+    """
+
+    port: str
+    role: str
+    kind: str
+    says: Reason
+    rate_Hz: float = 0.0
+    channels: int = 0
+
+
+def identify(port: str, clock: Clock) -> DeviceIdentity:
+    """Return what answers at a port.
+
+    Raises:
+        NoReply: the port does not exist or belongs to another process.
+    """
+    link = Link(port, clock)
+    try:
+        unknown = DeviceIdentity(port, "", "", Reason("port.unknown"))
+        return _stream(link) or _esm(link) or _grbl(link) or _zaber(link) or _mark10(link) or _loadstar(link) or unknown
+    finally:
+        link.close()
+
+
+def _stream(link: Link) -> DeviceIdentity | None:
+    banner, lines = "", []
+    heard, rate_Hz = _heard(link)
+    if any(_is_indicator(line.text) for line in heard[1:3]):
+        return DeviceIdentity(
+            link.port, "force", "indicator", reason("port.said", said=heard[1].text.decode()), rate_Hz, 1
+        )
+    for line in heard:
+        if line.text.startswith(b"softcal "):
+            banner = line.text.decode("ascii", "replace")
+        try:
+            lines.append(parse_stream(line.text))
+        except BadReply:
+            continue
+    if len(lines) < FEW_LINES:
+        return None
+    rate_Hz = seen_rate_Hz(np.array([line.device_ms for line in lines]) / 1000.0)
+    counts = [count for line in lines for count in line.counts]
+    role, kind, why = _told_apart(banner, max(map(abs, counts)), min(counts), rate_Hz)
+    return DeviceIdentity(link.port, role, kind, why, rate_Hz, len(lines[0].counts))
+
+
+def _heard(link: Link) -> tuple[list[Line], float]:
+    """Listen until some lines came, for BOOT_S at most, then for LISTEN_S; return all lines and how many came a second.
+
+    A board may say a line of before, or its greeting, and only then boot.
+    """
+    end_s = link.clock.now_s() + BOOT_S
+    heard: list[Line] = []
+    while len(heard) < FEW_LINES and link.clock.now_s() < end_s:
+        link.clock.sleep_s(POLL_S)
+        heard += link.read_lines()
+    if not heard:
+        return [], 0.0
+    link.clock.sleep_s(LISTEN_S)
+    after = link.read_lines()
+    return [*heard, *after], len(after) / LISTEN_S
+
+
+def _told_apart(banner: str, largest: int, smallest: int, rate_Hz: float) -> tuple[str, str, Reason]:
+    """Return role, dialect and the reason why: a banner decides, else what only one kind of device can send."""
+    if "load cell" in banner:
+        return "force", "hx711", reason("port.said", said=banner)
+    if banner:
+        return "readout", "arduino", reason("port.said", said=banner)
+    if largest >= 2**16 or smallest < 0:
+        return "force", "hx711", reason("port.bridge", smallest=smallest, largest=largest)
+    if largest <= CONVERTER_COUNTS and not any(abs(rate_Hz - usual_Hz) < 1.5 for usual_Hz in CELL_RATES_HZ):
+        return "readout", "arduino", reason("port.converter", largest=largest)
+    return "", "", reason("port.either", largest=largest, rate_Hz=rate_Hz)
+
+
+def _esm(link: Link) -> DeviceIdentity | None:
+    # Asked before all others: the slash of a Zaber command would open the stand's channel to its gauge.
+    link.discard()
+    link.write(esm.STATUS)
+    try:
+        esm.parse_status(link.next_line(QUICK_S).text)
+    except (BadReply, NoReply):
+        return None
+    link.write(esm.to_gauge("LIST"))
+    try:
+        settings = gcl2.parse_settings(link.next_line(QUICK_S).text)
+    except (BadReply, NoReply):
+        return DeviceIdentity(link.port, "stage", "esm", Reason("port.esm"))
+    return DeviceIdentity(link.port, "stage", "esm", reason("port.esm.gauge", unit=settings.unit), 50.0, 1)
+
+
+def _grbl(link: Link) -> DeviceIdentity | None:
+    link.discard()
+    link.write(b"\r\n" + grbl.STATUS)
+    end_s = link.clock.now_s() + ANSWER_S
+    while link.clock.now_s() < end_s:
+        try:
+            reply = grbl.parse(link.next_line(end_s - link.clock.now_s()).text)
+        except BadReply:
+            continue
+        except NoReply:
+            return None
+        if isinstance(reply, grbl.Greeting):
+            return DeviceIdentity(link.port, "stage", "grbl", reason("port.said", said=reply.text))
+        if isinstance(reply, grbl.GrblStatus):
+            return DeviceIdentity(link.port, "stage", "grbl", reason("port.grbl", state=reply.state))
+    return None
+
+
+def _is_indicator(line: bytes) -> bool:
+    try:
+        parse_N(line)
+    except BadReply as error:
+        return error.reason == OVERLOADED
+    return True
+
+
+def _zaber(link: Link) -> DeviceIdentity | None:
+    link.discard()
+    link.write(b"\n" + zaber.format_command(zaber.Command(1, 0, 1, "get deviceid")))  # the line of before is ended
+    try:
+        reply = zaber.parse_reply(link.next_line(QUICK_S).text)
+    except (BadReply, NoReply):
+        return None
+    return DeviceIdentity(link.port, "stage", "zaber", reason("port.zaber", device=reply.data)) if reply else None
+
+
+def _mark10(link: Link) -> DeviceIdentity | None:
+    link.discard()
+    link.write(gcl2.END + gcl2.LIST)
+    end_s = link.clock.now_s() + QUICK_S
+    while link.clock.now_s() < end_s:
+        try:
+            line = link.next_line(end_s - link.clock.now_s())
+            settings = gcl2.parse_settings(line.text)
+        except BadReply:
+            continue  # The bytes of the other dialects have earned an error code first.
+        except NoReply:
+            return None
+        return DeviceIdentity(link.port, "force", "mark10", reason("port.mark10", unit=settings.unit), 50.0, 1)
+    return None
+
+
+def _loadstar(link: Link) -> DeviceIdentity | None:
+    link.discard()
+    link.write(loadstar.PING + loadstar.MODEL)
+    end_s = link.clock.now_s() + QUICK_S
+    while link.clock.now_s() < end_s:
+        try:
+            line = link.next_line(end_s - link.clock.now_s()).text
+        except NoReply:
+            return None
+        if any(known in line for known in loadstar.KNOWN_MODELS):
+            return DeviceIdentity(
+                link.port, "force", "loadstar", reason("port.loadstar", model=line.decode("ascii", "replace")), 80.0, 1
+            )
+    return None

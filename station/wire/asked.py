@@ -1,0 +1,78 @@
+"""Readings of a device that is asked one by one and has no clock of its own."""
+
+import math
+from collections.abc import Callable
+
+from softcal.core.errors import NoReply
+from softcal.station.interfaces import Sample
+from softcal.station.wire.link import Link
+
+LATE_S = 0.25
+"""An answer that is out when reading begins again is waited for so long: it belongs to a question of before."""
+
+
+class AskedReader:
+    """Asks at a steady rate and takes every answer for a reading from the middle between question and answer.
+
+    One question is open at a time. An answer that never comes ends the readings: asking again could take a late answer
+    for the next one, and the silence is seen by whoever watches. `start` begins anew.
+
+    Args:
+        name: how messages call the device.
+        rate_Hz: questions per second.
+        parse: one line, its end taken off -> one number per channel; raises `BadReply`.
+        channels: numbers per reading.
+        limits: of a readout: lowest and highest reading; one that stays there is saturated.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        unit: str,
+        rate_Hz: float,
+        link: Link,
+        question: bytes,
+        parse: Callable[[bytes], tuple[float, ...]],
+        channels: int = 1,
+        limits: tuple[float, float] = (-math.inf, math.inf),
+    ) -> None:
+        self.name, self.unit, self.rate_Hz = name, unit, rate_Hz
+        self.channels, self.range = channels, limits
+        self._link, self._question, self._parse = link, question, parse
+        self._asked_s: float | None = None
+        self._next_s = 0.0
+
+    def start(self) -> None:
+        if self._asked_s is not None:
+            self._await_late()
+        self._link.discard()
+        self._asked_s, self._next_s = None, self._link.clock.now_s()
+
+    def poll(self) -> list[Sample]:
+        """Return the readings that arrived, and ask for the next one when it is time.
+
+        Raises:
+            NoReply: the port is gone.
+            BadReply: what came is no reading.
+        """
+        samples = []
+        for line in self._link.read_lines():
+            if self._asked_s is None:
+                continue  # Nobody asked: a line that came twice.
+            asked_s, self._asked_s = self._asked_s, None
+            samples.append(Sample((asked_s + line.host_s) / 2, None, self._parse(line.text)))
+        now_s = self._link.clock.now_s()
+        if self._asked_s is None and now_s >= self._next_s:
+            self._link.write(self._question)
+            # On a grid: counted from each answer, every delay would lower the rate.
+            self._asked_s, self._next_s = now_s, max(self._next_s, now_s - 1.0 / self.rate_Hz) + 1.0 / self.rate_Hz
+        return samples
+
+    def close(self) -> None:
+        self._link.close()
+
+    def _await_late(self) -> None:
+        try:
+            self._link.next_line(LATE_S)
+        except NoReply:
+            pass  # It does not come any more, or the port is gone: the next call says so.

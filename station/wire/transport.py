@@ -1,0 +1,222 @@
+"""The wire under a link: a serial port, a TCP socket, a VISA resource or a Bluetooth UART, told apart by the name."""
+
+import importlib
+import re
+import socket
+import threading
+from collections import deque
+from queue import Queue
+from typing import Any, Literal, Protocol, TypeAlias
+
+import serial
+
+WireKind: TypeAlias = Literal["serial", "tcp", "visa", "ble", "library"]
+"""`library`: the driver speaks through a vendor's library and gives `port` a meaning of its own."""
+
+_VISA = re.compile(r"(TCPIP|USB|GPIB|VXI|PXI|ASRL)\d*::.+", re.IGNORECASE)
+_TCP = re.compile(r"tcp://(?P<host>\[[^\]]+\]|[^:/]+):(?P<port>\d{1,5})")
+
+BLE = "ble://"
+
+CONNECT_S = 3.0
+VISA_ANSWER_S = 2.0
+"""A question that a VISA device leaves open for so long is given up; whoever asked has given up before."""
+
+
+class Transport(Protocol):
+    """Bytes to a device and the bytes that have come from it; nothing here waits for an answer."""
+
+    def write(self, content: bytes) -> None:
+        """Send bytes; raise `OSError` when the device is gone."""
+        ...
+
+    def read(self) -> bytes:
+        """Return everything that has arrived, b"" when nothing has; raise `OSError` when the device is gone."""
+        ...
+
+    def close(self) -> None:
+        """Give the wire back; closing twice is fine."""
+        ...
+
+
+def wire_of(port: str) -> WireKind:
+    """Return what a port of a station file names: `tcp://host:5025`, `ble://AA:BB:…`, `USB0::…`, or a serial port."""
+    if port.startswith("tcp://"):
+        return "tcp"
+    if port.startswith(BLE):
+        return "ble"
+    return "visa" if _VISA.fullmatch(port) else "serial"
+
+
+def open_transport(port: str, baud_rate: int) -> Transport:
+    """Open what a port names; the baud rate is for serial ports.
+
+    Raises:
+        OSError: it cannot be opened, or the library it needs is not installed.
+        ValueError: it is written in a way that names nothing.
+    """
+    match wire_of(port):
+        case "tcp":
+            return TcpTransport(port)
+        case "visa":
+            return VisaTransport(port)
+        case "ble":
+            from softcal.station.wire.bluetooth import BleTransport
+
+            return BleTransport(port.removeprefix(BLE))
+        case _:
+            return SerialTransport(port, baud_rate)
+
+
+class SerialTransport:
+    """A serial port, 8N1, of which this process is the only owner.
+
+    Raises:
+        OSError: it does not exist, or belongs to another process.
+    """
+
+    def __init__(self, port: str, baud_rate: int) -> None:
+        self._serial = serial.Serial(port, baud_rate, timeout=0, write_timeout=1.0, exclusive=True)
+
+    def write(self, content: bytes) -> None:
+        """Send bytes; real-time bytes go out before this returns."""
+        self._serial.write(content)
+
+    def read(self) -> bytes:
+        content = b""
+        # One read may give less than has arrived (a tty hands over what its line discipline has taken so far).
+        while piece := self._serial.read(65536):
+            content += piece
+        return content
+
+    def close(self) -> None:
+        try:
+            self._serial.close()
+        except (serial.SerialException, OSError):
+            pass
+
+
+class TcpTransport:
+    """A TCP socket: a SCPI instrument on the network (port 5025), a serial server, a networked controller.
+
+    Args:
+        address: `tcp://host:port`.
+
+    Raises:
+        ValueError: it is written otherwise.
+        OSError: nothing answers there.
+    """
+
+    def __init__(self, address: str) -> None:
+        found = _TCP.fullmatch(address)
+        if found is None or not 0 < int(found["port"]) < 65536:
+            raise ValueError("an address as tcp://192.168.0.7:5025 was expected")
+        self._socket = socket.create_connection((found["host"].strip("[]"), int(found["port"])), CONNECT_S)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket.settimeout(1.0)
+
+    def write(self, content: bytes) -> None:
+        """Send bytes at once, without waiting for more to fill a packet."""
+        self._socket.settimeout(1.0)
+        self._socket.sendall(content)
+
+    def read(self) -> bytes:
+        content = b""
+        self._socket.settimeout(0.0)
+        try:
+            while piece := self._socket.recv(65536):
+                content += piece
+        except (BlockingIOError, InterruptedError):
+            return content
+        if content:
+            return content  # The end of the connection is told by the next call.
+        raise ConnectionResetError("the device closed the connection")
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class VisaTransport:
+    """A VISA resource through PyVISA: USB-TMC, GPIB, LXI.
+
+    Such a device speaks when it is asked, and asking blocks: a thread of its own asks. A message with a `?` is a
+    question and takes one answer. What is written waits behind a question that is still open, so no stage may be moved
+    over it.
+
+    Args:
+        resource: its VISA name; $PYVISA_LIBRARY chooses the VISA library, PyVISA-py where there is no other.
+
+    Raises:
+        OSError: PyVISA is not installed, or there is no such resource.
+    """
+
+    def __init__(self, resource: str) -> None:
+        try:
+            pyvisa: Any = importlib.import_module("pyvisa")
+        except ImportError as error:
+            raise OSError("a VISA address needs PyVISA: pip install 'softcal[visa]'") from error
+        self._errors = (pyvisa.errors.Error, OSError, ValueError)
+        self._timed_out: int = pyvisa.constants.StatusCode.error_timeout
+        try:
+            self._manager = pyvisa.ResourceManager()
+            self._session = self._manager.open_resource(resource, timeout=int(1000 * VISA_ANSWER_S))
+            self._session.read_termination = "\n"
+        except self._errors as error:
+            raise OSError(str(error)) from error
+        self._to_send: Queue[bytes | None] = Queue()
+        self._arrived: deque[bytes] = deque()
+        self._fault: Exception | None = None
+        self._thread = threading.Thread(target=self._talk, name=f"VISA {resource}", daemon=True)
+        self._thread.start()
+
+    def write(self, content: bytes) -> None:
+        """Hand a message to the thread that talks."""
+        self._raise_fault()
+        self._to_send.put(content)
+
+    def read(self) -> bytes:
+        content = b""
+        while self._arrived:
+            content += self._arrived.popleft()
+        if not content:
+            self._raise_fault()
+        return content
+
+    def close(self) -> None:
+        """End the session; an open question is waited for, so that the next one gets its own answer."""
+        if not self._thread.is_alive() and self._session is None:
+            return
+        self._to_send.put(None)
+        self._thread.join(VISA_ANSWER_S + 1.0)
+        try:
+            self._session.close()
+            self._manager.close()
+        except self._errors:
+            pass  # It is gone already.
+        self._session = None
+
+    def _talk(self) -> None:
+        # Its own name for the session: `close` gives it up while a slow device still keeps this thread waiting.
+        session = self._session
+        while (content := self._to_send.get()) is not None:
+            try:
+                session.write_raw(content)
+                if b"?" in content:
+                    self._arrived.append(session.read_raw().rstrip(b"\r\n") + b"\n")
+            except self._errors as error:
+                if getattr(error, "error_code", None) == self._timed_out and self._is_cleared(session):
+                    continue  # Not answered: whoever asked sees that nothing comes.
+                self._fault = error
+                return
+
+    def _is_cleared(self, session: Any) -> bool:
+        """Whether the device took a clear: an answer that comes too late must not be taken for that of the next."""
+        try:
+            session.clear()
+        except (*self._errors, TypeError):  # pyvisa-py reads a socket that `close` has taken away meanwhile.
+            return False
+        return True
+
+    def _raise_fault(self) -> None:
+        if self._fault is not None:
+            raise OSError(str(self._fault)) from self._fault
