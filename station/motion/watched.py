@@ -253,13 +253,16 @@ class WatchedBench:
         Args:
             last_N: by how much it grew over the step before; inf for any force up to the limit.
         """
-        force_N = self.readings.force[-1].values[0] - self._force_watch.zero_N
-        self._expected_N = min(self.bounds.limit_N, force_N + self.bounds.rise_N(last_N))
-        return force_N
+        self._expected_N = min(self.bounds.limit_N, self._force_N + self.bounds.rise_N(last_N))
+        return self._force_N
 
     def has_risen(self) -> bool:
         """Whether the force has grown beyond that."""
-        return self.readings.force[-1].values[0] - self._force_watch.zero_N > self._expected_N
+        return self._force_N > self._expected_N
+
+    @property
+    def _force_N(self) -> float:
+        return self.readings.force[-1].values[0] - self._force_watch.zero_N if self.readings.force else 0.0
 
     def _look_ahead(self) -> None:
         """How long the force may still grow: until a stop holds, or until the move ends by itself."""
@@ -275,12 +278,14 @@ class WatchedBench:
         on, now_s = self.motion.row.watches, self.bench.clock.now_s()
         for sample in cell:
             self._check_force(sample)
+        # A unit that relaxed leaves the stage for a while: where there is no force, FOLLOW says whether that may be.
+        is_touched = self.bench.force is None or self._force_N > self.bench.config.fixture.contact_N
         # A cell that is late tells of where the stage was.
         for name, samples, stuck, late_s in (
             ("force", cell, StageWatch.STUCK_CELL, self.late_s),
             ("readout", output, StageWatch.STUCK_OUTPUT, 0.0),
         ):
-            pressed_mm = self.pressed_mm(late_s)
+            pressed_mm = self.pressed_mm(late_s) if is_touched else 0.0
             for sample in samples:
                 if StageWatch.STREAM in on:
                     self._streams[name].check(sample)

@@ -34,10 +34,10 @@ GAIN, OUTPUT_GAIN = 1.4, 1.6
 """Largest ratio between the stiffest and the softest press of one run; a cell whose gain halves shows 2. An output may
 creep and follow late by itself; it is looked at where no load cell says whether the stage moved."""
 
-MOMENTS, CHANGED = 60, 0.35
+MOMENTS, CHANGED, SLIGHT = 60, 0.35, 0.003
 """Instants at which a cell may change, and the share of what two laws leave that one change explains at one of them:
 force by depth, and output by force. Softening shows in the first alone, a sensor's drift in the second: good rigs show
-0.27 in both at most."""
+0.27 in both at most. What moves a law by less than SLIGHT of its range (RMS) is none."""
 
 ODD_S, ODD_BESIDE_S, ODD, ODD_TIMES, ODD_LEAST, ODD_ROUNDS = 0.1, 0.6, 0.3, 15.0, 0.03, 25
 """A cell hangs where its mean force over ODD_S is off the law of the depth by ODD of the largest force, or by ODD_LEAST
@@ -152,7 +152,9 @@ def _explained(t_s: Array, basis: Array, values: Array) -> Array:
         column = is_after * change[:, None]
         own = column - q @ (q.T @ column)  # What the law could not make itself.
         squares.append((left @ own) ** 2 / np.maximum(np.sum(own**2, axis=0), 1e-300))
-    return np.asarray(np.max(squares, axis=0) / max(float(left @ left), 1e-300))
+    most = np.max(squares, axis=0)
+    is_slight = most < len(t_s) * (SLIGHT * np.ptp(values)) ** 2
+    return np.where(is_slight, 0.0, most / max(float(left @ left), 1e-300))
 
 
 def _moments(t_s: Array) -> Array:

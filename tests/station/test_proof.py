@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from common.proof_trial import draw_good_rig, press_good_rig
+from common.proof_trial import draw_good_rig, open_good_rig, press_good_rig
 
 from softcal.core.errors import BadReply
 from softcal.core.profiles import ramps
@@ -211,3 +211,10 @@ def test_slow_late_and_flat_channels_of_a_good_rig_are_no_fault(seed):
     recording = press_good_rig(rig)
     behind_s = recording.alignment.force_behind_s
     assert np.isnan(behind_s) or behind_s == pytest.approx(rig.late_s, abs=0.03)
+
+
+def test_a_unit_that_relaxes_in_a_slow_press_and_leaves_the_stage_is_no_channel_that_is_stuck():
+    rig = replace(draw_good_rig(3), cell_Hz=20.0, late_s=0.0, latency_s=UNKNOWN_S)
+    with open_good_rig(rig) as (bench, _):
+        slow = replace(bench.config, safety=replace(bench.config.safety, stiffest_N_mm=1000.0))
+        assert record(replace(bench, config=slow), "P1", rig.profile, True).lost == 0
