@@ -136,7 +136,7 @@ def on_unseen(group: tuple[Fit, ...], gone: set[str]) -> tuple[tuple[Fit, ...], 
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class SearchResult:
     """What a search has come to: the best hypothesis with its rivals, how far the gap shrinks, verdict and chances."""
 
     group: tuple[Fit, ...]
@@ -151,7 +151,7 @@ def judged(
     say: Callable[[str], None],
     as_told: Callable[[Fit], Fit] = lambda found: found,
     is_uneven: Callable[[Fit], bool] = lambda _: False,
-) -> Judged:
+) -> SearchResult:
     """Judge what a search has found, on samples held back from every cause.
 
     Args:
@@ -171,7 +171,7 @@ def judged(
     trust = UNKNOWN_TRUST * float(np.clip(search.share(best), 0.0, 1.0)) if verdict == "unknown" else trust
     every = chances_of(logs, group, effects)
     chances = {i: p * trust * (IMITATED_TRUST if i in doubted else 1.0) for i, p in every.items()}
-    return Judged(group, quantified, verdict, chances)
+    return SearchResult(group, quantified, verdict, chances)
 
 
 S = TypeVar("S", bound=EffectSearch)
