@@ -93,6 +93,7 @@ def test_the_hidden_effect_of_a_swing_is_named_placed_and_sized(tmp_path: Path) 
     assert report["parameters"]["k"] == pytest.approx(0.65, rel=0.02)
 
 
+@pytest.mark.long
 def test_a_swing_without_an_effect_has_no_gap(tmp_path: Path) -> None:
     report = diagnosed(write_rig(tmp_path / "rig"), MASS, tmp_path / "r.json")
     assert report["verdict"] == "no_gap" and report["where"] == []

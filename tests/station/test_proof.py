@@ -214,6 +214,7 @@ def test_slow_late_and_flat_channels_of_a_good_rig_are_no_fault(seed):
     assert np.isnan(behind_s) or behind_s == pytest.approx(rig.late_s, abs=0.03)
 
 
+@pytest.mark.long
 def test_a_unit_that_relaxes_in_a_slow_press_and_leaves_the_stage_is_no_channel_that_is_stuck():
     rig = replace(draw_good_rig(3), cell_Hz=20.0, late_s=0.0, latency_s=UNKNOWN_S)
     with open_good_rig(rig) as (bench, _):
