@@ -147,18 +147,19 @@ class LotPages(RegistryBase):
         c = calibrations.c
         columns = [*(c[name] for name in PLAIN_FIELDS), c.revision, c.settings, c.reasons, c.evidence]
         for part in parts(serials):
-            in_lot = and_(in_use.c.lot_id == lot_id, in_use.c.serial.in_(part))
-            query = select(*columns).select_from(in_use).join(calibrations, OF_STATEMENT)
-            query = query.where(in_lot, _is_newest(in_use, LATER_STATEMENT))
             with self.database.reading() as connection:
-                rows = {row["serial"]: row for row in connection.execute(query).mappings()}
-                for unit, is_made in standing_units(connection, lot_id, part):
-                    if unit.verdict is not None and unit.made_at is not None:
-                        made, row = None, rows.get(unit.serial)
-                        if is_made and row is not None:
-                            made = MadeCalibration.of(record_of(row, {}, row["settings"]), row["revision"])
-                        stated = (unit.verdict, unit.reasons, unit.made_at)
-                        found[unit.serial] = UnitStanding(unit.serial, *stated, made)
+                stands = standing_units(connection, lot_id, part)
+                named = [(unit.serial, unit.revision) for unit, is_made in stands if is_made]
+                query = select(*columns).where(c.lot_id == lot_id, tuple_(c.serial, c.revision).in_(named))
+                # Registries that were apart may both have made a revision of this number: the map tells which stands.
+                rows = {(row["serial"], row["map_sha256"]): row for row in connection.execute(query).mappings()}
+            for unit, is_made in stands:
+                if unit.verdict is not None and unit.made_at is not None:
+                    made, row = None, rows.get((unit.serial, unit.map_sha256))
+                    if is_made and row is not None:
+                        made = MadeCalibration.of(record_of(row, {}, row["settings"]), row["revision"])
+                    stated = (unit.verdict, unit.reasons, unit.made_at)
+                    found[unit.serial] = UnitStanding(unit.serial, *stated, made)
         return found
 
     def find_serials(self, text: str, count: int = 50) -> list[str]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import create_engine, text
 
-from softcal.app.batch import unit_work
+from softcal.app.batch import calibrating
 from softcal.app.cli.main import main
 from softcal.core.errors import InputError
 from softcal.db.connection import open_registry
@@ -54,7 +54,7 @@ def test_the_way_from_sqlite_to_postgresql_and_back_computes_nothing_again(
     def forbidden(*_):
         raise AssertionError("a unit was calibrated again")
 
-    monkeypatch.setattr(unit_work, "calibrated", forbidden)
+    monkeypatch.setattr(calibrating, "calibrated", forbidden)
     source = registry_url
     for number, url in enumerate([postgresql, f"sqlite:///{tmp_path / 'back.db'}"]):
         move(source, url, tmp_path / f"{number}.db")
