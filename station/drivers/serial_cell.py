@@ -1,5 +1,6 @@
 """What load cells on a serial line share: the keys of their section, and readings that come line by line."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
@@ -39,7 +40,7 @@ def opens(cell: Callable[[Link, float, float, float], Cell]) -> Callable[[Serial
     return opened
 
 
-class LineCell:
+class LineCell(ABC):
     """A cell that sends a reading a line by itself; each kind says by `_force_N` what a line reads.
 
     The lines carry no time: where cell and unit meet within some milliseconds matters, use a cell with a clock.
@@ -89,5 +90,6 @@ class LineCell:
     def close(self) -> None:
         self._link.close()
 
+    @abstractmethod
     def _force_N(self, text: bytes) -> float:
-        raise NotImplementedError
+        """Return the force a line reads, its sign as the device sends it."""
