@@ -128,6 +128,13 @@ def _cell(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else shown(str(value)).replace("\n", " ")
 
 
+def print_reasons(subject: str, reasons: Iterable[object]) -> None:
+    """Print what is said of something: its name, then a reason a line, wrapped to the width of a page."""
+    print(shown(subject))
+    for reason in reasons:
+        print(textwrap.fill(shown(str(reason)), WIDTH, initial_indent="  - ", subsequent_indent="    "))
+
+
 def write_json(target: str | None, value: Mapping[str, object]) -> None:
     """Write a result as JSON into a file, on standard output for `-`, nowhere without a target. NaN is refused.
 

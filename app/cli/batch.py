@@ -1,6 +1,7 @@
 """`softcal batch`: calibrate a whole lot without a screen."""
 
 import argparse
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ from softcal.app.cli.options import (
     network_config,
     registry_of,
 )
-from softcal.app.output import print_table, say, shown, write_json
+from softcal.app.output import WIDTH, print_reasons, print_table, say, shown, write_json
 
 if TYPE_CHECKING:
     from softcal.app.batch.report import BatchReport
@@ -80,7 +81,6 @@ def run(options: argparse.Namespace) -> int:
     from softcal.app.files.anchors import read_anchors
     from softcal.app.files.lot_folder import open_lot_folder
     from softcal.core.unit.verdict import Release, Verdict
-    from softcal.core.words.reason import joined
 
     folder = open_lot_folder(options.lot)
     for remark in folder.remarks:
@@ -115,9 +115,9 @@ def run(options: argparse.Namespace) -> int:
     print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
     for unit in report.units:
         if unit.verdict != Verdict.PASS:
-            print(shown(f"{unit.serial} {unit.verdict}: {joined(unit.reasons)}"))
+            print_reasons(f"{unit.serial} {unit.verdict}", unit.reasons)
     for line in audit_lines(report):
-        print(shown(line))
+        print(textwrap.fill(shown(line), WIDTH))
     print(_summary(report.counts, folder.lot.reference_unit, report.wall_s))
     write_json(options.json, report_json(report))
     return 0 if report.has_passed else 1

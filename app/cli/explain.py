@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from softcal.app.cli.options import add_csv, add_json, add_lot_of_serial, add_registry, registry_of
-from softcal.app.output import print_table, say, shown, write_json
+from softcal.app.output import print_reasons, print_table, say, write_json
 
 EXAMPLES = """examples:
   softcal explain --serial A1
@@ -51,8 +51,7 @@ def run(options: argparse.Namespace) -> int:
     write_json(options.json, facts)
     if options.json != "-" or options.csv:
         decision = view.calibration.decision
-        why = joined(decision.reasons)
-        print(shown(f"{options.serial} {decision.verdict} ({view.calibration.knowledge}): {why}"))
+        print_reasons(f"{options.serial} {decision.verdict} ({view.calibration.knowledge})", decision.reasons)
         rows = [[name, value] for name, value in view.explanation.contributions.items()]
         print_table(("part of the predicted error", view.lot.reference_unit), rows)
     return 0

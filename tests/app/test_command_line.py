@@ -52,6 +52,19 @@ def test_csv_on_standard_output_is_the_table_and_nothing_else(
     assert out.err
 
 
+def test_what_people_read_of_a_batch_fits_a_page(
+    calibrated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = Path(shutil.copytree(calibrated, tmp_path / "flat"))
+    unit = pd.read_csv(folder / "lot/units/A2.csv")
+    unit.assign(output=unit["output"].clip(upper=unit["output"].median())).to_csv(
+        folder / "lot/units/A2.csv", index=False
+    )
+    main(["batch", str(folder / "lot"), "--registry", _url(folder), "--hidden", "16,8"])
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.startswith("A2 ") for line in lines) and max(map(len, lines)) <= 100, max(lines, key=len)
+
+
 def test_a_command_names_the_registry_only_where_it_wrote_something(
     calibrated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -77,4 +77,6 @@ def test_the_version_has_one_owner_and_stands_on_top_of_the_changelog() -> None:
     assert re.findall(r"^version: (\S+)$", (ROOT / "CITATION.cff").read_text("utf-8"), re.MULTILINE) == [version]
     locked = tomllib.loads((ROOT / "uv.lock").read_text("utf-8"))["package"]
     assert [package["version"] for package in locked if package["name"] == "softcal"] == [version]
+    compose = (ROOT / "deploy/compose.yaml").read_text("utf-8")
+    assert set(re.findall(r"image: softcal:(\S+)", compose)) == {version}
     assert importlib.metadata.version("softcal") == version, "run `make .venv/.installed`"

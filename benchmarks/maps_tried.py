@@ -1,0 +1,189 @@
+"""What else was tried for the map of a unit that was pressed otherwise than its source, beside the default.
+
+python benchmarks/maps_tried.py [egain|skin|insole ...] [--every N] [--cache DIR]
+
+The cases are those of maps_other.py, errors are after / own. No constant of softcal was chosen on this table. Tried are
+
+- the families averaged, each with the weight 1 / forecast^2, in place of a choice;
+- unbalanced transport (POT, Kullback-Leibler on both sides) and partial transport (nine tenths of the mass),
+  carried to new windows as EMDTransport does;
+- pairs from an alignment in time (dynamic time warping of both outputs between rest and peak), the idea of
+  Match-And-Deform for one series a side, and softcal's own fit to pairs behind it;
+- f trained on copies of the source with drawn gains and levels, without a map and with the default map.
+"""
+
+import argparse
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import ot
+from common.map_methods import METHODS, summary, thinned
+from common.tables import print_table
+from maps_other import SETS, Case, Networks
+
+from softcal.core.errors import UnitRefused
+from softcal.core.maps.choose import choose_map
+from softcal.core.maps.config import MapConfig
+from softcal.core.maps.interface import FitProblem
+from softcal.core.maps.paired import fit_pairs
+from softcal.core.metrics import rmse
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.method import Method
+from softcal.core.unit.source_model import make_source_model
+from softcal.core.windows import TAPS
+
+FAMILIES = ("identity", "affine", "label_shift", "monotone", "between")
+KNOWN = ("before (no map)", "softcal default", "ot.da.EMDTransport")
+COPIES, GAIN_SPREAD, LEVEL_SPREAD = 6, 0.25, 0.1
+"""Copies of the source; spread of log gain; spread of the level over the source's span."""
+
+MASS, MARGINAL = 0.9, 1.0
+"""Share that partial transport carries; price of mass that unbalanced transport leaves, over the mean cost."""
+
+ALIGNED = 600
+"""Samples a side that are aligned."""
+
+Tried = Callable[[Case, FitProblem, Networks], Array]
+
+
+def weighted_families(case: Case, problem: FitProblem, networks: Networks) -> Array:
+    estimates, weights = [], []
+    for name in FAMILIES:
+        method = replace(Method(), map=MapConfig(name))
+        try:
+            found = calibrate(UnitProblem(make_source_model(case.source, problem.network, None, method), case.unit))
+        except UnitRefused:
+            continue
+        estimates.append(problem.network.evaluate(found.unit_map.apply(case.test.windows)))
+        weights.append(found.forecast.rmse**-2)
+    return np.average(estimates, axis=0, weights=weights)
+
+
+def carried(problem: FitProblem, case: Case, plan_of: Callable[[Array], Array]) -> Array:
+    """Estimate behind a plan between windows; a new window moves as the nearest one that the plan moved."""
+    target, source = thinned(problem.target.windows), thinned(problem.source.windows)
+    cost = ot.dist(target, source)
+    plan = plan_of(cost / cost.mean())
+    mass = plan.sum(axis=1)
+    moved = mass > 1e-3 * mass.max()
+    target, landed = target[moved], plan[moved] @ source / mass[moved, None]
+    new = np.asarray(case.test.windows)
+    nearest = np.concatenate(
+        [ot.dist(part, target).argmin(axis=1) for part in np.array_split(new, len(new) // 500 + 1)]
+    )
+    return problem.network.evaluate(new + (landed - target)[nearest])
+
+
+def unbalanced(case: Case, problem: FitProblem, networks: Networks) -> Array:
+    return carried(
+        problem,
+        case,
+        lambda cost: ot.unbalanced.mm_unbalanced(
+            ot.unif(len(cost)), ot.unif(cost.shape[1]), cost, MARGINAL, div="kl", numItermax=300
+        ),
+    )
+
+
+def partial(case: Case, problem: FitProblem, networks: Networks) -> Array:
+    return carried(
+        problem,
+        case,
+        lambda cost: ot.partial.partial_wasserstein(ot.unif(len(cost)), ot.unif(cost.shape[1]), cost, m=MASS),
+    )
+
+
+def aligned_in_time(case: Case, problem: FitProblem, networks: Networks) -> Array:
+    source, target = problem.source.unlabelled, problem.target
+    source_at, target_at = (np.linspace(TAPS, len(one) - 1, ALIGNED).astype(int) for one in (source, target))
+    path = warped(_levels(source, source_at), _levels(target, target_at))
+    source_rows, target_rows = source_at[path[:, 0]] - TAPS + 1, target_at[path[:, 1]] - TAPS + 1
+    once = np.unique(target_rows, return_index=True)[1]
+    unit_map = fit_pairs(problem, source_rows[once], target_rows[once], "synchronous")
+    return problem.network.evaluate(unit_map.apply(case.test.windows))
+
+
+def _levels(recording: OutputRecording, at: Array) -> Array:
+    """Output between its rest and its peak, whichever way it moves."""
+    low, high = np.quantile(recording.output, (0.02, 0.99))
+    return np.asarray((recording.output[at] - low) / (high - low))
+
+
+def warped(first: Array, second: Array) -> Array:
+    """Return the (k, 2) path of dynamic time warping (Sakoe and Chiba 1978) between two series."""
+    total = np.full((len(first) + 1, len(second) + 1), np.inf)
+    total[0, 0] = 0.0
+    for i, distances in enumerate(np.abs(first[:, None] - second[None])):
+        for j, distance in enumerate(distances):
+            total[i + 1, j + 1] = distance + min(total[i, j], total[i, j + 1], total[i + 1, j])
+    i, j = len(first), len(second)
+    path = []
+    while i and j:
+        path.append((i - 1, j - 1))
+        i, j = min(((i - 1, j - 1), (i - 1, j), (i, j - 1)), key=lambda at: total[at])
+    return np.array(path[::-1])
+
+
+def drawn_network(case: Case, networks: Networks) -> FitProblem:
+    """Return the problem behind an f that has seen drawn gains and levels of its source."""
+    rng, one = np.random.default_rng(0), case.source
+    output, rest = one.unlabelled.output, float(np.quantile(one.unlabelled.output, 0.02))
+    span, gains = float(np.ptp(output)), np.exp(rng.normal(0.0, GAIN_SPREAD, COPIES))
+    levels = rng.normal(0.0, LEVEL_SPREAD * span, COPIES)
+    copies = np.concatenate(
+        [output, *(rest + gain * (output - rest) + level for gain, level in zip(gains, levels, strict=True))]
+    )
+    t_s = np.arange(len(copies)) / one.unlabelled.sample_rate_Hz
+    many = replace(one.unlabelled, t_s=t_s, output=copies, stage_mm=None)
+    network = networks.of(LabelledRecording(many, np.tile(one.reference, COPIES + 1), one.reference_unit))
+    return FitProblem(case.source, network, case.unit)
+
+
+def drawn_f(case: Case, problem: FitProblem, networks: Networks) -> Array:
+    return drawn_network(case, networks).network.evaluate(case.test.windows)
+
+
+def drawn_f_and_map(case: Case, problem: FitProblem, networks: Networks) -> Array:
+    drawn = drawn_network(case, networks)
+    return drawn.network.evaluate(choose_map(drawn).unit_map.apply(case.test.windows))
+
+
+TRIED: dict[str, Tried] = {
+    "families weighted by forecast": weighted_families,
+    "unbalanced transport": unbalanced,
+    "partial transport": partial,
+    "aligned in time": aligned_in_time,
+    "f with drawn gains, no map": drawn_f,
+    "f with drawn gains, default": drawn_f_and_map,
+}
+
+
+def ratios(case: Case, networks: Networks) -> dict[str, float]:
+    """After / own of everything that was tried on one unit."""
+    problem = FitProblem(case.source, networks.of(case.source), case.unit)
+    estimates = {name: METHODS[name](problem, case.test) for name in KNOWN}
+    estimates |= {name: tried(case, problem, networks) for name, tried in TRIED.items()}
+    own = rmse(networks.of(case.use).evaluate(case.test.windows), case.test.window_reference)
+    return {name: rmse(values, case.test.window_reference) / own for name, values in estimates.items()}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sets", nargs="*", default=list(SETS), choices=SETS)
+    parser.add_argument("--every", type=int, default=8, metavar="N", help="every Nth taxel as a unit")
+    parser.add_argument("--cache", type=Path, help="keep trained networks here")
+    options = parser.parse_args()
+    networks = Networks(options.cache)
+    of_set = {name: [ratios(case, networks) for case in SETS[name](options.every)] for name in options.sets}
+    names = (*KNOWN, *TRIED)
+    print("after / own, median (95 %):\n")
+    print_table(("method", *(f"{name}, {len(found)} units" for name, found in of_set.items())), (
+        (name, *("{:.2f} ({:.2f})".format(*summary(unit[name] for unit in found)[:2]) for found in of_set.values()))
+        for name in names
+    ))  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
