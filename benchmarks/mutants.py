@@ -7,17 +7,20 @@
     python benchmarks/mutants.py table                 count
 
 A fault is drawn by a seed over the rooms that decide: a comparison, an arithmetic or logical operator, a constant, a
-missing `not`. It is tried in a copy of the tree. The tests that run the broken line run, the quickest files first,
-until one fails that does not fail without the fault. A fault that no test of a layer noticed within `--longest`
+missing `not`. It is tried in a copy of the tree. The tests that run the broken line run, the nearest and quickest
+first, until one fails that does not fail without the fault. A fault that no test of a layer noticed within `--longest`
 seconds of the processor counts as not noticed by it.
 """
 
 import argparse
 import ast
+import gc
 import json
+import multiprocessing
 import os
 import random
 import re
+import resource
 import shutil
 import signal
 import subprocess
@@ -25,14 +28,13 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-
-from softcal.core.challenge.score import wilson
 
 ROOT = Path(__file__).parents[1]
 FACE = ROOT / "app/face"
@@ -69,18 +71,27 @@ class Mutant:
         return f"{self.path}:{self.line}:{self.column} {self.was} -> {self.text}"
 
 
-def mutants_of(room: str, path: Path) -> Iterator[Mutant]:
+@dataclass(frozen=True)
+class Place:
+    """Where a fault can be made, and what would stand there."""
+
+    path: Path
+    node: ast.expr
+    changed: ast.expr
+
+    def mutant(self, room: str) -> Mutant:
+        was = ast.get_source_segment(self.path.read_text("utf-8"), self.node) or ""
+        path, text = self.path.relative_to(ROOT).as_posix(), f"({ast.unparse(self.changed)})"
+        return Mutant(room, path, self.node.lineno, self.node.col_offset, was, text)
+
+
+def places_of(path: Path) -> Iterator[Place]:
     """Yield every fault that can be made in a file."""
-    source = path.read_text("utf-8")
-    tree = ast.parse(source)
+    tree = ast.parse(path.read_text("utf-8"))
     skipped = {id(inner) for node in ast.walk(tree) for quiet in _quiet(node) for inner in ast.walk(quiet)}
     for node in ast.walk(tree):
-        if id(node) in skipped or not isinstance(node, ast.expr):
-            continue
-        was = ast.get_source_segment(source, node) or ""
-        for changed in _changes(node):
-            text = f"({ast.unparse(changed)})"
-            yield Mutant(room, path.relative_to(ROOT).as_posix(), node.lineno, node.col_offset, was, text)
+        if id(node) not in skipped and isinstance(node, ast.expr):
+            yield from (Place(path, node, changed) for changed in _changes(node))
 
 
 def _quiet(node: ast.AST) -> Iterator[ast.AST]:
@@ -119,9 +130,9 @@ def drawn(count: int, seed: int) -> list[Mutant]:
     rng = random.Random(seed)
     chosen: list[Mutant] = []
     for k, (room, pattern) in enumerate(ROOMS.items()):
-        every = [m for path in sorted(ROOT.glob(pattern)) for m in mutants_of(room, path)]
+        every = [place for path in sorted(ROOT.glob(pattern)) for place in places_of(path)]
         share = count * (k + 1) // len(ROOMS) - count * k // len(ROOMS)
-        chosen += rng.sample(every, share)
+        chosen += [place.mutant(room) for place in rng.sample(every, share)]
     return chosen
 
 
@@ -191,20 +202,21 @@ class LineMap:
     def __init__(self, place: Path) -> None:
         import coverage
 
-        self._seconds: dict[str, float] = {}
+        self.seconds: dict[str, float] = {}
         for row in (place / "seconds.tsv").read_text().splitlines():
             name, seconds, outcome = row.split("\t")
             if outcome == "passed":
-                self._seconds[name] = float(seconds)
+                self.seconds[name] = float(seconds)
         self._data = []
         for path in sorted(place.glob("coverage.*")):
             data = coverage.CoverageData(str(path))
             data.read()
             self._data.append(data)
         self._of_file: dict[str, dict[int, set[str]]] = {}
+        self._texts: dict[str, str] = {}
 
     def tests(self, mutant: Mutant) -> list[str]:
-        """Return the tests that run its line; where only an import runs it, those that run any line of its file."""
+        """Return the tests that run its line, or any line of its file where an import runs it; the nearest first."""
         if mutant.path not in self._of_file:
             table: dict[int, set[str]] = {}
             for data in self._data:
@@ -212,13 +224,17 @@ class LineMap:
                     table.setdefault(line, set()).update(contexts)
             self._of_file[mutant.path] = table
         table = self._of_file[mutant.path]
-        found = {name for name in table.get(mutant.line, set()) if name in self._seconds}
-        found = found or {name for names in table.values() for name in names if name in self._seconds}
-        # Files stay together: what a file sets up is made once.
-        of_file: dict[str, float] = {}
-        for name in found:
-            of_file[name.partition("::")[0]] = of_file.get(name.partition("::")[0], 0.0) + self._seconds[name]
-        return sorted(found, key=lambda name: (of_file[name.partition("::")[0]], name.partition("::")[0]))
+        found = {name for name in table.get(mutant.line, set()) if name in self.seconds}
+        found = found or {name for names in table.values() for name in names if name in self.seconds}
+        return sorted(found, key=lambda name: (self._distance(name, mutant.path), self.seconds[name]))
+
+    def _distance(self, name: str, path: str) -> int:
+        """Return 0 where the test file names the module, 1 where it lies in its folder, else 2."""
+        file = name.partition("::")[0]
+        if file not in self._texts:
+            self._texts[file] = (ROOT / file).read_text("utf-8")
+        module = "softcal." + path.removesuffix(".py").replace("/", ".")
+        return 0 if module in self._texts[file] else 1 if file.split("/")[1] == path.split("/")[0] else 2
 
 
 # Break, test, count.
@@ -229,7 +245,8 @@ TRIED = "tried.jsonl"
 class Tree:
     """A copy of the repository in which one fault stands at a time."""
 
-    def __init__(self) -> None:
+    def __init__(self, seconds: Mapping[str, float]) -> None:
+        self._seconds = seconds
         self.folder = Path(tempfile.mkdtemp(prefix="mutants-"))
         self.root = self.folder / "softcal"
         listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True)
@@ -238,6 +255,7 @@ class Tree:
                 (self.root / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy(ROOT / name, self.root / name)
         self._sure: set[str] = set()
+        self._written_s = int(time.time())
         # Found before the installed package, in every process that a test starts.
         links = self.folder / "links/softcal"
         links.mkdir(parents=True)
@@ -246,7 +264,7 @@ class Tree:
         for name in ("app", "core", "db", "station"):
             (links / name).symlink_to(self.root / name)
         self.environment = os.environ | {
-            "PYTHONPATH": str(links.parent), "PYTHONDONTWRITEBYTECODE": "1",
+            "PYTHONPATH": str(links.parent), "PYTHONDONTWRITEBYTECODE": "",
             "SOFTCAL_DATA": os.environ.get("SOFTCAL_DATA", str(ROOT.parent / "shared/data")),
         }  # fmt: skip
 
@@ -255,9 +273,9 @@ class Tree:
         path, began_s = self.root / mutant.path, time.monotonic()
         whole, left = path.read_text("utf-8"), list(tests)
         while left:
-            path.write_text(broken(mutant), "utf-8")
+            self._write(path, broken(mutant))
             failed = self._first_failure(left, longest_s)
-            path.write_text(whole, "utf-8")
+            self._write(path, whole)
             is_known = failed not in left or failed in self._sure
             if is_known or not self._first_failure([failed], longest_s):
                 # A test passes without the fault once and for all.
@@ -266,22 +284,92 @@ class Tree:
             left.remove(failed)
         return "", round(time.monotonic() - began_s, 1)
 
+    def _write(self, path: Path, text: str) -> None:
+        """Write a file at a time of its own: what was compiled of it before is never taken for it."""
+        path.write_text(text, "utf-8")
+        self._written_s += 10
+        os.utime(path, (self._written_s, self._written_s))
+
     def _first_failure(self, tests: Sequence[str], longest_s: float) -> str:
-        names = self.folder / "tests.txt"
-        names.write_text("\n".join(tests))
-        # Time of the processor, behind other work: what runs beside it changes no answer.
-        command = ["prlimit", f"--cpu={longest_s:.0f}", "nice", "-n", "5", sys.executable, "-m", "pytest", "-q", "-x"]
-        command += ["-p", "no:cacheprovider", "--timeout", f"{30 * longest_s:.0f}", f"@{names}"]
-        try:
-            done = subprocess.run(
-                command, cwd=self.root, env=self.environment, capture_output=True, text=True, timeout=40 * longest_s
-            )
-        except subprocess.TimeoutExpired:
-            return ""
-        if done.returncode in (0, -signal.SIGXCPU, -signal.SIGKILL):
-            return ""
-        failed = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", done.stdout, re.MULTILINE)
-        return failed[1] if failed else f"exit code {done.returncode}"
+        """Return the first test that fails, "" for none within so many seconds of the processor."""
+        printed, used_s = self.folder / "printed.txt", FORKED.Value("d", 0.0)
+        for batch in _batches(tests, self._seconds):
+            left_s = longest_s - used_s.value
+            if left_s < 1.0:
+                return ""
+            child = FORKED.Process(target=run_tests, args=(self.root, self.environment, batch, left_s, printed, used_s))
+            child.start()
+            child.join(40 * longest_s)
+            if child.exitcode != 0:
+                child.kill()
+                child.join()
+                said = printed.read_text()
+                failed = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", said, re.MULTILINE)
+                if not failed and child.exitcode not in (-signal.SIGXCPU, -signal.SIGKILL):
+                    raise RuntimeError(f"exit code {child.exitcode}: {said[-2000:]}")
+                return failed[1] if failed else ""
+        return ""
+
+
+FORKED = multiprocessing.get_context("forkserver")
+PRELOADED = (
+    "hypothesis",
+    "schemathesis.pytest.plugin",
+    "anyio.pytest_plugin",
+    "xdist.plugin",
+    "streamlit",
+    "numpy",
+    "pandas",
+    "ot",
+    "torch",
+    "sqlalchemy",
+    "scipy.stats",
+    "scipy.optimize",
+    "plotly",
+    "serial",
+    "pytest",
+)
+"""What a trial finds imported already; softcal is not among it."""
+
+
+def run_tests(
+    root: Path, environment: dict[str, str], tests: Sequence[str], longest_s: float, printed: Path, used_s: Any
+) -> None:
+    """Run tests in a copy of the tree, as a process of its own behind other work; add the processor's seconds it took.
+
+    Args:
+        used_s: shared number of seconds.
+    """
+    import pytest
+
+    # What was imported before the fork is not looked at by every collection.
+    gc.freeze()
+    os.nice(5)
+    resource.setrlimit(resource.RLIMIT_CPU, (int(longest_s) + 1, int(longest_s) + 2))
+    os.environ.update(environment)
+    os.chdir(root)
+    sys.path[:0] = [environment["PYTHONPATH"]]
+    sys.dont_write_bytecode = False
+    file = printed.open("w")
+    os.dup2(file.fileno(), 1)
+    os.dup2(file.fileno(), 2)
+    quiet = ["-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
+    code = pytest.main(["-q", "-x", *quiet, "--timeout", f"{40 * longest_s:.0f}", *tests])
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    used_s.value += sum(one.ru_utime + one.ru_stime for one in used)
+    sys.exit(int(code))
+
+
+def _batches(tests: Sequence[str], seconds: Mapping[str, float]) -> Iterator[Sequence[str]]:
+    """Yield tests in pieces that take twice as long each: most faults are noticed before the long tests are read."""
+    batch: list[str] = []
+    room_s = 2.0
+    for name in tests:
+        if batch and sum(seconds[one] for one in batch) + seconds[name] > room_s:
+            yield batch
+            batch, room_s = [], 2.0 * room_s
+        batch.append(name)
+    yield batch
 
 
 def try_all(mutants: Sequence[Mutant], layer: str, keep: Path, longest_s: float) -> None:
@@ -291,7 +379,8 @@ def try_all(mutants: Sequence[Mutant], layer: str, keep: Path, longest_s: float)
     left = [mutant for mutant in mutants if mutant.name not in done]
     # All rooms at once: where it is stopped early, every room has been tried alike.
     random.Random(0).shuffle(left)
-    line_map, trees = LineMap(keep / layer), [Tree(), Tree()]
+    line_map = LineMap(keep / layer)
+    trees = [Tree(line_map.seconds), Tree(line_map.seconds)]
 
     def work(which: int) -> None:
         for mutant in left[which :: len(trees)]:
@@ -322,6 +411,8 @@ def print_table(mutants: Sequence[Mutant], keep: Path) -> None:
         counts = Counter(noticed.get(name, "") for name in mine if room in (room_of[name], "all"))
         print(f"| {room} | {counts.total()} | {counts['fast']} | {counts['long']} | {counts['']} |")
     fast, every = sum(noticed.get(name) == "fast" for name in mine), sum(name in noticed for name in mine)
+    from softcal.core.challenge.score import wilson
+
     low, high = wilson(fast, every)
     print(f"\nOf {every} that any test noticed the fast layer notices {fast}: {fast / max(1, every):.1%}", end="")
     print(f" (95 % {low:.1%} to {high:.1%}). Median {np.median([row['seconds'] for row in rows]):.1f} s a trial.")
@@ -342,6 +433,7 @@ def main() -> None:
     if options.what == "map":
         make_map(options.layer, options.keep)
         return
+    FORKED.set_forkserver_preload(list(PRELOADED))
     mutants = drawn(options.count, options.seed)
     if options.what == "try":
         try_all(mutants, options.layer, options.keep, options.longest)
