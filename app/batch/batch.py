@@ -12,7 +12,7 @@ from softcal.app.batch.report import BatchReport
 from softcal.app.batch.train import train_or_find
 from softcal.app.files.lot_folder import LotFolder
 from softcal.app.files.recording_file import naming
-from softcal.app.registry.golden import bridges_over, keep_golden_of
+from softcal.app.registry.golden import keep_golden_of
 from softcal.app.registry.known_loads import keep_loads
 from softcal.app.registry.reference import state_reference
 from softcal.core.recording import LabelledRecording, OutputRecording
@@ -45,9 +45,8 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     state_sources(registry, lot.id, [model.network.id for model in models[1:]], config.actor)
     state_reference(registry, lot.id, folder.reference, source, config.actor)
     kept = KeptFacts(registry, lot.id, list(folder.unit_paths))
-    facts = lot_facts(registry, lot, models, config.network if config.score_own else None)
-    bridge = _bridge(folder, models[0], run)
-    facts = replace(facts, bridge=bridge, bridges=bridges_over(registry, models[0], kept.golden_runs))
+    own, beside = config.network if config.score_own else None, _bridge(folder, models[0], run)
+    facts = lot_facts(registry, lot, models, own, kept.golden_runs, beside)
     watch.on_start(len(folder.unit_paths))
     work = LotWork(folder, registry, facts, kept, config, watch)
     work.run()

@@ -54,9 +54,10 @@ class LotFacts:
         own: how own calibrations are trained on audits, for comparison; None trains none.
         line: how differently the line presses units, where it was stated.
         reference: what the source was compared with; None where nobody said.
-        bridge: the source pressed again in the units' sitting, where a lot folder has that run.
+        bridge: the source pressed again in the units' sitting, where a lot folder has that run. Under the load cell
+            it outranks what the registry knows; without, it serves units of which the registry knows no golden run.
         bridges: golden runs that the registry knows recordings to belong to, by their hash; in place of one that f
-            cannot read, why. Asked where there is no `bridge`.
+            cannot read, why.
         rules: identities of the rules that may hold units back, as they are installed where the work was started.
     """
 
@@ -86,7 +87,9 @@ class LotFacts:
                 check_loads(self.source.source, anchors, "the unit was not calibrated", self.source.method.map.anchors)
             except InputError as error:
                 raise InputError(reason("wrong_loads", error=str(error))) from error
-        bridge = self.bridge or self.bridges.get(known.golden.get(recording.sha256, ""))
+        bridge = self.bridges.get(known.golden.get(recording.sha256, ""), self.bridge)
+        if self.bridge is not None and self.bridge.is_measured:
+            bridge = self.bridge
         if isinstance(bridge, str):
             raise InputError(reason("wrong_golden", error=bridge))
         networks = {model.network.id for model in self.sources}

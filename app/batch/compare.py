@@ -1,7 +1,6 @@
 """Compare networks and map families on the units of a lot: what each forecasts, and what audits say of it."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from statistics import median
 from typing import Any
 
@@ -9,7 +8,6 @@ import numpy as np
 
 from softcal.app.batch.calibrating import LotFacts, UnitInputs, calibrate_unit
 from softcal.app.batch.known import KeptFacts, lot_facts
-from softcal.app.registry.golden import bridges_over
 from softcal.app.registry.lot_recordings import source_model, unlabelled
 from softcal.core.maps.config import MapConfig
 from softcal.core.recording import OutputRecording
@@ -43,7 +41,7 @@ def compare_on_lot(registry: Registry, request: Mapping[str, Any], tell: Tell) -
     for k, (network_id, family) in enumerate(pairs):
         tell(k / len(pairs), f"{network_id[:12]}, {family}")
         model = source_model(registry, network_id, Method(map=MapConfig(family)))
-        facts = replace(lot_facts(registry, lot, [model]), bridges=bridges_over(registry, model, kept.golden_runs))
+        facts = lot_facts(registry, lot, [model], golden=kept.golden_runs)
         rows.append({"network": network_id, "family": family, **_row(facts, units)})
     return rows
 

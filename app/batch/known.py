@@ -1,11 +1,12 @@
 """What the registry knows that a lot's units are calibrated with, and where their results go."""
 
 import json
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
+from functools import partial
 from typing import Any
 
 from softcal.app.batch.calibrating import Known, LotFacts, Refusal, Result, UnitInputs
-from softcal.app.registry.golden import golden_of
+from softcal.app.registry.golden import bridge_over, golden_of
 from softcal.app.registry.known_loads import known_loads
 from softcal.app.registry.lot_recordings import audit_of, newest_audits
 from softcal.app.registry.reference import lot_reference
@@ -14,6 +15,7 @@ from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.maps.interface import Anchors
 from softcal.core.network.config import NetworkConfig
+from softcal.core.unit.bridge import Bridge
 from softcal.core.unit.line_spread import LineSpread
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.verdict import default_limit, stated_limit
@@ -60,16 +62,34 @@ def config_of(network: NetworkEntry) -> NetworkConfig:
         return NetworkConfig()
 
 
+Cross = Callable[[SourceModel, str], Bridge | str]
+"""Source, hash of a golden run → the bridge over it, or why it cannot be crossed."""
+
+
 def lot_facts(
-    registry: Registry, lot: Lot, sources: Sequence[SourceModel], own: NetworkConfig | None = None
+    registry: Registry,
+    lot: Lot,
+    sources: Sequence[SourceModel],
+    own: NetworkConfig | None = None,
+    golden: Iterable[str] = (),
+    beside: Bridge | None = None,
+    cross: Cross | None = None,
 ) -> LotFacts:
-    """Return what the registry states of a lot, for its units as these sources see them; golden runs are not read."""
+    """Return what a lot's units are calibrated with, as these sources see them: by a batch, the line and a comparison.
+
+    Args:
+        golden: hashes of the golden runs that the registry knows their recordings to belong to.
+        beside: the golden run that lies in the lot folder.
+        cross: makes bridges; one that remembers those it made, where units come one by one.
+    """
     limit = stated_limit(lot.reference_unit, lot.limit_rmse)
     if limit is None and len(sources) > 1:
         # One limit for all units, whichever source they take: a noisier source must not widen it.
         limit = default_limit(lot.reference_unit, sources[0].held_out_rmse, sources[0].method.decision)
     line, reference = stated_line(registry, lot.id), lot_reference(registry, lot.id)
-    return LotFacts(tuple(sources), limit, own, line, reference)
+    cross = cross or partial(bridge_over, registry)
+    bridges = {sha256: cross(sources[0], sha256) for sha256 in dict.fromkeys(golden)}
+    return LotFacts(tuple(sources), limit, own, line, reference, beside, bridges)
 
 
 class KeptFacts:

@@ -260,7 +260,8 @@ class LotWork:
         if anchors is None and serial in kept.loads:
             loads = {sha256: values(one) for sha256, one in kept.loads[serial].items()}
         files = [file and [file.path.suffix, hashlib.sha256(file.content).hexdigest()] for file in (recording, audit)]
-        golden = None if self._facts.bridge else kept.golden.get(serial)
+        beside_it = self._facts.bridge
+        golden = None if beside_it and beside_it.is_measured else kept.golden.get(serial)
         beside: dict[str, object] = {} if golden is None else {"golden": golden}
         if audit is None and serial in kept.audits:
             beside["audit"] = kept.audits[serial].sha256

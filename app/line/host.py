@@ -8,6 +8,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from typing import Protocol
 
@@ -250,7 +251,10 @@ class StationHost:
         """Take progress from the service; the end of a run is written at once, all else by the desk."""
         if progress.state.is_active:
             self._fixture.follow(progress.phase)
-            self._newest = progress
+            before = self._newest
+            done = before.fraction if before is not None and before.order_id == progress.order_id else 0.0
+            # Training and calibrating follow the run: what is done stays done.
+            self._newest = replace(progress, fraction=max(done, progress.fraction))
             return
         self._unsaid.append(progress)
         try:

@@ -6,9 +6,9 @@ Where the lot asks for known loads, a unit is judged once they were read, and no
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from functools import lru_cache
+from functools import lru_cache, partial
 
-from softcal.app.batch.calibrating import LotFacts, Refusal, calibrate_unit
+from softcal.app.batch.calibrating import Refusal, calibrate_unit
 from softcal.app.batch.judging import judge_again
 from softcal.app.batch.known import KeptFacts, config_of, keep_result, lot_facts, stated_sources
 from softcal.app.batch.release import LineRelease
@@ -16,7 +16,7 @@ from softcal.app.batch.train import train_or_find
 from softcal.app.line.gate_facts import SHIFT, check_golden, quarantine
 from softcal.app.line.load_readings import LoadReadings, check_stated
 from softcal.app.line.serials import numbered
-from softcal.app.registry.golden import bridges_over, golden_lot, keep_golden_of, newest_golden
+from softcal.app.registry.golden import bridge_over, golden_lot, golden_of, keep_golden_of, newest_golden
 from softcal.app.registry.known_loads import keep_loads
 from softcal.app.registry.lot_recordings import source_model
 from softcal.app.registry.reference import state_reference
@@ -68,9 +68,7 @@ class RunKeeper:
         self._registry, self._station, self._reference = registry, station, reference
         self._network, self._method, self._sitting = network, method, sitting
         self._source_model = lru_cache(MOST_SOURCES)(lambda network: source_model(registry, network, method))
-        self._bridges = lru_cache(MOST_SOURCES)(
-            lambda network, golden: bridges_over(registry, self._source_model(network), [golden])
-        )
+        self._cross = lru_cache(MOST_SOURCES)(partial(bridge_over, registry))
         self._loads = LoadReadings()
         self._release = LineRelease(registry)
 
@@ -211,10 +209,12 @@ class RunKeeper:
             return sha256, None
         lot = registry.lots.get(order.lot_id)
         golden = newest_golden(registry, self._station, lot.source, datetime.now(UTC) - self._sitting)
-        if golden is not None:
+        if golden is not None and sha256 not in golden_of(registry, lot.id, [unit.serial]):
             keep_golden_of(registry, lot.id, {sha256: (unit.serial, golden)}, actor=actor)
         kept = KeptFacts(registry, lot.id, [unit.serial])
-        facts = self._lot_facts(lot, entry, kept.golden.get(unit.serial, {}).get(sha256))
+        others = [network for network in stated_sources(registry, lot.id) if network != entry.id]
+        models = [self._source_model(network) for network in (entry.id, *others)]
+        facts = lot_facts(registry, lot, models, config_of(entry), kept.golden_runs, cross=self._cross)
         done = registry.calibrations.known_inputs(lot.id, [unit.serial]).get(unit.serial, ())
         made = calibrate_unit(facts, unit, kept.of(unit.serial), done)
         why = order.reason or f"pressed on {self._station}"
@@ -223,13 +223,6 @@ class RunKeeper:
             self._release.press(lot.id, unit.serial, actor)
         standing = registry.pages.standings(lot.id, [unit.serial])[unit.serial]
         return sha256, (standing.verdict, standing.reasons)
-
-    def _lot_facts(self, lot: Lot, entry: NetworkEntry, golden: str | None) -> LotFacts:
-        """Return what the lot's units are calibrated with now, over a golden run."""
-        registry = self._registry
-        others = [network for network in stated_sources(registry, lot.id) if network != entry.id]
-        facts = lot_facts(registry, lot, [self._source_model(id_) for id_ in (entry.id, *others)], config_of(entry))
-        return facts if golden is None else replace(facts, bridges=self._bridges(entry.id, golden))
 
     def _known_lot(self, lot_id: str) -> Lot | None:
         return next((lot for lot in self._registry.lots.all() if lot.id == lot_id), None)

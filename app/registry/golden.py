@@ -5,7 +5,7 @@ recording crosses the same bridge. They are rows of the audit trail.
 """
 
 import json
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from datetime import datetime
 from typing import Any
 
@@ -51,24 +51,12 @@ def newest_golden(registry: Registry, station: str, source: str, since: datetime
     return next((run.recording_sha256 for run in reversed(runs) if run.passed and run.recording_sha256), None)
 
 
-def bridge_over(registry: Registry, model: SourceModel, golden_sha256: str) -> Bridge:
-    """Return a kept golden run as units of its sitting are compared with it.
-
-    Raises:
-        InputError: it is not in the registry, or this network cannot read it.
-    """
-    return make_bridge(model, registry.recordings.get(golden_sha256))
-
-
-def bridges_over(registry: Registry, model: SourceModel, golden: Iterable[str]) -> dict[str, Bridge | str]:
-    """Return the bridges of several golden runs by their hash; in place of one that cannot be crossed, why."""
-    found: dict[str, Bridge | str] = {}
-    for sha256 in dict.fromkeys(golden):
-        try:
-            found[sha256] = bridge_over(registry, model, sha256)
-        except InputError as error:
-            found[sha256] = str(error)
-    return found
+def bridge_over(registry: Registry, model: SourceModel, golden_sha256: str) -> Bridge | str:
+    """Return a kept golden run as units of its sitting are compared with it; why, where it cannot be crossed."""
+    try:
+        return make_bridge(model, registry.recordings.get(golden_sha256))
+    except InputError as error:
+        return str(error)
 
 
 def golden_lot(registry: Registry, serial: str) -> str | None:

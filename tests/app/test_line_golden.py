@@ -11,12 +11,15 @@ import numpy as np
 import pytest
 
 from softcal.app.batch.audit_evidence import AuditReader
+from softcal.app.batch.compare import compare_on_lot
 from softcal.app.batch.front_door import lot_files
 from softcal.app.cli.main import main
+from softcal.app.files.recording_file import write_columns
 from softcal.app.line.pressed_run import RunKeeper
 from softcal.app.registry.golden import golden_of
 from softcal.app.registry.laid_out import write_lot_folder
 from softcal.core.errors import InputError
+from softcal.core.maps.config import MapConfig
 from softcal.core.network.config import NetworkConfig
 from softcal.core.orders import Order, OrderKind, Progress
 from softcal.db.connection import open_registry
@@ -162,3 +165,42 @@ def test_a_golden_run_that_lay_in_a_lot_folder_is_known_when_the_registry_lays_i
     with lot_files(registry, "small", lambda done, of: None) as folder:
         again = batched(folder.root, registry_url, tmp_path / "again.json")
     assert {serial for serial, unit in again.items() if unit["is_new"]} == set()
+
+
+@pytest.mark.parametrize("beside", ["no golden run", "under the load cell", "without the load cell"])
+@pytest.mark.parametrize("is_pressed_first", [True, False])
+def test_line_batch_and_comparison_calibrate_a_recording_over_one_golden_run(
+    beside, is_pressed_first, registry, registry_url, keeper, lot_folder, press_unit, tmp_path
+):
+    """Whatever lies in the folder, whoever was first: what the batch decided with is what everybody has after it."""
+    run = pressed(press_unit, "B1", gain=1.2, offset_V=0.6)
+    order = Order("o", "s1", OrderKind.UNIT, "B1", "small")
+    for part in ("units", "audit"):
+        shutil.rmtree(lot_folder / part)
+    unit = run.output_recording()
+    write_columns(
+        lot_folder / "units/B1.csv", [("t_s", unit.t_s), ("output", unit.output), ("stage_mm", unit.stage_mm)]
+    )
+    if beside != "no golden run":
+        golden = press_unit(1500, 1.0, 0.5, 11)
+        golden = golden if beside == "under the load cell" else golden.drop(columns="reference")
+        (lot_folder / "golden").mkdir()
+        golden.to_csv(lot_folder / "golden/A0.csv", index=False)
+    press_golden(keeper, press_unit)
+    if is_pressed_first or beside != "under the load cell":
+        keeper.keep(order, run, quiet)
+    batched(lot_folder, registry_url, tmp_path / "batch.json")
+    made = registry.calibrations.get("B1").record
+    # The sitting goes on: a newer golden run is none of this recording's.
+    newer = pressed(press_unit, "A0", seed=71, is_golden=True)
+    keeper.keep(Order("g2", "s1", OrderKind.GOLDEN, "A0"), newer, quiet)
+    keeper.keep(order, run, quiet)
+    again = batched(lot_folder, registry_url, tmp_path / "again.json")
+    with lot_files(registry, "small", lambda done, of: None) as folder:
+        laid_out = batched(folder.root, registry_url, tmp_path / "laid_out.json")
+    assert not again["B1"]["is_new"] and not laid_out["B1"]["is_new"]
+    now = registry.calibrations.get("B1").record
+    assert (now.input_sha256, now.map_sha256) == (made.input_sha256, made.map_sha256)
+    asked = {"lot": "small", "networks": [made.network_id], "families": [MapConfig().family], "units": 1}
+    (row,) = compare_on_lot(registry, asked, lambda *_: None)
+    assert row["predicted"] == made.predicted_rmse

@@ -11,10 +11,10 @@ import pytest
 
 from softcal.app.cli import station_service
 from softcal.app.line.host import StationHost
-from softcal.app.line.pressed_run import RunKeeper
+from softcal.app.line.pressed_run import TRAINING, RunKeeper
 from softcal.core.errors import InputError, RegistryError
 from softcal.core.lot import Lot
-from softcal.core.orders import Heartbeat, Order, OrderKind, RunState, StationState
+from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
 from softcal.core.profiles import ramps
 from softcal.core.quality.gate import Gate
 from softcal.db.connection import open_registry
@@ -83,6 +83,17 @@ def test_an_order_becomes_a_recording_in_the_registry(registry, tmp_path):
     assert recording.serial == "A1"
     assert recording.stage_mm.max() == pytest.approx(2.0, abs=0.02)
     assert queue.heartbeat("s1").state is StationState.OFF
+
+
+def test_what_is_told_of_an_order_never_runs_back_when_its_network_is_trained(registry, tmp_path):
+    host, told = make_host(registry, tmp_path), []
+    for order, phase, fraction in (
+        ("o1", "pressing", 0.4), ("o1", "pressing", 1.0), ("o1", TRAINING, 0.0), ("o1", TRAINING, 0.5), ("o2", "", 0.1),
+    ):  # fmt: skip
+        host._report(Progress(order, RunState.RUNNING, phase, fraction))
+        told.append(host._newest)
+    assert [(one.order_id, one.fraction) for one in told] == [("o1", 0.4), *[("o1", 1.0)] * 3, ("o2", 0.1)]
+    assert [one.phase for one in told][1:4] == ["pressing", TRAINING, TRAINING]
 
 
 def test_what_was_ordered_before_the_service_started_moves_nothing(registry, tmp_path):

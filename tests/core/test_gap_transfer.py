@@ -28,7 +28,10 @@ def test_the_explained_twin_foretells_the_rigs_errors_and_the_base_does_not():
     errors = {name: (base, explained) for name, _, _, _, base, explained in found.rows()}
     assert errors["own"][1] < 0.25 < errors["own"][0]
     assert errors["after"][1] < errors["after"][0]
-    assert found.to_record()["units"] == 1
+    record = found.to_record()
+    assert record["units"] == 1
+    for place in (record["rig"], record["base"], record["explained"]):
+        assert place["after_by_own"] * place["own"] == pytest.approx(place["after"])
 
 
 def test_a_lot_without_stage_positions_cannot_be_followed():
