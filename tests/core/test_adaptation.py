@@ -153,13 +153,14 @@ def test_without_drift_it_is_the_plain_estimate(make_adapter: Callable[..., Adap
     assert rmse(adapted.estimate, force_N) <= 1.02 * rmse(plain.estimate, force_N)
 
 
-@pytest.mark.parametrize("mode", ["basic", "improved"])
-def test_drift_is_followed(make_adapter: Callable[..., Adapter], mode: str) -> None:
+@pytest.mark.parametrize(("mode", "offset_V"), [("basic", 0.25), ("improved", 0.25), ("same-use", 0.08)])
+def test_drift_is_followed(make_adapter: Callable[..., Adapter], mode: str, offset_V: float) -> None:
+    """A gain as far as the rest vouches for it, or as somebody vouches for the use."""
     t_s, output_V, force_N = stream(600.0)
     last = slice(len(t_s) // 2, None)
 
-    raw = make_adapter("none").advance(t_s, drifted(output_V)).estimate
-    followed = make_adapter(mode).advance(t_s, drifted(output_V)).estimate
+    raw = make_adapter("none").advance(t_s, drifted(output_V, offset_V=offset_V)).estimate
+    followed = make_adapter(mode).advance(t_s, drifted(output_V, offset_V=offset_V)).estimate
 
     assert rmse(raw[last], force_N[last]) > 0.1
     assert rmse(followed[last], force_N[last]) < 0.025
@@ -398,6 +399,27 @@ def test_unsafe_drift_flags_the_rows_as_due_for_recalibration(make_adapter: Call
     assert adapter.current.alarm
     assert adapter.current.predicted_rmse > 0.1
     assert {RECALIBRATE, "out of range"} & set(why(rows.flag[-200:]))
+
+
+def test_rows_are_unsettled_where_the_predicted_error_has_doubled_and_no_alarm_stands(
+    make_adapter: Callable[..., Adapter],
+) -> None:
+    """An alarm over a drift that is followed well is a false one; rows without a word would hide what is not known."""
+    t_s, output_V, force_N = stream(600.0)
+    adapter, seen = make_adapter(), []
+    shifted_V = drifted(output_V, 1.0, 0.3)
+    promised = adapter.current.predicted_rmse
+
+    for k in range(0, len(t_s), UseMethod().intake.batch):
+        is_doubled = adapter.current.predicted_rmse > 2 * promised
+        piece = slice(k, k + UseMethod().intake.batch)
+        seen.append((is_doubled, adapter.advance(t_s[piece], shifted_V[piece])))
+
+    assert not any(update.alarm for update in adapter.take_updates())
+    words = [({*why(rows.flag)} & {"", UNSETTLED, RECALIBRATE}, is_doubled) for is_doubled, rows in seen[2:]]
+    assert {is_doubled for _, is_doubled in words} == {False, True}
+    assert all(said <= ({UNSETTLED} if is_doubled else {"", UNSETTLED}) for said, is_doubled in words)
+    assert rmse(np.concatenate([rows.estimate for _, rows in seen]), force_N) < 2 * promised
 
 
 def test_restart_from_the_kept_state_gives_the_same_rows(make_adapter: Callable[..., Adapter]) -> None:
