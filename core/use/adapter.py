@@ -54,8 +54,8 @@ class AdaptConfig:
     Args:
         mode: `none` leaves the map as it is; `basic` compares the use with the calibration recording alone; `improved`
             also learns other uses from the best estimates so far (Kim et al. 2020, Fig. 5). `same-use` is `improved`
-            where somebody vouches that the use never changes: a change of size is gain. `ot` and `ot-improved` are those
-            of `queued.QueuedTransport`.
+            where somebody vouches that the use never changes: a change of size is gain. `ot` and `ot-improved` are
+            those of `queued.QueuedTransport`.
         method: every number that decides.
     """
 

@@ -213,7 +213,8 @@ class DoubtConfig:
         certain: a drift that is seen and not applied, and a mean innovation, count where their squares exceed so many
             times what chance makes of them.
         alarm_ratio, clear_ratio: rows are unsettled where the predicted error is more than the first number of times
-            that of the calibration. Where what may be use brings it there, the map is held until it is below the second.
+            that of the calibration. Where what may be use brings it there, the map is held until it falls below the
+            second.
         alarm_cycles: for so many usual cycles on end, so that one odd cycle decides nothing.
         swap: a new correction replaces the old one when it moves an extreme of the output by this share of its scale.
         slope_rows, slope_step: windows, and step in scales, over which the mean slope of the estimate is taken.
