@@ -106,4 +106,4 @@ class TrackerState:
         """(2,) shift and log gain that the correction takes out."""
         if self.to_settle:
             return self.carried
-        return self.trust.applied(self.filter.drift, self.seen) + np.array([self.trial, 0.0])
+        return np.asarray(self.trust.applied(self.filter.drift, self.seen) + np.array([self.trial, 0.0]))
