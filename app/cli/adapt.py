@@ -50,7 +50,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", required=True, metavar="OUT", help="CSV or Parquet; live also - or tcp://HOST:PORT")
     parser.add_argument("--serial", required=True, metavar="S")
     parser.add_argument("--revision", type=int, metavar="N", help="calibration to start from; default: the current one")
-    modes = ("improved", "same-use", "basic", "none", "ot", "ot-improved")
+    modes = ("improved", "basic", "none", "ot", "ot-improved")
     parser.add_argument("--mode", choices=modes, default="improved", help=MODE_HELP)
     parser.add_argument("--queue", type=int, metavar="N", help="windows in a queue of ot and ot-improved; default 512")
     parser.add_argument(
@@ -75,8 +75,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 MODE_HELP = (
-    "improved (default): compare with the calibration and with uses learnt since. same-use: the same where you vouch "
-    "that loads never change: a change of size is drift. basic: compare with the calibration alone. "
+    "improved (default): compare with the calibration and with uses learnt since. basic: with the calibration alone. "
     "none: leave the map as it is. ot: the method of Kim et al. (2020). A queue of windows is mapped onto those of the "
     "source by optimal transport; its map holds once the next queue is full. ot-improved: the same, and each queue "
     "with its best estimates is the source of the next. Both take a change of use for drift"

@@ -30,6 +30,7 @@ class Activity:
         bias, noise: (2,) mean and (2, 2) covariance of the drift that `drift_of` finds in its own cycles.
         tolerance: (3,) largest differences in shape, log speed and log duration.
         doubt: (2, 2) covariance of the mean drift of its own cycles.
+        is_imposed: whether a machine times its cycles: their durations are equal.
         pivots: (2, u) log gains that a change of its loads shows, rising, and the level each leaves where it was.
         least_gain: smallest gain a cycle is read as.
     """
@@ -48,6 +49,7 @@ class Activity:
     noise: Array = field(metadata=array(2, 2))
     tolerance: Array = field(metadata=array(3))
     doubt: Array = field(metadata=array(2, 2))
+    is_imposed: bool
     pivots: Array = field(metadata=array(2, "u"))
     least_gain: float
 
@@ -170,6 +172,7 @@ def learn_activity(
         noise=np.zeros((2, 2)),
         tolerance=tolerance,
         doubt=np.zeros((2, 2)),
+        is_imposed=timing_scatter(duration, config) < config.machine_timing,
         pivots=no_pivots(),
         least_gain=config.least_gain,
     )
@@ -205,6 +208,13 @@ def _pivots(activity: Activity, rest_is_low: bool, curve: RestCurve, shares: tup
     is_seen = np.concatenate([[True], np.diff(log_gains) > 0]) & (np.sign(log_gains) == np.sign(np.log(shares)))
     shifts, log_gains = shifts[is_seen], log_gains[is_seen]
     return np.array([log_gains, -shifts / np.expm1(log_gains)])
+
+
+def timing_scatter(log_durations: Array, config: ActivityConfig) -> float:
+    """Return the standard deviation of (n,) log durations without the few that are furthest from the median."""
+    distance = np.abs(log_durations - np.median(log_durations))
+    kept = np.argsort(distance, kind="stable")[: len(distance) - max(1, len(distance) // config.outliers)]
+    return float(log_durations[kept].std())
 
 
 def _trend(values: Array) -> tuple[Array, Array]:

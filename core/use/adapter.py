@@ -27,7 +27,7 @@ from softcal.core.use.observation import FOLLOWED, HELD, NOT_WATCHED, UNWATCHED,
 from softcal.core.use.sensitivity import learn_sensitivity
 from softcal.core.use.tracker import DriftTracker
 
-FILTERS = ("none", "basic", "improved", "same-use")
+FILTERS = ("none", "basic", "improved")
 QUEUES = ("ot", "ot-improved")
 MODES = (*FILTERS, *QUEUES)
 STATE_FORMAT = 8
@@ -53,8 +53,7 @@ class AdaptConfig:
 
     Args:
         mode: `none` leaves the map as it is; `basic` compares the use with the calibration recording alone; `improved`
-            also learns other uses from the best estimates so far (Kim et al. 2020, Fig. 5). `same-use` is `improved`
-            where somebody vouches that the use never changes: a change of size is gain. `ot` and `ot-improved` are
+            also learns other uses from the best estimates so far (Kim et al. 2020, Fig. 5). `ot` and `ot-improved` are
             those of `queued.QueuedTransport`.
         method: every number that decides.
     """
@@ -106,10 +105,10 @@ class Adapter(Batches):
         self._begin(self._start())
 
     def _parts(self) -> tuple[CycleCutter, DriftTracker]:
-        use, method, mode = self._use, self._method, self._config.mode
+        use, method = self._use, self._method
         return (
             CycleCutter(use.low, use.high, use.usual, use.longest, method.cycle),
-            DriftTracker(use, mode in ("improved", "same-use"), method, mode == "same-use"),
+            DriftTracker(use, self._config.mode == "improved", method),
         )
 
     @property

@@ -1,6 +1,7 @@
 """New uses: learnt from cycles of no known one with the drift taken out, and what their rest says of the sensor."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -54,10 +55,11 @@ class UseLearner:
             oldest = 1 if self._use.lesson.activity is not None else 0
             del now.activities[oldest]
             now.filter = now.filter.without(oldest)
-        now.activities.append(activity)
+        is_imposed = activity.is_imposed and len(cycles) >= self._method.activity.machine_cycles
+        now.activities.append(replace(activity, is_imposed=is_imposed))
         now.stray_before = now.stray
         now.filter = now.filter.with_learnt(activity.doubt)
-        now.latest = len(now.activities) - 1
+        now.latest, now.recent = len(now.activities) - 1, []
         return True
 
     def _join_more(self, now: TrackerState) -> None:

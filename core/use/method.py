@@ -83,6 +83,11 @@ class ActivityConfig:
         noise_floor: smallest standard deviations of one cycle's rest, level and log scale.
         few: with n cycles the covariance is widened by this over n - 2.
         least_gain: smallest gain a cycle is read as.
+        machine_timing: cycles whose log durations scatter by less than this are timed by a machine.
+        machine_cycles: of a use learnt in use, so many cycles at least show that; of six cycles of a person whose times
+            scatter by 4 %, one set in a hundred does by chance.
+        still_timed: the latest `machine_cycles` are no longer timed by one where they scatter by so many times as much.
+        outliers: one of so many durations, the furthest from the median, is left out of that scatter.
         rest_scatter: an activity returns to a known rest where its unloaded turning points scatter by less than this,
             in scales.
         covered: cycles must cover this share of a recording to stand for it.
@@ -98,6 +103,10 @@ class ActivityConfig:
     noise_floor: tuple[float, float, float] = setting((0.01, 0.01, 0.01))
     few: float = setting(2.0)
     least_gain: float = setting(1e-3)
+    machine_timing: float = setting(0.01)
+    machine_cycles: int = setting(10, "chance, of a chi-square with 8 degrees of freedom: one in ten thousand")
+    still_timed: float = setting(2.0, "chance, of a chi-square with 8 degrees of freedom: one in a thousand")
+    outliers: int = setting(10)
     rest_scatter: float = setting(0.10)
     covered: float = setting(0.5)
     uses: tuple[float, ...] = setting((0.4, 0.6, 0.8, 0.9, 1.1, 1.25, 1.5, 2.0), "the range of docs/long-term.md")
@@ -138,6 +147,7 @@ class JumpConfig:
             and by more than the floor.
         cycles: like cycles that decide between a re-seated sensor and another use.
         most: like cycles kept while they cannot decide.
+        recent: so many cycles before show at what size a machine pressed.
         largest: no jump of shift and log gain beyond these is followed.
         largest_sigmas: the largest jump in standard deviations of the prior of a re-seating.
         rest_sigmas: a rest has moved where it is off by so many times its usual scatter.
@@ -148,6 +158,7 @@ class JumpConfig:
     floor: tuple[float, float] = setting((0.08, 0.12))
     cycles: int = setting(2)
     most: int = setting(8)
+    recent: int = setting(3)
     largest: tuple[float, float] = setting((1.0, 0.35))
     largest_sigmas: float = setting(3.0)
     rest_sigmas: float = setting(4.0)

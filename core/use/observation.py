@@ -67,6 +67,8 @@ class TrackerState:
         stray: how far the rest of the latest strange cycles, or of a use learnt from them, lies from all that were
             known; 0 where that may be chance.
         stray_before: the same when these cycles began.
+        recent, recent_of: log gains of the last few cycles that were compared, and their activity.
+        timing: log durations of the latest complete cycles.
         away: how far the latest strange cycles rest from all that are known, be it chance or not.
         opening, opening_sd: level over the first cycles, in scales; 0 and 0 while single cycles are compared.
     """
@@ -92,6 +94,9 @@ class TrackerState:
     missed: float = 0.0
     stray: float = 0.0
     stray_before: float = 0.0
+    recent: list[float] = field(default_factory=list)
+    recent_of: int = -1
+    timing: list[float] = field(default_factory=list)
     away: float = 0.0
     opening: float = 0.0
     opening_sd: float = 0.0

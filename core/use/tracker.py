@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.core.use.activity import Activity, CalibratedUse
+from softcal.core.use.activity import Activity, CalibratedUse, timing_scatter
 from softcal.core.use.cycles import Cycle
 from softcal.core.use.doubt import Doubt, Evidence, doubt
 from softcal.core.use.filter import DriftFilter
@@ -53,7 +53,6 @@ class DriftTracker:
         is_improved: whether new activities are learnt from the best estimates so far, and shapes may move; otherwise
             every cycle is compared with the calibration recording alone.
         method: every number that decides.
-        is_same_use: whether somebody vouches that the use never changes, so that what may be either is drift.
     """
 
     def __init__(
@@ -61,7 +60,6 @@ class DriftTracker:
         use: CalibratedUse,
         is_improved: bool,
         method: UseMethod = UseMethod(),  # noqa: B008 - frozen
-        is_same_use: bool = False,
     ) -> None:
         self._use, self._is_improved, self._method = use, is_improved, method
         self._learner = UseLearner(use, method)
@@ -78,7 +76,7 @@ class DriftTracker:
         self._settling = max(1, math.ceil(drift.settling_samples / use.usual))
         self._now = TrackerState(
             filter=state,
-            trust=Trust(use.zero, is_same_use, config=method.trust),
+            trust=Trust(use.zero, config=method.trust),
             activities=[] if known is None else [known],
             to_settle=self._settling,
             trend=np.zeros((2, 2)),
@@ -113,6 +111,8 @@ class DriftTracker:
         now.first_s = cycle.end_s if now.first_s is None else now.first_s
         now.filter = now.filter.moved(self._walked(cycle.end_s))
         now.last_s, now.trial = cycle.end_s, 0.0
+        if cycle.is_complete:
+            now.timing = [*now.timing[-self._method.activity.machine_cycles + 1 :], math.log(cycle.duration_s)]
         # Free motion without return is no cycle; what it shows of the level says nothing about the sensor.
         if not cycle.is_complete:
             now.strangers.clear()
@@ -202,7 +202,7 @@ class DriftTracker:
         candidates = [k for k, activity in enumerate(now.activities) if activity.strangeness(cycle) <= 1]
         # Use goes on as it was more often than it changes: of two activities that fit, the latest.
         candidates.sort(key=lambda k: k != now.latest)
-        fitting = [k for k in candidates if not self._is_jump(cycle, k)]
+        fitting = [k for k in candidates if not self._is_jump(cycle, k) and not self._is_programme(cycle, k)]
         return (fitting or candidates or [-1])[0]
 
     def _is_jump(self, cycle: Cycle, index: int) -> bool:
@@ -230,6 +230,18 @@ class DriftTracker:
         near, far = (float(d @ np.linalg.solve(activity.noise, d)) for d in (apart, surprise))
         return near < far
 
+    def _is_programme(self, cycle: Cycle, index: int) -> bool:
+        """Return whether the size of a cycle stepped from that of the ones before, in a use that a machine times.
+
+        A drift gets there little by little.
+        """
+        now, activity = self._now, self._now.activities[index]
+        if not activity.is_imposed or now.recent_of != index or not now.recent:
+            return False
+        step = activity.drift_of(cycle, self._use.rest_is_low)[1] - float(np.mean(now.recent))
+        sd = math.sqrt(float(activity.noise[1, 1]) * (1 + 1 / len(now.recent)))
+        return bool(abs(step) > self._method.jump.sigmas * sd)
+
     def _surprise(self, cycle: Cycle, index: int) -> tuple[Array, Array]:
         """Return the innovation: measured drift less the predicted one, and its covariance."""
         activity = self._now.activities[index]
@@ -239,7 +251,7 @@ class DriftTracker:
     def _compare(self, cycle: Cycle, index: int) -> Observation:
         now = self._now
         activity = now.activities[index]
-        if self._is_jump(cycle, index) or self._is_like_jumps(cycle, index):
+        if self._is_jump(cycle, index) or self._is_like_jumps(cycle, index) or self._is_programme(cycle, index):
             return self._meet_jump(cycle, index)
         now.jumps.clear()
         surprise, expected = self._surprise(cycle, index)
@@ -254,11 +266,19 @@ class DriftTracker:
             now.activities[index] = activity.refreshed(cycle, self._method.learning.refresh)
         # A person who has just put the sensor on presses otherwise for a while.
         now.to_settle = max(0, now.to_settle - 1)
+        self._remember(cycle, index)
         self._accept(measured, index)
         if now.trust.is_use_as_likely(now.filter.drift, now.seen):
             return self._observation(cycle.end_s, HELD, USE_OR_GAIN, index)
         is_preload = now.trust.may_be_preload and np.any(now.applied)
         return self._observation(cycle.end_s, FOLLOWED, PRELOADED if is_preload else "", index)
+
+    def _remember(self, cycle: Cycle, index: int) -> None:
+        """Keep the log gain of the last few cycles of one activity."""
+        now = self._now
+        before = now.recent if now.recent_of == index else []
+        log_gain = float(now.activities[index].drift_of(cycle, self._use.rest_is_low)[1])
+        now.recent, now.recent_of = [*before[-self._method.jump.recent + 1 :], log_gain], index
 
     def _accept(self, measured: DriftFilter, index: int) -> None:
         now = self._now
@@ -266,9 +286,19 @@ class DriftTracker:
         # A use that was known before the latest was learnt shows where the sensor is.
         if index < len(now.activities) - 1:
             now.stray = now.stray_before = 0.0
-        now.trust = now.trust.after(now.activities[index], measured.drift, now.seen, 1 / self._settling)
+        activity = now.activities[index]
+        # A person may go on with what a machine was calibrated with.
+        known = replace(activity, is_imposed=activity.is_imposed and self._is_timed())
+        now.trust = now.trust.after(known, measured.drift, now.seen, 1 / self._settling)
         now.jumps.clear()
         now.alarm, now.unresolved = "", 0.0
+
+    def _is_timed(self) -> bool:
+        """Return whether a machine times the use now."""
+        timing, config = self._now.timing, self._method.activity
+        if len(timing) < config.min_cycles:
+            return False
+        return timing_scatter(np.array(timing), config) < config.still_timed * config.machine_timing
 
     def _pace(self, surprise: Array, expected: Array) -> float:
         """Return the factor on the process noise: above 1 while innovations keep one sign beyond chance."""
@@ -342,7 +372,7 @@ class DriftTracker:
         # Wide process noise lets the filter go to the new place at once instead of averaging over old cycles.
         free = now.filter.moved(np.diag((np.array(config.largest) / config.largest_sigmas) ** 2))
         now.trust = now.trust.reseated(now.filter.drift, now.seen, moved, round(self._memory))
-        now.trend, now.to_settle = np.zeros_like(now.trend), 0
+        now.trend, now.to_settle, now.recent = np.zeros_like(now.trend), 0, []
         self._accept(free.measured(index, level, activity.noise / config.cycles), index)
         return self._observation(cycle.end_s, JUMPED, reason, index)
 

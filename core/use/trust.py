@@ -21,8 +21,8 @@ class Trust:
 
     Args:
         zero: output at zero load in scales of the calibrated use; None where f gives no zero.
-        is_same_use: whether somebody vouches that the use never changes.
         rest: unloaded level of the latest known activity that returns to one; None while none did.
+        is_imposed: whether a machine times the latest known activity.
         pivots: (2, u) of the latest known activity that returns to a rest.
         level: how far the rest is from its place at calibration, in scales, exponentially smoothed.
         counted: `level` when it last counted as moved (hysteresis).
@@ -35,8 +35,8 @@ class Trust:
     """
 
     zero: float | None
-    is_same_use: bool = False
     rest: float | None = None
+    is_imposed: bool = False
     pivots: Array = field(default_factory=no_pivots, metadata=array(2, "u"))
     level: float = 0.0
     counted: float = 0.0
@@ -82,7 +82,9 @@ class Trust:
             weight: of this cycle in the smoothed rest. A rest that moves for a few cycles only, as after a pause, does
                 not count as drift.
         """
-        known = replace(self, rest=activity.rest, pivots=activity.pivots) if activity.has_rest else self
+        known = replace(self, is_imposed=activity.is_imposed)
+        if activity.has_rest:
+            known = replace(known, rest=activity.rest, pivots=activity.pivots)
         # The gain of a re-seating is what the filter has found when the last of its cycles is in.
         if self.fresh == 1:
             known = known._seated(float(known.applied(drift, covariance)[1]))
@@ -128,14 +130,15 @@ class Trust:
     def applied(self, drift: Array, covariance: Array) -> Array:
         """Return the (2,) shift and log gain that are sure enough to be applied.
 
-        A log gain turns the output about a level. Where the use never changes, that is the level at which shift and log
-        gain are uncorrelated, and each is judged by itself. Otherwise it is the level that use cannot move, and the
+        A log gain turns the output about a level. Where a machine times the use, that is the level at which shift and
+        log gain are uncorrelated, and each is judged by itself. Otherwise it is the level that use cannot move, and the
         log gain is bounded: were it use after all, it would move the mean no further than correcting the shift of the
         rest has repaid.
         """
         log_gain = sure = self._sure(float(drift[1]), covariance)
         level = self.standing_level(drift)
-        if self.is_same_use:
+        if self.is_imposed:
+            # A machine does not press harder little by little; a new programme comes at once, and is told before this.
             level = -float(covariance[0, 1] / covariance[1, 1])
         elif level is None:
             return np.zeros(2)
@@ -164,18 +167,14 @@ class Trust:
     @property
     def may_be_preload(self) -> bool:
         """Whether a rest that moves may be a preload that changed: the use does not come to zero load."""
-        if self.rest is None or self.is_same_use:
+        if self.rest is None:
             return False
         return self.zero is None or abs(self.rest - self.zero) > self.config.preload
 
     def use_doubt(self, drift: Array, applied: Array) -> float:
         """Return the expected square, in scales, of the error of a correction whose log gain may have been use."""
         level = self.standing_level(drift)
-        return (
-            0.0
-            if level is None or self.is_same_use
-            else self.config.use_share * float(applied[1]) ** 2 * (1 + level**2)
-        )
+        return 0.0 if level is None else self.config.use_share * float(applied[1]) ** 2 * (1 + level**2)
 
     def preload_doubt(self, drift: Array, applied: Array) -> float:
         """Return the same of a correction whose shift may have been a preload that changed."""

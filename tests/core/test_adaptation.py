@@ -153,14 +153,13 @@ def test_without_drift_it_is_the_plain_estimate(make_adapter: Callable[..., Adap
     assert rmse(adapted.estimate, force_N) <= 1.02 * rmse(plain.estimate, force_N)
 
 
-@pytest.mark.parametrize(("mode", "offset_V"), [("basic", 0.25), ("improved", 0.25), ("same-use", 0.08)])
-def test_drift_is_followed(make_adapter: Callable[..., Adapter], mode: str, offset_V: float) -> None:
-    """A gain as far as the rest vouches for it, or as somebody vouches for the use."""
+@pytest.mark.parametrize("mode", ["basic", "improved"])
+def test_drift_is_followed(make_adapter: Callable[..., Adapter], mode: str) -> None:
     t_s, output_V, force_N = stream(600.0)
     last = slice(len(t_s) // 2, None)
 
-    raw = make_adapter("none").advance(t_s, drifted(output_V, offset_V=offset_V)).estimate
-    followed = make_adapter(mode).advance(t_s, drifted(output_V, offset_V=offset_V)).estimate
+    raw = make_adapter("none").advance(t_s, drifted(output_V)).estimate
+    followed = make_adapter(mode).advance(t_s, drifted(output_V)).estimate
 
     assert rmse(raw[last], force_N[last]) > 0.1
     assert rmse(followed[last], force_N[last]) < 0.025

@@ -155,23 +155,18 @@ def test_weaker_presses_of_a_harder_use_do_not_drag_the_gain_after_it() -> None:
     assert error_of(tracker, 1.0, 0.3) < 0.05
 
 
-@pytest.mark.parametrize("is_same_use", [False, True])
-def test_equal_presses_that_slowly_grow_are_gain_only_where_somebody_vouches_for_the_use(is_same_use: bool) -> None:
-    """A programme may grow as a person's use does: that a machine times it says nothing about its size."""
-    use = calibrated_use()
-    tracker = DriftTracker(use, is_improved=True, is_same_use=is_same_use)
+def test_presses_of_a_machine_that_slowly_grow_larger_are_gain() -> None:
+    use, tracker = begun()
     output = presses(1200.0, seed=4)
     gain = np.minimum(1.15, np.linspace(1.0, 1.25, len(output)))
 
-    seen = observe(tracker, 1 + (output - 1) * gain, use)
+    observe(tracker, 1 + (output - 1) * gain, use)
 
-    true_gain = 1.15 if is_same_use else 1.0
-    assert error_of(tracker, true_gain, 1 - true_gain) < 0.03
-    assert seen[-1].verdict == (FOLLOWED if is_same_use else HELD)
+    assert error_of(tracker, 1.15, 1 - 1.15) < 0.03
 
 
 @pytest.mark.parametrize("share", [0.9, 1.1])
-def test_equal_presses_that_grow_at_once_about_a_standing_rest_are_another_programme(share: float) -> None:
+def test_presses_of_a_machine_that_grow_at_once_about_a_standing_rest_are_another_programme(share: float) -> None:
     """A tenth is less than what any jump of a person's use must be; the filter followed it as a gain."""
     use, tracker = begun(presses(400.0, scatter=0.004), used_s=0.0)
     output = presses(1200.0, seed=4, scatter=0.004)
@@ -434,3 +429,15 @@ def test_correction_that_a_preload_would_have_asked_for_as_well_is_said_to_be(
     seen = observe(tracker, output + np.linspace(0.0, 0.2, len(output)), use)
 
     assert any(one.reason == PRELOADED for one in seen) == is_said
+
+
+@pytest.mark.parametrize(("calibrated_s", "is_imposed"), [(120.0, False), (600.0, True)])
+def test_few_equal_durations_of_a_learnt_use_do_not_show_a_machine(calibrated_s: float, is_imposed: bool) -> None:
+    """A quarter of the calibration's length is learnt from: seven presses, or thirty-seven."""
+    use, tracker = begun(presses(calibrated_s))
+
+    observe(tracker, presses(0.4 * calibrated_s, seed=8, power=6.0), use)
+
+    calibrated, learnt = tracker._now.activities
+    assert calibrated.is_imposed
+    assert learnt.is_imposed == is_imposed
