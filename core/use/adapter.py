@@ -30,7 +30,7 @@ from softcal.core.use.tracker import DriftTracker
 FILTERS = ("none", "basic", "improved")
 QUEUES = ("ot", "ot-improved")
 MODES = (*FILTERS, *QUEUES)
-STATE_FORMAT = 7
+STATE_FORMAT = 8
 """Of what `Adapter.state` returns; raised whenever a state kept before could not be gone on from."""
 
 
@@ -99,7 +99,7 @@ class Adapter(Batches):
         self._use, self._error_per_scale = learn_sensitivity(network, calibration, recording, config.method)
         self._cutter, self._tracker = self._parts()
         self._evidence: list[tuple[float, float] | None] = []
-        self._of_use, self._of_map = Overdue(), Overdue()
+        self._of_use = Overdue()
         reason = "" if self._use.lesson.activity else self._use.lesson.reason
         self._last = replace(self._tracker.start(), verdict=START, reason=reason)
         self._begin(self._start())
@@ -121,7 +121,8 @@ class Adapter(Batches):
         return self._calibration.unit_map.apply(correction.apply(windows))
 
     def _trouble(self) -> str:
-        return UNSETTLED if self._tracker.is_unsettled else super()._trouble()
+        is_doubtful = self._current.predicted_rmse > self._method.doubt.alarm_ratio * self._calibrated_rmse
+        return super()._trouble() or (UNSETTLED if is_doubtful or self._tracker.is_unsettled else "")
 
     def _with_state(self, flag: Flags) -> Flags:
         # Nothing is watched where the map is left as it is.
@@ -173,7 +174,6 @@ class Adapter(Batches):
         # An open jump makes the predicted error large for two cycles: that alone decides nothing.
         if not self._tracker.is_unsettled:
             self._of_use = self._overdue(self._of_use, found.of_use)
-            self._of_map = self._overdue(self._of_map, found.of_map)
         seen = self._last = last or self._last
         verdict, reason = seen.verdict, seen.reason
         if self._of_use.why and verdict == FOLLOWED:
@@ -193,12 +193,12 @@ class Adapter(Batches):
             predicted_rmse=self._predicted_rmse(found.growth),
             verdict=verdict,
             reason=reason,
-            alarm=self._alarm() or self._tracker.alarm or self._of_map.why,
+            alarm=self._alarm() or self._tracker.alarm,
         )
 
     def _drift_doubt(self, now_s: float | None) -> Doubt:
         if self._config.mode == "none" or now_s is None:
-            return Doubt(0.0, 0.0, {}, {})
+            return Doubt(0.0, 0.0, {})
         return self._tracker.doubt_at(now_s)
 
     def _predicted_rmse(self, doubt: float) -> float:
@@ -229,7 +229,6 @@ class Adapter(Batches):
     def _own_state(self) -> dict[str, object]:
         return {
             "of_use": asdict(self._of_use),
-            "of_map": asdict(self._of_map),
             "last": asdict(self._last),
             "evidence": [None if pair is None else list(pair) for pair in self._evidence],
             "cutter": self._cutter.state(),
@@ -240,9 +239,9 @@ class Adapter(Batches):
         cutter, tracker = self._parts()
         cutter.restore(state["cutter"])
         tracker.restore(state["tracker"])
-        of_use, of_map = restored(Overdue, state["of_use"]), restored(Overdue, state["of_map"])
+        of_use = restored(Overdue, state["of_use"])
         self._last = restored(Observation, state["last"])
-        self._cutter, self._tracker, self._of_use, self._of_map = cutter, tracker, of_use, of_map
+        self._cutter, self._tracker, self._of_use = cutter, tracker, of_use
         self._evidence = [None if pair is None else (pair[0], pair[1]) for pair in state["evidence"]]
 
 

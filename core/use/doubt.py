@@ -1,8 +1,7 @@
-"""How wrong the estimates of a unit in use may be: for its interval, its predicted error, its state and its alarm.
+"""How wrong the estimates of a unit in use may be: for its interval, its predicted error and its state.
 
 All numbers are standard deviations or their squares in scales of the calibrated use, and independent: squares add up.
-What may be use as well as drift is no alarm: nothing of it is applied, and the state of the rows says so. An alarm
-counts what is wrong with the map that is applied.
+What may be use as well as drift is no alarm: nothing of it is applied, and the state of the rows says so.
 """
 
 from collections.abc import Mapping
@@ -17,14 +16,12 @@ UNCOMPARED = "much of the use could not be compared with any that is known"
 MISSED = "the use moved while it was learnt: sensor or use"
 STRAY = "a new use rests where none that is known does: sensor or use"
 OPEN = "a drift is seen that is not followed, for a change of use would look the same"
-LATE = "the drift is faster than it is followed"
 JUMP = "a sudden change is not explained"
 QUEUE = "a queue was mapped far from the calibration: a drift, or another use"
-FAR = "what was corrected is so much that the rest of it counts"
 """Why estimates may be wrong."""
 
-CALIBRATE, COMPARE = "calibrate against a reference", "compare a known load"
-"""What to do: one known load tells use from drift; a drift that is known needs a calibration."""
+COMPARE = "compare a known load"
+"""What to do: one known load tells use from drift."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,18 +79,16 @@ class Doubt:
     Args:
         growth: for the predicted error.
         of_use: squares of what may be use as well as drift, by why: it holds the map.
-        of_map: squares of what is in doubt about the correction that is applied, by why: it raises the alarm.
     """
 
     widening: float
     growth: float
     of_use: Mapping[str, float]
-    of_map: Mapping[str, float]
 
 
 def due(why: str) -> str:
     """Return why, and what to do."""
-    return f"{why}; {CALIBRATE if why in (LATE, FAR) else COMPARE}"
+    return f"{why}; {COMPARE}"
 
 
 def doubt(seen: Evidence, config: DoubtConfig) -> Doubt:
@@ -101,15 +96,16 @@ def doubt(seen: Evidence, config: DoubtConfig) -> Doubt:
 
     Interval and predicted error hold three things: the error of the applied correction, what may have come since the
     last cycle or in use that was not compared, and what was not explained. The error of the correction is its variance,
-    a share of its size, a share of the whole way of the rest, and that its gain may have been use. The interval adds
-    all of the estimated drift that was not applied. Of a use that is not known it adds how far that rests from those
-    that are, and a gain as large. Of the drift the predicted error adds only what exceeds chance, and of that the part
-    that is as likely drift as use. It leaves out use that was not compared while the first use is still being learnt.
+    a share of its size, how far it is behind, a share of the whole way of the rest, and that its gain may have been
+    use. The interval adds all of the estimated drift that was not applied. Of a use that is not known it adds how far
+    that rests from those that are, and a gain as large. Of the drift the predicted error adds only what exceeds chance,
+    and of that the part that is as likely drift as use. It leaves out use that was not compared while the first use is
+    still being learnt.
     """
     # What was not applied cannot be wrong by chance: the variance counts as far as the correction goes.
     share = min(1.0, seen.size / max(float(seen.drift @ seen.drift), 1e-24))
     known = share * seen.chance + config.correction**2 * seen.size
-    known += (config.way * seen.moved) ** 2 + seen.use_doubt + seen.preload_doubt + seen.walked
+    known += (config.way * seen.moved) ** 2 + seen.use_doubt + seen.preload_doubt + seen.walked + share * seen.lag**2
     open_ends = seen.unresolved**2 + seen.missed**2 + seen.stray**2
     unseen = (config.unseen * seen.unseen) ** 2
     counted = 0.0 if seen.is_learning else unseen
@@ -124,5 +120,4 @@ def doubt(seen: Evidence, config: DoubtConfig) -> Doubt:
             JUMP: seen.unresolved**2,
             OPEN: max(0.0, seen.left - config.certain * seen.chance) + (1 - share) * seen.lag**2,
         },
-        of_map={LATE: share * seen.lag**2, FAR: config.far**2 * seen.size + config.vouched * seen.use_doubt},
     )

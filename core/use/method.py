@@ -221,12 +221,10 @@ class DoubtConfig:
         correction: share of an applied correction that stays in doubt: drift is neither affine nor all of it seen.
         way: the same for the whole way the rest has gone: a moving sensor is followed late.
         unseen: drift in scales that may have come in use as long as the calibration recording that was not compared.
-        far: of an applied correction this share counts for the alarm.
-        vouched: of the square of a gain that was applied and may have been use, this share does.
         certain: a drift that is seen and not applied, and a mean innovation, count where their squares exceed so many
             times what chance makes of them.
-        alarm_ratio, clear_ratio: the map is held, or a calibration due, when what may be use, or what is wrong with the
-            correction, brings the error to the first number of times that of the calibration, until it is below the
+        alarm_ratio, clear_ratio: rows are unsettled where the predicted error is more than the first number of times
+            that of the calibration. Where what may be use brings it there, the map is held until it falls below the
             second.
         alarm_cycles: for so many usual cycles on end, so that one odd cycle decides nothing.
         swap: a new correction replaces the old one when it moves an extreme of the output by this share of its scale.
@@ -237,8 +235,6 @@ class DoubtConfig:
     correction: float = setting(0.2, HARM)
     way: float = setting(0.12, HARM)
     unseen: float = setting(0.15, HARM)
-    far: float = setting(0.03, HARM)
-    vouched: float = setting(0.2, HARM)
     certain: float = setting(2.0, HARM)
     alarm_ratio: float = setting(2.0)
     clear_ratio: float = setting(1.5, HARM)
@@ -287,7 +283,7 @@ class UseMethod(NumberedMethod):
         intake, cycle, activity, drift, jump, learning, trust, doubt, trim, online: a section a module or concern.
     """
 
-    version: int = setting(2, "raised by hand")
+    version: int = setting(3, "raised by hand")
     intake: IntakeConfig = field(default_factory=IntakeConfig)
     cycle: CycleConfig = field(default_factory=CycleConfig)
     activity: ActivityConfig = field(default_factory=ActivityConfig)

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from softcal.core.recording import Array
 from softcal.core.use.activity import Activity
 from softcal.core.use.cycles import Cycle
@@ -98,3 +100,15 @@ class TrackerState:
     away: float = 0.0
     opening: float = 0.0
     opening_sd: float = 0.0
+
+    @property
+    def seen(self) -> Array:
+        """(2, 2) covariance of the drift as the latest activity shows it."""
+        return self.filter.seen_by(self.latest)[1] if self.activities else self.filter.doubt()
+
+    @property
+    def applied(self) -> Array:
+        """(2,) shift and log gain that the correction takes out."""
+        if self.to_settle:
+            return self.carried
+        return np.asarray(self.trust.applied(self.filter.drift, self.seen) + np.array([self.trial, 0.0]))

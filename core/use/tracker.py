@@ -21,11 +21,12 @@ from typing import Any
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.core.use.activity import Activity, CalibratedUse, Lesson, learn_activity, timing_scatter
+from softcal.core.use.activity import Activity, CalibratedUse, timing_scatter
 from softcal.core.use.cycles import Cycle
 from softcal.core.use.doubt import Doubt, Evidence, doubt
 from softcal.core.use.filter import DriftFilter
 from softcal.core.use.kept import restored, state_of
+from softcal.core.use.learning import UseLearner
 from softcal.core.use.method import UseMethod
 from softcal.core.use.observation import (
     FOLLOWED,
@@ -40,8 +41,8 @@ from softcal.core.use.observation import (
     Observation,
     TrackerState,
 )
-from softcal.core.use.reseating import RestBeyond, is_like_but_for_shape, rest_beyond, rest_step
-from softcal.core.use.trust import Trust, movement
+from softcal.core.use.reseating import is_like_but_for_shape, rest_step
+from softcal.core.use.trust import Trust
 
 
 class DriftTracker:
@@ -61,14 +62,14 @@ class DriftTracker:
         method: UseMethod = UseMethod(),  # noqa: B008 - frozen
     ) -> None:
         self._use, self._is_improved, self._method = use, is_improved, method
+        self._learner = UseLearner(use, method)
         known, drift = use.lesson.activity, method.drift
-        self._has_calibrated = known is not None
         # Without a calibrated activity the drift is counted from the first one learnt.
-        state = DriftFilter.start(np.array(drift.start_doubt) * self._has_calibrated)
+        state = DriftFilter.start(np.array(drift.start_doubt) * (known is not None))
         if known is not None:
             state = state.with_independent(known.doubt)
         # A trend seen in the calibration recording itself may go on.
-        spread = np.array(drift.prior) ** 2 + use.lesson.trend**2 * self._has_calibrated
+        spread = np.array(drift.prior) ** 2 + use.lesson.trend**2 * (known is not None)
         self._walk = np.diag(spread) / use.duration_s
         self._overdue_s = method.cycle.overdue * use.usual_s
         self._memory = max(drift.memory_cycles, drift.memory_samples / use.usual)
@@ -127,14 +128,13 @@ class DriftTracker:
         return self._compare(standard, index)
 
     def start(self) -> Observation:
-        shift_sd, log_gain_sd = np.sqrt(np.diag(self._now.filter.doubt())).tolist()
-        return Observation(0.0, HELD, "", 0.0, 0.0, shift_sd, log_gain_sd, -1)
+        return self._observation(0.0, HELD, "", -1)
 
     def reconnect(self) -> None:
         """Allow for what may have happened in an interruption of unknown length."""
         now = self._now
         now.last_s, now.trial, now.was_known = None, 0.0, False
-        now.carried, now.to_settle = self._applied(), self._settling
+        now.carried, now.to_settle = now.applied, self._settling
         now.filter = now.filter.moved(np.diag(np.array(self._method.drift.start_doubt) ** 2))
         now.jumps.clear()
         now.strangers.clear()
@@ -150,13 +150,14 @@ class DriftTracker:
 
     def correction(self) -> tuple[float, float]:
         """Return gain and offset that carry the output now to the output at calibration, as far as evidence goes."""
-        shift, log_gain = self._applied()
+        shift, log_gain = self._now.applied
         gain = float(np.exp(-log_gain))
         return gain, self._use.mean - gain * float(self._use.mean + self._use.scale * shift)
 
     def doubt_at(self, t_s: float) -> Doubt:
         """Return how wrong the corrected output may be at a time."""
-        now, drift, applied = self._now, self._now.filter.drift, self._applied()
+        now = self._now
+        drift, applied = now.filter.drift, now.applied
         return doubt(
             Evidence(
                 drift=drift,
@@ -184,7 +185,7 @@ class DriftTracker:
         if not now.activities:
             return 0.0
         weight = np.array(self._method.drift.trend_weight)
-        expected = float(np.trace(self._seen() + now.activities[now.latest].noise))
+        expected = float(np.trace(now.seen + now.activities[now.latest].noise))
         beyond = np.sum(now.trend**2, axis=1) - self._method.doubt.certain * expected * weight / (2 - weight)
         return math.sqrt(max(0.0, float(beyond.max())))
 
@@ -194,18 +195,6 @@ class DriftTracker:
         if not self._is_improved or now.activities or now.first_s is None:
             return False
         return t_s - now.first_s < self._method.learning.first_use_s
-
-    def _applied(self) -> Array:
-        now = self._now
-        if now.to_settle:
-            return now.carried
-        applied = now.trust.applied(now.filter.drift, self._seen())
-        return np.asarray(applied + np.array([now.trial, 0.0]))
-
-    def _seen(self) -> Array:
-        """Return the (2, 2) covariance of the drift as the latest activity shows it."""
-        now = self._now
-        return now.filter.seen_by(now.latest)[1] if now.activities else now.filter.doubt()
 
     def _recognise(self, cycle: Cycle) -> int:
         """Return the activity a cycle belongs to, -1 for none; of several the latest, unless only another fits."""
@@ -255,9 +244,8 @@ class DriftTracker:
 
     def _surprise(self, cycle: Cycle, index: int) -> tuple[Array, Array]:
         """Return the innovation: measured drift less the predicted one, and its covariance."""
-        now = self._now
-        mean, covariance = now.filter.seen_by(index)
-        activity = now.activities[index]
+        activity = self._now.activities[index]
+        mean, covariance = self._now.filter.seen_by(index)
         return activity.drift_of(cycle, self._use.rest_is_low) - mean, covariance + activity.noise
 
     def _compare(self, cycle: Cycle, index: int) -> Observation:
@@ -280,13 +268,10 @@ class DriftTracker:
         now.to_settle = max(0, now.to_settle - 1)
         self._remember(cycle, index)
         self._accept(measured, index)
-        if now.trust.is_use_as_likely(now.filter.drift, self._seen()):
-            return self._observation(cycle, HELD, USE_OR_GAIN, index)
-        return self._observation(cycle, FOLLOWED, self._preload(), index)
-
-    def _preload(self) -> str:
-        """Return what is to be said of a correction that a change of preload would have asked for as well."""
-        return PRELOADED if self._now.trust.may_be_preload and np.any(self._applied()) else ""
+        if now.trust.is_use_as_likely(now.filter.drift, now.seen):
+            return self._observation(cycle.end_s, HELD, USE_OR_GAIN, index)
+        is_preload = now.trust.may_be_preload and np.any(now.applied)
+        return self._observation(cycle.end_s, FOLLOWED, PRELOADED if is_preload else "", index)
 
     def _remember(self, cycle: Cycle, index: int) -> None:
         """Keep the log gain of the last few cycles of one activity."""
@@ -303,9 +288,8 @@ class DriftTracker:
             now.stray = now.stray_before = 0.0
         activity = now.activities[index]
         # A person may go on with what a machine was calibrated with.
-        is_imposed = activity.is_imposed and self._is_timed()
-        known = replace(activity, is_imposed=is_imposed)
-        now.trust = now.trust.after(known, measured.drift, self._seen(), 1 / self._settling)
+        known = replace(activity, is_imposed=activity.is_imposed and self._is_timed())
+        now.trust = now.trust.after(known, measured.drift, now.seen, 1 / self._settling)
         now.jumps.clear()
         now.alarm, now.unresolved = "", 0.0
 
@@ -335,15 +319,15 @@ class DriftTracker:
         now.unresolved = float(np.hypot(*step))
         if len(now.jumps) < config.cycles:
             if self._try(cycle, index):
-                return self._observation(cycle, TRIED, REST_MOVED, index)
+                return self._observation(cycle.end_s, TRIED, REST_MOVED, index)
             return self._held(cycle, f"a sudden change; {config.cycles} like cycles decide what it is", index)
         # Without a rest a jump of the sensor and one of the use are the same numbers.
         if not activity.has_rest:
             return self._held(cycle, "a sudden change of sensor or use, which no known rest can tell apart", index)
-        moved = self._rest_moved(activity, step)
+        moved = now.trust.jumped(activity, now.filter.drift, step)
         if abs(moved) <= max(config.floor[0], config.rest_sigmas * activity.rest_scatter):
             now.unresolved = 0.0
-            if self._is_improved and len(now.jumps) == config.most and self._learn(now.jumps):
+            if self._is_improved and len(now.jumps) == config.most and self._learner.learn(now, now.jumps):
                 now.jumps.clear()
             return self._held(cycle, "the rest is where it was: the use changed, not the sensor", index)
         after = now.filter.drift + np.array([moved, 0.0])
@@ -376,17 +360,6 @@ class DriftTracker:
         now.trial = step if abs(now.filter.drift[0] + step) <= self._method.drift.largest[0] else 0.0
         return now.trial != 0
 
-    def _rest_moved(self, activity: Activity, step: Array) -> float:
-        """Return how far a jump moved the output at rest and at zero load alike, which no use does."""
-        now = self._now
-        trust = replace(now.trust, rest=activity.rest, pivots=activity.pivots)
-        drift = now.filter.drift
-        moved = [
-            movement(drift + step, level) - movement(drift, level) for level in trust.levels(float(step[1])).tolist()
-        ]
-        # Use leaves one of the levels where it was, so the smallest movement is surely the sensor's.
-        return min(moved, key=abs) if min(moved) * max(moved) > 0 else 0.0
-
     def _follow_jump(self, cycle: Cycle, index: int, level: Array, moved: float) -> Observation:
         """Follow a re-seating; of one with more gain than its rest vouches for, the rest alone."""
         now, config = self._now, self._method.jump
@@ -398,122 +371,40 @@ class DriftTracker:
             reason = "the rest moved at once, and the use changed with it: re-seated"
         # Wide process noise lets the filter go to the new place at once instead of averaging over old cycles.
         free = now.filter.moved(np.diag((np.array(config.largest) / config.largest_sigmas) ** 2))
-        now.trust = now.trust.reseated(now.filter.drift, self._seen(), moved, round(self._memory))
+        now.trust = now.trust.reseated(now.filter.drift, now.seen, moved, round(self._memory))
         now.trend, now.to_settle, now.recent = np.zeros_like(now.trend), 0, []
         self._accept(free.measured(index, level, activity.noise / config.cycles), index)
-        return self._observation(cycle, JUMPED, reason, index)
+        return self._observation(cycle.end_s, JUMPED, reason, index)
 
     def _meet_stranger(self, cycle: Cycle) -> Observation:
-        now, config = self._now, self._method.learning
+        now = self._now
         now.jumps.clear()
         was_known, now.was_known, now.unresolved = now.was_known, False, 0.0
-        latest = now.latest
         # A sensor re-seated in the midst of a cycle gives it another shape.
-        if was_known and is_like_but_for_shape(cycle, now.activities[latest], now.filter.drift, self._method.jump):
-            if self._try(cycle, latest):
+        if was_known and is_like_but_for_shape(cycle, now.activities[now.latest], now.filter.drift, self._method.jump):
+            if self._try(cycle, now.latest):
                 now.unresolved = abs(now.trial)
-                return self._observation(cycle, TRIED, REST_MOVED, -1)
+                return self._observation(cycle.end_s, TRIED, REST_MOVED, -1)
         if not self._is_improved:
             return self._held(cycle, "the use is not that of the calibration recording")
-        now.strangers = [*now.strangers[-config.most_cycles + 1 :], cycle]
-        now.stray = max(now.stray_before, self._stray(now.strangers))
-        span_s = cycle.end_s - now.strangers[0].end_s
-        is_long = span_s >= config.length * self._use.duration_s or len(now.strangers) == config.most_cycles
-        enough = config.cycles if now.joined == 1 else config.joined_cycles
-        if len(now.strangers) >= enough and is_long and self._learn(now.strangers):
-            now.strangers.clear()
-            learnt = self._held(cycle, "a new use was learnt from the estimates so far", len(now.activities) - 1)
-            if len(now.activities) == 1:
-                # The drift is counted from the first activity: nothing of it came before.
-                now.unseen_s = 0.0
-            return learnt
-        most = config.most_cycles if now.joined == 1 else enough
-        if not now.activities and is_long and len(now.strangers) >= most:
-            self._join_more()
-        return self._held(cycle, "the use is none of those known")
-
-    def _join_more(self) -> None:
-        """Take more cycles together: means over several random presses are alike where single presses are not."""
-        now = self._now
-        more = [count for count in self._method.cycle.joined if count > now.joined]
-        if more:
-            if now.joined == 1:
-                now.single_s = float(np.median([cycle.duration_s for cycle in now.strangers]))
-                now.opening, now.opening_sd = _mean_level(now.strangers)
-            now.joined = more[0]
-            now.strangers.clear()
-
-    def _learn(self, cycles: list[Cycle]) -> bool:
-        """Learn an activity from cycles with the drift known now taken out."""
-        now = self._now
-        shift, gain = float(now.filter.drift[0]), float(np.exp(now.filter.drift[1]))
-        # The drift known now is taken out first, or it would become part of what the activity is compared with.
-        calibrated = [c.standardised(shift, gain) for c in cycles]
-        lesson = learn_activity(calibrated, self._use.rest_is_low, self._method.activity, self._use.curve)
-        activity = lesson.activity
-        if activity is None:
-            return False
-        if not now.activities:
-            now.missed = self._moved_meanwhile(lesson, activity)
-        # The calibrated activity is never forgotten: it alone knows the zero of the drift.
-        if len(now.activities) == self._method.learning.activities:
-            oldest = 1 if self._has_calibrated else 0
-            del now.activities[oldest]
-            now.filter = now.filter.without(oldest)
-        is_imposed = activity.is_imposed and len(cycles) >= self._method.activity.machine_cycles
-        now.activities.append(replace(activity, is_imposed=is_imposed))
-        now.stray_before = now.stray
-        now.filter = now.filter.with_learnt(activity.doubt)
-        now.latest, now.recent = len(now.activities) - 1, []
-        return True
-
-    def _moved_meanwhile(self, lesson: Lesson, activity: Activity) -> float:
-        """Return how far level and scale surely moved until a first activity was learnt, in scales."""
-        now = self._now
-        during = now.trust.sure_size(lesson.trend, lesson.trend_sd)
-        if not now.opening_sd:
-            return during
-        since = np.array([activity.level - now.opening])
-        sd = np.array([math.hypot(now.opening_sd, math.sqrt(activity.doubt[0, 0]))])
-        return math.hypot(during, now.trust.sure_size(since, sd))
-
-    def _stray(self, cycles: list[Cycle]) -> float:
-        """Return how far the rest of strange cycles surely lies from where any known use rests, in scales.
-
-        No use goes below the output of no load. One that stays above the known rests is as likely a preload as a sensor
-        that has moved; of a first use nobody knows yet whether it is preloaded.
-        """
-        now, trust = self._now, self._method.trust
-        if len(cycles) < self._method.activity.min_cycles:
-            return 0.0
-        found = self._beyond(cycles)
-        now.away = abs(self._beyond(cycles[-self._method.activity.min_cycles :]).away)
-        sd = math.hypot(found.sd, math.sqrt(float(now.filter.doubt()[0, 0])))
-        sure = now.trust.sure_size(np.array([found.away]), np.array([sd]))
-        if found.away < 0:
-            return max(0.0, sure - trust.step)
-        if not now.activities:
-            return 0.0
-        return math.sqrt(1 - trust.use_share) * max(0.0, sure - max(found.turning, trust.step))
-
-    def _beyond(self, cycles: list[Cycle]) -> RestBeyond:
-        """Return where cycles rest against zero load and wherever any known use rests, as the drift has it now."""
-        now, use = self._now, self._use
-        levels = [a.rest for a in now.activities if a.has_rest] + ([] if use.zero is None else [use.zero])
-        levels.append(((use.low if use.rest_is_low else use.high) - use.mean) / use.scale)
-        expected = float(now.filter.drift[0]) + float(np.exp(now.filter.drift[1])) * np.array(levels)
-        return rest_beyond(cycles, expected, use.rest_is_low, self._method.jump)
+        if not self._learner.take(now, cycle):
+            return self._held(cycle, "the use is none of those known")
+        learnt = self._held(cycle, "a new use was learnt from the estimates so far", len(now.activities) - 1)
+        if len(now.activities) == 1:
+            # The drift is counted from the first activity: nothing of it came before.
+            now.unseen_s = 0.0
+        return learnt
 
     def _held(self, cycle: Cycle, reason: str, index: int = -1) -> Observation:
         self._now.unseen_s += cycle.duration_s
         if self._is_learning(cycle.end_s):
-            return self._observation(cycle, UNWATCHED, NOT_WATCHED, index)
-        return self._observation(cycle, HELD, reason, index)
+            return self._observation(cycle.end_s, UNWATCHED, NOT_WATCHED, index)
+        return self._observation(cycle.end_s, HELD, reason, index)
 
-    def _observation(self, cycle: Cycle, verdict: str, reason: str, index: int) -> Observation:
+    def _observation(self, t_s: float, verdict: str, reason: str, index: int) -> Observation:
         shift, log_gain = self._now.filter.drift.tolist()
         shift_sd, log_gain_sd = np.sqrt(np.diag(self._now.filter.doubt())).tolist()
-        return Observation(cycle.end_s, verdict, reason, shift, log_gain, shift_sd, log_gain_sd, index)
+        return Observation(t_s, verdict, reason, shift, log_gain, shift_sd, log_gain_sd, index)
 
     def state(self) -> dict[str, object]:
         return state_of(self._now)
@@ -527,11 +418,3 @@ class DriftTracker:
         found = restored(TrackerState, state)
         # The thresholds are this method's, not those the state was taken with.
         self._now = replace(found, trust=replace(found.trust, config=self._method.trust))
-
-
-def _mean_level(cycles: list[Cycle]) -> tuple[float, float]:
-    """Return the mean level over the time of cycles, and its standard deviation."""
-    levels, weights = np.array([c.level for c in cycles]), np.array([c.duration_s for c in cycles])
-    mean = float(np.average(levels, weights=weights))
-    variance = float(np.average((levels - mean) ** 2, weights=weights))
-    return mean, math.sqrt(variance / len(cycles))

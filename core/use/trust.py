@@ -107,6 +107,13 @@ class Trust:
             found.append(float(np.interp(log_gain, *self.pivots)))
         return np.array(found)
 
+    def jumped(self, activity: Activity, drift: Array, step: Array) -> float:
+        """Return how far a step of a drift, both (2,), moved the output at rest and at zero load alike: no use does."""
+        levels = replace(self, rest=activity.rest, pivots=activity.pivots).levels(float(step[1]))
+        moved = [movement(drift + step, level) - movement(drift, level) for level in levels.tolist()]
+        # Use leaves one of the levels where it was, so the smallest movement is surely the sensor's.
+        return min(moved, key=abs) if min(moved) * max(moved) > 0 else 0.0
+
     def standing_level(self, drift: Array) -> float | None:
         """Return the level between rest, zero load and pivot that moved least; None where no rest is known."""
         if self.rest is None:

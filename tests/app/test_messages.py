@@ -18,7 +18,7 @@ from softcal.app.texts.reasons import PREFIX, said
 from softcal.core.errors import NoReply, SoftcalError
 from softcal.core.orders import Condition, Heartbeat, OrderKind, Progress, RunState, StationState
 from softcal.core.quality.gate import CellAtGate, GoldenCheck, RigFacts, StationFacts, may_run
-from softcal.core.use.doubt import FAR, JUMP, LATE, MISSED, OPEN, QUEUE, STRAY, UNCOMPARED, due
+from softcal.core.use.doubt import JUMP, MISSED, OPEN, QUEUE, STRAY, UNCOMPARED, due
 from softcal.core.use.observation import FOLLOWED, HELD, JUMPED, TRIED, UNWATCHED
 from softcal.core.words.reason import ENGLISH, PLAIN, Reason, packed, plain, reason, root_of
 from softcal.core.words.rig_sentences import SENTENCES
@@ -233,7 +233,7 @@ def test_every_reason_to_calibrate_again_has_its_korean_text(
 
 
 def test_every_cause_of_an_alarm_has_its_text() -> None:
-    for why in (UNCOMPARED, MISSED, STRAY, JUMP, OPEN, LATE, FAR, QUEUE):
+    for why in (UNCOMPARED, MISSED, STRAY, JUMP, OPEN, QUEUE):
         assert catalogue()["en"][f"adapt.{due(why)}"] == due(why)
         assert KOREAN(f"adapt.{due(why)}") not in (due(why), f"adapt.{due(why)}")
 

@@ -1,11 +1,11 @@
-"""What holds a map and what raises an alarm: not how far a drift has gone, but what of it is open or wrong."""
+"""What holds a map, and how wrong its correction may be: not how far a drift has gone, but what of it is open."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from softcal.core.use.doubt import JUMP, LATE, MISSED, OPEN, STRAY, UNCOMPARED, Doubt, Evidence, doubt
+from softcal.core.use.doubt import JUMP, MISSED, OPEN, STRAY, UNCOMPARED, Evidence, doubt
 from softcal.core.use.method import DoubtConfig
 
 CONFIG = DoubtConfig()
@@ -27,42 +27,43 @@ NOTHING = Evidence(
 )
 
 
-def all_of(found: Doubt) -> dict[str, float]:
-    return {**found.of_use, **found.of_map}
-
-
 def counted(seen: Evidence) -> float:
-    return float(np.sqrt(sum(all_of(doubt(seen, CONFIG)).values())))
+    return float(np.sqrt(sum(doubt(seen, CONFIG).of_use.values())))
 
 
-def test_a_drift_that_is_applied_in_full_counts_a_small_share_of_its_size() -> None:
-    drift = np.array([0.8, 0.0])
+def test_a_drift_that_is_applied_in_full_holds_nothing_and_its_doubt_grows_with_its_size() -> None:
+    small, large = (replace(NOTHING, drift=d, applied=d) for d in (np.array([0.4, 0.0]), np.array([0.8, 0.0])))
 
-    followed = counted(replace(NOTHING, drift=drift, applied=drift))
+    assert counted(large) == 0.0
+    assert doubt(small, CONFIG).growth < doubt(large, CONFIG).growth < 0.4
 
-    assert followed <= 0.05 * 0.8
-    assert doubt(replace(NOTHING, drift=drift, applied=drift), CONFIG).growth > 3 * followed
+
+def test_a_correction_that_is_behind_is_doubted_by_how_far() -> None:
+    drift = np.array([0.3, 0.0])
+    level = replace(NOTHING, drift=drift, applied=drift)
+
+    behind = doubt(replace(level, lag=0.5), CONFIG)
+
+    assert behind.growth**2 - doubt(level, CONFIG).growth ** 2 == pytest.approx(0.5**2)
+    assert sum(behind.of_use.values()) == 0.0
 
 
 @pytest.mark.parametrize(
-    ("why", "is_of_use", "change"),
+    ("why", "change"),
     [
-        (UNCOMPARED, True, {"unseen": 1.0}),
-        (MISSED, True, {"missed": 0.3}),
-        (STRAY, True, {"stray": 0.3}),
-        (JUMP, True, {"unresolved": 0.3}),
-        (OPEN, True, {"drift": np.array([0.0, 0.3])}),
-        (OPEN, True, {"lag": 0.3}),
-        (LATE, False, {"lag": 0.5, "drift": np.array([0.3, 0.0]), "applied": np.array([0.3, 0.0])}),
+        (UNCOMPARED, {"unseen": 1.0}),
+        (MISSED, {"missed": 0.3}),
+        (STRAY, {"stray": 0.3}),
+        (JUMP, {"unresolved": 0.3}),
+        (OPEN, {"drift": np.array([0.0, 0.3])}),
+        (OPEN, {"lag": 0.3}),
     ],
 )
-def test_what_may_be_use_holds_and_what_is_wrong_alarms(why: str, is_of_use: bool, change: dict[str, object]) -> None:
-    found = doubt(replace(NOTHING, **change), CONFIG)  # type: ignore[arg-type]
+def test_what_may_be_use_holds(why: str, change: dict[str, object]) -> None:
+    squares = doubt(replace(NOTHING, **change), CONFIG).of_use  # type: ignore[arg-type]
 
-    squares = all_of(found)
     assert max(squares, key=squares.__getitem__) == why
     assert squares[why] > max(0.01, 0.99 * sum(squares.values()))
-    assert (why in found.of_use) == is_of_use
 
 
 def test_a_drift_within_chance_counts_nothing() -> None:
@@ -74,5 +75,5 @@ def test_use_not_compared_widens_the_interval_but_counts_only_once_the_first_use
     later = doubt(replace(NOTHING, unseen=1.0), CONFIG)
 
     assert learning.widening == later.widening >= CONFIG.unseen
-    assert (learning.growth, sum(all_of(learning).values())) == (0.0, 0.0)
+    assert (learning.growth, sum(learning.of_use.values())) == (0.0, 0.0)
     assert later.growth == pytest.approx(CONFIG.unseen)
