@@ -274,10 +274,10 @@ class Tree:
         whole, left = path.read_text("utf-8"), list(tests)
         while left:
             self._write(path, broken(mutant))
-            failed = self._first_failure(left, longest_s)
+            failed = self.first_failure(left, longest_s)
             self._write(path, whole)
             is_known = failed not in left or failed in self._sure
-            if is_known or not self._first_failure([failed], longest_s):
+            if is_known or not self.first_failure([failed], longest_s):
                 # A test passes without the fault once and for all.
                 self._sure.add(failed)
                 return failed, round(time.monotonic() - began_s, 1)
@@ -290,7 +290,7 @@ class Tree:
         self._written_s += 10
         os.utime(path, (self._written_s, self._written_s))
 
-    def _first_failure(self, tests: Sequence[str], longest_s: float) -> str:
+    def first_failure(self, tests: Sequence[str], longest_s: float) -> str:
         """Return the first test that fails, "" for none within so many seconds of the processor."""
         printed, used_s = self.folder / "printed.txt", FORKED.Value("d", 0.0)
         for batch in _batches(tests, self._seconds):
@@ -303,11 +303,11 @@ class Tree:
             if child.exitcode != 0:
                 child.kill()
                 child.join()
-                said = printed.read_text()
-                failed = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", said, re.MULTILINE)
-                if not failed and child.exitcode not in (-signal.SIGXCPU, -signal.SIGKILL):
-                    raise RuntimeError(f"exit code {child.exitcode}: {said[-2000:]}")
-                return failed[1] if failed else ""
+                if child.exitcode in (-signal.SIGXCPU, -signal.SIGKILL):
+                    return ""
+                failed = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", printed.read_text(), re.MULTILINE)
+                # Where nothing can be collected any more, no test has a name.
+                return failed[1] if failed else f"exit code {child.exitcode}"
         return ""
 
 
@@ -381,6 +381,11 @@ def try_all(mutants: Sequence[Mutant], layer: str, keep: Path, longest_s: float)
     random.Random(0).shuffle(left)
     line_map = LineMap(keep / layer)
     trees = [Tree(line_map.seconds), Tree(line_map.seconds)]
+
+    for tree in trees:
+        # What fails without a fault in this way would count as noticed.
+        if failed := tree.first_failure([min(line_map.seconds, key=lambda name: line_map.seconds[name])], longest_s):
+            raise RuntimeError(f"{failed} fails without a fault; {tree.folder}/printed.txt says why")
 
     def work(which: int) -> None:
         for mutant in left[which :: len(trees)]:
