@@ -415,12 +415,16 @@ def print_table(mutants: Sequence[Mutant], keep: Path) -> None:
     for room in [*ROOMS, "all"]:
         counts = Counter(noticed.get(name, "") for name in mine if room in (room_of[name], "all"))
         print(f"| {room} | {counts.total()} | {counts['fast']} | {counts['long']} | {counts['']} |")
-    fast, every = sum(noticed.get(name) == "fast" for name in mine), sum(name in noticed for name in mine)
-    from softcal.core.challenge.score import wilson
+    if any(row["layer"] == "long" for row in rows):
+        from softcal.core.challenge.score import wilson
 
-    low, high = wilson(fast, every)
-    print(f"\nOf {every} that any test noticed the fast layer notices {fast}: {fast / max(1, every):.1%}", end="")
-    print(f" (95 % {low:.1%} to {high:.1%}). Median {np.median([row['seconds'] for row in rows]):.1f} s a trial.")
+        fast, every = sum(noticed.get(name) == "fast" for name in mine), sum(name in noticed for name in mine)
+        low, high = wilson(fast, every)
+        print(f"\nOf {every} that any test noticed the fast layer notices {fast}: {fast / max(1, every):.1%}", end="")
+        print(f" (95 % {low:.1%} to {high:.1%}).")
+    else:
+        print("\nThe long layer has not been tried: what share the fast one has is not known.")
+    print(f"Median {np.median([row['seconds'] for row in rows]):.1f} s a trial.")
     for name in mine:
         if noticed.get(name) != "fast":
             print(f"- {noticed.get(name, 'none')}: `{name}`")
