@@ -14,6 +14,7 @@ from softcal.app.use.adapt import AdaptOptions, adapt_file
 from softcal.core.use.adapter import AdaptConfig
 from softcal.core.use.method import UseMethod
 from softcal.db.connection import open_registry
+from tests.layers import layered
 
 RELEASED = Path(__file__).parents[1] / "core" / "released"
 NETWORK = ("--hidden", "16,8")
@@ -278,7 +279,7 @@ def test_until_the_first_swap_the_rows_are_those_without_adaptation(
     assert not np.allclose(ot[swap + 32 :], none[swap + 32 :])
 
 
-@pytest.mark.parametrize("mode", QUEUES)
+@pytest.mark.parametrize("mode", layered(QUEUES, ("ot",)))
 def test_next_file_goes_on_with_the_queue_of_the_last(bench: Path, stream: Path, tmp_path: Path, mode: str) -> None:
     rows = pd.read_csv(stream)
     rows.head(480).to_csv(tmp_path / "first.csv", index=False)

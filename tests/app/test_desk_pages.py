@@ -313,6 +313,7 @@ def keep_diagnosis(url: str, case: Path, **facts: object) -> None:
         board.end(job, RunState.DONE, str(facts["verdict"]), {"hidden_fraction": {}, "gap": {}} | lists | facts)
 
 
+@pytest.mark.long
 def test_one_click_presses_the_proposed_experiment_on_the_simulated_rig(calibrated: str, show, jobs_at_once) -> None:
     case = practise("usual")
     proposed = {"profile": "rate_sweep", "why": "three speeds part creep from drift", "minutes": 2.0}

@@ -70,6 +70,7 @@ def demo_lot(trained_lot: Path, monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return pressed
 
 
+@pytest.mark.long
 def test_the_demo_ends_on_the_page_of_its_lot_for_who_is_alone(
     tmp_path: Path, demo_lot: list[int], open_page, jobs_at_once: None
 ) -> None:

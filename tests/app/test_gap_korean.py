@@ -46,6 +46,7 @@ from softcal.core.twin.simulate import EffectSetting, Twin, simulate
 from softcal.core.words.gap_sentences import GAP_SENTENCES
 from softcal.core.words.reason import Reason
 from softcal.db.connection import open_registry
+from tests.layers import layered
 
 English = Callable[[str], list[str]]
 KOREAN, ENGLISH = partial(text, "ko"), partial(text, "en")
@@ -102,7 +103,7 @@ CASES: dict[str, tuple[str, Callable[[], list[Run]]]] = {
 }
 
 
-@pytest.fixture(scope="module", params=CASES)
+@pytest.fixture(scope="module", params=layered(CASES, ("nothing", "a warm channel", "no thermometer")))
 def diagnosis(request: pytest.FixtureRequest) -> Diagnosis:
     verdict, runs = CASES[request.param]
     found = diagnose(Case("G1", tuple(runs())))

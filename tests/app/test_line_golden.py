@@ -26,6 +26,7 @@ from softcal.db.connection import open_registry
 from softcal.db.entries import StoredCalibration
 from softcal.db.registry import Registry
 from softcal.station.record.recording import Alignment, StationRecording
+from tests.layers import layered
 
 DAY_GAIN, DAY_ZERO_V = 1.06, 0.01
 SMALL = ("--hidden", "16,8")
@@ -103,6 +104,7 @@ def test_whoever_calibrates_that_recording_again_crosses_the_same_bridge(
     assert [one.revision for one in registry.calibrations.history("B1")] == [1]
 
 
+@pytest.mark.long
 def test_a_lot_that_is_laid_out_takes_its_golden_run_along(registry, keeper, press_unit, tmp_path):
     press_golden(keeper, press_unit)
     press_product(keeper, press_unit)
@@ -167,7 +169,9 @@ def test_a_golden_run_that_lay_in_a_lot_folder_is_known_when_the_registry_lays_i
     assert {serial for serial, unit in again.items() if unit["is_new"]} == set()
 
 
-@pytest.mark.parametrize("beside", ["no golden run", "under the load cell", "without the load cell"])
+@pytest.mark.parametrize(
+    "beside", layered(("no golden run", "under the load cell", "without the load cell"), ("under the load cell",))
+)
 @pytest.mark.parametrize("is_pressed_first", [True, False])
 def test_line_batch_and_comparison_calibrate_a_recording_over_one_golden_run(
     beside, is_pressed_first, registry, registry_url, keeper, lot_folder, press_unit, tmp_path

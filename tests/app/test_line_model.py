@@ -388,7 +388,12 @@ def numbered_orders(monkeypatch: pytest.MonkeyPatch) -> None:
     ("loads", "begin", "cards"),
     [
         ((), (), CARDS),
-        (LOADS, TO_FIRST_LOAD, {"load", "reading", "armed", "hand", "recorded", "stopped", "broken"}),
+        pytest.param(
+            LOADS,
+            TO_FIRST_LOAD,
+            {"load", "reading", "armed", "hand", "recorded", "stopped", "broken"},
+            marks=pytest.mark.long,
+        ),
         (LOADS, TO_LAST_LOAD, {"load", "reading", "armed", "hand", "pass", "fail", "stopped", "broken", "ask"}),
     ],
     ids=["no loads", "two loads, from the first", "two loads, from the last"],

@@ -247,6 +247,7 @@ def test_audits_made_under_another_method_qualify_nothing(make_lot, batch, regis
     assert not evidence.qualification.is_given and evidence.widening == Widening()
 
 
+@pytest.mark.long
 def test_a_golden_unit_of_another_sensor_model_withdraws_nothing(make_lot, batch, registry):
     for name in ("one", "three", "seventh"):
         batch(make_lot(name, audits=4))
@@ -293,6 +294,7 @@ def test_golden_runs_of_several_days_are_kept_from_the_limit(make_lot, batch, re
     assert decided.judgement(serial).reasons[0].code == "sampled.day"
 
 
+@pytest.mark.long
 def test_three_earlier_lots_qualify_one_without_audits(make_lot, batch):
     for name in ("one", "three", "seventh"):
         batch(make_lot(name, audits=4))

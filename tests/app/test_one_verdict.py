@@ -130,6 +130,7 @@ def line_card(registry: Registry) -> LineView:
     return line_view(read_line(registry, Screen("line-1")), "", partial(text, "en"))
 
 
+@pytest.mark.long
 def test_every_surface_says_the_same_word(lot, rng):
     registry, lot_id = lot
     first = registry.calibrations.get("A1").record

@@ -125,6 +125,7 @@ def test_what_the_lot_folder_could_not_use_is_refused_before_anything_moves(soft
     assert not (tmp_path / "lot-1" / "units").exists()
 
 
+@pytest.mark.long
 def test_orders_end_in_a_lot_folder_of_which_batch_computes_nothing_again(softcal, tmp_path):
     url = f"sqlite:///{tmp_path / 'r.db'}"
     orders = [("A0", OrderKind.SOURCE), ("A1", OrderKind.UNIT), ("A2", OrderKind.UNIT)]

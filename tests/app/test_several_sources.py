@@ -62,6 +62,7 @@ def test_each_unit_takes_the_source_that_is_bent_like_it(tables, registry_url):
     assert sources == {"STRAIGHT": "S1", "BENT": "S2"}
 
 
+@pytest.mark.long
 def test_a_second_batch_computes_nothing_and_another_set_of_sources_is_another_calibration(tables, registry_url):
     imported(tables, "S1", "S2")
     report, command = tables / "report.json", ["batch", str(tables / "lot"), "--registry", registry_url, *SMALL]

@@ -53,6 +53,7 @@ def test_check_names_every_port_that_is_missing(softcal):
         softcal("check", "--port", "/dev/nowhere-1", "--port", "/dev/nowhere-2")
 
 
+@pytest.mark.long
 def test_source_and_unit_end_in_a_lot_folder_as_it_is_read(softcal, tmp_path):
     for kind, path, seconds in (("source", "lot-1/source/A0.csv", 20), ("unit", "lot-1/units/A1.csv", 6)):
         words = ("--serial", path[-6:-4], "--out", tmp_path / path, "--seconds", seconds, "--spool", tmp_path)
@@ -177,8 +178,8 @@ PRESS = ("unit", "--serial", "A1", "--out", "A1.csv")
 @pytest.mark.parametrize(
     ("command", "wait_for", "name"),
     [
-        (PRESS, "homing", "SIGINT"),
-        (PRESS, "searching for contact", "SIGHUP"),
+        pytest.param(PRESS, "homing", "SIGINT", marks=pytest.mark.long),
+        pytest.param(PRESS, "searching for contact", "SIGHUP", marks=pytest.mark.long),
         (("source", *PRESS[1:]), "pressing", "SIGTERM"),
     ],
 )

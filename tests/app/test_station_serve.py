@@ -96,6 +96,7 @@ def test_a_unit_gets_its_verdict_in_its_order_and_in_the_registry(line):
     assert line.registry.recordings.get(done.recording_sha256).serial == "A1"
 
 
+@pytest.mark.long
 def test_a_unit_pressed_again_gets_another_revision_with_its_reason(line):
     line.order("unit", "A2")
     line.order("unit", "A2", reason="it was not seated")
@@ -126,6 +127,7 @@ def test_a_fault_in_mid_run_stops_the_station_and_an_acknowledgement_brings_it_b
     assert line.order("unit", "A3").state is RunState.DONE
 
 
+@pytest.mark.long
 def test_a_golden_unit_is_judged_and_one_out_of_control_quarantines_what_was_pressed(line):
     line.order("unit", "G1")
     assert line.order("golden", "G1").verdict == "pass"

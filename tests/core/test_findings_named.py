@@ -13,6 +13,7 @@ from softcal.core.simulated_lot import LotDesign, SimulatedLot, simulate_lot
 from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.source_model import SourceModel, make_source_model
+from tests.layers import layered
 
 NETWORK = NetworkConfig(hidden=(24, 12), max_epochs=20, batch=128)
 
@@ -63,7 +64,7 @@ def test_wrong_polarity_is_named_alone(seed: int, model: SourceModel, shift: str
         assert names == {"reversed"} and made.decision.verdict == "fail"
 
 
-@pytest.mark.parametrize("shift", ["none", "own programme"])
+@pytest.mark.parametrize("shift", layered(("none", "own programme"), ("own programme",)))
 def test_twice_the_noise_is_not_clipping(seed: int, model: SourceModel, shift: str) -> None:
     (unit,) = lot(seed, good=1, shift=shift).units
     noise_V = float(np.median(np.abs(np.diff(unit.recording.output, 2)))) / 0.6745 / np.sqrt(6)
@@ -98,7 +99,7 @@ def lagging(recording: OutputRecording, lag_s: float) -> OutputRecording:
     return replace(recording, output=output)
 
 
-@pytest.mark.parametrize("lag_s", [0.3, 0.5])
+@pytest.mark.parametrize("lag_s", layered((0.3, 0.5), (0.5,)))
 def test_a_readout_that_lags_beside_a_shared_clock_is_named_for_it(seed: int, model: SourceModel, lag_s: float) -> None:
     (unit,) = lot(seed, good=1).units
     made, names = found(model, lagging(unit.recording, lag_s))

@@ -207,6 +207,7 @@ def test_samples_lost_beside_a_fast_clock_are_told_from_it():
     assert skew.value == pytest.approx(0.0015, rel=0.05)
 
 
+@pytest.mark.long
 def test_the_quiet_flat_top_of_a_clipped_output_is_not_taken_for_jitter_elsewhere():
     runs = []
     for run in make_case(("wiring_resistance", {"Rw": 2.0}, ())).runs:
@@ -242,6 +243,7 @@ def _low_pass(signal, tau_s):
     return np.array(out)
 
 
+@pytest.mark.long
 def test_a_cause_outside_the_catalogue_is_unknown():
     case = make_case()
     pitch = [run.stage_mm + 0.03 * np.sin(2 * np.pi * run.stage_mm / 0.4) for run in case.runs]
@@ -254,6 +256,7 @@ def test_a_cause_outside_the_catalogue_is_unknown():
     assert diagnosis.places[0].stage in ("motion", "mechanics") and str(diagnosis.places[0].detail)
 
 
+@pytest.mark.long
 def test_an_output_offset_that_drifts_is_not_blamed_on_ageing():
     case = make_case()
     runs = []
@@ -265,6 +268,7 @@ def test_an_output_offset_that_drifts_is_not_blamed_on_ageing():
     assert diagnosis.places[0].stage == "electronics"
 
 
+@pytest.mark.long
 def test_the_forecast_of_a_half_explained_gap_counts_the_noise_of_a_driving_force():
     runs = []
     for run in make_case().runs:
@@ -328,6 +332,7 @@ def test_one_run_is_diagnosed_on_stretches_held_back():
     assert diagnosis.causes[0].effect == "backlash" and "stretches" in diagnosis.protocol
 
 
+@pytest.mark.long
 def test_special_runs_join_the_fit():
     case = make_case(("loadcell_nonlinearity", {"lambda": 0.05}, ()))
     t_s = np.arange(500) / 50.0

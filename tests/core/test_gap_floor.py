@@ -104,6 +104,7 @@ def test_a_rig_without_a_gap_is_told_so_whatever_the_colour_of_its_noise(
     assert floor == pytest.approx(np.hypot(BASE.sigma_output_V, volts), rel=0.25)
 
 
+@pytest.mark.long
 def test_a_cause_is_named_through_coloured_noise() -> None:
     relaxes = EffectSetting("stress_relaxation", {"g": 0.08, "tau": 5.0})
     found = diagnose(_case(9, relaxes, newtons=0.03))

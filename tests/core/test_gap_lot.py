@@ -146,6 +146,7 @@ def as_case(sealed):
     return Case(sealed.name, tuple(Run(f"run {k}", readout=readout, **r.columns) for k, r in enumerate(runs)))
 
 
+@pytest.mark.long
 def test_the_lot_parts_causes_that_one_unit_cannot():
     # Pressed at one speed only, the first unit's lag may as well be another cause.
     lot = draw_lot(7307, "one_speed", 4)

@@ -18,6 +18,7 @@ from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Parameter
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate
+from tests.layers import layered
 
 READOUT = ReadoutMetadata(vref_V=3.3, adc_bits=14, r_series_ohm=10.0, sample_rate_Hz=50.0)
 BASE = BaseParameters(
@@ -38,8 +39,8 @@ EPISODES = {"dropped_samples": ((6.0, 5.0), (9.0, 8.0)), "intermittent_contact":
 CASES: dict[str, tuple[EffectSetting, ...]] = {"none": ()} | {
     i: (EffectSetting(i, SIZES.get(i, {}), EPISODES.get(i, ())),) for i in EFFECTS
 }
-QUICK = ("none", "channel_collapse", "wiring_resistance", "loadcell_nonlinearity", "mullins_softening")
-"""Cases of every kind of size (none, force, resistor, cell, a lazy minimum) that take seconds; the others are long."""
+QUICK = ("none", "wiring_resistance", "loadcell_nonlinearity")
+"""Cases of three kinds of size (none, resistor, cell) that take seconds; the others are long."""
 
 
 def _case(*effects: EffectSetting) -> Case:
@@ -85,7 +86,7 @@ def _agrees(name: str, factors: tuple[float, ...]) -> None:
         assert found[key] == (pytest.approx(value, abs=1e-4) if isinstance(value, float) else value), key
 
 
-@pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.long) for n in CASES])
+@pytest.mark.parametrize("name", layered(CASES, QUICK))
 def test_a_rig_larger_by_powers_of_ten_is_told_the_same(name: str) -> None:
     powers = np.random.default_rng(list(CASES).index(name)).integers(-3, 4, 4)
     _agrees(name, tuple(10.0**powers))

@@ -20,6 +20,7 @@ from softcal.core.gap.simulator_problem import followed, shifted
 from softcal.core.gap.simulator_search import base_fit
 from softcal.core.gap.simulator_terms import term_of, with_terms
 from softcal.core.twin.effects import Parameter
+from tests.layers import layered
 
 T = np.arange(400) * 0.05
 Values = Mapping[str, float]
@@ -262,7 +263,7 @@ def rms(fitted: Any) -> float:
     return float(np.sqrt(np.mean((fitted.problem.measured - fitted.predicted) ** 2)))
 
 
-@pytest.mark.parametrize("name", RIGS)
+@pytest.mark.parametrize("name", layered(RIGS, set(RIGS) - {PENDULUM.simulator.name}))
 def test_causes_are_named_and_no_plain_fit_is_closer(name: str) -> None:
     rig = RIGS[name]
     runs = rig.recorded()
@@ -326,9 +327,7 @@ def test_noise_that_fades_is_a_floor(name: str, has_cause: bool) -> None:
     assert found.best.hypothesis.ids == (rig.causes if has_cause else ())
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.long) if n == PENDULUM.simulator.name else n for n in RIGS]
-)
+@pytest.mark.parametrize("name", layered(RIGS, (SPRING.simulator.name, OVEN.simulator.name)))
 @pytest.mark.parametrize("has_cause", [False, True])
 def test_what_a_run_may_have_of_its_own_needs_no_cause(name: str, has_cause: bool) -> None:
     rig, channel = RIGS[name], RIGS[name].simulator.channels[0]

@@ -21,6 +21,7 @@ from softcal.core.use.adapter import AdaptConfig, Adapter
 from softcal.core.use.method import OnlineConfig, UseMethod
 from softcal.core.use.queued import QueuedTransport
 from softcal.core.windows import TAPS, windows
+from tests.layers import layered
 
 RATE_HZ, QUEUE, BATCH = 50.0, 320, 32
 REST_V, GAIN_V_N = 0.8, 0.25
@@ -84,6 +85,7 @@ def test_the_map_of_a_queue_is_the_barycentric_projection_of_pots_plan(bench: Be
     np.testing.assert_allclose(follower.unit_map.apply(queue), QUEUE * plan @ source.windows, atol=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mode", MODES)
 def test_the_map_of_a_queue_holds_once_the_next_is_full(bench: Bench, mode: str) -> None:
     t_s, output_V, _ = stream()
@@ -98,7 +100,7 @@ def test_the_map_of_a_queue_holds_once_the_next_is_full(bench: Bench, mode: str)
     assert swaps == [full_at(k) for k in range(2, (len(t_s) - TAPS + 1) // QUEUE + 1)]
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", layered(MODES, ("ot-improved",)))
 def test_a_gain_that_drifts_over_queues_is_followed(bench: Bench, mode: str) -> None:
     t_s, output_V, force_N = stream(120.0)
     network, calibration, source = bench
@@ -134,7 +136,7 @@ class Prompt(Executor):
         return solved
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", layered(MODES, ("ot-improved",)))
 def test_pieces_a_pool_and_a_restart_give_the_same_rows(bench: Bench, mode: str) -> None:
     t_s, output_V, _ = stream()
     whole = make(bench, mode).advance(t_s, output_V).estimate
@@ -198,6 +200,7 @@ def mixed(n: int, seed: int) -> Array:
     return force_N * np.repeat(np.random.default_rng(seed).uniform(0.4, 1.3, n // 400 + 1), 400)[:n]
 
 
+@pytest.mark.long
 def test_queues_that_differ_by_chance_are_said_to_be_unwatched_and_their_error_is_in_the_interval(bench: Bench) -> None:
     network, calibration, source = bench
     recording = replace(source.unlabelled, output=read_V(mixed(len(source.reference), 7), 8))
