@@ -1,15 +1,15 @@
 """How much of what is broken on purpose the tests notice: one small fault at a time, and the tests that run that line.
 
-    python benchmarks/mutants.py map --layer fast      which tests run which line (coverage, two processes)
-    python benchmarks/mutants.py try --layer fast      break, test; what is done is kept and not done again
-    python benchmarks/mutants.py map --layer long
-    python benchmarks/mutants.py try --layer long      what the fast layer has not noticed
-    python benchmarks/mutants.py table                 count
+    python benchmarks/mutants.py map                          which fast tests run which line (coverage, two processes)
+    python benchmarks/mutants.py try --layer fast             break, test; what is done is kept and not done again
+    python benchmarks/mutants.py try --layer long --most 60   of what the fast layer has not noticed, so many drawn
+    python benchmarks/mutants.py table                        count
 
 A fault is drawn by a seed over the rooms that decide: a comparison, an arithmetic or logical operator, a constant, a
-missing `not`. It is tried in a copy of the tree. The tests that run the broken line run, the nearest and quickest
-first, until one fails that does not fail without the fault. A fault that no test of a layer noticed within `--longest`
-seconds of the processor counts as not noticed by it.
+missing `not`. It is tried in a copy of the tree. The fast tests that run the broken line run, the nearest and quickest
+first, until one fails that does not fail without the fault. Of the long layer the tests run whose file names the broken
+module or something public of it, then those of the same room. A fault that no test of a layer noticed within
+`--longest` seconds of the processor counts as not noticed by it.
 """
 
 import argparse
@@ -27,7 +27,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -146,7 +145,7 @@ def broken(mutant: Mutant) -> str:
 
 # Which tests run which line.
 
-MARKS = {"fast": "not long", "long": "long"}
+LAYERS = {"fast": "not long", "long": "long"}
 RECORDER = """
 import json, os
 import coverage
@@ -182,9 +181,9 @@ def pytest_unconfigure(config):
 """
 
 
-def make_map(layer: str, keep: Path) -> None:
-    """Run a layer under coverage and keep which test runs which line."""
-    place = keep / layer
+def make_map(keep: Path) -> None:
+    """Run the fast layer under coverage and keep which test runs which line."""
+    place = keep / "fast"
     shutil.rmtree(place, ignore_errors=True)
     place.mkdir(parents=True)
     (place / "recorder.py").write_text(RECORDER)
@@ -192,12 +191,12 @@ def make_map(layer: str, keep: Path) -> None:
     environment = os.environ | {
         "MUTANTS_MAP": str(place), "MUTANTS_SOURCE": source, "PYTHONPATH": str(place), "COVERAGE_CORE": "ctrace",
     }  # fmt: skip
-    command = [sys.executable, "-m", "pytest", "-q", "-n", "2", "--dist", "loadfile", "-m", MARKS[layer]]
+    command = [sys.executable, "-m", "pytest", "-q", "-n", "2", "--dist", "loadfile", "-m", LAYERS["fast"]]
     subprocess.run([*command, "-p", "recorder", "--timeout", "3000"], cwd=ROOT, env=environment, check=False)
 
 
 class LineMap:
-    """Which tests of a layer run a line, the quickest file first."""
+    """Which fast tests run a line, the nearest and quickest first."""
 
     def __init__(self, place: Path) -> None:
         import coverage
@@ -233,8 +232,50 @@ class LineMap:
         file = name.partition("::")[0]
         if file not in self._texts:
             self._texts[file] = (ROOT / file).read_text("utf-8")
-        module = "softcal." + path.removesuffix(".py").replace("/", ".")
-        return 0 if module in self._texts[file] else 1 if file.split("/")[1] == path.split("/")[0] else 2
+        return 0 if module_of(path) in self._texts[file] else 1 if file.split("/")[1] == path.split("/")[0] else 2
+
+
+class NamedTests:
+    """Which long tests are about a module: those whose file names it most, then those whose own name shares words."""
+
+    def __init__(self) -> None:
+        listed = [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-q",
+            "--collect-only",
+            "-m",
+            LAYERS["long"],
+            "-p",
+            "no:cacheprovider",
+        ]
+        printed = subprocess.run(listed, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+        self._of_file: dict[str, list[str]] = {}
+        for name in printed.splitlines():
+            if "::" in name:
+                self._of_file.setdefault(name.partition("::")[0], []).append(name)
+        self._texts = {file: (ROOT / file).read_text("utf-8") for file in self._of_file}
+        # How long each takes is not known beforehand.
+        self.seconds = {name: 2.0 for names in self._of_file.values() for name in names}
+
+    def tests(self, mutant: Mutant) -> list[str]:
+        """Return the tests of the files that name its module or something public of it, then those of its room."""
+        tree = ast.parse((ROOT / mutant.path).read_text("utf-8"))
+        kinds = (ast.FunctionDef, ast.ClassDef)
+        public = [n.name for n in ast.walk(tree) if isinstance(n, kinds) and not n.name.startswith("_")]
+        named = re.compile(rf"\b(?:{'|'.join(map(re.escape, [module_of(mutant.path), *public]))})\b")
+        words = set(re.split(r"[/_.]", mutant.path))
+        files = []
+        for file, text in self._texts.items():
+            hits = len(named.findall(text)), len(words & set(re.split(r"[/_.]", file)) - {"py"})
+            if hits[0] or hits[1]:
+                files.append((hits, file))
+        return [name for _, file in sorted(files, reverse=True) for name in self._of_file[file]]
+
+
+def module_of(path: str) -> str:
+    return "softcal." + path.removesuffix(".py").replace("/", ".")
 
 
 # Break, test, count.
@@ -313,11 +354,11 @@ class Tree:
 
 FORKED = multiprocessing.get_context("forkserver")
 PRELOADED = (
-    "hypothesis",
-    "schemathesis.pytest.plugin",
-    "anyio.pytest_plugin",
+    "hypothesis.stateful",
     "xdist.plugin",
-    "streamlit",
+    "playwright.sync_api",
+    "alembic.command",
+    "streamlit.testing.v1",
     "numpy",
     "pandas",
     "ot",
@@ -361,35 +402,40 @@ def run_tests(
 
 
 def _batches(tests: Sequence[str], seconds: Mapping[str, float]) -> Iterator[Sequence[str]]:
-    """Yield tests in pieces that take twice as long each: most faults are noticed before the long tests are read."""
+    """Yield tests in pieces of three times the length: most faults are noticed before the long tests are read."""
     batch: list[str] = []
-    room_s = 2.0
+    room_s = 3.0
     for name in tests:
         if batch and sum(seconds[one] for one in batch) + seconds[name] > room_s:
             yield batch
-            batch, room_s = [], 2.0 * room_s
+            batch, room_s = [], 3.0 * room_s
         batch.append(name)
     yield batch
 
 
-def try_all(mutants: Sequence[Mutant], layer: str, keep: Path, longest_s: float) -> None:
-    """Try every fault that no layer has noticed and this one has not tried; append a line each to the file kept."""
+def try_all(mutants: Sequence[Mutant], layer: str, keep: Path, longest_s: float, most: int | None) -> None:
+    """Try faults that no layer has noticed and this one has not tried; append a line each to the file kept.
+
+    Args:
+        most: so many, drawn; None: all.
+    """
     rows = [json.loads(line) for line in _lines(keep / TRIED)]
     done = {row["mutant"] for row in rows if row["test"] or row["layer"] == layer}
     left = [mutant for mutant in mutants if mutant.name not in done]
     # All rooms at once: where it is stopped early, every room has been tried alike.
     random.Random(0).shuffle(left)
-    line_map = LineMap(keep / layer)
-    trees = [Tree(line_map.seconds), Tree(line_map.seconds)]
+    left = left[:most]
+    chosen = LineMap(keep / layer) if layer == "fast" else NamedTests()
+    trees = [Tree(chosen.seconds), Tree(chosen.seconds)]
 
     for tree in trees:
         # What fails without a fault in this way would count as noticed.
-        if failed := tree.first_failure([min(line_map.seconds, key=lambda name: line_map.seconds[name])], longest_s):
+        if failed := tree.first_failure([min(chosen.seconds, key=lambda name: chosen.seconds[name])], longest_s):
             raise RuntimeError(f"{failed} fails without a fault; {tree.folder}/printed.txt says why")
 
     def work(which: int) -> None:
         for mutant in left[which :: len(trees)]:
-            tests = line_map.tests(mutant)
+            tests = chosen.tests(mutant)
             test, seconds = trees[which].notices(mutant, tests, longest_s) if tests else ("", 0.0)
             row = {"mutant": mutant.name, "room": mutant.room, "layer": layer, "test": test, "seconds": seconds}
             with (keep / TRIED).open("a") as file:
@@ -409,19 +455,23 @@ def print_table(mutants: Sequence[Mutant], keep: Path) -> None:
     """Print how many faults of each room were noticed, and by which layer."""
     rows = [json.loads(line) for line in _lines(keep / TRIED)]
     noticed = {row["mutant"]: row["layer"] for row in rows if row["test"]}
+    by_long = {row["mutant"]: bool(row["test"]) for row in rows if row["layer"] == "long"}
     room_of = {row["mutant"]: row["room"] for row in rows}
     mine = [mutant.name for mutant in mutants if mutant.name in room_of]
-    print("| room | tried | noticed by the fast layer | by the long one alone | by none |\n|---|---|---|---|---|")
+    print("| room | tried | noticed by the fast layer | of the others tried with the long one | noticed by it |")
+    print("|---|---|---|---|---|")
     for room in [*ROOMS, "all"]:
-        counts = Counter(noticed.get(name, "") for name in mine if room in (room_of[name], "all"))
-        print(f"| {room} | {counts.total()} | {counts['fast']} | {counts['long']} | {counts['']} |")
-    if any(row["layer"] == "long" for row in rows):
+        of_room = [name for name in mine if room in (room_of[name], "all")]
+        fast, long = [noticed.get(name) == "fast" for name in of_room], [by_long[n] for n in of_room if n in by_long]
+        print(f"| {room} | {len(fast)} | {sum(fast)} | {len(long)} | {sum(long)} |")
+    if by_long:
         from softcal.core.challenge.score import wilson
 
-        fast, every = sum(noticed.get(name) == "fast" for name in mine), sum(name in noticed for name in mine)
-        low, high = wilson(fast, every)
-        print(f"\nOf {every} that any test noticed the fast layer notices {fast}: {fast / max(1, every):.1%}", end="")
-        print(f" (95 % {low:.1%} to {high:.1%}).")
+        fast = sum(noticed.get(name) == "fast" for name in mine)
+        low, high = (share * (len(mine) - fast) for share in wilson(sum(by_long.values()), len(by_long)))
+        mean = sum(by_long.values()) / len(by_long) * (len(mine) - fast)
+        print(f"\nOf what any test notices the fast layer notices {fast / (fast + mean):.1%}", end="")
+        print(f" (95 % {fast / (fast + high):.1%} to {fast / (fast + low):.1%}).")
     else:
         print("\nThe long layer has not been tried: what share the fast one has is not known.")
     print(f"Median {np.median([row['seconds'] for row in rows]):.1f} s a trial.")
@@ -433,19 +483,20 @@ def print_table(mutants: Sequence[Mutant], keep: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("map", "try", "table"))
-    parser.add_argument("--layer", choices=tuple(MARKS), default="fast")
+    parser.add_argument("--layer", choices=tuple(LAYERS), default="fast")
     parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--seed", type=int, default=20201900178)
     parser.add_argument("--longest", type=float, default=240.0, help="processor seconds for a fault")
+    parser.add_argument("--most", type=int, help="try so many, drawn of those that are left; without it all")
     parser.add_argument("--keep", type=Path, default=ROOT / "build/mutants", help="where maps and results lie")
     options = parser.parse_args()
     if options.what == "map":
-        make_map(options.layer, options.keep)
+        make_map(options.keep)
         return
     FORKED.set_forkserver_preload(list(PRELOADED))
     mutants = drawn(options.count, options.seed)
     if options.what == "try":
-        try_all(mutants, options.layer, options.keep, options.longest)
+        try_all(mutants, options.layer, options.keep, options.longest, options.most)
     print_table(mutants, options.keep)
 
 
