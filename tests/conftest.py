@@ -7,7 +7,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 # Some images keep no compiled files: both workers and every command that a test starts would compile softcal anew.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
-import gc
 import random
 import re
 import shutil
@@ -51,12 +50,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items.sort(key=lambda item: str(item.path))
     long = {item.path for item in items if item.get_closest_marker("long")}
     items.sort(key=lambda item: item.path not in long)
-
-
-def pytest_collection_finish() -> None:
-    """What was imported stays: looking through it for garbage again and again is a tenth of the time."""
-    gc.freeze()
-    gc.set_threshold(50_000, 20, 20)
 
 
 @pytest.hookimpl(wrapper=True)
