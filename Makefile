@@ -33,7 +33,7 @@ check: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	mkdir -p .links && ln -sfn .. .links/softcal
-	MYPYPATH=.links $(BIN)/mypy --explicit-package-bases -p softcal.core -p softcal.db -p softcal.station -p softcal.app
+	MYPYPATH=.links $(BIN)/mypy --num-workers 2 --explicit-package-bases -p softcal.core -p softcal.db -p softcal.station -p softcal.app
 	PYTHONPATH=.links $(BIN)/lint-imports
 	$(BIN)/vulture
 

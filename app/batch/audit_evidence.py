@@ -212,12 +212,14 @@ class AuditReader:
 
     def _widening(self, qualification: Qualification, lot_id: str) -> Widening:
         """Return what the audited units ask for."""
-        readings = []
+        serials: dict[str, list[str]] = {}
         for audit in qualification.audits[: RULES.most_audits]:
-            lot = audit.lot_id or lot_id
-            standing = self._registry.pages.standings(lot, [audit.serial]).get(audit.serial)
-            if standing is not None and standing.made is not None:
-                readings.append(self._reading(lot, standing.made))
+            serials.setdefault(audit.lot_id or lot_id, []).append(audit.serial)
+        readings = []
+        for lot, audited in serials.items():
+            standings = self._registry.pages.standings(lot, audited)
+            made = [standings[serial].made for serial in audited if serial in standings]
+            readings += [self._reading(lot, one) for one in made if one is not None]
         units = [AuditedSamples(np.array(r.residual), np.array(r.half)) for r in readings if r is not None]
         return fit_widening(units, CONFIDENCE) if units else Widening()
 
