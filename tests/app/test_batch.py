@@ -183,6 +183,16 @@ def test_known_loads_that_cannot_be_true_cost_their_unit_a_retest(
     assert all(unit["verdict"] != "retest" for unit in report["units"] if unit["serial"] != "A1")
 
 
+def test_known_loads_that_are_named_outrank_those_of_the_folder(lot_folder: Path, url: str, tmp_path: Path) -> None:
+    (lot_folder / "anchors.csv").write_text("serial,output,reference\nA1,0.54,2\nA1,0.9,0\n")
+    (tmp_path / "anchors.csv").write_text("serial,output,reference\nA2,0.54,2\nA2,0.9,0\n")
+    wrong = {}
+    for name, more in (("folder", ()), ("named", ("--anchors", str(tmp_path / "anchors.csv")))):
+        _, report = _batch(lot_folder, url, "--no-own", *more)
+        wrong[name] = [unit["serial"] for unit in report["units"] if unit["reason_codes"] == ["wrong_loads"]]
+    assert wrong == {"folder": ["A1"], "named": ["A2"]}
+
+
 def test_anchors_are_part_of_what_a_result_depends_on(lot_folder: Path, url: str, tmp_path: Path) -> None:
     _batch(lot_folder, url, "--no-own")
     (tmp_path / "anchors.csv").write_text("serial,output,reference\nA1,0.54,0\n")

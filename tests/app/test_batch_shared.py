@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -14,13 +15,16 @@ import pytest
 
 from softcal.app.batch import lot_work, unit_work
 from softcal.app.batch.batch import run_batch
+from softcal.app.batch.claims import Claims
 from softcal.app.batch.engine import EngineChoice
 from softcal.app.batch.lot_work import BatchConfig
 from softcal.app.cli.main import main
 from softcal.app.files.lot_folder import open_lot_folder
 from softcal.app.files.regular import read_regular
+from softcal.core.lot import Lot
 from softcal.core.network.config import NetworkConfig
 from softcal.db.connection import open_registry
+from softcal.db.queues.work_queue import WorkSet
 from softcal.db.truth.calibrations import CalibrationTables
 
 UNITS = 16
@@ -77,6 +81,20 @@ def test_a_batch_that_is_killed_goes_on_at_once_and_repeats_nothing(folder: Path
     assert kept(registry_url) == {f"A{k}": 1 for k in range(1, UNITS + 1)}
     with open_registry(registry_url, create=False) as registry:
         assert registry.verify() == []
+
+
+def test_only_work_of_a_process_of_this_machine_that_died_comes_free_before_its_lease(registry_url: str) -> None:
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    here, work = socket.gethostname(), WorkSet("L1", "a" * 64)
+    with open_registry(registry_url) as registry:
+        registry.lots.add(Lot("L1", "S0", 50.0))
+        queue = registry.work_queue
+        queue.enqueue(work, {f"A{k}": f"{k:064x}" for k in (1, 2, 3)})
+        for owner in (f"{here}:{ended.pid}:x", f"{here}:{os.getpid()}:x", f"not-{here}:{ended.pid}:x"):
+            assert len(queue.claim(owner, work, 1, 60.0)) == 1
+        with Claims(registry, work) as claims:
+            assert [item.serial for item in claims.take(3)] == ["A1"]
 
 
 @pytest.mark.long

@@ -131,6 +131,14 @@ def test_the_interval_of_cpk_is_the_one_of_bissell(rng):
     assert (found.cpk_lower, found.cpk_upper) == pytest.approx((1.33 - half, 1.33 + half))
 
 
+def test_a_limit_below_counts_as_one_above_does(rng):
+    chart = stable_chart(rng)
+    mean = float(chart.values.mean())
+    below, above = (capability(chart, *limits) for limits in ((mean - 2.0, None), (None, mean + 2.0)))
+    assert (below.cpk, below.ppk) == pytest.approx((above.cpk, above.ppk))
+    assert below.cpk == pytest.approx(2.0 / (3 * chart.sigma))
+
+
 @pytest.mark.parametrize(
     ("values", "limits", "code"),
     [

@@ -81,6 +81,12 @@ def test_loads_that_cannot_be_of_this_unit_are_refused_in_one_line(problem: FitP
     assert "\n" not in str(refused.value)
 
 
+def test_the_rows_of_a_load_that_is_stated_twice_are_named_in_whatever_order_they_stand(problem: FitProblem) -> None:
+    given = loads(2.5, 0.0, 2.5)
+    with pytest.raises(InputError, match="loads 1 and 3"):
+        trim(problem, AffineMap(1.0, 0.0), interval(), given)
+
+
 def test_loads_the_map_reads_already_are_refused(problem: FitProblem) -> None:
     """What a trim corrects must be more than what it is known to."""
     found = trim(problem, AffineMap(1.0, 0.0), interval(), loads(0.0, 2.5))

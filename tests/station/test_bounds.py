@@ -1,11 +1,15 @@
 """What the speeds of a stage promise: a stop ends below the ceiling, however late it is noticed."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from softcal.station.devices.config import LATEST_S
 from softcal.station.interfaces import Move
 from softcal.station.motion.bounds import FULL, REACTION_S, RISE, ForceBounds, Reaction
 from softcal.station.motion.feeding import PieceFeed, runs_on_mm, runs_on_s
+from softcal.station.motion.watched import bounds_of
 from softcal.station.record.trajectory import Trapezoid
 
 REACTION = Reaction(delay_s=0.25, acceleration_mm_s2=40.0)
@@ -94,3 +98,16 @@ def test_every_piece_is_sent_in_order_and_the_last_one_ends_the_move():
             feed.sent(float(now_s))
     assert not feed and sent_mm == sorted(sent_mm) and sent_mm[-1] == 2.0
     assert max(np.diff([0.0, *sent_mm])) <= 4.0 * 0.1 + 1e-9  # a tenth of a second each
+
+
+def test_a_cell_whose_delay_nobody_stated_is_taken_to_be_as_late_as_a_station_file_may_say():
+    def delay_s(force: object, reader: object = SimpleNamespace(rate_Hz=50.0, capacity_N=20.0)) -> float:
+        safety, fixture = SimpleNamespace(force_N=8.0, stiffest_N_mm=60.0), SimpleNamespace(touch_N=0.2)
+        config = SimpleNamespace(force=force, safety=safety, fixture=fixture)
+        stage = SimpleNamespace(acceleration_mm_s2=40.0)
+        return bounds_of(SimpleNamespace(config=config, force=reader, stage=stage)).reaction.delay_s
+
+    stated, unstated = (SimpleNamespace(latency_s=0.03, is_latency_stated=known) for known in (True, False))
+    assert delay_s(stated) == pytest.approx(1 / 50.0 + 0.03 + REACTION_S)
+    assert delay_s(unstated) == pytest.approx(1 / 50.0 + LATEST_S + REACTION_S)
+    assert delay_s(None, None) == pytest.approx(LATEST_S + REACTION_S)
