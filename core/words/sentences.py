@@ -50,8 +50,8 @@ doubt.gain: its audit does not count for now; its reference may be in another un
 doubt.stranger: its audit does not count for now; it may be of another unit; bring the right file,
   or confirm this one (output at rest in the audit {rest:.4g}, of this unit {unit_rest:.4g}, other
   audits, which agree with their units: {others})
-forecast_only: its error is only predicted, not measured; nothing is promised until enough units are
-  audited
+forecast_only: its error and its interval are only predicted, not measured; nothing is promised
+  until enough units are audited
 not_qualified: not released by sample; {why}
 part.here: audited units of this lot: {audits}
 part.of_lots: audited units of earlier lots: {audits}, lots: {lots}
