@@ -3,7 +3,7 @@
 import argparse
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from softcal.app.cli import gap_challenge, gap_effects, gap_lot, gap_transfer
 from softcal.app.cli.options import add_json
@@ -13,12 +13,10 @@ from softcal.core.errors import InputError
 if TYPE_CHECKING:
     from softcal.core.gap.diagnosis import Diagnosis
     from softcal.core.gap.empirical import LearnedResidual
+    from softcal.core.gap.gap_diagnosis import GapDiagnosis
     from softcal.core.gap.identifiability import Identifiability
     from softcal.core.gap.named_causes import RankedCause
     from softcal.core.gap.plausibility import DataMistake
-    from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis
-    from softcal.core.gap.simulator_terms import SimulatorTerm
-    from softcal.core.twin.empirical_terms import EmpiricalTerm
     from softcal.core.twin.parameters import ReadoutMetadata
     from softcal.core.twin.simulate import Twin
 
@@ -140,7 +138,7 @@ def _diagnose(options: argparse.Namespace) -> int:
     diagnosis = diagnose_case(options.case, say, _table_readout(options))
     if options.page:
         write_page(options.page, diagnosis)
-    _show(diagnosis, options.json)
+    _show_twin(diagnosis, options.json)
     return 0
 
 
@@ -192,30 +190,20 @@ def _refuse_electronics(options: argparse.Namespace) -> None:
 
 
 def _diagnose_simulator(options: argparse.Namespace) -> int:
-    from softcal.app.gap.simulator import diagnose_with, load_simulator, write_simulator_page
+    from softcal.app.gap.diagnose import write_page
+    from softcal.app.gap.simulator import diagnose_with, load_simulator
 
     _refuse_electronics(options)
     diagnosis = diagnose_with(options.case, load_simulator(options.simulator), say)
     write_json(options.json, diagnosis.report())
     if options.page:
-        write_simulator_page(options.page, diagnosis)
+        write_page(options.page, diagnosis)
     if options.json != "-":
-        _show_simulator(diagnosis)
+        _show(diagnosis)
     if diagnosis.failures.count:
         failed = diagnosis.failures
         say(f"{failed.first}; so at {failed.count} of {failed.of} places, which were avoided")
     return 0
-
-
-def _show_simulator(diagnosis: "SimulatorDiagnosis") -> None:
-    _show_mistakes(diagnosis.mistakes)
-    if diagnosis.verdict == "data":
-        print("verdict     data: repair the recordings and diagnose again; nothing else was judged")
-        return
-    _show_result(diagnosis)
-    _show_partial(diagnosis)
-    if diagnosis.residual is not None:
-        _show_residual(diagnosis.residual)
 
 
 def _table_readout(options: argparse.Namespace) -> "ReadoutMetadata | None":
@@ -244,7 +232,7 @@ def _apply(options: argparse.Namespace) -> int:
         return _apply_parameters(options, report, str(options.report))
     if options.simulator:
         diagnosed = diagnose_with(options.case, simulator := load_simulator(options.simulator), say)
-        _show_simulator(diagnosed)
+        _show(diagnosed)
         _apply_parameters(options, diagnosed.report(), str(options.case))
         read_parameters(options.out, simulator)
         return 0
@@ -255,7 +243,7 @@ def _apply(options: argparse.Namespace) -> int:
     is_bare = diagnosis.verdict == "unknown" and not options.empirical
     said = "nothing explains the gap, so it is the refitted base alone" if is_bare else _contents(twin)
     say(f"twin written to {options.out}: {said}")
-    _show(diagnosis, options.json)
+    _show_twin(diagnosis, options.json)
     return 0
 
 
@@ -278,22 +266,31 @@ def _contents(twin: "Twin") -> str:
     return ", ".join(held) or "no effect, the refitted base alone"
 
 
-def _show(diagnosis: "Diagnosis", target: str | None) -> None:
-    """Print the diagnosis as tables; with `--json -` the record alone goes to standard output."""
-    if target:
-        write_json(target, diagnosis.report())
-    if target == "-":
-        return
+def _show(diagnosis: "GapDiagnosis[Any]") -> None:
+    """Print what a diagnosis of the twin and one of a simulator say alike."""
     _show_mistakes(diagnosis.mistakes)
     if diagnosis.verdict == "data":
         print("verdict     data: repair the recordings and diagnose again; nothing else was judged")
         return
     _show_result(diagnosis)
-    _show_partial(diagnosis)
+    if diagnosis.partial is not None:
+        effects = " + ".join(diagnosis.partial.effects)
+        print(f"partly      {effects}: {diagnosis.partial.share:.0%} of the gap on these runs; the rest has no name")
     for cause in (c for c in diagnosis.causes if c.form and c.probability >= 0.5):
         print(f"form        {cause.effect}: the twin has it as {cause.form}; the values above are the catalogue's")
     if diagnosis.residual is not None:
         _show_residual(diagnosis.residual)
+
+
+def _show_twin(diagnosis: "Diagnosis", target: str | None) -> None:
+    """Print the diagnosis as tables; with `--json -` the record alone goes to standard output."""
+    if target:
+        write_json(target, diagnosis.report())
+    if target == "-":
+        return
+    _show(diagnosis)
+    if diagnosis.verdict == "data":
+        return
     for name, value in diagnosis.on_bound.items():
         print(f"on bound    {name} = {value:.4g}: these recordings do not determine it, or they hold a mistake")
     for channel, fades in diagnosis.named.problem.colour.items():
@@ -304,13 +301,7 @@ def _show(diagnosis: "Diagnosis", target: str | None) -> None:
         print(f"not judged  {', '.join(diagnosis.case.unseen_stages)}: these recordings cannot show them")
 
 
-def _show_partial(diagnosis: "Diagnosis | SimulatorDiagnosis") -> None:
-    if diagnosis.partial is not None:
-        effects = " + ".join(diagnosis.partial.effects)
-        print(f"partly      {effects}: {diagnosis.partial.share:.0%} of the gap on these runs; the rest has no name")
-
-
-def _show_residual(found: "LearnedResidual[EmpiricalTerm] | LearnedResidual[SimulatorTerm]") -> None:
+def _show_residual(found: "LearnedResidual[Any]") -> None:
     for one in found.terms:
         print(f"empirical   {one.term.formula}  (standard error {one.standard_error:.1g} {one.term.unit})")
     shrink, beside = found.shrink, " + ".join(found.beside)
@@ -319,13 +310,13 @@ def _show_residual(found: "LearnedResidual[EmpiricalTerm] | LearnedResidual[Simu
     print(f"describes   {held}{told}: a description, no cause; softcal gap apply --empirical adds it")
 
 
-def _chosen_otherwise(diagnosis: "Diagnosis | SimulatorDiagnosis") -> list[tuple[int, tuple[str, ...]]]:
+def _chosen_otherwise(diagnosis: "GapDiagnosis[Any]") -> list[tuple[int, tuple[str, ...]]]:
     """Return the parts without which other causes are chosen, and those causes."""
     ids = diagnosis.best.hypothesis.ids
     return [(k, causes) for k, causes in enumerate(diagnosis.chosen, start=1) if causes != ids]
 
 
-def _show_result(diagnosis: "Diagnosis | SimulatorDiagnosis") -> None:
+def _show_result(diagnosis: "GapDiagnosis[Any]") -> None:
     shrink = diagnosis.shrink
     print(f"verdict     {diagnosis.verdict}")
     for channel, gap in diagnosis.gap.items():

@@ -12,6 +12,7 @@ from softcal.app.texts.catalogue import text
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case
 from softcal.core.gap.diagnosis import Diagnosis, checked, diagnose
+from softcal.core.gap.gap_diagnosis import GapDiagnosis
 from softcal.core.gap.identifiability import Identifiability
 from softcal.core.gap.plausibility import DataMistake
 from softcal.core.twin.parameters import ReadoutMetadata
@@ -56,7 +57,7 @@ def _opened(place: Path, readout: ReadoutMetadata | None) -> Case:
     return open_table(place, readout)
 
 
-def write_page(path: Path, diagnosis: Diagnosis) -> None:
+def write_page(path: Path, diagnosis: GapDiagnosis[Any]) -> None:
     """Write the page of figures of a diagnosis in English, whole or not at all."""
     from softcal.app.charts.gap_page import gap_page
 
@@ -64,26 +65,29 @@ def write_page(path: Path, diagnosis: Diagnosis) -> None:
     write_text(path, page)
 
 
-def run_views(diagnosis: Diagnosis) -> list["RunView"]:
+def run_views(diagnosis: GapDiagnosis[Any]) -> list["RunView"]:
     """Return what a page shows of every pressed run: measured and predicted channels before and after the causes."""
     from softcal.app.charts.gap import ChannelView, RunView
 
-    views = []
+    problem, views = diagnosis.best.problem, []
     for k, run in enumerate(diagnosis.case.runs):
         if run.kind != "press":
             continue
         channels = {
             block.channel: ChannelView(
-                diagnosis.best.problem.measured[block.place],
+                problem.measured[block.place],
                 diagnosis.base.predicted[block.place],
                 diagnosis.best.predicted[block.place],
-                diagnosis.best.problem.sigma[block.channel],
+                problem.floor(block.channel),
             )
-            for block in diagnosis.best.problem.blocks
+            for block in problem.blocks
             if block.run == k
         }
-        load_N = run.force_N if run.force_N is not None else diagnosis.elastic_force_N(k)
-        drive = run.stage_mm if run.stage_mm is not None else load_N
+        if isinstance(diagnosis, Diagnosis):
+            load_N = run.force_N if run.force_N is not None else diagnosis.elastic_force_N(k)
+            drive = run.stage_mm if run.stage_mm is not None else load_N
+        else:
+            drive = load_N = next(iter(channels.values())).measured
         views.append(RunView(run.name, run.profile, run.elapsed_s, drive, load_N, channels))
     return views
 

@@ -4,7 +4,6 @@ import importlib
 import json
 import sys
 from collections.abc import Callable, Mapping
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +11,6 @@ from softcal.app.files.atomic import write_text
 from softcal.app.files.case_folder import METADATA, RECORDING
 from softcal.app.files.recording_file import column, read_table
 from softcal.app.gap.diagnose import NO_TERMS
-from softcal.app.texts.catalogue import text
 from softcal.core.errors import InputError
 from softcal.core.gap.identifiability import Identifiability
 from softcal.core.gap.plausibility import DataMistake
@@ -21,7 +19,7 @@ from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis, check_simul
 from softcal.core.gap.simulator_terms import term_of, with_terms
 
 if TYPE_CHECKING:
-    from softcal.app.charts.gap import RunView
+    pass
 
 PARAMETERS_SCHEMA = "softcal.simulator/1"
 
@@ -123,35 +121,6 @@ def _said(path: Path) -> dict[str, object]:
     except (OSError, ValueError) as error:
         raise InputError(f"{beside}: cannot be read as JSON: {error}") from error
     return content if isinstance(content, dict) else {}
-
-
-def write_simulator_page(path: Path, diagnosis: SimulatorDiagnosis) -> None:
-    """Write the page of figures of a simulator's diagnosis in English, whole or not at all."""
-    from softcal.app.charts.gap_page import gap_page
-
-    page = gap_page(diagnosis.report(), simulator_views(diagnosis), diagnosis.serial, partial(text, "en"))
-    write_text(path, page)
-
-
-def simulator_views(diagnosis: SimulatorDiagnosis) -> list["RunView"]:
-    """Return what a page shows of every run: measured channels, those of the base, and those with the causes."""
-    from softcal.app.charts.gap import ChannelView, RunView
-
-    problem, views = diagnosis.best.problem, []
-    for k, run in enumerate(problem.case.runs):
-        channels = {
-            block.channel: ChannelView(
-                problem.measured[block.place],
-                diagnosis.base.predicted[block.place],
-                diagnosis.best.predicted[block.place],
-                problem.floor(block.channel),
-            )
-            for block in problem.blocks
-            if block.run == k
-        }
-        first = next(iter(channels.values())).measured
-        views.append(RunView(run.name, run.profile, run.elapsed_s, first, first, channels))
-    return views
 
 
 def write_parameters(

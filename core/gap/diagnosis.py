@@ -11,22 +11,17 @@ from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction
 from softcal.core.gap.candidates import is_told, visible_effects
 from softcal.core.gap.case import Case
 from softcal.core.gap.empirical import LearnedResidual, learned, terms_of_twin
-from softcal.core.gap.explained import explained_twin, form_of, in_catalogue_form, with_constants
+from softcal.core.gap.explained import explained_twin, in_catalogue_form, with_constants
 from softcal.core.gap.fit import Fit
 from softcal.core.gap.floor import is_noise
+from softcal.core.gap.gap_diagnosis import GapDiagnosis, partial_of, ranked_causes
 from softcal.core.gap.identifiability import Identifiability, identifiability, sentences
 from softcal.core.gap.named_causes import (
-    NOT_MEASURED,
-    SCHEMA,
     DiagnosisVerdict,
     GapPlace,
-    Partial,
     RankedCause,
-    estimates_of,
     gap_of_base,
     judged,
-    nearest,
-    shares_of,
     under_its_floor,
 )
 from softcal.core.gap.next_experiment import NextExperiment, menu, propose
@@ -37,7 +32,6 @@ from softcal.core.gap.plausibility import DataMistake, doubts, mistakes
 from softcal.core.gap.problem import BASE
 from softcal.core.gap.residual import Map, Regime, regimes, structure, three_maps
 from softcal.core.gap.search import EffectSearch, SearchConfig
-from softcal.core.gap.shrink import ChannelGap, Shrink
 from softcal.core.gap.start import unfitted
 from softcal.core.gap.strangers import stranger_of
 from softcal.core.recording import Array
@@ -50,48 +44,22 @@ from softcal.core.twin.simulate import Twin
 from softcal.core.words.reason import Reason, reason, several
 
 
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
-    """Everything a report or a page needs of one diagnosis.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Diagnosis(GapDiagnosis[EmpiricalTerm]):
+    """The diagnosis of the soft sensor's twin.
+
+    `best` has each cause by the equation that fits best, as the twin has it.
 
     Args:
-        base, best: fits of the base alone and of the best hypothesis to all runs, each cause by the equation that fits
-            best, as the twin has it.
         named: the best hypothesis with every cause by the catalogue's equation, as the report gives it.
         rivals: hypotheses that cannot be told apart, the best first.
         maps: the three chain relations fitted separately.
-        protocol: how samples were held back for the shrink.
-        chosen: causes that are chosen where each part of the samples in turn is held back, those the shrink is of.
-        explained_share: of the structured gap energy, 1 when nothing but noise is left.
-        mistakes: what is wrong with the recordings; with the verdict `data` they stand in the way of everything else,
-            beside another one they are questions.
-        partial: what comes nearest where nothing explains the gap.
-        residual: empirical terms that describe what no named cause explains, where they hold on runs held back.
-        told: what the runs tell of the base and of every effect; None where the recordings hold a mistake.
     """
 
-    case: Case
-    verdict: DiagnosisVerdict
-    base: Fit
-    best: Fit
     named: Fit
     rivals: tuple[Fit, ...]
-    causes: tuple[RankedCause, ...]
-    places: tuple[GapPlace, ...]
-    maps: tuple[Map, ...]
-    regimes: tuple[Regime, ...]
-    gap: dict[str, ChannelGap]
-    shrink: Shrink
-    protocol: str
-    chosen: tuple[tuple[str, ...], ...]
-    ambiguous_with: list[list[str]]
-    hidden_fraction: dict[str, float]
-    next_experiment: NextExperiment
-    explained_share: float
-    mistakes: tuple[DataMistake, ...] = ()
-    partial: Partial | None = None
-    residual: LearnedResidual[EmpiricalTerm] | None = None
-    told: Identifiability | None = None
+    maps: tuple[Map, ...] = ()
+    regimes: tuple[Regime, ...] = ()
 
     def elastic_force_N(self, run: int) -> Array:
         """Return the force the fitted base gives for one run with a stage position, for bands of load."""
@@ -136,58 +104,32 @@ class Diagnosis:
         found = self.named
         return offsets(found.problem, found.base, found.problem.bare.predict(found.hypothesis, found.coordinates))
 
-    def report(self) -> dict[str, object]:
-        """Return the report of the contract, ready for JSON."""
+    def _shown(self, channel: str) -> str:
+        return channel.split("_")[0]
+
+    def _described(self, residual: LearnedResidual[EmpiricalTerm]) -> dict[str, object]:
+        first, twin = residual.terms[0].term, self.empirical
+        of_twin = None if twin is None else twin_record(twin)
+        return {"load_N": first.load_N, "depth_mm": first.depth_mm, "twin": of_twin}
+
+    def _own(self) -> dict[str, object]:
+        is_spoilt = self.verdict == "data"
         return {
-            "schema": SCHEMA,
-            "verdict": self.verdict,
-            "serial": self.case.serial,
-            "data": [found.record() for found in self.mistakes],
-            "gap": {name.split("_")[0]: vars(gap) for name, gap in self.gap.items()},
-            "shrink": vars(self.shrink) | {"protocol": self.protocol, "chosen": [list(ids) for ids in self.chosen]},
-            "where": [place.record() for place in self.places],
-            "causes": [
-                {
-                    "effect": c.effect,
-                    "stage": c.stage,
-                    "probability": c.probability,
-                    "shrink": c.shrink,
-                    "form": c.form or None,
-                    "parameters": {name: vars(p) for name, p in c.parameters.items()},
-                }
-                for c in self.causes
-            ],
-            "ambiguous_with": self.ambiguous_with,
-            "hidden_fraction": self.hidden_fraction,
-            "identifiability": None if self.told is None else self.told.record(),
-            "next_experiment": self.next_experiment.record(),
             "missing_channels": list(self.case.missing_channels),
             "unseen_stages": list(self.case.unseen_stages),
-            "explained_share": self.explained_share,
-            "partial": None if self.partial is None else vars(self.partial) | {"effects": list(self.partial.effects)},
-            "residual": self._residual_record(),
             "plugins": [effect_id for effect_id in EFFECTS if effect_id not in OWN_EFFECTS],
             "base": {p.name: getattr(self.named.base, p.name) for p in BASE},
             "on_bound": self.on_bound,
             "noise": {
-                channel.split("_")[0]: {"white": sigma, "fading": fades.spread, "fading_s": fades.fading_s}
+                self._shown(channel): {"white": sigma, "fading": fades.spread, "fading_s": fades.fading_s}
                 for channel, sigma in self.named.problem.sigma.items()
                 if (fades := self.named.problem.colour.get(channel)) is not None
             },
             "offsets": [vars(one) | {"run": one.run + 1} for one in self.offsets],
-            "twin": None if self.verdict == "data" else twin_record(self.explained),
-            "base_twin": None if self.verdict == "data" else twin_record(explained_twin(self.base)),
+            "twin": None if is_spoilt else twin_record(self.explained),
+            "base_twin": None if is_spoilt else twin_record(explained_twin(self.base)),
             "maps": [{"map": m.name, "z": m.structure.z, "structured_sigma": m.structure.rms} for m in self.maps],
         }
-
-    def _residual_record(self) -> dict[str, object] | None:
-        """Return what the report says of the empirical terms."""
-        found, twin = self.residual, self.empirical
-        if found is None or twin is None:
-            return None
-        first = found.terms[0].term
-        of_twin = {"load_N": first.load_N, "depth_mm": first.depth_mm, "twin": twin_record(twin)}
-        return found.record() | of_twin
 
 
 def diagnose(
@@ -228,13 +170,12 @@ def diagnose(
     say("refitting the three maps separately")
     maps = three_maps(case)
     named = tuple(in_catalogue_form(found) for found in group)
-    causes = _causes(search, named, found.chances, quantified.shrink.held_out)
+    causes = ranked_causes(search, best, EFFECTS.values(), named, found.chances, quantified.shrink.held_out)
     found_regimes = regimes(search.base)
-    partial = _partial(search) if verdict == "unknown" else None
+    partial = partial_of(search) if verdict == "unknown" else None
     say("describing what is left")
     beside = {"unknown": (search.base, told), "explained": (told,), "ambiguous": (told,)}
     return Diagnosis(
-        case=case,
         verdict=verdict,
         base=search.base,
         best=told,
@@ -273,34 +214,17 @@ def told_by(base: Fit, depth_mm: float, force_N: float) -> Identifiability:
     return identifiability(base, visible_effects(case), menu(case, depth_mm, force_N), OFFSET_NAMES)
 
 
-def _partial(search: EffectSearch) -> Partial | None:
-    """Return the causes that come nearest, and their share."""
-    found = nearest(search)
-    share = float(np.clip(search.share(found), 0.0, 1.0))
-    return Partial(found.hypothesis.ids, share) if found.hypothesis.ids and share > 0.0 else None
-
-
 def _stopped(base: Fit, found: tuple[DataMistake, ...]) -> Diagnosis:
     """Return the diagnosis of recordings that hold a mistake: nothing is named and nothing forecast."""
     return Diagnosis(
-        case=base.problem.case,
         verdict="data",
         base=base,
         best=base,
         named=base,
         rivals=(base,),
         causes=tuple(RankedCause(effect.id, effect.stage, 0.0, 0.0, {}) for effect in EFFECTS.values()),
-        places=(),
-        maps=(),
-        regimes=(),
         gap=gap_of_base(base),
-        shrink=Shrink(0.0, 0.0, 0.0, 0.0),
-        protocol=NOT_MEASURED,
-        chosen=(),
-        ambiguous_with=[],
-        hidden_fraction={},
         next_experiment=NextExperiment("none", several([one.repair for one in found])),
-        explained_share=0.0,
         mistakes=found,
     )
 
@@ -308,21 +232,6 @@ def _stopped(base: Fit, found: tuple[DataMistake, ...]) -> Diagnosis:
 def _is_on_bound(parameter: Parameter, value: float) -> bool:
     near = 1e-9 * parameter.usual
     return any(math.isclose(value, end, rel_tol=1e-9, abs_tol=near) for end in (parameter.low, parameter.high))
-
-
-def _causes(
-    search: EffectSearch, named: tuple[Fit, ...], chances: dict[str, float], held_out: float
-) -> tuple[RankedCause, ...]:
-    shares = shares_of(search, search.best)
-    causes = []
-    for effect in EFFECTS.values():
-        with_it = [f for f in named if effect.id in f.hypothesis.ids]
-        found = with_it[0] if with_it else search.fits.get((effect.id,))
-        parameters = estimates_of(found, effect.id) if found is not None else {}
-        share = shares.get(effect.id, 0.0) * held_out
-        form = next((form_of(e) for e in search.best.hypothesis.effects if e.id == effect.id), "")
-        causes.append(RankedCause(effect.id, effect.stage, chances[effect.id], share, parameters, form))
-    return tuple(sorted(causes, key=lambda c: (-c.probability, -c.shrink)))
 
 
 def _places(
@@ -383,7 +292,7 @@ def _unknown_places(
     The share of each is that of the gap's energy in the regime where it stands out most.
     """
     channel, regime = _loudest(found)
-    partial = _partial(search)
+    partial = partial_of(search)
     share = partial.share if partial is not None else 0.0
     loose = loose_noise(search.best)
     stages: tuple[str, ...] = likely_stages(search.base, maps)

@@ -23,8 +23,6 @@ from softcal.core.words.reason import Reason
 
 DiagnosisVerdict = Literal["no_gap", "explained", "ambiguous", "unknown", "data"]
 
-SCHEMA = "softcal.gap/1"
-
 UNKNOWN_TRUST = 0.3
 """How far probabilities within the catalogue are trusted where the catalogue leaves a gap, for a share of 1."""
 
@@ -39,8 +37,6 @@ the line `form` of `benchmarks/gap.py` seven cases (seeds 7100 to 7106) reach it
 
 NEAR_SHARE = 0.01
 """Share of the gap that one cause more must take to be told as what comes nearest."""
-
-NOT_MEASURED = "not measured: the recordings hold a mistake"
 
 IMITATED_TRUST = 0.4
 """How far a cause is trusted that another equation of the causes beside it would explain as well: it is not named, and

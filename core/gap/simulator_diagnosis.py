@@ -16,100 +16,51 @@ from softcal.core.gap.case import Case
 from softcal.core.gap.empirical import LearnedResidual, learned
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.floor import coloured, is_noise
+from softcal.core.gap.gap_diagnosis import GapDiagnosis, ranked_causes
 from softcal.core.gap.identifiability import Identifiability, identifiability, sentences
 from softcal.core.gap.named_causes import (
-    NOT_MEASURED,
-    SCHEMA,
     DiagnosisVerdict,
-    GapPlace,
     Partial,
     RankedCause,
-    estimates_of,
     gap_of_base,
     judged,
     nearest,
-    shares_of,
     under_its_floor,
 )
 from softcal.core.gap.next_experiment import MenuEntry, NextExperiment
 from softcal.core.gap.plausibility import DataMistake
 from softcal.core.gap.problem import Problem
-from softcal.core.gap.search import EffectSearch, Progress
-from softcal.core.gap.shrink import ChannelGap, Shrink, quantify
+from softcal.core.gap.search import Progress
+from softcal.core.gap.shrink import quantify
 from softcal.core.gap.simulator import Simulator, SimulatorRun, planned
 from softcal.core.gap.simulator_place import places_of
 from softcal.core.gap.simulator_plausibility import against_others, cut_off, shown
 from softcal.core.gap.simulator_problem import Failures, SimulatorProblem, followed, is_high, is_quick
 from softcal.core.gap.simulator_search import SimulatorSearch, base_fit
 from softcal.core.gap.simulator_terms import SimulatorTerm, terms_of
-from softcal.core.twin.effects import Effect
 from softcal.core.words.reason import Reason, reason, several
 
 
-@dataclass(frozen=True, eq=False)
-class SimulatorDiagnosis:
-    """What is found of a simulator; parts as in `Diagnosis`."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SimulatorDiagnosis(GapDiagnosis[SimulatorTerm]):
+    """The diagnosis of a simulator of somebody else."""
 
     simulator: Simulator
-    serial: str
-    verdict: DiagnosisVerdict
-    base: Fit
-    best: Fit
-    causes: tuple[RankedCause, ...]
-    places: tuple[GapPlace, ...]
-    gap: dict[str, ChannelGap]
-    shrink: Shrink
-    protocol: str
-    chosen: tuple[tuple[str, ...], ...]
-    ambiguous_with: list[list[str]]
-    hidden_fraction: dict[str, float]
-    next_experiment: NextExperiment
-    explained_share: float
-    told: Identifiability
-    mistakes: tuple[DataMistake, ...] = ()
-    residual: LearnedResidual[SimulatorTerm] | None = None
 
-    def report(self) -> dict[str, object]:
-        """Return the report of schema `softcal.gap/1`; `parameters` are those of the simulator that explains most."""
+    def _described(self, residual: LearnedResidual[SimulatorTerm]) -> dict[str, object]:
         return {
-            "schema": SCHEMA,
+            "added": [one.term.record() for one in residual.terms],
+            "parameters": self.simulator.named(residual.fit.hypothesis, residual.fit.coordinates),
+        }
+
+    def _own(self) -> dict[str, object]:
+        return {
             "simulator": self.simulator.name,
-            "verdict": self.verdict,
-            "serial": self.serial,
-            "data": [found.record() for found in self.mistakes],
-            "gap": {name: vars(gap) for name, gap in self.gap.items()},
-            "shrink": vars(self.shrink) | {"protocol": self.protocol, "chosen": [list(ids) for ids in self.chosen]},
-            "where": [place.record() for place in self.places],
-            "causes": [
-                vars(c) | {"parameters": {name: vars(p) for name, p in c.parameters.items()}} for c in self.causes
-            ],
-            "ambiguous_with": self.ambiguous_with,
-            "hidden_fraction": self.hidden_fraction,
-            "next_experiment": self.next_experiment.record(),
-            "explained_share": self.explained_share,
-            "partial": None if self.partial is None else vars(self.partial) | {"effects": list(self.partial.effects)},
-            "identifiability": self.told.record(),
-            "residual": self._residual_record(),
             "failed": self.failures.record(),
             "offsets": self.offsets,
             "parameters": self.simulator.named(self.best.hypothesis, self.best.coordinates),
             "base": self.simulator.named(self.base.hypothesis, self.base.coordinates),
         }
-
-    def _residual_record(self) -> dict[str, object] | None:
-        if self.residual is None:
-            return None
-        found = self.residual.fit
-        return self.residual.record() | {
-            "added": [one.term.record() for one in self.residual.terms],
-            "parameters": self.simulator.named(found.hypothesis, found.coordinates),
-        }
-
-    @property
-    def partial(self) -> Partial | None:
-        """The causes that come nearest where nothing explains the gap."""
-        ids = self.best.hypothesis.ids
-        return Partial(ids, self.explained_share) if self.verdict == "unknown" and ids else None
 
     @property
     def failures(self) -> Failures:
@@ -165,10 +116,10 @@ def diagnose_simulator(
         best, group = search.base, (search.base,)
         quantified = quantify(search.base, best)
     share = float(np.clip(search.share(best), 0.0, 1.0))
-    causes = _causes(search, best, simulator, group, found.chances, quantified.shrink.held_out)
+    ids, held_out = best.hypothesis.ids, quantified.shrink.held_out
+    causes = ranked_causes(search, best, simulator.candidates, (best, *group), found.chances, held_out)
     return SimulatorDiagnosis(
         simulator=simulator,
-        serial=serial,
         verdict=verdict,
         base=search.base,
         best=best,
@@ -184,6 +135,7 @@ def diagnose_simulator(
         explained_share=share,
         told=told,
         mistakes=cut_off(simulator, case),
+        partial=Partial(ids, share) if verdict == "unknown" and ids else None,
         residual=_described(search.base, best, verdict, say),
     )
 
@@ -228,21 +180,12 @@ def _stopped(simulator: Simulator, base: Fit, found: tuple[DataMistake, ...]) ->
     """Return the diagnosis of recordings that hold a mistake: nothing is named and nothing forecast."""
     return SimulatorDiagnosis(
         simulator=simulator,
-        serial=base.problem.case.serial,
         verdict="data",
         base=base,
         best=base,
         causes=tuple(RankedCause(c.id, c.stage, 0.0, 0.0, {}) for c in simulator.candidates),
-        places=(),
         gap=gap_of_base(base),
-        shrink=Shrink(0.0, 0.0, 0.0, 0.0),
-        protocol=NOT_MEASURED,
-        chosen=(),
-        ambiguous_with=[],
-        hidden_fraction={},
         next_experiment=NextExperiment("none", several([one.repair for one in found])),
-        explained_share=0.0,
-        told=Identifiability(()),
         mistakes=found,
     )
 
@@ -283,26 +226,6 @@ def told_by(simulator: Simulator, base: Fit) -> Identifiability:
 def menu_of(simulator: Simulator) -> list[MenuEntry]:
     """Return the experiments of a simulator as runs that could be made."""
     return [MenuEntry(name, planned(simulator, name), one.minutes) for name, one in simulator.experiments.items()]
-
-
-def _causes(
-    search: EffectSearch,
-    best: Fit,
-    simulator: Simulator,
-    group: tuple[Fit, ...],
-    chances: dict[str, float],
-    held_out: float,
-) -> tuple[RankedCause, ...]:
-    shares = shares_of(search, best)
-
-    def cause(effect: Effect) -> RankedCause:
-        found = next((f for f in (best, *group) if effect.id in f.hypothesis.ids), search.fits.get((effect.id,)))
-        parameters = estimates_of(found, effect.id) if found is not None else {}
-        return RankedCause(
-            effect.id, effect.stage, chances[effect.id], shares.get(effect.id, 0.0) * held_out, parameters
-        )
-
-    return tuple(sorted(map(cause, simulator.candidates), key=lambda c: (-c.probability, -c.shrink)))
 
 
 def _next(simulator: Simulator, group: tuple[Fit, ...], verdict: DiagnosisVerdict) -> NextExperiment:
