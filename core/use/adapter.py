@@ -30,7 +30,7 @@ from softcal.core.use.tracker import DriftTracker
 FILTERS = ("none", "basic", "improved")
 QUEUES = ("ot", "ot-improved")
 MODES = (*FILTERS, *QUEUES)
-STATE_FORMAT = 8
+STATE_FORMAT = 9
 """Of what `Adapter.state` returns; raised whenever a state kept before could not be gone on from."""
 
 

@@ -283,7 +283,7 @@ class UseMethod(NumberedMethod):
         intake, cycle, activity, drift, jump, learning, trust, doubt, trim, online: a section a module or concern.
     """
 
-    version: int = setting(3, "raised by hand")
+    version: int = setting(4, "raised by hand")
     intake: IntakeConfig = field(default_factory=IntakeConfig)
     cycle: CycleConfig = field(default_factory=CycleConfig)
     activity: ActivityConfig = field(default_factory=ActivityConfig)

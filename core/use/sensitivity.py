@@ -23,9 +23,13 @@ def learn_sensitivity(
     def estimates(moved: Array) -> Array:
         return network.evaluate(calibration.unit_map.apply(moved))
 
-    is_rising = np.cov(windows[:, -1], estimates(windows))[0, 1] >= 0
+    found = estimates(windows)
+    is_rising = np.cov(windows[:, -1], found)[0, 1] >= 0
     curve = _curve(recording, estimates, method.cycle.swing, config)
     zero_output = _zero_load_output(curve, *np.quantile(recording.output, method.cycle.swing))
+    if (shown := _shown_zero(windows[:, -1], found, method)) is not None:
+        zero_output, at_zero = shown, float(np.interp(shown, curve.output, curve.load))
+        curve = RestCurve(curve.output, curve.load - at_zero)
     use = learn_use(recording, bool(is_rising), zero_output, method, curve if zero_output is not None else None)
     # A difference over a finite step, not the derivative: f is piecewise linear with kinks close together.
     step = config.slope_step * use.scale
@@ -51,6 +55,16 @@ def _zero_load_output(curve: RestCurve, low: float, high: float) -> float | None
     # f may cross zero more than once outside what it was trained on: the crossing next to the unloaded end counts.
     unloaded = low if values[-1] > values[0] else high
     return float(levels[crossings[np.argmin(np.abs(levels[crossings] - unloaded))]])
+
+
+def _shown_zero(output: Array, estimates: Array, method: UseMethod) -> float | None:
+    """Return the output of a recording where it comes to zero load; None where it does not.
+
+    A use that turns without a rest comes there only in motion, which f knows and a constant output does not show.
+    """
+    least = np.abs(estimates) <= np.quantile(np.abs(estimates), 1 - method.cycle.swing[1])
+    is_near = np.median(np.abs(estimates[least])) <= method.trust.preload * np.std(estimates)
+    return float(np.median(output[least])) if is_near else None
 
 
 def calibrated_rmse(calibration: Calibration) -> float:

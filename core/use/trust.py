@@ -21,8 +21,7 @@ class Trust:
 
     Args:
         zero: output at zero load in scales of the calibrated use; None where f gives no zero.
-        rest: unloaded level of the latest known activity that returns to one; None while none did.
-        is_imposed: whether a machine times the latest known activity.
+        rest: unloaded level of the latest known activity that returns to one, or that a machine times; None until then.
         pivots: (2, u) of the latest known activity that returns to a rest.
         level: how far the rest is from its place at calibration, in scales, exponentially smoothed.
         counted: `level` when it last counted as moved (hysteresis).
@@ -36,7 +35,6 @@ class Trust:
 
     zero: float | None
     rest: float | None = None
-    is_imposed: bool = False
     pivots: Array = field(default_factory=no_pivots, metadata=array(2, "u"))
     level: float = 0.0
     counted: float = 0.0
@@ -82,8 +80,9 @@ class Trust:
             weight: of this cycle in the smoothed rest. A rest that moves for a few cycles only, as after a pause, does
                 not count as drift.
         """
-        known = replace(self, is_imposed=activity.is_imposed)
-        if activity.has_rest:
+        known = self
+        # Where a machine times the use, its cycles turn at one load, though they do not rest there.
+        if activity.has_rest or activity.is_imposed:
             known = replace(known, rest=activity.rest, pivots=activity.pivots)
         # The gain of a re-seating is what the filter has found when the last of its cycles is in.
         if self.fresh == 1:
@@ -130,25 +129,19 @@ class Trust:
     def applied(self, drift: Array, covariance: Array) -> Array:
         """Return the (2,) shift and log gain that are sure enough to be applied.
 
-        A log gain turns the output about a level. Where a machine times the use, that is the level at which shift and
-        log gain are uncorrelated, and each is judged by itself. Otherwise it is the level that use cannot move, and the
-        log gain is bounded: were it use after all, it would move the mean no further than correcting the shift of the
-        rest has repaid.
+        A log gain turns the output about a level, the one that use cannot move. It is bounded: were it use after all,
+        it would move the mean no further than correcting the shift of the rest has repaid.
         """
         log_gain = sure = self._sure(float(drift[1]), covariance)
         level = self.standing_level(drift)
-        if self.is_imposed:
-            # A machine does not press harder little by little; a new programme comes at once, and is told before this.
-            level = -float(covariance[0, 1] / covariance[1, 1])
-        elif level is None:
+        if level is None:
             return np.zeros(2)
-        else:
-            most = self.gain_per_shift(level) * self.moved
-            vouched = float(np.clip(log_gain, self.seated - most, self.seated + most))
-            if self.fresh:
-                vouched = self._reseated_gain(drift, covariance, self.gain_per_shift(level) * self.step)
-            # Never more than is estimated: gain and use that cancel are less likely than neither.
-            log_gain = float(np.clip(vouched, min(0.0, log_gain), max(0.0, log_gain)))
+        most = self.gain_per_shift(level) * self.moved
+        vouched = float(np.clip(log_gain, self.seated - most, self.seated + most))
+        if self.fresh:
+            vouched = self._reseated_gain(drift, covariance, self.gain_per_shift(level) * self.step)
+        # Never more than is estimated: gain and use that cancel are less likely than neither.
+        log_gain = float(np.clip(vouched, min(0.0, log_gain), max(0.0, log_gain)))
         shift = self._sure_movement(drift, covariance, level)
         # A rest that follows the size of the use, up to here, is the sensor's creep and no drift.
         creep = -level * float(np.expm1(sure - log_gain)) * self.config.creep

@@ -90,7 +90,7 @@ def stream(seconds: float = 120.0, seed: int = 3) -> tuple[Array, Array, Array]:
     return np.arange(len(force_N)) / RATE_HZ, read_V(force_N, seed + 100), force_N
 
 
-def drifted(output_V: Array, gain: float = 0.85, offset_V: float = 0.08) -> Array:
+def drifted(output_V: Array, gain: float = 0.85, offset_V: float = 0.0) -> Array:
     share = np.linspace(0, 1, len(output_V))
     return np.asarray(output_V * (1 + share * (gain - 1)) + share * offset_V)
 

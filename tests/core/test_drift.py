@@ -155,14 +155,26 @@ def test_weaker_presses_of_a_harder_use_do_not_drag_the_gain_after_it() -> None:
     assert error_of(tracker, 1.0, 0.3) < 0.05
 
 
-def test_presses_of_a_machine_that_slowly_grow_larger_are_gain() -> None:
+def test_presses_of_a_machine_that_slowly_grow_larger_about_a_standing_rest_are_held() -> None:
+    """A programme that grows and a gain that rises are the same numbers there."""
     use, tracker = begun()
     output = presses(1200.0, seed=4)
     gain = np.minimum(1.15, np.linspace(1.0, 1.25, len(output)))
 
-    observe(tracker, 1 + (output - 1) * gain, use)
+    seen = observe(tracker, 1 + (output - 1) * gain, use)
 
-    assert error_of(tracker, 1.15, 1 - 1.15) < 0.03
+    assert error_of(tracker, 1.0, 0.0) < 0.03
+    assert HELD in {one.verdict for one in seen}
+
+
+def test_a_gain_of_a_use_that_a_machine_times_is_followed_where_the_rest_moved_with_it() -> None:
+    use, tracker = begun()
+    output = presses(1200.0, seed=4)
+    share = np.linspace(0.0, 1.0, len(output))
+
+    observe(tracker, 1 + (output - 1) * (1 + 0.15 * share) + 0.2 * share, use)
+
+    assert error_of(tracker, 1.15, 1.2 - 1.15) < 0.05
 
 
 @pytest.mark.parametrize("share", [0.9, 1.1])

@@ -62,12 +62,6 @@ def test_gain_that_may_be_use_is_doubted() -> None:
     assert Trust(zero=REST, rest=REST).use_doubt(applied, applied) == pytest.approx(0.5 * 0.2**2 * (1 + REST**2))
 
 
-def test_gain_of_a_use_timed_by_a_machine_is_the_sensors() -> None:
-    trust = Trust(zero=REST, rest=REST, is_imposed=True)
-
-    np.testing.assert_allclose(trust.applied(about(REST, 0.3), SURE), about(REST, 0.3), rtol=1e-6)
-
-
 def test_without_a_rest_nothing_is_applied() -> None:
     np.testing.assert_array_equal(Trust(zero=REST).applied(about(REST, 0.3, 0.5), SURE), [0.0, 0.0])
 
