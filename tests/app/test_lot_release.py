@@ -24,7 +24,7 @@ from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 from softcal.app.export.certificates.content import certificate_of
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import said
-from softcal.core.quality.widening import Widening
+from softcal.core.quality.widening import AuditedSamples, Widening, fit_widening
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.line_spread import LineSpread
 from softcal.core.words.reason import Reason, reason
@@ -79,6 +79,11 @@ def test_units_nobody_measured_pass_on_the_audits_of_the_others(make_lot, batch,
     assert second.verdict == "pass" != first.verdict
     scaled = second.evidence["interval_scale"] * first.arrays["interval.half_width"]
     assert np.allclose(second.arrays["interval.half_width"], np.hypot(scaled, second.evidence["interval_added"]))
+    audited = [unit["serial"] for unit in report["units"] if unit["audited"]]
+    read = [unit.made.audit for unit in registry.pages.standings("large", audited).values()]
+    asked = fit_widening([AuditedSamples(np.array(one.residual), np.array(one.half)) for one in read], 0.9)
+    widened = (second.evidence["interval_scale"], second.evidence["interval_added"])
+    assert widened == pytest.approx((asked.scale, asked.added)) and asked != Widening()
     assert second.predicted_rmse == pytest.approx(first.predicted_rmse * second.evidence["forecast_scale"])
     # What is promised of it is the bound that the audits give, not their mean.
     assert second.settings["forecast"]["upper"] == pytest.approx(first.predicted_rmse * release["factor"])
