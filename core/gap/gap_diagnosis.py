@@ -1,5 +1,6 @@
 """What the diagnosis of the twin and that of a simulator of somebody else hold and report alike."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Generic
@@ -32,7 +33,7 @@ NOT_MEASURED = "not measured: the recordings hold a mistake"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class GapDiagnosis(Generic[T]):
+class GapDiagnosis(ABC, Generic[T]):
     """Everything a report or a page needs of one diagnosis. With the verdict `data` only what has no default is there.
 
     Args:
@@ -98,13 +99,13 @@ class GapDiagnosis(Generic[T]):
         """Return the name of a channel in a report."""
         return channel
 
+    @abstractmethod
     def _described(self, residual: LearnedResidual[T]) -> dict[str, object]:
         """Return what a report says of empirical terms beside what all say."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _own(self) -> dict[str, object]:
         """Return what the report of this kind of simulator has beside what all have."""
-        raise NotImplementedError
 
 
 def partial_of(search: EffectSearch) -> Partial | None:
