@@ -228,7 +228,7 @@ def test_check_answers_three_questions_apart(run: Run, tmp_path: Path, capsys: p
     found = check(public, 2)
     assert [line.split(":")[0] for line in found.incomplete] == ["unit-A1.ssc", "unit-A9.ssc"] and not found.changed
     (out / "unit-A9.ssc").unlink()
-    (out / "unit-A1.ssc").write_bytes(kept[:-1] + b"\0")
+    (out / "unit-A1.ssc").write_bytes(kept[:-1] + bytes([kept[-1] ^ 1]))
     found = check(public, 2)
     assert not found.incomplete and [line.split(":")[0] for line in found.changed] == ["unit-A1.ssc"]
     (out / "unit-A1.ssc").write_bytes(kept)

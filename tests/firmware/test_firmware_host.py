@@ -151,7 +151,9 @@ def test_each_refusal_ends_with_its_own_status(program: Path, real_case: Any, tm
     network, unit = real_case.write(tmp_path)
     released = Path(__file__).parent / "released" / "unit-1.0.ssc"
     damaged = tmp_path / "damaged.ssc"
-    damaged.write_bytes(unit.read_bytes()[:60] + b"\xff" + unit.read_bytes()[61:])
+    content = bytearray(unit.read_bytes())
+    content[60] ^= 0xFF
+    damaged.write_bytes(content)
     cut = tmp_path / "cut.ssc"
     cut.write_bytes(unit.read_bytes()[:-8])
     assert _run(program, network, network, [])[0] == 6
