@@ -51,10 +51,14 @@ def read_V(force_N: Array, seed: int) -> Array:
     return REST_V + GAIN_V_N * force_N + 0.002 * np.random.default_rng(seed).normal(size=len(force_N))
 
 
-def maker(force_N: Array) -> Callable[..., Adapter]:
+def maker(
+    force_N: Array,
+    output_V: Array | None = None,
+    network: Network = exact_network(),  # noqa: B008 - frozen
+) -> Callable[..., Adapter]:
     """Return a function that makes adapters of a unit calibrated under a load."""
-    recording = OutputRecording("A1", np.arange(len(force_N)) / RATE_HZ, read_V(force_N, 1), RATE_HZ)
-    network = exact_network()
+    output_V = read_V(force_N, 1) if output_V is None else output_V
+    recording = OutputRecording("A1", np.arange(len(force_N)) / RATE_HZ, output_V, RATE_HZ)
     interval = make_source_model(LabelledRecording(recording, force_N), network, np.arange(0, 4000, 7)).interval
     calibration = Calibration(
         serial="A1",
@@ -163,6 +167,25 @@ def test_drift_is_followed(make_adapter: Callable[..., Adapter], mode: str) -> N
 
     assert rmse(raw[last], force_N[last]) > 0.1
     assert rmse(followed[last], force_N[last]) < 0.025
+
+
+def test_a_use_that_turns_without_a_rest_has_its_zero_load_where_f_sees_it_in_motion() -> None:
+    # f takes off the curvature over 0.1 s, as of a sensor that relaxes: it sees 0.1 V cos as 0.1328 V cos, 9.7 degrees
+    # later. So zero load lies 0.0342 V above the constant output that f takes for zero.
+    first, second = np.zeros((TAPS, 2)), np.array([[1.0], [-1.0]])
+    first[[-6, -11], 0] = 2.0, -1.0
+    first[:, 1] = -first[:, 0]
+    network = Network((first, second), (np.zeros(2), np.zeros(1)), REST_V, GAIN_V_N, 0.0, 1.0)
+    phase = 2 * np.pi * np.arange(6000) / RATE_HZ
+    noise_V = 0.0005 * np.random.default_rng(8).normal(size=6000)
+    output_V = REST_V + 0.0328 + 0.1 * (1 - np.cos(phase)) + noise_V
+    load_N = 0.1328 / GAIN_V_N * (1 - np.cos(phase - np.deg2rad(9.73)))
+
+    use = maker(load_N, output_V, network)().calibrated_use
+
+    assert use.zero is not None and use.curve is not None
+    assert use.mean + use.scale * use.zero == pytest.approx(REST_V + 0.0342, abs=0.004)
+    assert np.interp(use.zero, use.curve.output, use.curve.load) == pytest.approx(0, abs=0.01)
 
 
 def test_drift_that_is_followed_raises_no_alarm(make_adapter: Callable[..., Adapter]) -> None:
