@@ -55,6 +55,12 @@ def test_rests_that_wander_overnight_by_as_much_as_units_differ_are_no_exchange(
         assert codes(lot) == {}
 
 
+@pytest.mark.parametrize(("others", "is_named"), [(2, False), (3, True)])
+def test_three_others_name_an_audit_in_another_unit_and_two_do_not(others, is_named):
+    lot = {f"U{k}": reading(f"U{k}", gain=9.80665 if k == 0 else 1.0, rest=0.3 + 0.1 * k) for k in range(others + 1)}
+    assert codes(lot) == ({"U0": "doubt.gain"} if is_named else {})
+
+
 @pytest.mark.parametrize("factor", [1 / 101.97, 9.80665, -1.0], ids=["gf for N", "kgf for N", "pushed for pulled"])
 def test_a_reference_in_another_unit_is_out_of_line(readings, factor):
     readings["U4"] = replace(readings["U4"], gain=readings["U4"].gain * factor)

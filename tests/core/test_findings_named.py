@@ -12,6 +12,8 @@ from softcal.core.recording import OutputRecording
 from softcal.core.simulated_lot import LotDesign, SimulatedLot, simulate_lot
 from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.findings import contradictions
+from softcal.core.unit.health import output_limits
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from tests.layers import layered
 
@@ -120,3 +122,16 @@ def test_without_a_shared_load_no_lag_is_claimed(seed: int, model: SourceModel) 
     (unit,) = lot(seed, good=1, shift="own programme").units
     for recording in (unit.recording, lagging(unit.recording, 0.5)):
         assert "lagging" not in found(model, recording)[1]
+
+
+@pytest.mark.parametrize(("apart_V", "is_elsewhere"), [(0.4, False), (0.6, True)])
+def test_an_output_is_elsewhere_when_half_of_the_wider_range_parts_it_from_the_source(
+    model: SourceModel, apart_V: float, is_elsewhere: bool
+) -> None:
+    t_s = np.arange(1500) / 50.0
+    press = np.sin(np.pi * t_s) ** 2 + 1e-3 * np.random.default_rng(1).normal(size=1500)
+    source = OutputRecording("S0", t_s, press - 0.5, 50.0)
+    unit = OutputRecording("U1", t_s, 0.5 + apart_V + 0.2 * press, 50.0)
+    limits = output_limits(unit, source, True, model.method.health)
+    said = [finding.reason.code for finding in contradictions(source, unit, limits, model.method)]
+    assert said == (["elsewhere"] if is_elsewhere else [])

@@ -313,3 +313,14 @@ def test_a_lot_whose_every_unit_was_measured_has_nothing_left_to_promise():
     seen = decided.statement.values["seen"].values
     assert decided.statement.code == "release.none_left"
     assert (seen["audits"].values, seen["beyond"], seen["limit"], seen["unit"]) == ({"audits": 2}, 1, 1.0, "N")
+
+
+def test_a_forecast_is_multiplied_by_what_audits_measured_of_theirs_and_by_nothing_without_them():
+    audits = [AuditedUnit(f"A{k}", 0.2, 0.3) for k in range(12)]
+    forecasts = {"light": 0.3, "heavy": 0.75}
+    decided = release_lot(forecasts, qualify(audits, [], NOW, "EG", "m1", units=14), LIMIT, Promise())
+    assert decided.forecast_scale == pytest.approx(1.5)
+    assert [decided.judgement(serial).verdict for serial in forecasts] == ["pass", "fail"]
+    blind = release_lot(forecasts, qualify([], [], NOW, "EG", "m1", units=14), LIMIT, Promise())
+    assert blind.forecast_scale == 1.0
+    assert [blind.judgement(serial).verdict for serial in forecasts] == ["conditional", "conditional"]

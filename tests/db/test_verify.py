@@ -14,6 +14,7 @@ from softcal.app.cli.main import main
 from softcal.core.errors import RegistryError, SoftcalError
 from softcal.core.recording import OutputRecording
 from softcal.core.words.reason import plain
+from softcal.db.care import checks
 from softcal.db.care.backup import back_up, restore
 from softcal.db.connection import open_registry
 from softcal.db.entries import Anchor, GoldenRun
@@ -65,6 +66,12 @@ def test_what_was_changed_behind_its_back_is_found(people, statement, fault, is_
             behind(people, "DROP TABLE aside")
         if "registry_info" in statement:
             behind(people, f"UPDATE registry_info SET value = '{people.origin}' WHERE key = 'origin'")
+
+
+@pytest.mark.parametrize("rows", [1, 2, 5, 1000])
+def test_a_quick_look_finds_nothing_wrong_wherever_in_a_whole_trail_it_begins(people, monkeypatch, rows):
+    monkeypatch.setattr(checks, "ROWS_OF_QUICK", rows)
+    assert people.verify(is_quick=True) == []
 
 
 def test_triggers_that_are_gone_off_or_others_are_found(people):

@@ -1,12 +1,24 @@
 """The watches of a run on made-up streams: what a line may do to healthy samples, and how a dead channel looks."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softcal.core.errors import BadReply
-from softcal.station.motion.safety import FROZEN, MISSING_S, PRESSED_MM, STUCK_MM, FollowWatch, StuckWatch
+from softcal.core.errors import BadReply, NoReply
+from softcal.station.devices.config import SafetyConfig
+from softcal.station.interfaces import Sample
+from softcal.station.motion.safety import (
+    FROZEN,
+    MISSING_S,
+    PRESSED_MM,
+    STUCK_MM,
+    FollowWatch,
+    StreamWatch,
+    StuckWatch,
+)
 
 RATE_HZ = 50.0
 STALL_S = 0.1
@@ -84,3 +96,21 @@ def test_a_cell_that_dies_while_the_stage_goes_down_or_holds_is_seen_at_once(at_
         assert follow(watch, ramp(0.0, at_mm, 2.0)) is None
         seen_s = follow(watch, after, 5.0)
         assert seen_s is not None and seen_s - 5.0 <= MISSING_S + 0.03
+
+
+@pytest.mark.parametrize("ahead_s", [-5000.0, -0.5, 0.0, 0.5, 5000.0])
+def test_readings_are_as_old_as_the_line_holds_them_back_wherever_the_device_began_to_count(ahead_s: float) -> None:
+    def held_back(line_s: float) -> float | None:
+        """Host time of the reading at which the watch raises, the line holding them back from the third second on."""
+        watch = StreamWatch(SimpleNamespace(name="readout", rate_Hz=RATE_HZ), SafetyConfig(), 0.0)  # type: ignore[arg-type]
+        for taken_s in np.arange(0.0, 6.0, 1.0 / RATE_HZ):
+            host_s = float(taken_s) + (line_s if taken_s >= 3.0 else 0.0)
+            try:
+                watch.check(Sample(host_s, float(taken_s) + ahead_s, (1.0,)))
+            except NoReply:
+                return host_s
+        return None
+
+    assert held_back(0.2) is None
+    raised_s = held_back(0.5)
+    assert raised_s is not None and 3.5 < raised_s < 4.0
