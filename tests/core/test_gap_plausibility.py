@@ -115,6 +115,8 @@ def test_a_unit_of_the_whole_case_is_asked_about_and_diagnosed(sound: Case, chan
     diagnosis = diagnose(spoilt(sound, **{name: scaled(name, 1 / factor)}))
     assert diagnosis.verdict == "no_gap"
     assert [(f.what, f.channel, f.runs, f.factor) for f in diagnosis.mistakes] == [("unit_factor", channel, (), factor)]
+    # Force and travel are both known: the pad's stiffness is what looks odd.
+    assert diagnosis.mistakes[0].evidence.code == "data.unit.stiffness"
 
 
 @pytest.mark.parametrize(("newtons", "stroke"), [(30.0, 0.5), (0.03, 0.3)], ids=["200 N", "0.2 N"])
