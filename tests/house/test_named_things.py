@@ -3,6 +3,7 @@
 import argparse
 import ast
 import importlib.util
+import io
 import re
 import tokenize
 from collections import defaultdict
@@ -37,9 +38,11 @@ class Module:
 @cache
 def _read(path: Path) -> Module:
     found = Module()
-    with path.open("rb") as file:
-        found.said += [token.string for token in tokenize.tokenize(file.readline) if token.type == tokenize.COMMENT]
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+    text = path.read_text("utf-8")
+    if "#" in text:
+        tokens = tokenize.generate_tokens(io.StringIO(text).readline)
+        found.said += [token.string for token in tokens if token.type == tokenize.COMMENT]
+    for node in ast.walk(ast.parse(text)):
         match node:
             case ast.Expr(value=ast.Constant(value=str(text))):
                 found.said.append(text)

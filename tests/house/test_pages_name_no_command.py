@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -55,6 +56,7 @@ def _spoken(file: Path) -> list[str]:
     return [str(leaf.value) for leaf in found if isinstance(leaf.value, str)]
 
 
+@cache
 def _files() -> dict[str, list[str]]:
     files = (file for room in ("app", "core", "db") for file in sorted((ROOT / room).rglob("*.py")))
     found = {str(file.relative_to(ROOT)): [s for s in _spoken(file) if COMMAND.search(s)] for file in files}
