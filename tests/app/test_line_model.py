@@ -374,7 +374,7 @@ def explore(
     return len(known), steps, states
 
 
-MOST_WORLDS = int(os.environ.get("SOFTCAL_LINE_WORLDS", "800"))
+MOST_WORLDS = int(os.environ.get("SOFTCAL_LINE_WORLDS", "400"))
 CARDS = {"armed", "armed_golden", "ask", "ask_new", "used_up", "hand", "stopped", "broken", "pass", "fail", "retest"}
 
 
@@ -388,6 +388,7 @@ def numbered_orders(monkeypatch: pytest.MonkeyPatch) -> None:
     ("loads", "begin", "cards"),
     [
         ((), (), CARDS),
+        pytest.param((), (("left", "LOT:L1"), ("left", "A1"), ("left", "CMD:START")), CARDS, marks=pytest.mark.long),
         pytest.param(
             LOADS,
             TO_FIRST_LOAD,
@@ -396,7 +397,7 @@ def numbered_orders(monkeypatch: pytest.MonkeyPatch) -> None:
         ),
         (LOADS, TO_LAST_LOAD, {"load", "reading", "armed", "hand", "pass", "fail", "stopped", "broken", "ask"}),
     ],
-    ids=["no loads", "two loads, from the first", "two loads, from the last"],
+    ids=["no loads", "no loads, a unit pressed", "two loads, from the first", "two loads, from the last"],
 )
 def test_all_events_in_all_states_keep_the_properties(
     loads: tuple[KnownLoad, ...], begin: tuple[tuple[str, str], ...], cards: set[str], capsys: Any

@@ -406,6 +406,7 @@ def test_a_lot_with_a_golden_run_is_fitted_to_it_and_a_wrong_one_stops_the_batch
     assert "A0.csv" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_another_limit_judges_every_unit_at_once_and_a_verdict_against_an_old_one_never_stands(
     make_lot, batch, registry_url, tmp_path, registry
 ):

@@ -175,6 +175,7 @@ def test_two_effects_of_different_stages_are_both_named():
     assert {p.stage for p in diagnosis.places[:2]} == {"transduction", "load_cell"}
 
 
+@pytest.mark.long
 def test_a_soft_frame_beside_a_large_cause_is_named_or_held_open_until_a_rigid_block_tells():
     case = make_case(("channel_collapse", {"beta": 0.025, "Fc": 4.0}, ()), ("frame_compliance", {"c_f": 0.03}, ()))
     diagnosis = diagnose(case)
@@ -194,6 +195,7 @@ def test_a_small_cause_that_the_equation_of_a_large_one_might_leave_is_held_open
     assert {i for rival in diagnosis.rivals for i in rival.hypothesis.ids} == {"dropped_samples", "frame_compliance"}
 
 
+@pytest.mark.long
 def test_a_frame_with_a_toe_is_not_called_a_joint_that_closes_alone():
     diagnosis = diagnose(make_case(("frame_compliance", {"c_f": 0.05}, ()), ("misaligned_contact", {"l": 0.3}, ())))
     assert {i for rival in diagnosis.rivals for i in rival.hypothesis.ids} == {"frame_compliance", "misaligned_contact"}

@@ -14,7 +14,7 @@ from softcal.station.simulated.faults import FAULTS, HOMING
 from softcal.station.simulated.line import SimulatedLine
 
 STANDS_WITHIN_S = 0.5
-QUICK, ALL = FAULTS[::6], [fault for k, fault in enumerate(FAULTS) if k % 6]
+QUICK, ALL = FAULTS[::8], [fault for k, fault in enumerate(FAULTS) if k % 8]
 
 
 def check(fault, folder, english_in):
@@ -44,7 +44,9 @@ def test_every_other_fault_does_so_too(fault, tmp_path, english_in):
     check(fault, tmp_path, english_in)
 
 
-@pytest.mark.parametrize("moment", DISK_MOMENTS)
+@pytest.mark.parametrize(
+    "moment", [DISK_MOMENTS[0], *(pytest.param(m, marks=pytest.mark.long) for m in DISK_MOMENTS[1:])]
+)
 def test_a_disk_that_fills_up_stops_the_stage_and_records_nothing(moment, tmp_path):
     outcome = run_with_full_disk(tmp_path, moment)
     assert "No space left" in outcome.message
