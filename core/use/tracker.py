@@ -33,10 +33,12 @@ from softcal.core.use.observation import (
     HELD,
     JUMPED,
     NOT_WATCHED,
+    PRELOAD_GONE,
     PRELOADED,
     REST_MOVED,
     TRIED,
     UNWATCHED,
+    USE_CHANGED,
     USE_OR_GAIN,
     Observation,
     TrackerState,
@@ -325,13 +327,16 @@ class DriftTracker:
         if not activity.has_rest:
             return self._held(cycle, "a sudden change of sensor or use, which no known rest can tell apart", index)
         moved = now.trust.jumped(activity, now.filter.drift, step)
-        if abs(moved) <= max(config.floor[0], config.rest_sigmas * activity.rest_scatter):
+        crept = now.trust.creep(activity.rest, float(step[1]))
+        stands = min(abs(moved), abs(moved - crept)) <= max(config.floor[0], config.rest_sigmas * activity.rest_scatter)
+        is_far = abs(moved) > config.largest[0]
+        if stands or (is_far and now.trust.is_lighter(activity, now.filter.drift, step)):
             now.unresolved = 0.0
             if self._is_improved and len(now.jumps) == config.most and self._learner.learn(now, now.jumps):
                 now.jumps.clear()
-            return self._held(cycle, "the rest is where it was: the use changed, not the sensor", index)
+            return self._held(cycle, USE_CHANGED if stands else PRELOAD_GONE, index)
         after = now.filter.drift + np.array([moved, 0.0])
-        if abs(moved) > config.largest[0] or abs(after[0]) > self._method.drift.largest[0]:
+        if is_far or abs(after[0]) > self._method.drift.largest[0]:
             now.alarm = "a sudden change larger than is ever followed; check the sensor and its mounting"
             return self._held(cycle, now.alarm, index)
         return self._follow_jump(cycle, index, level, moved)

@@ -113,6 +113,14 @@ class Trust:
         # Use leaves one of the levels where it was, so the smallest movement is surely the sensor's.
         return min(moved, key=abs) if min(moved) * max(moved) > 0 else 0.0
 
+    def is_lighter(self, activity: Activity, drift: Array, step: Array) -> bool:
+        """Return whether a rest that moved by a step of a drift, both (2,), lies between its place and zero load."""
+        if self.zero is None:
+            return False
+        now = activity.rest + movement(drift + step, activity.rest)
+        ends = [level + movement(drift, level) for level in (activity.rest, self.zero)]
+        return min(ends) - self.config.preload <= now <= max(ends) + self.config.preload
+
     def standing_level(self, drift: Array) -> float | None:
         """Return the level between rest, zero load and pivot that moved least; None where no rest is known."""
         if self.rest is None:
@@ -143,11 +151,14 @@ class Trust:
         # Never more than is estimated: gain and use that cancel are less likely than neither.
         log_gain = float(np.clip(vouched, min(0.0, log_gain), max(0.0, log_gain)))
         shift = self._sure_movement(drift, covariance, level)
-        # A rest that follows the size of the use, up to here, is the sensor's creep and no drift.
-        creep = -level * float(np.expm1(sure - log_gain)) * self.config.creep
-        creep = float(np.clip(creep, -self.config.step, self.config.step))
+        creep = self.creep(level, sure - log_gain)
         shift -= float(np.clip(shift, min(0.0, creep), max(0.0, creep)))
         return np.array([shift - np.expm1(log_gain) * level, log_gain])
+
+    def creep(self, level: float, log_gain: float) -> float:
+        """Return how far a rest at a level may follow use that grows by a log gain: the sensor's memory, no drift."""
+        moved = -level * float(np.expm1(log_gain)) * self.config.creep
+        return float(np.clip(moved, -self.config.step, self.config.step))
 
     def _sure(self, log_gain: float, covariance: Array) -> float:
         return log_gain * max(self.proven, self._sure_share(log_gain, float(covariance[1, 1])))

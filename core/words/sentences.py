@@ -187,7 +187,7 @@ other_rate: it was sampled at another rate than the source, so that its windows 
 not_better: its calibration may be worse than none; {why}; press it again over the whole range, or
   audit it (estimates change by {correction:.3g} {unit})
 part.uncertain: it is more uncertain than what it corrects (by {doubt:.3g} {unit})
-part.no_nearer: it hardly makes the unit more like the source (likeness of both outputs {gained:+.0%})
+part.no_nearer: it hardly makes the unit more like the source (their likeness changes by {gained:+.0%})
 
 # What is wrong with recordings that a diagnosis is given, and what would repair them.
 data.rate: the time stamps show {seen:.4g} Hz, sample_rate_Hz says {stated:.4g} Hz

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from softcal.core.errors import InputError
 from softcal.core.maps.affine_map import AffineMap
@@ -30,6 +31,8 @@ from softcal.core.windows import TAPS
 RELEASED = Path(__file__).parent / "released"
 RATE_HZ = 50.0
 REST_V, GAIN_V_N = 0.8, 0.25
+MEMORY_V_N = 0.05
+"""What a few seconds of a mean load leave in the output."""
 
 
 def exact_network() -> Network:
@@ -269,6 +272,34 @@ def test_presses_that_change_in_size_about_a_standing_rest_are_held_and_no_alarm
     updates = adapter.take_updates()
     assert not any(update.alarm for update in updates)
     assert updates[-1].verdict == "held" and updates[-1].gain == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_rest_that_follows_lighter_presses_by_the_memory_of_the_sensor_is_no_new_seat() -> None:
+    force_N = walk_N(240.0, 5)
+    force_N[len(force_N) // 2 :] *= 0.6
+    remembered_N, _ = lfilter([1 / 150], [1, 1 / 150 - 1], force_N, zi=[1.0])
+    output_V = read_V(force_N, 6) + MEMORY_V_N * remembered_N
+    network = replace(exact_network(), output_mean=REST_V + MEMORY_V_N)
+    adapter = maker(force_N[:4500], output_V[:4500], network)()
+
+    adapter.advance(np.arange(len(force_N)) / RATE_HZ, output_V)
+
+    updates = adapter.take_updates()
+    assert "jumped" not in {update.verdict for update in updates}
+    assert (updates[-1].gain, updates[-1].offset) == (pytest.approx(1.0, abs=0.01), pytest.approx(0.0, abs=0.01))
+
+
+def test_a_preload_that_is_taken_off_is_held_and_no_alarm() -> None:
+    force_N = walk_N(240.0, 5) + np.where(np.arange(240 * RATE_HZ) < 120 * RATE_HZ, 1.5, 0.0)
+    output_V = read_V(force_N, 6)
+    adapter = maker(force_N[:4500], output_V[:4500])()
+
+    rows = adapter.advance(np.arange(len(force_N)) / RATE_HZ, output_V)
+
+    updates = adapter.take_updates()
+    assert not any(update.alarm for update in updates)
+    assert (updates[-1].gain, updates[-1].offset) == (pytest.approx(1.0, abs=0.01), pytest.approx(0.0, abs=0.01))
+    assert rmse(rows.estimate, force_N) < 0.1
 
 
 def test_unit_calibrated_by_random_presses_is_followed_in_such_use(make_irregular: Callable[..., Adapter]) -> None:
