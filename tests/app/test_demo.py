@@ -19,6 +19,7 @@ SMALL = DemoConfig(
 )
 
 
+@pytest.mark.long
 def test_a_pressed_unit_comes_out_better_than_it_went_in(tmp_path: Path) -> None:
     said: list[str] = []
     folder = press_demo_lot(SMALL, tmp_path / "lot", said.append)

@@ -130,6 +130,7 @@ def test_networks_and_families_are_compared_on_the_lot(calibrated: str, show, jo
     assert set(found["Map"]) == {"auto", "affine"} and (found["Audited"] == 3).all()
 
 
+@pytest.mark.long
 def test_a_rollback_needs_a_reason_and_stays_in_the_history(calibrated: str, show) -> None:
     with open_registry(calibrated) as registry:
         record = registry.calibrations.get("A1").record
@@ -276,6 +277,7 @@ def test_a_unit_in_use_shows_its_course_and_that_a_calibration_is_due(calibrated
     assert "0.2 N" in screen.warning[0].value
 
 
+@pytest.mark.long
 def test_a_case_is_diagnosed_and_read_on_the_page(calibrated: str, show, jobs_at_once) -> None:
     case = practise("usual")
     screen = show(calibrated, "gap", case=str(case))

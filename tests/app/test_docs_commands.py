@@ -166,13 +166,13 @@ def test_the_readme_runs_as_written(workplace: Callable[[str], Path]) -> None:
     ("page", "serial", "least"),
     [
         ("docs/connect.md", "A1", 5),
-        ("docs/engineer.md", "S2", 4),
+        pytest.param("docs/engineer.md", "S2", 4, marks=pytest.mark.long),
         ("docs/firmware.md", "A1", 1),
-        ("docs/format.md", "S2", 2),
-        ("docs/long-term.md", "A1", 2),
-        ("docs/registry.md", "A17", 7),
-        ("docs/trust.md", "S2", 4),
-        ("docs/verdict.md", "A1", 2),
+        pytest.param("docs/format.md", "S2", 2, marks=pytest.mark.long),
+        pytest.param("docs/long-term.md", "A1", 2, marks=pytest.mark.long),
+        pytest.param("docs/registry.md", "A17", 7, marks=pytest.mark.long),
+        pytest.param("docs/trust.md", "S2", 4, marks=pytest.mark.long),
+        pytest.param("docs/verdict.md", "A1", 2, marks=pytest.mark.long),
     ],
 )
 def test_a_page_runs_as_written(

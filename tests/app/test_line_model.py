@@ -395,7 +395,12 @@ def numbered_orders(monkeypatch: pytest.MonkeyPatch) -> None:
             {"load", "reading", "armed", "hand", "recorded", "stopped", "broken"},
             marks=pytest.mark.long,
         ),
-        (LOADS, TO_LAST_LOAD, {"load", "reading", "armed", "hand", "pass", "fail", "stopped", "broken", "ask"}),
+        pytest.param(
+            LOADS,
+            TO_LAST_LOAD,
+            {"load", "reading", "armed", "hand", "pass", "fail", "stopped", "broken", "ask"},
+            marks=pytest.mark.long,
+        ),
     ],
     ids=["no loads", "no loads, a unit pressed", "two loads, from the first", "two loads, from the last"],
 )

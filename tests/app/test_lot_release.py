@@ -32,6 +32,7 @@ from softcal.db.connection import open_registry
 from softcal.db.entries import GoldenRun
 from softcal.db.registry import Registry
 from softcal.db.truth.registry_base import RegistrySettings
+from tests.layers import layered
 
 SMALL = ("--hidden", "16,8", "--no-own")
 
@@ -217,7 +218,7 @@ def _spoiled(folder: Path, how: str) -> set[str]:
 DOUBTS = {"gf": "doubt.gain", "one recording": "doubt.one_recording", "exchanged": "doubt.exchanged"}
 
 
-@pytest.mark.parametrize("how", DOUBTS)
+@pytest.mark.parametrize("how", layered(DOUBTS, ("gf", "exchanged")))
 def test_an_audit_that_may_be_wrong_is_set_aside_and_the_rest_of_the_lot_is_worked(make_lot, batch, how):
     folder = make_lot(audits=12)
     wrong = _spoiled(folder, how)
@@ -230,6 +231,7 @@ def test_an_audit_that_may_be_wrong_is_set_aside_and_the_rest_of_the_lot_is_work
     assert batch(folder)["release"] == report["release"]
 
 
+@pytest.mark.long
 def test_a_person_can_confirm_a_doubted_audit_and_a_new_one_ends_the_doubt(make_lot, batch, registry_url, registry):
     folder = make_lot(audits=12)
     right = (folder / "audit/large-03.csv").read_bytes()

@@ -302,6 +302,7 @@ def test_a_preload_that_is_taken_off_is_held_and_no_alarm() -> None:
     assert rmse(rows.estimate, force_N) < 0.1
 
 
+@pytest.mark.long
 def test_unit_calibrated_by_random_presses_is_followed_in_such_use(make_irregular: Callable[..., Adapter]) -> None:
     force_N = irregular_N(2000.0, 5)
     t_s, output_V = np.arange(len(force_N)) / RATE_HZ, read_V(force_N, 6)
@@ -315,6 +316,7 @@ def test_unit_calibrated_by_random_presses_is_followed_in_such_use(make_irregula
     assert rmse(followed[last], force_N[last]) < 0.3
 
 
+@pytest.mark.long
 def test_first_use_of_a_unit_without_drift_raises_no_alarm(make_irregular: Callable[..., Adapter]) -> None:
     force_N = irregular_N(900.0, 7)
     t_s, output_V = np.arange(len(force_N)) / RATE_HZ, read_V(force_N, 8)

@@ -68,7 +68,7 @@ def gap(twin, run, found):
 @pytest.mark.parametrize(
     ("name", "values", "variable"),
     [
-        ("guide_friction", {"friction_N": 0.15}, "direction"),
+        pytest.param("guide_friction", {"friction_N": 0.15}, "direction", marks=pytest.mark.long),
         ("cell_span_temperature", {"coefficient_per_K": 0.01}, "load·T"),
         ("cable_drag", {"drag_N_per_mm": 0.06}, "position"),
         ("permanent_set", {"share": 0.05}, "deepest"),

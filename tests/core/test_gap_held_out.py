@@ -68,6 +68,7 @@ def test_a_cause_that_lowers_nothing_on_samples_held_back_has_no_support(
     assert unsupported(_with(base, effect_id), {effect_id: base}) == [effect_id]
 
 
+@pytest.mark.long
 def test_a_cause_that_is_there_has_support(drawn_case: Callable[..., Case]) -> None:
     case = drawn_case(1300002, "strong", "usual")
     base, (named,) = base_fit(case), diagnose(case).best.hypothesis.ids

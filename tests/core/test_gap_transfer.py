@@ -22,6 +22,7 @@ def pressed(twin, seed, seconds, has_stage=True):
     return LabelledRecording(raw, force_N)
 
 
+@pytest.mark.long
 def test_the_explained_twin_foretells_the_rigs_errors_and_the_base_does_not():
     rig = PressedLot(pressed(LATE, 1, 60.0), (LotUnit(pressed(LATE, 2, 40.0).unlabelled, pressed(LATE, 3, 60.0)),))
     found = transfer(rig, BASE, LATE)

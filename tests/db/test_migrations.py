@@ -17,6 +17,7 @@ from softcal.db.care.maintenance import MIGRATIONS, migrate
 from softcal.db.connection import open_registry
 from softcal.db.schema.database import open_database
 from softcal.db.schema.tables import SCHEMA, metadata, registry_info
+from tests.layers import layered
 
 SCRIPTS = ScriptDirectory(str(MIGRATIONS), version_locations=[str(MIGRATIONS)])
 RELEASED = sorted(Path(__file__).with_name("released").glob("*.json"))
@@ -66,7 +67,7 @@ def test_migrations_give_exactly_the_tables(registry):
         assert compare_metadata(MigrationContext.configure(connection), metadata) == []
 
 
-@pytest.mark.parametrize("rows_file", RELEASED, ids=lambda path: path.stem)
+@pytest.mark.parametrize("rows_file", layered(RELEASED, (RELEASED[0], RELEASED[-1])), ids=lambda path: path.stem)
 def test_an_older_registry_is_refused_then_upgraded_with_its_data(released, rows_file):
     url = released(rows_file)
     if rows_file.stem != SCHEMA:

@@ -43,7 +43,7 @@ def test_the_doubt_of_a_contact_is_the_spread_of_many(rng, power):
     assert spread_mm == pytest.approx(np.median(doubts_mm), rel=0.3)  # 60 draws tell a spread within 9 %
 
 
-@pytest.mark.parametrize("power", layered((1.0, 1.25, 1.4, 1.75, 2.0), (1.0, 1.4, 2.0)))
+@pytest.mark.parametrize("power", layered((1.0, 1.25, 1.4, 1.75, 2.0), (1.4,)))
 def test_the_surface_is_found_within_ten_micrometres_for_any_power_law(power):
     for seed in (1, 2, 3):
         case = RigCase(law=ForceLaw(1.2, power), surface_mm=2.203, latency_s=0.0, stiffest_N_mm=60.0, seed=seed)
@@ -78,6 +78,7 @@ def test_a_force_that_belongs_to_the_path_before_the_slow_press_hides_no_latency
     assert recording.contact_mm == pytest.approx(surface_mm, abs=0.010)
 
 
+@pytest.mark.long
 def test_units_of_other_stiffness_are_aligned_within_micrometres():
     errors_mm = []
     with open_simulated_bench(seed=4) as (bench, station):

@@ -206,7 +206,10 @@ def test_pyvisa_itself_drives_the_far_end(wired, setup, kind):
         manager.close()
 
 
-@pytest.mark.parametrize(("kind", "unit", "per_V"), [("scpi_dmm", "ohm", 1000.0), ("scpi_lcr", "pF", 100.0)])
+@pytest.mark.parametrize(
+    ("kind", "unit", "per_V"),
+    [pytest.param("scpi_dmm", "ohm", 1000.0, marks=pytest.mark.long), ("scpi_lcr", "pF", 100.0)],
+)
 def test_a_unit_is_pressed_and_recorded_through_a_bench_instrument(kind, unit, per_V):
     profile = moves("short", [0.0, 2.0, 0.0], [2.0, 2.0, 2.0], [0.5, 0.5, 0.5])
     with open_simulated_bench(seed=3, readout_kind=kind) as (bench, station):

@@ -48,6 +48,7 @@ def test_the_second_unit_takes_at_most_half_again_as_long_as_the_pressing_itself
     assert second[-1][2] <= 1.5 * profile.duration_s
 
 
+@pytest.mark.long
 def test_a_slow_press_is_as_fast_as_the_force_so_far_allows():
     first, _ = pressed(RIGID)
     took_s = max(t for phase, _, t in first if phase == FEELING) - min(t for phase, _, t in first if phase == FEELING)
@@ -56,6 +57,7 @@ def test_a_slow_press_is_as_fast_as_the_force_so_far_allows():
     assert took_s < 0.6 * slowest_s
 
 
+@pytest.mark.long
 def test_a_hard_layer_that_a_slow_press_meets_half_way_is_felt_from_the_top_and_pressed():
     hard = replace(RIGID, law=ForceLaw(0.4, 1.0, stop_mm=0.9, stop_N_mm=5.0))
     with open_rig(hard) as (bench, station):
