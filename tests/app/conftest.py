@@ -33,11 +33,16 @@ from softcal.app.bootstrap import open_chosen_registry
 from softcal.app.cli.main import main
 from softcal.app.jobs import process as job_process
 from softcal.app.jobs.jobs import run_job
+from softcal.app.line.gate_facts import RIG_ONLY
+from softcal.app.line.serve import Serving
+from softcal.app.line.serve import serve as serve_here
 from softcal.app.ui import account as identity
 from softcal.app.ui import browser_memory, first_paint, server_memory
-from softcal.core.orders import OrderKind, RunState
+from softcal.core.network.config import NetworkConfig
+from softcal.core.orders import Order, OrderKind, RunState, StationState
 from softcal.db.connection import open_registry
-from tests.app.line_screen import SHORT, STATION, Line, opened
+from softcal.db.registry import Registry
+from tests.app.line_screen import LOT, SHORT, STATION, Line, opened
 
 MAIN = Path(identity.__file__).with_name("main.py")
 CHROMIUM_FLAGS = [
@@ -48,6 +53,14 @@ CHROMIUM_FLAGS = [
     "--disable-sync",
 ]
 START_S = 120
+AS_SERVED: dict[str, Any] = {
+    "rules": RIG_ONLY,
+    "unit_s": 12.0,
+    "source_s": 25.0,
+    "network": NetworkConfig(hidden=(12, 6), max_epochs=40),
+}
+"""What `SHORT` says to the command, for who serves in process."""
+
 SOFTCAL = str(Path(sys.executable).with_name("softcal"))
 PINS = {"operator": ("Oh", "1111"), "engineer": ("Erin", "2580"), "quality": ("Quinn", "7777")}
 
@@ -373,16 +386,25 @@ def line(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Line]:
     """A line: a served station with a trained lot, and a screen that shows it."""
     folder = tmp_path_factory.mktemp("line")
     url = f"sqlite:///{folder / 'line.db'}"
-    with (
-        station_served(url, STATION, folder, *SHORT) as station,
-        served(url) as screen,
-        open_registry(url) as registry,
-    ):
-        line = Line(registry, screen, station, url)
-        source = line.order(OrderKind.SOURCE, "A0")
-        line.until(lambda: not registry.order_queue.progress(source).state.is_active, "the source")
-        assert registry.order_queue.progress(source).state is RunState.DONE
-        yield line
+    with open_registry(url) as registry:
+        _press_source(registry, folder)
+        with station_served(url, STATION, folder, *SHORT) as station, served(url) as screen:
+            yield Line(registry, screen, station, url)
+
+
+def _press_source(registry: Registry, folder: Path) -> None:
+    """Press the lot's source and train its network, in this process and without its clock."""
+    order = Order("source", STATION, OrderKind.SOURCE, "A0", LOT, "engineer", "")
+    asked: list[bool] = []
+
+    def goes_on() -> bool:
+        beat = registry.order_queue.heartbeat(STATION)
+        if not asked and beat is not None and beat.state in (StationState.READY, StationState.CLOSED):
+            asked.append(registry.order_queue.place(order))
+        return not asked or registry.order_queue.progress(order.order_id).state.is_active
+
+    serve_here(registry, Serving(STATION, simulated_seed=5, speed=1000.0, **AS_SERVED), folder / "spool", goes_on)
+    assert registry.order_queue.progress(order.order_id).state is RunState.DONE
 
 
 @pytest.fixture

@@ -65,6 +65,7 @@ def clock():
 def reader(library, clock):
     reader = ThreadedReader("meter", "V", 1000.0, clock, library.read, library.close)
     yield reader
+    library.give(OSError("closed"))
     reader.close()
 
 
