@@ -313,6 +313,7 @@ def test_a_queue_that_cannot_be_is_refused_in_one_line(
     assert not (tmp_path / "out.csv").exists()
 
 
+@pytest.mark.long
 def test_queues_of_another_length_are_not_gone_on_with(
     bench: Path, stream: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -324,6 +325,7 @@ def test_queues_of_another_length_are_not_gone_on_with(
     assert "200 windows" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_the_state_of_another_mode_is_refused(
     bench: Path, stream: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -41,6 +41,7 @@ def test_a_plan_is_drawn_once_and_again_only_with_a_reason(calibrated: str, show
     assert [row.iloc[0] for _, row in screen.table[0].value.iterrows()] == list(first.plan.serials)
 
 
+@pytest.mark.long
 def test_recordings_are_looked_at_and_what_cannot_audit_a_unit_says_why(
     calibrated: str, lot_folder: Path, show, jobs_at_once: None
 ) -> None:

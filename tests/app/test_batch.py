@@ -183,6 +183,7 @@ def test_known_loads_that_cannot_be_true_cost_their_unit_a_retest(
     assert all(unit["verdict"] != "retest" for unit in report["units"] if unit["serial"] != "A1")
 
 
+@pytest.mark.long
 def test_known_loads_that_are_named_outrank_those_of_the_folder(lot_folder: Path, url: str, tmp_path: Path) -> None:
     (lot_folder / "anchors.csv").write_text("serial,output,reference\nA1,0.54,2\nA1,0.9,0\n")
     (tmp_path / "anchors.csv").write_text("serial,output,reference\nA2,0.54,2\nA2,0.9,0\n")

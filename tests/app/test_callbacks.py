@@ -86,6 +86,7 @@ def _is_whole(value: ast.expr, whole: set[str]) -> bool:
     return ast.unparse(value) in whole | {"st.login"} or ast.unparse(value).startswith("in_one_piece(")
 
 
+@pytest.mark.long
 def test_every_callback_of_a_screen_runs_in_one_piece() -> None:
     found = {(path.name, *callback) for path in UI.rglob("*.py") for callback in callbacks(path)}
     assert len(found) >= 7

@@ -135,6 +135,7 @@ def validity(dcc: ET.Element) -> float:
     return float(str(found.findtext(".//{https://ptb.de/si}value")))
 
 
+@pytest.mark.long
 def test_what_known_loads_did_to_a_map_stands_on_the_certificate(exported: Exported, tmp_path: Path) -> None:
     stated = '[performance]\ndeviations = "no reference room"\n'
     _, dcc = exported(STATED + LIMIT, stated)

@@ -67,6 +67,7 @@ def test_every_path_has_a_method_that_names_what_it_takes(module, registry):
         assert set(inspect.signature(method).parameters) - {"self", "body"} == wanted
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("jobs_at_once")
 def test_a_real_server_answers_every_kind_of_question(module, registry, address):
     client = module.Client(address, registry.tokens.add("Erin", "a test", 1)[1])

@@ -297,6 +297,7 @@ def revealed(screen) -> list[str]:
 HIDDEN = text("en", "gap.truth.is", causes="").split("**")[0]
 
 
+@pytest.mark.long
 def test_a_mistake_hidden_in_a_practice_rig_is_found_and_told(calibrated: str, show, jobs_at_once) -> None:
     case = practise("mistakes")
     screen = show(calibrated, "gap", case=str(case))

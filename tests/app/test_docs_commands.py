@@ -190,6 +190,7 @@ def test_a_page_runs_as_written(
     assert _run(page, folder) >= least
 
 
+@pytest.mark.long
 def test_the_rules_of_a_line_are_set_as_written(workplace: Callable[[str], Path]) -> None:
     folder = workplace("S2")
     _import("S1.csv", "S2.csv", "S3.csv", out="LOT-1")

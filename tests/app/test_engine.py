@@ -71,6 +71,7 @@ def cluster_elsewhere() -> Iterator[tuple[str, subprocess.Popen[str]]]:
             process.wait()
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
 def test_a_cluster_that_runs_elsewhere_is_used_and_left_running(cluster_elsewhere) -> None:
     address, worker = cluster_elsewhere

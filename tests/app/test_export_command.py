@@ -66,6 +66,7 @@ def test_every_format_is_written_and_reads_back(run: Run, tmp_path: Path) -> Non
     assert unit["device"]["rms_error"] <= unit["device"]["limit"]
 
 
+@pytest.mark.long
 def test_the_same_calibration_gives_the_same_bytes_in_any_folder_and_time_zone(
     run: Run, calibrated: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

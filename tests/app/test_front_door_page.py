@@ -176,6 +176,7 @@ def test_a_lot_out_of_the_registry_has_the_recordings_bit_by_bit(calibrated: str
         assert folder.read_source().sha256 == source.sha256
 
 
+@pytest.mark.long
 def test_the_archive_of_a_lot_is_whole_and_says_what_is_not_in_it(calibrated: str, tmp_path: Path) -> None:
     request = {"lot": "small", "serials": None, "formats": ["json", "pdf", "blob"], "release": "pass"}
     job = done(calibrated, "archive", request)

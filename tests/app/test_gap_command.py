@@ -166,6 +166,7 @@ def test_apply_takes_either_a_case_or_a_report(case, tmp_path, capsys):
         assert "--report" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_the_simulated_station_presses_the_twin_of_a_diagnosis(tmp_path):
     twin = Twin(BaseParameters(r0_ohm=6.0), (LAG,), READOUT)
     write_twin(tmp_path / "t.json", twin)

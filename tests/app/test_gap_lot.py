@@ -39,6 +39,7 @@ def lot(tmp_path):
     return tmp_path / "lot"
 
 
+@pytest.mark.long
 def test_the_lot_shares_a_lag_and_its_twin_beats_the_one_without(lot, tmp_path, capsys):
     report = tmp_path / "lot.json"
     assert main(["gap", "lot", str(lot), "--json", str(report)]) == 0

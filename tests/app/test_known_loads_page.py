@@ -29,6 +29,7 @@ def table_of(folder: Path) -> bytes:
     return ("serial,output,reference\n" + "\n".join(rows)).encode()
 
 
+@pytest.mark.long
 def test_loads_are_looked_at_taken_and_used(calibrated, lot_folder, show, jobs_at_once):
     screen = show(calibrated, "known_loads", lot="small")
     assert not screen.exception and say("known_loads.none") in [one.value for one in screen.caption]

@@ -102,6 +102,7 @@ def test_a_station_says_what_its_sources_are_compared_with(is_named: bool) -> No
     assert station_reference(replace(config, force=None)) is None
 
 
+@pytest.mark.long
 def test_paper_vouches_for_nothing_that_the_lot_does_not(lot_folder: Path, tmp_path: Path) -> None:
     """A lot without a reference passes against its own labels; no certificate of it says so, whoever names a cell."""
     laboratory = tmp_path / "laboratory.toml"

@@ -94,6 +94,7 @@ def test_units_nobody_measured_pass_on_the_audits_of_the_others(make_lot, batch,
     assert len(registry.calibrations.history(serial)) == 2
 
 
+@pytest.mark.long
 def test_the_line_reads_no_recording_and_the_other_units_only_where_an_audit_came(
     make_lot, batch, monkeypatch, registry
 ):
@@ -116,6 +117,7 @@ def test_the_line_reads_no_recording_and_the_other_units_only_where_an_audit_cam
     assert set(recordings) <= {entry.sha256 for entry in registry.recordings.of_lot("large", kind="source")}
 
 
+@pytest.mark.long
 def test_without_audits_no_calibration_is_read_whole(make_lot, batch, monkeypatch, registry):
     batch(make_lot(audits=0))
     monkeypatch.setattr(registry.calibrations, "get", lambda *_, **__: pytest.fail("a calibration was read whole"))
@@ -175,6 +177,7 @@ def test_a_forecast_beyond_the_limit_does_not_stand_against_what_the_audits_meas
     assert len(report["release"]["released"]) == 4 and report["counts"]["fail"] == 0
 
 
+@pytest.mark.long
 def test_a_lot_without_enough_audits_is_left_as_it_was_fitted(make_lot, batch, registry):
     report = batch(make_lot(day_gain=1.35, limit_N=0.4, audits=6))
     assert report["release"]["released"] == [] and report["release"]["common"] is None
@@ -218,7 +221,7 @@ def _spoiled(folder: Path, how: str) -> set[str]:
 DOUBTS = {"gf": "doubt.gain", "one recording": "doubt.one_recording", "exchanged": "doubt.exchanged"}
 
 
-@pytest.mark.parametrize("how", layered(DOUBTS, ("gf", "exchanged")))
+@pytest.mark.parametrize("how", layered(DOUBTS, ("exchanged",)))
 def test_an_audit_that_may_be_wrong_is_set_aside_and_the_rest_of_the_lot_is_worked(make_lot, batch, how):
     folder = make_lot(audits=12)
     wrong = _spoiled(folder, how)
@@ -268,6 +271,7 @@ def test_a_golden_unit_of_another_sensor_model_withdraws_nothing(make_lot, batch
     assert not AuditReader(registry).evidence("fourteenth", method_id, now).qualification.is_given
 
 
+@pytest.mark.long
 def test_a_lot_states_its_line_and_the_line_knows_it(make_lot, batch, registry_url, capsys, registry):
     folder = make_lot(audits=0)
     plain = {unit["serial"]: unit for unit in batch(folder)["units"]}
@@ -284,6 +288,7 @@ def test_a_lot_states_its_line_and_the_line_knows_it(make_lot, batch, registry_u
     assert "load_spread is 5" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_golden_runs_of_several_days_are_kept_from_the_limit(make_lot, batch, registry_url, press_unit, registry):
     report = batch(make_lot(audits=10))
     serial = _unmeasured(report)[0]["serial"]
@@ -311,6 +316,7 @@ def test_three_earlier_lots_qualify_one_without_audits(make_lot, batch):
     assert other["release"]["qualification"] == "none"
 
 
+@pytest.mark.long
 def test_an_account_that_may_not_write_asks_what_stands_released(
     make_lot, batch, registry_url, tmp_path, request, capsys
 ):
@@ -369,6 +375,7 @@ def test_a_lot_of_three_is_told_to_measure_all_or_to_bring_earlier_lots(make_lot
     assert release["audited"] == 3 and release["released"] == []
 
 
+@pytest.mark.long
 def test_the_statement_is_said_in_the_language_of_the_reader(make_lot, batch, registry_url, tmp_path, registry):
     folder, korean = make_lot(), partial(text, "ko")
     batch(folder)

@@ -67,6 +67,7 @@ def test_the_way_from_sqlite_to_postgresql_and_back_computes_nothing_again(
         source = url
 
 
+@pytest.mark.long
 def test_another_recording_after_the_move_is_calibrated_and_the_first_one_comes_back(
     lot_folder, registry_url, postgresql, tmp_path
 ):

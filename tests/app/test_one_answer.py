@@ -49,6 +49,7 @@ def listed(url: str, capsys: pytest.CaptureFixture[str]) -> dict:
     return {unit["serial"]: unit for unit in json.loads(capsys.readouterr().out)["units"]}
 
 
+@pytest.mark.long
 def test_a_repeated_recording_puts_its_own_map_in_use(lot_folder, registry_url, tmp_path):
     first = (lot_folder / "units/A1.csv").read_bytes()
     assert batch(lot_folder, registry_url)["A1"]["map"]["revision"] == 1

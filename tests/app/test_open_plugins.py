@@ -20,6 +20,7 @@ from softcal.core.maps.affine import Affine
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.catalogue import OWN_FAMILIES, PLUGINS
 from softcal.core.maps.conformance import example_problem, faults
+from tests.layers import layered
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "softcal-example-map"
 
@@ -114,7 +115,7 @@ def test_files_of_a_plug_in_stay_in_the_folder_and_name_their_unit(files):
         formats._plugin_files(POINT, lambda unit: files, Unit(True))  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("name", [name for name in OWN_FAMILIES if name not in ("identity", "phase")])
+@pytest.mark.parametrize("name", layered(sorted(OWN_FAMILIES.keys() - {"identity", "phase"}), ("affine", "monotone")))
 def test_softcals_own_families_conform(name):
     # The example has no stage positions, at which "phase" pairs.
     assert example_problem().target.stage_mm is None

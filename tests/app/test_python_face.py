@@ -284,6 +284,7 @@ def test_a_transformer_says_what_it_lacks(source, tables):
         softcal.MapTransformer(source, family="affin").fit(tables[1][["output"]])
 
 
+@pytest.mark.long
 def test_the_network_is_worth_as_much_to_cross_validation_as_to_the_command_line(tables):
     recording = softcal.Recording.from_frame(tables[0], reference="reference", time_s="t_s").labelled
     regressor = softcal.NetworkRegressor(hidden=(16, 8))

@@ -64,6 +64,7 @@ def test_listing_loads_no_other_command_and_no_queue(calibrated):
     assert not {f"softcal.db.queues.{name}" for name in ("job_board", "order_queue", "outbox", "work_queue")} & found
 
 
+@pytest.mark.long
 def test_a_batch_does_not_load_what_no_map_needs(calibrated, trained_lot):
     options = ("--registry", calibrated["url"], "--hidden", "16,8", "--no-own", "--refit")
     found = loaded("batch", str(trained_lot / "lot"), *options, codes=(0, 1))

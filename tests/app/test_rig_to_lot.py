@@ -68,6 +68,7 @@ def batch(softcal, tmp_path, lot="lot-1", out="out"):
     return json.loads((tmp_path / f"{out}.json").read_text())
 
 
+@pytest.mark.long
 def test_a_source_and_three_units_end_in_verdicts_and_import_takes_the_folder_too(softcal, pressed, tmp_path):
     report = batch(softcal, tmp_path)
     assert {unit["serial"] for unit in report["units"]} == {"A1", "A2", "A3"}

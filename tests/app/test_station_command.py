@@ -142,6 +142,7 @@ def test_a_rig_on_serial_ports_is_found_and_written_down_in_real_time(tmp_path):
     assert (config.stage.kind, config.force.kind) == ("grbl", "hx711")
 
 
+@pytest.mark.long
 def test_a_killed_process_leaves_its_samples_and_no_recording(tmp_path):
     words = ["station", "unit", "--simulated", "--serial", "A1", "--out", str(tmp_path / "A1.csv")]
     words += ["--seconds", "3000", "--spool", str(tmp_path / "spool")]

@@ -13,6 +13,7 @@ from softcal.core.network.network import Network
 from softcal.core.unit import forecast
 from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.method import Method
+from tests.layers import layered
 
 
 @pytest.fixture
@@ -39,7 +40,9 @@ def test_f_reads_each_map_once(source_model, unit, monkeypatch):
     assert sum(rows) == (2 + 3 + config.parts) * len(unit.windows) + config.own_rows
 
 
-@pytest.mark.parametrize("name", sorted(OWN_FAMILIES.keys() - {"synchronous", "phase"}))
+@pytest.mark.parametrize(
+    "name", layered(sorted(OWN_FAMILIES.keys() - {"synchronous", "phase"}), ("affine", "monotone"))
+)
 def test_mapping_samples_is_mapping_windows_to_the_last_bit(source_model, unit, name):
     keep = np.ones(len(unit), dtype=bool)
     keep[600:650] = keep[900:905] = False

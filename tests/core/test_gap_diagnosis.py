@@ -386,6 +386,7 @@ def test_a_warmed_dummy_that_stays_put_leaves_the_drift_to_the_channel():
     assert diagnosis.next_experiment.profile == "none"
 
 
+@pytest.mark.long
 def test_the_explained_twin_foretells_an_unseen_profile():
     planted = ("mechanical_hysteresis", {"a": 0.06, "d0": 0.4}, ())
     twin = diagnose(make_case(planted)).explained

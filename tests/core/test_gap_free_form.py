@@ -47,7 +47,7 @@ def test_what_another_equation_leaves_is_no_second_cause(effect: str, form: str,
     assert diagnosis.best.hypothesis.ids == (effect,) and diagnosis.verdict in ("explained", "ambiguous")
 
 
-@pytest.mark.parametrize("seed", [1400000, 1400001])
+@pytest.mark.parametrize("seed", layered([1400000, 1400001], (1400001,)))
 def test_a_hum_that_swells_and_fades_is_a_hum(seed: int, drawn: Callable[..., Case]) -> None:
     diagnosis = diagnose(drawn("mains_hum", "beating", seed))
     assert diagnosis.verdict == "explained" and diagnosis.best.hypothesis.ids == ("mains_hum",)

@@ -43,6 +43,7 @@ def test_causes_are_chosen_as_by_who_has_never_seen_the_part(faint: Case) -> Non
     assert len(set(diagnosis.chosen)) > 1  # Else the test shows nothing.
 
 
+@pytest.mark.long
 def test_a_strong_cause_is_chosen_whatever_is_held_back(drawn_case: Callable[..., Case]) -> None:
     diagnosis = diagnose(drawn_case(1300002, "strong", "usual"))
     named = diagnosis.best.hypothesis.ids

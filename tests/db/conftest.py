@@ -3,6 +3,7 @@
 import os
 import shutil
 import uuid
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +25,21 @@ from softcal.db.registry import Registry
 from softcal.db.schema.tables import metadata
 
 ADMIN_URL = os.environ.get("SOFTCAL_TEST_POSTGRESQL", "postgresql+psycopg://postgres@127.0.0.1:5432/postgres")
+CASES_ON_SERVER = 3
 NO_SERVER = f"no PostgreSQL at {ADMIN_URL.rpartition('@')[2]}; set SOFTCAL_TEST_POSTGRESQL"
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Of a table of cases, the first few run on PostgreSQL every time, the others in the long layer."""
+    tried: Counter[str] = Counter()
+    for item in items:
+        if isinstance(item, pytest.Function) and item.path.parent == Path(__file__).parent:
+            cases = item.callspec.params if hasattr(item, "callspec") else {}
+            is_on_server = "postgresql" in cases.values()
+            tried[item.originalname] += is_on_server
+            if is_on_server and len(cases) > 1 and tried[item.originalname] > CASES_ON_SERVER:
+                item.add_marker(pytest.mark.long)
 
 
 @pytest.fixture(scope="session")

@@ -194,6 +194,7 @@ def test_a_registry_is_not_synchronised_with_a_copy_of_itself(station, tmp_path)
         synchronise(station.registry, copy)
 
 
+@pytest.mark.long
 def test_a_restored_copy_may_go_on_beside_the_old_one(station, registry, tmp_path):
     back_up(station.registry.database, tmp_path / "backup.db")
     restore(tmp_path / "backup.db", f"sqlite:///{tmp_path / 'second.db'}")

@@ -87,6 +87,7 @@ def test_a_token_that_was_changed_or_put_in_behind_the_trail_is_refused_and_foun
     assert any(fault.startswith("tokens") for fault in account.verify())
 
 
+@pytest.mark.long
 def test_a_restored_backup_holds_no_tokens_and_knows_how_far_its_destinations_were(account, new_url, tmp_path):
     token, secret = account.tokens.add("mes", "line 3", 30)
     account.outbox.begin("mes", account.outbox.end())

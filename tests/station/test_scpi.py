@@ -170,7 +170,11 @@ def test_the_same_driver_over_a_serial_line(wired):
     reader.close()
 
 
-@pytest.mark.parametrize(("driver", "kind"), [(DMM, SimulatedDmm), (LCR, SimulatedLcr)], ids=["dmm", "lcr"])
+@pytest.mark.parametrize(
+    ("driver", "kind"),
+    [(DMM, SimulatedDmm), pytest.param(LCR, SimulatedLcr, marks=pytest.mark.long)],
+    ids=["dmm", "lcr"],
+)
 def test_the_same_driver_through_pyvisa_in_real_time(wired, driver, kind):
     pytest.importorskip("pyvisa_py")
     world, far_end = wired(kind, lambda now_s: 1e-10 if kind is SimulatedLcr else 100.0)

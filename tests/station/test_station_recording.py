@@ -21,6 +21,7 @@ def source_run():
         yield recording, station
 
 
+@pytest.mark.long
 def test_time_axis_is_the_sensor_clock(source_run):
     recording, _ = source_run
     np.testing.assert_allclose(np.diff(recording.t_s), 0.02, atol=1e-9)
