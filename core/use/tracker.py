@@ -111,7 +111,8 @@ class DriftTracker:
         """Take one cycle of the raw output."""
         now = self._now
         now.first_s = cycle.end_s if now.first_s is None else now.first_s
-        now.filter = now.filter.moved(self._walked(cycle.end_s))
+        walked = self._walked(cycle.end_s)
+        now.filter = now.filter.moved(walked)
         now.last_s, now.trial = cycle.end_s, 0.0
         if cycle.is_complete:
             now.timing = [*now.timing[-self._method.activity.machine_cycles + 1 :], math.log(cycle.duration_s)]
@@ -127,7 +128,7 @@ class DriftTracker:
         now.strangers.clear()
         now.stray, now.away = now.stray_before, 0.0
         now.was_known = True
-        return self._compare(standard, index)
+        return self._compare(standard, index, walked)
 
     def start(self) -> Observation:
         return self._observation(0.0, HELD, "", -1)
@@ -250,15 +251,19 @@ class DriftTracker:
         mean, covariance = self._now.filter.seen_by(index)
         return activity.drift_of(cycle, self._use.rest_is_low) - mean, covariance + activity.noise
 
-    def _compare(self, cycle: Cycle, index: int) -> Observation:
+    def _compare(self, cycle: Cycle, index: int, walked: Array) -> Observation:
         now = self._now
         activity = now.activities[index]
         if self._is_jump(cycle, index) or self._is_like_jumps(cycle, index) or self._is_programme(cycle, index):
             return self._meet_jump(cycle, index)
-        now.jumps.clear()
+        # One cycle within reach of the old use does not end another: after several the others are forgotten.
+        jumps = now.jumps[: len(now.jumps) // 2]
         surprise, expected = self._surprise(cycle, index)
         # Process noise R / n^2 makes the steady filter average over about n cycles.
-        moving = now.filter.moved(self._pace(surprise, expected) * activity.noise / self._memory**2)
+        # Shift and log gain lag alike: where one lags more, a use that grows slowly reads as a sensor that drifts.
+        share = self._pace(surprise, expected) / self._memory**2
+        share += float(np.max(np.diag(walked) / np.diag(activity.noise)))
+        moving = now.filter.moved(share * activity.noise - walked)
         measured = moving.measured(index, activity.drift_of(cycle, self._use.rest_is_low), activity.noise)
         # Beyond this the map was never tested; an estimate there would be extrapolated twice.
         if np.any(np.abs(measured.drift) > self._method.drift.largest):
@@ -270,6 +275,7 @@ class DriftTracker:
         now.to_settle = max(0, now.to_settle - 1)
         self._remember(cycle, index)
         self._accept(measured, index)
+        now.jumps = jumps
         if now.trust.is_use_as_likely(now.filter.drift, now.seen):
             return self._observation(cycle.end_s, HELD, USE_OR_GAIN, index)
         is_preload = now.trust.may_be_preload and np.any(now.applied)
@@ -385,6 +391,9 @@ class DriftTracker:
         now = self._now
         now.jumps.clear()
         was_known, now.was_known, now.unresolved = now.was_known, False, 0.0
+        # What may have come in use that nobody compared is in doubt for every use that is learnt from it.
+        unseen = self._method.doubt.unseen**2 * cycle.duration_s / self._use.duration_s
+        now.filter = now.filter.moved(np.diag([unseen, unseen]))
         # A sensor re-seated in the midst of a cycle gives it another shape.
         if was_known and is_like_but_for_shape(cycle, now.activities[now.latest], now.filter.drift, self._method.jump):
             if self._try(cycle, now.latest):

@@ -213,6 +213,40 @@ def test_another_load_of_a_bent_sensor_that_turns_above_zero_load_is_use(
     assert error_of(tracker, 1.0, 0.0) < 0.03
 
 
+def test_loads_that_grow_slowly_from_a_preload_are_use_although_a_filter_lags() -> None:
+    """Rest and size grow together there: seen with another lag each, they would read as a sensor that drifts."""
+    rng = np.random.default_rng(3)
+    rate_Hz = 10.0
+
+    def strained(samples: int) -> Array:
+        waves: list[Array] = []
+        while sum(map(len, waves)) < samples:
+            length, height = int(200 * (1 + 0.04 * rng.normal())), 1 + 0.04 * rng.normal()
+            waves.append(0.2 + 0.8 * height * (1 - np.abs(2 * np.arange(length) / length - 1)))
+        return np.concatenate(waves)[:samples]
+
+    def sensed(load: Array) -> Array:
+        return np.asarray(2.5 - 0.9 * load**0.7)
+
+    def read(load: Array) -> OutputRecording:
+        output = sensed(load) + 0.0036 * rng.normal(size=len(load))
+        return OutputRecording("A1", np.arange(len(load)) / rate_Hz, output, rate_Hz)
+
+    calibrated, used_load = strained(5000), strained(12_000) * np.linspace(1.0, 1.2, 12_000)
+    levels = np.linspace(1.6, 0.0, 200)
+    use = learn_use(read(calibrated), False, 2.5, curve=RestCurve(sensed(levels), levels))
+    used = read(used_load)
+    cutter, tracker = CycleCutter(use.low, use.high, use.usual, use.longest, CYCLE), DriftTracker(use, is_improved=True)
+    largest = 0.0
+    for k in range(0, len(used), 32):
+        for cycle in cutter.advance(used.t_s[k : k + 32], used.output[k : k + 32]):
+            tracker.observe(cycle)
+            gain, offset = tracker.correction()
+            ends = np.array([use.low, use.high])
+            largest = max(largest, float(np.abs((gain - 1) * ends + offset).max()) / use.scale)
+    assert largest < 0.04
+
+
 def test_pause_keeps_the_swing_that_cycles_are_cut_with() -> None:
     use = calibrated_use()
     walk = presses(100.0, seed=2)
