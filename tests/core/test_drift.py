@@ -405,6 +405,14 @@ def test_doubt_grows_while_nothing_is_seen() -> None:
     assert doubts[0] < doubts[1] < doubts[2]
 
 
+def test_a_drift_that_came_in_use_nobody_compared_is_not_sure() -> None:
+    use, tracker = begun(improved=False, used_s=400.0)
+    seen = observe(tracker, presses(300.0, seed=5, power=8.0), use, 400.0)
+    assert {one.verdict for one in seen[1:]} == {HELD}
+    assert seen[0].shift_sd < 0.1
+    assert seen[-1].shift_sd > UseMethod().doubt.unseen
+
+
 def test_predicted_error_grows_with_use_that_says_nothing() -> None:
     use, tracker = begun(improved=False, used_s=200.0)
     doubts = [tracker.doubt_at(200.0).growth]
