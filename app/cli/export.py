@@ -74,12 +74,6 @@ def _add_device_options(parser: argparse.ArgumentParser) -> None:
     device.add_argument(
         "--unit-bytes", type=int, choices=(256, 512, 1024), help="most a unit file may take; default: as little as does"
     )
-    device.add_argument(
-        "--adapt-offset", type=float, default=0.0, metavar="SHARE", help="of the span, that firmware may follow (0)"
-    )
-    device.add_argument(
-        "--adapt-gain", type=float, default=0.0, metavar="SHARE", help="of the gain, that firmware may follow (0)"
-    )
     device.add_argument("--unit-address", type=_address, default=0x3FF00, metavar="ADDR", help="for hex: 0x3ff00")
     device.add_argument("--network-address", type=_address, default=0x38000, metavar="ADDR", help="for hex: 0x38000")
 
@@ -183,13 +177,12 @@ def _options(options: argparse.Namespace) -> "ExportOptions":
     from softcal.core.export.device import DeviceOptions
     from softcal.core.unit.verdict import Release
 
-    for name in ("max_deviation", "adapt_offset", "adapt_gain"):
-        if not 0 <= getattr(options, name) <= 0.5:
-            raise InputError(f"--{name.replace('_', '-')} {getattr(options, name)}: 0 ... 0.5 is allowed")
+    if not 0 <= options.max_deviation <= 0.5:
+        raise InputError(f"--max-deviation {options.max_deviation}: 0 ... 0.5 is allowed")
     return ExportOptions(
         adc_bits=options.adc_bits,
         adc_full_scale=options.adc_full_scale,
-        device=DeviceOptions(None, options.max_deviation, options.adapt_gain, options.adapt_offset, options.unit_bytes),
+        device=DeviceOptions(None, options.max_deviation, options.unit_bytes),
         unit_address=options.unit_address,
         network_address=options.network_address,
         release=Release(options.release),

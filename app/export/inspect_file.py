@@ -109,5 +109,4 @@ def _unit_rows(file: UnitFile) -> list[tuple[str, str]]:
         ("codes of the calibration", f"{file.code_min} ... {file.code_max}"),
         ("estimates are clamped to", f"{file.out_min} ... {file.out_max} counts"),
         ("90 % interval, counts", bands),
-        ("firmware may follow", f"offset ± {file.adapt.offset} counts, gain ± {file.adapt.gain / 2**15:.3g}"),
     ]

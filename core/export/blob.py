@@ -95,12 +95,11 @@ class Band:
 
 @dataclass(frozen=True)
 class AdaptLimits:
-    """What the device itself may change in γ during use: two anchor levels in source counts and two bounds.
+    """Two anchor levels of the mapped samples at calibration, in source counts; and bounds that older firmware read.
 
     Args:
-        low, high: levels that the running low and high quantile of mapped samples had at calibration.
-        gain: largest change of gain, in 2^-15.
-        offset: largest change of offset, in source counts.
+        low, high: the level that a trim's gain turns about, and that of the top.
+        gain, offset: what older firmware may change by itself, in 2^-15 and in source counts; written as 0.
     """
 
     low: int

@@ -57,7 +57,7 @@ GOAL = 1e-3
 
 VERDICT_FLAGS = {"pass": 0, "conditional": CONDITIONAL, "fail": FAILED, "retest": FAILED}
 ANCHOR_LEVELS = (1 / 32, 31 / 32)
-"""Quantiles of mapped samples the firmware's adaptation holds on to."""
+"""Quantiles of mapped samples that stand for a unit's rest and its top."""
 
 COVERAGE = 0.95
 """The interval on the device is widened by this quantile of what the device form changes."""
@@ -70,15 +70,11 @@ class DeviceOptions:
     Args:
         scale: meaning of the device's codes; None covers the unit's output with a round full scale.
         compile_limit: largest rms change of the estimate by the device form, as a share of the predicted error.
-        adapt_gain, adapt_offset: what the firmware may change by itself, as shares of 1 and of the output span; it
-            cannot tell a change of use from a drift, so nothing unless asked.
         unit_bytes: 256, 512 or 1024, the most a unit file may take; None takes the least that holds `GOAL`.
     """
 
     scale: InputScale | None = None
     compile_limit: float = 0.25
-    adapt_gain: float = 0.0
-    adapt_offset: float = 0.0
     unit_bytes: int | None = None
 
 
@@ -237,7 +233,7 @@ def _build(
         out_max=out_max,
         bands=_bands(counts, exact, facts, error, 10.0**integers.output_exponent),
         self_tests=_self_tests(integers, device_map, code_min, code_max),
-        adapt=_adapt_limits(device_map, codes, options),
+        adapt=_anchors(device_map, codes),
     )
     _check_bytes(file, size)
     join(network_file, read_unit(file.to_bytes()), facts.serial)
@@ -314,34 +310,15 @@ def _self_tests(network: IntegerNetwork, device_map: DeviceMap, code_min: int, c
     )
 
 
-def _adapt_limits(device_map: DeviceMap, codes: Integers, options: DeviceOptions) -> AdaptLimits:
+def _anchors(device_map: DeviceMap, codes: Integers) -> AdaptLimits:
+    """Return the levels a trim turns about, and that a device follows nothing by itself."""
     if device_map.curve is None:
         return AdaptLimits(0, 0, 0, 0)
-    low, high = _anchors(device_map.on_samples(codes[:, -1]))
-    gain = min(2**14, round(options.adapt_gain * 2**15))
-    return AdaptLimits(low, high, gain, min(ACTIVATION_MAX, round(options.adapt_offset * abs(high - low))))
+    low, high = np.quantile(device_map.on_samples(codes[:, -1]), ANCHOR_LEVELS)
+    return AdaptLimits(round(float(low)), round(float(high)), 0, 0)
 
 
-def _anchors(mapped: Integers) -> tuple[int, int]:
-    """Return where the firmware's running quantiles of mapped samples settle on this recording.
-
-    They are run as `ss_adapt` runs them, so that a unit in unchanged use finds nothing to follow. The second round,
-    begun where the first ended, gives the mean.
-    """
-    low, high = (int(v) * 64 for v in np.quantile(mapped.astype(np.float64), ANCHOR_LEVELS))
-    step = (high - low) // 64 // 256 + 1
-    samples = [int(value) * 64 for value in mapped]
-    lows, highs = [], []
-    for value in samples * 2:
-        low += -31 * step if value < low else step
-        high += 31 * step if value > high else -step
-        lows.append(low)
-        highs.append(high)
-    half = len(samples)
-    return round(float(np.mean(lows[half:])) / 64), round(float(np.mean(highs[half:])) / 64)
-
-
-STATE_BYTES, BYTES_PER_WIDTH, LEAST_WIDTH = 104, 4, 16
+STATE_BYTES, BYTES_PER_WIDTH, LEAST_WIDTH = 100, 4, 16
 """Of `ss_sensor` on a 32-bit machine: its fixed part, and two buffers as wide as the widest layer."""
 
 PER_MULTIPLICATION, PER_ROW, ALWAYS, PER_MIX = 4.0, 45.0, 570.0, 2500.0

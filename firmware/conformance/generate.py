@@ -46,9 +46,7 @@ def synthetic_files() -> tuple[NetworkFile, dict[str, UnitFile]]:
     unit_map = AffineMap(0.9, 0.05)
     exact = network.evaluate(unit_map.apply(recording.windows))
     facts = UnitFacts("SYN-1", 7, "pass", 1_700_000_000, unit_map, recording, exact - 0.2, exact + 0.3, 0.5)
-    curve = build_unit_file(
-        facts, network, network_file, DeviceOptions(InputScale.of_converter(12, 1.2), adapt_offset=0.1)
-    ).file
+    curve = build_unit_file(facts, network, network_file, DeviceOptions(InputScale.of_converter(12, 1.2))).file
     return network_file, {name: _with_map(curve, network_file, m) for name, m in _maps(curve, rng).items()}
 
 

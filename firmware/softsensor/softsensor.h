@@ -89,7 +89,6 @@ typedef struct {
   uint16_t gap_ms, step_ms;      /* longest and shortest time between two samples */
   uint16_t last_code, range_bits; /* bit k: the k-th newest sample was out of range */
   uint8_t filled, is_stuck;
-  int16_t gain, offset;           /* what ss_adapt has changed: gain in 2^-15, offset in source counts */
 #ifdef SS_TRIM
   ss_trim_record trim; /* what two known loads have shown (ss_trim_finish) */
 #endif
@@ -413,7 +412,6 @@ SS_SHARED ss_status ss_open(ss_sensor *s, const void *network, uint32_t network_
   if ((status = ss_check_network(net, network_bytes - SS_AROUND)) != SS_OK) return status;
   if ((status = ss_check_unit(own, unit_bytes - SS_AROUND)) != SS_OK) return status;
   s->network = net, s->unit = own, s->map = own + ss_map_at(own);
-  s->gain = s->offset = 0;
 #ifdef SS_TRIM
   s->trim.gain = s->trim.offset = s->trim.load[0] = s->trim.load[1] = 0, s->trim.reach[0] = s->trim.reach[1] = 0;
 #endif
@@ -435,15 +433,12 @@ SS_SHARED ss_status ss_open(ss_sensor *s, const void *network, uint32_t network_
   return SS_OK;
 }
 
-/* A mapped sample moved by a gain about the unit's low level, and by an offset; within 32 bits for |gain| <= 2^14. */
-static inline int32_t ss_moved(const ss_sensor *s, int32_t y, int32_t gain, int32_t offset) {
-  return ss_clip(y + offset + (gain * (y - ss_i16(s->unit + 20)) >> 15));
-}
-
-/* One code through the curve and the trim. */
+/* One code through the curve and the trim: a gain about the unit's low level, and an offset; within 32 bits for a gain of
+ * at most 2^14. */
 static inline int32_t ss_trimmed(const ss_sensor *s, uint32_t code) {
 #ifdef SS_TRIM
-  return ss_moved(s, ss_map_code(s, code), s->trim.gain, s->trim.offset);
+  int32_t y = ss_map_code(s, code);
+  return ss_clip(y + s->trim.offset + (s->trim.gain * (y - ss_i16(s->unit + 20)) >> 15));
 #else
   return ss_map_code(s, code);
 #endif
@@ -480,7 +475,7 @@ SS_SHARED void ss_push(ss_sensor *s, uint16_t code, uint32_t t_ms) {
   if (t_ms - s->moved_ms >= SS_STUCK_MS) s->is_stuck = 1;
   for (i = 0; i < SS_TAPS - 1; i++) s->ring[i] = s->ring[i + 1], s->steps[i] = s->steps[i + 1];
   y = ss_trimmed(s, code);
-  s->ring[i] = (int16_t)ss_moved(s, y, s->gain, s->offset);
+  s->ring[i] = (int16_t)y;
   s->steps[i] = (uint16_t)step_ms;
   s->last_ms = t_ms, s->last_code = code;
   if (s->filled < SS_TAPS) s->filled++;
@@ -706,7 +701,7 @@ static inline uint32_t ss_apart(int32_t a, int32_t b) { return (uint32_t)(a < b 
 
 /* Set gain and offset from what was seen under two known loads (in counts, as estimates are) and empty the window; from
  * then on intervals hold what the trim leaves open. `error_0` and `error_1` are the standard uncertainties of the loads,
- * in the same counts. What ss_adapt has changed is forgotten: call ss_adapt_start. Keep `trim` of ss_sensor in
+ * in the same counts. Keep `trim` of ss_sensor in
  * non-volatile memory, and give it to ss_trim_restore after ss_open, if it shall outlast a restart. Unless SS_TRIMMED
  * nothing changes. `softcal trim` has the same rule. */
 static inline ss_trim_result ss_trim_finish(const ss_trim *t, ss_sensor *s, int16_t load_0, int16_t load_1,
@@ -748,65 +743,9 @@ static inline ss_trim_result ss_trim_finish(const ss_trim *t, ss_sensor *s, int1
   s->trim.gain = (int16_t)gain, s->trim.offset = (int16_t)offset;
   s->trim.load[0] = load_0, s->trim.load[1] = load_1;
   s->trim.reach[0] = (uint16_t)reach[0], s->trim.reach[1] = (uint16_t)reach[1];
-  s->gain = s->offset = 0, s->filled = 0;
+  s->filled = 0;
   return SS_TRIMMED;
 }
 #endif
-
-/* ---- long use: the device follows slow drift of offset and gain within the bounds of its file ------------------- */
-
-typedef struct {
-  int32_t low, high;         /* running quantiles 1/32 and 31/32 of the mapped samples, in 1/64 counts */
-  int32_t low_sum, high_sum; /* of the two over this period, in counts */
-  uint16_t seen;
-} ss_adaptation;
-
-typedef enum {
-  SS_WATCHING = 0,        /* not enough samples yet */
-  SS_ADAPTED = 1,         /* gain and offset follow; the next samples use them */
-  SS_AT_BOUND = 2,        /* the drift is larger than the file allows: held at the bound, recalibrate the unit */
-  SS_NOT_ADAPTABLE = 3    /* the file allows no change */
-} ss_adapt_result;
-
-static inline void ss_adapt_start(ss_adaptation *a, const ss_sensor *s) {
-  if (!a) return;
-  a->low = a->high = a->low_sum = a->high_sum = 0, a->seen = 0;
-  if (!s || !s->unit) return;
-  a->low = ss_i16(s->unit + 20) * 64, a->high = ss_i16(s->unit + 22) * 64;
-}
-
-static inline int32_t ss_bounded(int32_t x, int32_t bound, int *is_at_bound) {
-  if (x > bound) return *is_at_bound = 1, bound;
-  if (x < -bound) return *is_at_bound = 1, -bound;
-  return x;
-}
-
-/* Call after every ss_push with the same code; after every `period` samples (minutes of use) gain and offset are set
- * anew from the mean of the two running quantiles over the period. Only for use that keeps returning to rest (and, where
- * the file allows a gain, to full presses): the device cannot tell drift from a change of use. */
-static inline ss_adapt_result ss_adapt(ss_adaptation *a, ss_sensor *s, uint16_t code, uint16_t period) {
-  const uint8_t *u = s ? s->unit : 0;
-  int32_t y, low, high, seen_low, seen_high, step, gain = 0, offset;
-  int is_at_bound = 0;
-  if (!a || !u || !(ss_u8(u) & 1) || !(ss_u16(u + 24) | ss_u16(u + 26))) return SS_NOT_ADAPTABLE;
-  if (ss_u16(u + 24) > 16384 || ss_u16(u + 26) > 32767) return SS_NOT_ADAPTABLE; /* keeps ss_push within 32 bits */
-  low = ss_i16(u + 20), high = ss_i16(u + 22);
-  y = ss_trimmed(s, code) * 64;
-  step = (high - low) / 256 + 1; /* in 1/64 counts: 0.2 % of the span per sample towards an extreme, 1/31 of it back */
-  a->low += y < a->low ? -31 * step : step;
-  a->high += y > a->high ? 31 * step : -step;
-  a->low_sum += ss_clip(a->low / 64), a->high_sum += ss_clip(a->high / 64); /* below 2^15 * 2^16 */
-  if (++a->seen < period) return SS_WATCHING;
-  seen_low = a->low_sum / a->seen, seen_high = a->high_sum / a->seen;
-  a->low_sum = a->high_sum = 0, a->seen = 0;
-  if (seen_high <= seen_low) return SS_AT_BOUND; /* the output stands still: nothing to follow */
-  if (ss_u16(u + 24))
-    gain = ss_bounded(ss_clip(high - low - seen_high + seen_low) * 32768 / (seen_high - seen_low),
-                      (int32_t)ss_u16(u + 24), &is_at_bound);
-  offset = low - seen_low - (gain * (seen_low - low) >> 15);
-  s->gain = (int16_t)gain;
-  s->offset = (int16_t)ss_bounded(offset, (int32_t)ss_u16(u + 26), &is_at_bound);
-  return is_at_bound ? SS_AT_BOUND : SS_ADAPTED;
-}
 
 #endif

@@ -88,18 +88,6 @@ def test_the_same_calibration_gives_the_same_bytes_in_any_folder_and_time_zone(
         assert str(Path.home()).encode() + b"/" not in path.read_bytes()
 
 
-def test_firmware_may_follow_nothing_unless_it_was_asked_for(run: Run, tmp_path: Path) -> None:
-    def allowed(*options: str) -> tuple[int, int]:
-        run("--serial", "A2", "--format", "blob", *options)
-        (network,) = (tmp_path / "out").glob("network-*.ssc")
-        limits = open_sensor(network.read_bytes(), (tmp_path / "out" / "unit-A2.ssc").read_bytes()).unit_file.adapt
-        return limits.offset, limits.gain
-
-    assert allowed() == (0, 0)
-    offset, gain = allowed("--adapt-offset", "0.1")
-    assert offset > 0 and gain == 0
-
-
 def test_onnx_agrees_with_the_float_model_and_carries_its_facts(run: Run, calibrated: str, tmp_path: Path) -> None:
     run("--serial", "A2", "--format", "onnx")
     path = tmp_path / "out" / "unit-A2.onnx"
@@ -431,7 +419,7 @@ def test_the_verdict_alone_releases_a_file_of_any_format(calibrated: str, tmp_pa
         (["--serial", "A1", "--format", "blob", "--adc-bits", "40", "--adc-full-scale", "5"], " 16 "),
         (["--serial", "A1", "--format", "blob", "--adc-bits", "10", "--adc-full-scale", "0.1"], "full scale"),
         (["--serial", "A1", "--format", "hex", "--unit-address", "3"], " 4"),
-        (["--serial", "A1", "--adapt-gain", "7"], "adapt-gain"),
+        (["--serial", "A1", "--max-deviation", "7"], "max-deviation"),
         (["--serial", "A1", "--format", "pdf", "--laboratory", "nowhere.toml"], "nowhere.toml"),
         (["--serial", "A1", "--sign", "nowhere.pem"], "nowhere.pem"),
         (["--check"], "manifest.json"),

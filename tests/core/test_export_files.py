@@ -49,7 +49,7 @@ def unit_file(linear_network: Network, press: Press, network_file: NetworkFile) 
     unit_map = AffineMap(1 / 1.1, 0.0)
     estimate = linear_network.evaluate(unit_map.apply(recording.windows))
     facts = UnitFacts("A1", 3, "pass", 1_700_000_000, unit_map, recording, estimate - 0.1, estimate + 0.2, 0.05)
-    return build_unit_file(facts, linear_network, network_file, DeviceOptions(adapt_gain=0.05)).file
+    return build_unit_file(facts, linear_network, network_file, DeviceOptions()).file
 
 
 def _resealed(data: bytes) -> bytes:

@@ -3,12 +3,9 @@
 #include "softsensor.h"
 
 static ss_sensor sensor;
-static ss_adaptation adaptation;
 
 int bridge_open(const void *network, uint32_t network_bytes, const void *unit, uint32_t unit_bytes, const char *serial) {
-  int status = (int)ss_open(&sensor, network, network_bytes, unit, unit_bytes, serial);
-  if (status == SS_OK) ss_adapt_start(&adaptation, &sensor);
-  return status;
+  return (int)ss_open(&sensor, network, network_bytes, unit, unit_bytes, serial);
 }
 
 void bridge_push(uint16_t code, uint32_t t_ms) { ss_push(&sensor, code, t_ms); }
@@ -18,9 +15,6 @@ void bridge_read(uint32_t now_ms, int32_t *out) {
   out[0] = e.value, out[1] = e.lower, out[2] = e.upper, out[3] = e.flags;
 }
 
-int bridge_adapt(uint16_t code, uint16_t period) { return (int)ss_adapt(&adaptation, &sensor, code, period); }
-int bridge_gain(void) { return sensor.gain; }
-int bridge_offset(void) { return sensor.offset; }
 int bridge_exponent(void) { return ss_exponent(&sensor); }
 
 int bridge_open_best(const void *a, const void *b, const void *factory, uint32_t bytes, const void *network,
@@ -54,16 +48,13 @@ int bridge_nothing(const void *network, uint32_t network_bytes, const void *unit
   static ss_sensor closed;
   const void *slots[3] = {0, 0, 0};
   ss_sensor *sensors[2] = {0, &closed};
-  ss_adaptation a;
   ss_trim t;
   int k;
-  ss_trim_start(&t), ss_trim_start(0), ss_adapt_start(0, 0);
+  ss_trim_start(&t), ss_trim_start(0);
   for (k = 0; k < 2; k++) {
     ss_sensor *s = sensors[k];
     ss_push(s, 1, 2), ss_restart(s);
     if (ss_read(s, 2).flags != SS_CLOSED || ss_exponent(s) != 0) return 1;
-    ss_adapt_start(&a, s), ss_adapt_start(0, s);
-    if (ss_adapt(&a, s, 1, 2) != SS_NOT_ADAPTABLE || ss_adapt(0, s, 1, 2) != SS_NOT_ADAPTABLE) return 2;
     ss_trim_sample(&t, s, 0, 1), ss_trim_sample(0, s, 1, 1);
     if (ss_trim_finish(&t, s, 1, 2, 0, 0) != SS_TRIM_MORE || ss_trim_finish(0, s, 1, 2, 0, 0) != SS_TRIM_MORE) return 3;
     if (ss_open_best(s, slots, 256, network, network_bytes, 0) != -1) return 4;

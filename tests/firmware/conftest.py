@@ -58,7 +58,7 @@ def real_case(measured_data: Path) -> DeviceCase:
     network_file = build_network_file(network, source)
     estimate = network.evaluate(unit_map.apply(target.windows))
     facts = UnitFacts("S2", 1, "pass", 0, unit_map, target.unlabelled, estimate - 0.4, estimate + 0.5, 0.3)
-    options = DeviceOptions(InputScale.of_converter(10, 5.0), adapt_gain=0.1, adapt_offset=0.3)
+    options = DeviceOptions(InputScale.of_converter(10, 5.0))
     unit_file = build_unit_file(facts, network, network_file, options).file
     return DeviceCase(network, unit_map, network_file, unit_file, target.unlabelled)
 

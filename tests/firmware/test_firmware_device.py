@@ -217,11 +217,11 @@ def test_the_runtime_needs_nothing_from_libc(
     source, image = tmp_path / "alone.c", tmp_path / "alone.o"
     source.write_text("""
 #include "softsensor.h"
-ss_sensor s; ss_adaptation a;
+ss_sensor s;
 int all(const void *n, uint32_t nb, const void *const u[3], uint32_t ub) {
   int slot = ss_open_best(&s, u, ub, n, nb, 0);
   if (slot < 0 || ss_open(&s, n, nb, u[slot], ub, 0) != SS_OK) return -1;
-  ss_adapt_start(&a, &s), ss_push(&s, 1, 2), ss_adapt(&a, &s, 1, 100);
+  ss_push(&s, 1, 2);
   return ss_read(&s, 2).value + ss_slot_to_write(slot);
 }
 """)

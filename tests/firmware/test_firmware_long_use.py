@@ -1,4 +1,4 @@
-"""Slots and on-device adaptation: an update cut off loses nothing, and what the device changes stays within bounds."""
+"""Slots and the trim on the device: an update cut off loses nothing, and known loads bring a drifted unit back."""
 
 import ctypes
 from dataclasses import replace
@@ -11,7 +11,6 @@ from softcal.core.export.blob import UnitFile
 from softcal.core.export.loader import DeviceSensor, open_sensor
 from tests.firmware.device_stream import DeviceStream, Shift, Trim, TrimResult, find_trim, joined
 
-WATCHING, ADAPTED, AT_BOUND, NOT_ADAPTABLE = range(4)
 SLOT_BYTES = 256
 
 
@@ -25,13 +24,6 @@ class Device:
     def __init__(self, bridge: ctypes.CDLL, network: bytes, unit: bytes) -> None:
         self.bridge, self.network, self.unit = bridge, _aligned(network), _aligned(unit)
         self.status = bridge.bridge_open(self.network, len(network), self.unit, len(unit), None)
-
-    def push(self, codes: np.ndarray, period: int) -> list[int]:
-        results = []
-        for k, code in enumerate(codes):
-            self.bridge.bridge_push(int(code), 20 * k)
-            results.append(self.bridge.bridge_adapt(int(code), period))
-        return results
 
     def read(self, now_ms: int) -> tuple[int, int, int, int]:
         out = (ctypes.c_int32 * 4)()
@@ -106,72 +98,13 @@ def test_an_update_never_writes_the_slot_in_use(bridge: ctypes.CDLL, in_use: int
 
 def test_a_sensor_that_is_silent_is_stale_and_a_closed_one_gives_nothing(bridge: ctypes.CDLL, real_case: Any) -> None:
     device = Device(bridge, real_case.network_file.to_bytes(), real_case.unit_file.to_bytes())
-    device.push(real_case.codes[:20], 10**6)
+    for k, code in enumerate(real_case.codes[:20]):
+        bridge.bridge_push(int(code), 20 * k)
     assert device.read(20 * 19 + 30)[3] & 4 == 0
     assert device.read(20 * 19 + 31)[3] & 4 == 4
     closed = Device(bridge, real_case.network_file.to_bytes(), b"\0" * 136)
     assert closed.status == 2
     assert closed.read(400) == (0, 0, 0, 2)
-
-
-def _drifted(case: Any, gain: float, offset_share: float) -> np.ndarray:
-    """The unit's recording, looped, with its mapped samples moved by a gain about rest and a share of their span."""
-    codes = np.tile(case.codes, 20).astype(float)
-    rest, top = np.quantile(codes, [1 / 32, 31 / 32])
-    moved = rest + gain * (codes - rest) + offset_share * (top - rest)
-    return np.clip(np.rint(moved), 0, 65_535).astype(int)
-
-
-def _error_mN(device: Device, case: Any, codes: np.ndarray) -> float:
-    truth = case.network.evaluate(case.unit_map.apply(case.recording.windows)) * 1000
-    found = []
-    for k, code in enumerate(codes):
-        device.bridge.bridge_push(int(code), 20 * k)
-        found.append(device.read(20 * k)[0])
-    return float(np.sqrt(np.mean((np.array(found[14:]) - truth) ** 2)))
-
-
-@pytest.mark.parametrize(("gain", "offset_share"), [(1.0, 0.15), (1.0, -0.15), (1.08, 0.0), (0.95, 0.1)])
-def test_drift_within_the_bounds_is_followed(
-    bridge: ctypes.CDLL, real_case: Any, gain: float, offset_share: float
-) -> None:
-    codes = _drifted(real_case, gain, offset_share)
-    plain = Device(bridge, real_case.network_file.to_bytes(), real_case.unit_file.to_bytes())
-    before = _error_mN(plain, real_case, codes[: len(real_case.codes)])
-    device = Device(bridge, real_case.network_file.to_bytes(), real_case.unit_file.to_bytes())
-    results = device.push(codes, 3 * len(real_case.codes))
-    assert results[-1] in (WATCHING, ADAPTED) and ADAPTED in results
-    assert _error_mN(device, real_case, codes[: len(real_case.codes)]) < 0.4 * before
-
-
-def test_without_drift_adapting_changes_next_to_nothing(bridge: ctypes.CDLL, real_case: Any) -> None:
-    device = Device(bridge, real_case.network_file.to_bytes(), real_case.unit_file.to_bytes())
-    device.push(_drifted(real_case, 1.0, 0.0), 3 * len(real_case.codes))
-    span = real_case.unit_file.adapt.high - real_case.unit_file.adapt.low
-    assert abs(bridge.bridge_offset()) < 0.02 * span
-    assert abs(bridge.bridge_gain()) < 0.03 * 2**15
-
-
-def test_drift_beyond_the_bounds_is_held_there_and_told(bridge: ctypes.CDLL, real_case: Any) -> None:
-    device = Device(bridge, real_case.network_file.to_bytes(), real_case.unit_file.to_bytes())
-    results = device.push(_drifted(real_case, 1.0, 0.6), 3 * len(real_case.codes))
-    assert AT_BOUND in results
-    assert abs(bridge.bridge_offset()) <= real_case.unit_file.adapt.offset
-    assert abs(bridge.bridge_gain()) <= real_case.unit_file.adapt.gain
-
-
-def test_an_output_that_stands_still_moves_nothing(bridge: ctypes.CDLL, real_case: Any) -> None:
-    device = Device(bridge, real_case.network_file.to_bytes(), real_case.unit_file.to_bytes())
-    results = device.push(np.full(200_000, real_case.codes[0]), 50_000)
-    assert results[-1] == AT_BOUND
-    assert abs(bridge.bridge_offset()) <= real_case.unit_file.adapt.offset
-
-
-def test_a_file_that_allows_no_change_is_never_adapted(bridge: ctypes.CDLL, real_case: Any) -> None:
-    fixed = replace(real_case.unit_file, adapt=replace(real_case.unit_file.adapt, gain=0, offset=0))
-    device = Device(bridge, real_case.network_file.to_bytes(), fixed.to_bytes())
-    assert set(device.push(_drifted(real_case, 1.0, 0.2)[:5000], 1000)) == {NOT_ADAPTABLE}
-    assert (bridge.bridge_gain(), bridge.bridge_offset()) == (0, 0)
 
 
 def _rests(
@@ -322,21 +255,3 @@ def test_two_known_loads_bring_a_drifted_unit_back(
     after = [abs(settled(share, gain, offset) - was) for share, was in zip((0.1, 0.5, 0.9), fresh, strict=True)]
     assert max(after) < 0.25 * max(before)
     assert find_trim(sensor, drifted, loads, (0, 0))[0] is TrimResult.TRIMMED
-
-
-def test_following_goes_on_from_the_trim(bridge: ctypes.CDLL, real_case: Any, rng: np.random.Generator) -> None:
-    """After a trim the unit is where its calibration was: the use that followed finds nothing left to follow."""
-    network, unit = real_case.network_file.to_bytes(), real_case.unit_file.to_bytes()
-    device = Device(bridge, network, unit)
-    codes = _drifted(real_case, 1.0, 0.15)
-    span = real_case.unit_file.adapt.high - real_case.unit_file.adapt.low
-    rest, top = (float(q) for q in np.quantile(real_case.codes, [1 / 32, 31 / 32]))
-    loads = []
-    for code in (rest, top):
-        for k in range(15):
-            bridge.bridge_push(int(code), 10_000 + 20 * k)
-        loads.append(device.read(10_300)[0])
-    moved = tuple(np.full(20, round(code + 0.15 * (top - rest))) for code in (rest, top))
-    assert _trimmed(device, moved, (loads[0], loads[1]))[0] is TrimResult.TRIMMED
-    device.push(codes, 3 * len(real_case.codes))
-    assert abs(bridge.bridge_offset()) < 0.05 * span
