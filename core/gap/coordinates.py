@@ -8,6 +8,9 @@ from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Parameter
 
 
+LARGEST_LOG = float(np.log(np.finfo(np.float64).max))
+
+
 def to_fit(parameter: Parameter, value: float) -> float:
     """Return the coordinate in which the fit moves this parameter."""
     if parameter.scale == "log":
@@ -18,7 +21,7 @@ def to_fit(parameter: Parameter, value: float) -> float:
 def from_fit(parameter: Parameter, coordinate: float) -> float:
     """Return the physical value at this coordinate of the fit."""
     if parameter.scale == "log":
-        return float(np.exp(coordinate))
+        return float(np.exp(min(coordinate, LARGEST_LOG)))
     if parameter.scale == "inverse_square":
         return float(coordinate**-0.5) if coordinate > 0 else float("inf")
     return coordinate
