@@ -391,9 +391,10 @@ class DriftTracker:
         now = self._now
         now.jumps.clear()
         was_known, now.was_known, now.unresolved = now.was_known, False, 0.0
-        # What may have come in use that nobody compared is in doubt for every use that is learnt from it.
+        # A shift that may have come in use nobody compared is in doubt for every use that is learnt from it. A gain is
+        # not: the next cycle within reach, of a larger or a smaller use, would be taken for one.
         unseen = self._method.doubt.unseen**2 * cycle.duration_s / self._use.duration_s
-        now.filter = now.filter.moved(np.diag([unseen, unseen]))
+        now.filter = now.filter.moved(np.diag([unseen, 0.0]))
         # A sensor re-seated in the midst of a cycle gives it another shape.
         if was_known and is_like_but_for_shape(cycle, now.activities[now.latest], now.filter.drift, self._method.jump):
             if self._try(cycle, now.latest):
