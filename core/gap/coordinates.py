@@ -7,7 +7,6 @@ import numpy as np
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Parameter
 
-
 LARGEST_LOG = float(np.log(np.finfo(np.float64).max))
 
 

@@ -336,7 +336,7 @@ class DriftTracker:
         crept = now.trust.creep(activity.rest, float(step[1]))
         stands = min(abs(moved), abs(moved - crept)) <= max(config.floor[0], config.rest_sigmas * activity.rest_scatter)
         is_far = abs(moved) > config.largest[0]
-        if stands or (is_far and now.trust.is_lighter(activity, now.filter.drift, step)):
+        if stands or now.trust.is_lighter(activity, now.filter.drift, step):
             now.unresolved = 0.0
             if self._is_improved and len(now.jumps) == config.most and self._learner.learn(now, now.jumps):
                 now.jumps.clear()

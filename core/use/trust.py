@@ -114,12 +114,13 @@ class Trust:
         return min(moved, key=abs) if min(moved) * max(moved) > 0 else 0.0
 
     def is_lighter(self, activity: Activity, drift: Array, step: Array) -> bool:
-        """Return whether a rest that moved by a step of a drift, both (2,), lies between its place and zero load."""
+        """Return whether a preloaded rest that moved by a step of a drift, both (2,), went towards zero load."""
         if self.zero is None:
             return False
+        place, zero = (level + movement(drift, level) for level in (activity.rest, self.zero))
         now = activity.rest + movement(drift + step, activity.rest)
-        ends = [level + movement(drift, level) for level in (activity.rest, self.zero)]
-        return min(ends) - self.config.preload <= now <= max(ends) + self.config.preload
+        preloaded = abs(zero - place) > self.config.preload
+        return preloaded and 0 < (now - place) / (zero - place) <= 1 + self.config.preload / abs(zero - place)
 
     def standing_level(self, drift: Array) -> float | None:
         """Return the level between rest, zero load and pivot that moved least; None where no rest is known."""

@@ -10,7 +10,16 @@ from softcal.core.use.activity import CalibratedUse, RestCurve, learn_use
 from softcal.core.use.cycles import Cycle, CycleCutter
 from softcal.core.use.doubt import STRAY
 from softcal.core.use.method import UseMethod
-from softcal.core.use.observation import FOLLOWED, HELD, JUMPED, PRELOADED, TRIED, USE_OR_GAIN, Observation
+from softcal.core.use.observation import (
+    FOLLOWED,
+    HELD,
+    JUMPED,
+    PRELOAD_GONE,
+    PRELOADED,
+    TRIED,
+    USE_OR_GAIN,
+    Observation,
+)
 from softcal.core.use.tracker import DriftTracker
 
 RATE_HZ = 50.0
@@ -356,6 +365,18 @@ def test_reseating_does_not_vouch_for_a_gain_that_comes_later() -> None:
 
     assert JUMPED in {observation.verdict for observation in seen}
     assert error_of(tracker, 0.95, 0.25) < 0.06
+
+
+def test_a_preload_that_is_taken_off_is_no_new_seat() -> None:
+    """The rest goes to where no load is, and cycles grow by as much: a sensor that moved would look the same."""
+    preloaded = 1.15 + 0.85 * (presses(240.0) - 1.0)
+    use, tracker = begun(preloaded, zero_output=1.0)
+    observe(tracker, 1.15 + 0.85 * (presses(200.0, seed=3) - 1.0), use)
+
+    seen = observe(tracker, presses(60.0, seed=4), use, 200.0)
+
+    assert PRELOAD_GONE in {one.reason for one in seen}
+    assert error_of(tracker, 1.0, 0.0) < 0.01
 
 
 def test_jump_beyond_the_trust_region_is_held_and_alarmed() -> None:
