@@ -1,11 +1,12 @@
 """The resident owner of a station: one order at a time, one sentence for every stop. No database, no page here."""
 
+import math
 import re
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import timedelta
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from softcal.core.quality.gate import Gate, RigFacts
 from softcal.core.quality.reading_at_rest import ReadingConfig
 from softcal.core.words.reason import Reason, reason, root_of, several
 from softcal.station.devices.bench import Bench
+from softcal.station.devices.config import LATEST_S
 from softcal.station.interfaces import Reader, Stage
 from softcal.station.motion.motion import Cancelled
 from softcal.station.named import named
@@ -236,6 +238,7 @@ class StationService:
         with Spool(self.spool_path(order), header | {"kind": order.kind, "profile": profile.name}) as spool:
             recording = record(bench, order.serial, profile, with_reference, relay.on_progress, spool, relay.look)
         self._zero_return_N = recording.zero_return_N
+        self._bench = _with_latency(bench, recording.alignment.force_behind_s)
         self._ready()
         return recording
 
@@ -303,6 +306,18 @@ class _Relay:
             return Signal()
         t_s, output, stage_mm, force_N = zip(*points, strict=True)
         return Signal(t_s, output, stage_mm, () if force_N[0] is None else force_N, self._unit)
+
+
+def _with_latency(bench: Bench, behind_s: float) -> Bench:
+    """Take how late a good run found the load cell, where the station file does not say it: later runs are held to it.
+
+    It is forgotten when the ports are opened again, as after every fault.
+    """
+    force = bench.config.force
+    if force is None or force.is_latency_stated or not math.isfinite(behind_s):
+        return bench
+    stated = replace(force, latency_s=min(max(0.0, behind_s), LATEST_S))
+    return replace(bench, config=replace(bench.config, force=stated))
 
 
 def _look_at(stage: Stage) -> None:

@@ -1,14 +1,17 @@
 """The resident service: one order at a time, a stop needs an acknowledgement, ports are opened again after a fault."""
 
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 import pytest
+from common.rig_trial import RigCase, open_rig
 
 from softcal.core.errors import NoReply, RegistryError
 from softcal.core.orders import Condition, Order, OrderKind, RunState, StationState
 from softcal.core.profiles import ramps
 from softcal.core.quality.gate import Gate
+from softcal.core.words.reason import root_of
 from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.devices.config import UNKNOWN_S
 from softcal.station.tasks.service import Hooks, StationService
 
 QUICK = ramps([2.0], 4.0, rest_s=0.3, name="quick")
@@ -72,6 +75,27 @@ def test_a_unit_is_pressed_and_its_progress_told(host, service):
     assert service.state is StationState.READY
     assert {"searching for contact", "pressing"} <= {report.phase for report in host.reports}
     assert host.reports[-1].signal.output_unit == "V"
+
+
+def test_how_late_the_cell_is_is_learnt_from_the_first_unit(tmp_path):
+    unknown = RigCase(cell_late_s=0.1, latency_s=UNKNOWN_S, stiffest_N_mm=60.0, limit_N=12.0)
+    host, took_s = Host(), []
+    with open_rig(unknown) as (bench, station):
+        host.open_bench = lambda: nullcontext(bench)
+        service = host.service(tmp_path)
+        for serial in ("A1", "A2", "A3"):
+            began_s = station.world.now_s()
+            recording = service.perform(order(OrderKind.UNIT, serial))
+            took_s.append(station.world.now_s() - began_s)
+            assert recording.alignment.force_behind_s == pytest.approx(0.1, abs=0.015)
+        assert max(took_s[1:]) < 0.7 * took_s[0]
+        station.force_wire.delay_s += 0.1
+        assert service.perform(order(OrderKind.UNIT, "A4")) is None
+        assert [root_of(why).code for why in host.reports[-1].message] == ["rig.behind"]
+        service.acknowledge()  # What was learnt is gone with it: the next unit is felt slowly again.
+        began_s = station.world.now_s()
+        assert service.perform(order(OrderKind.UNIT, "A4")).alignment.force_behind_s == pytest.approx(0.2, abs=0.015)
+        assert station.world.now_s() - began_s > 0.9 * took_s[0]
 
 
 def test_a_closed_gate_refuses_with_its_reasons_but_lets_the_golden_unit_in(host, service):
