@@ -335,14 +335,14 @@ class DriftTracker:
         moved = now.trust.jumped(activity, now.filter.drift, step)
         crept = now.trust.creep(activity.rest, float(step[1]))
         stands = min(abs(moved), abs(moved - crept)) <= max(config.floor[0], config.rest_sigmas * activity.rest_scatter)
-        is_far = abs(moved) > config.largest[0]
         if stands or now.trust.is_lighter(activity, now.filter.drift, step):
             now.unresolved = 0.0
             if self._is_improved and len(now.jumps) == config.most and self._learner.learn(now, now.jumps):
                 now.jumps.clear()
             return self._held(cycle, USE_CHANGED if stands else PRELOAD_GONE, index)
-        after = now.filter.drift + np.array([moved, 0.0])
-        if is_far or abs(after[0]) > self._method.drift.largest[0]:
+        before, after = now.filter.drift[0], now.filter.drift[0] + moved
+        is_far = abs(moved) > config.largest[0] and abs(after) >= abs(before)
+        if is_far or abs(after) > self._method.drift.largest[0]:
             now.alarm = "a sudden change larger than is ever followed; check the sensor and its mounting"
             return self._held(cycle, now.alarm, index)
         return self._follow_jump(cycle, index, level, moved)

@@ -114,11 +114,16 @@ class Trust:
         return min(moved, key=abs) if min(moved) * max(moved) > 0 else 0.0
 
     def is_lighter(self, activity: Activity, drift: Array, step: Array) -> bool:
-        """Return whether a preloaded rest that moved by a step of a drift, both (2,), went towards zero load."""
+        """Return whether a preloaded rest that moved by a step of a drift, both (2,), went towards zero load.
+
+        A step that takes back what was followed is none of those: to follow it cannot make an estimate worse than none.
+        """
         if self.zero is None:
             return False
         place, zero = (level + movement(drift, level) for level in (activity.rest, self.zero))
         now = activity.rest + movement(drift + step, activity.rest)
+        if abs(now - activity.rest) < abs(place - activity.rest):
+            return False
         preloaded = abs(zero - place) > self.config.preload
         return preloaded and 0 < (now - place) / (zero - place) <= 1 + self.config.preload / abs(zero - place)
 

@@ -379,6 +379,22 @@ def test_a_preload_that_is_taken_off_is_no_new_seat() -> None:
     assert error_of(tracker, 1.0, 0.0) < 0.01
 
 
+def test_a_preloaded_sensor_that_steps_back_half_way_is_followed_back() -> None:
+    """What takes back a correction cannot make an estimate worse than none, be it a preload or the sensor."""
+    preloaded = 1.2 + 0.8 * (presses(240.0) - 1.0)
+    use, tracker = begun(preloaded, zero_output=1.0)
+
+    def stepped(by: float, seed: int) -> Array:
+        return 1.2 + 0.8 * (presses(100.0, seed=seed) - 1.0) + by
+
+    observe(tracker, stepped(0.0, 3), use)
+    observe(tracker, stepped(0.25, 4), use, 100.0)
+    assert error_of(tracker, 1.0, 0.25) < 0.02
+    observe(tracker, stepped(0.1, 5), use, 200.0)
+
+    assert error_of(tracker, 1.0, 0.1) < 0.02
+
+
 def test_jump_beyond_the_trust_region_is_held_and_alarmed() -> None:
     use, tracker = begun(used_s=100.0)
 
