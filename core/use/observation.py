@@ -105,8 +105,11 @@ class TrackerState:
 
     @property
     def seen(self) -> Array:
-        """(2, 2) covariance of the drift as the latest activity shows it."""
-        return self.filter.seen_by(self.latest)[1] if self.activities else self.filter.doubt()
+        """(2, 2) covariance of the drift against the oldest known activity.
+
+        The latest one was learnt from the drift as it was believed then: it shows every movement since, no origin.
+        """
+        return self.filter.seen_by(0)[1] if self.activities else self.filter.doubt()
 
     @property
     def applied(self) -> Array:

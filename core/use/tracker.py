@@ -188,7 +188,7 @@ class DriftTracker:
         if not now.activities:
             return 0.0
         weight = np.array(self._method.drift.trend_weight)
-        expected = float(np.trace(now.seen + now.activities[now.latest].noise))
+        expected = float(np.trace(now.filter.seen_by(now.latest)[1] + now.activities[now.latest].noise))
         beyond = np.sum(now.trend**2, axis=1) - self._method.doubt.certain * expected * weight / (2 - weight)
         return math.sqrt(max(0.0, float(beyond.max())))
 

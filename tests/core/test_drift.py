@@ -532,3 +532,17 @@ def test_few_equal_durations_of_a_learnt_use_do_not_show_a_machine(calibrated_s:
     calibrated, learnt = tracker._now.activities
     assert calibrated.is_imposed
     assert learnt.is_imposed == is_imposed
+
+
+def test_a_drift_that_may_be_chance_does_not_become_sure_when_another_use_is_learnt() -> None:
+    use, tracker = begun(presses(240.0, scatter=0.1, timing=0.04), zero_output=1.0)
+    other = {"power": 0.6, "depth": 1.2, "scatter": 0.1, "timing": 0.04}
+    observe(tracker, presses(100.0, seed=3, scatter=0.1, timing=0.04), use)
+    observe(tracker, presses(52.0, seed=5, **other), use, 100.0)
+    observe(tracker, presses(10.0, seed=6, scatter=0.1, timing=0.04) - 0.02, use, 152.0)
+    assert tracker.correction() == (1.0, 0.0)
+
+    seen = observe(tracker, presses(400.0, seed=7, **other), use, 162.0)
+
+    assert seen[-1].verdict == FOLLOWED
+    assert tracker.correction() == (1.0, 0.0)
