@@ -29,11 +29,12 @@ from softcal.core.challenge.cases import EXPERIMENTS, RunPlan, SealedCase, dista
 from softcal.core.challenge.draw import LINES, draw_case
 from softcal.core.challenge.judge import Judged, read_answer
 from softcal.core.challenge.realised import realised_shrink
-from softcal.core.challenge.score import POOR, ScoreSheet, score_reports, wilson
+from softcal.core.challenge.score import POOR, ScoreSheet, score_reports
 from softcal.core.challenge.seal import Label
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import diagnose
 from softcal.core.metrics import finite_or_none
+from softcal.core.quality.yields import wilson
 from softcal.core.twin.parameters import ReadoutMetadata
 
 TABLES = ("lines", "detection", "sureness", "experiments", "speed", "residual", "forms")

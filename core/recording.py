@@ -53,7 +53,20 @@ class OutputRecording:
             _same_length("t_s", self.t_s, "stage_mm", self.stage_mm)
         if len(self.t_s) < TAPS:
             raise InputError(f"{len(self.t_s)} samples; at least {TAPS} are needed to fill one window")
-        _check_time(self.t_s, self.sample_rate_Hz)
+        if not (np.isfinite(self.sample_rate_Hz) and self.sample_rate_Hz > 0):
+            raise InputError(f"sample rate is {self.sample_rate_Hz} Hz; a positive number was expected")
+        steps = np.diff(self.t_s)
+        bad = np.flatnonzero(steps <= 0)
+        if len(bad):
+            k = int(bad[0])
+            kind = "repeats" if steps[k] == 0 else "goes backward"
+            raise InputError(f"t_s {kind} at sample {k + 1}: {self.t_s[k]:.6g} s, then {self.t_s[k + 1]:.6g} s")
+        seen_Hz = 1.0 / float(np.median(steps))
+        if abs(seen_Hz / self.sample_rate_Hz - 1) > RATE_TOLERANCE:
+            raise InputError(
+                f"the time stamps show {seen_Hz:.4g} Hz, the declared sample rate is {self.sample_rate_Hz:.4g} Hz; "
+                "correct the one that is wrong"
+            )
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -165,21 +178,4 @@ def _same_length(name: str, values: Array, other_name: str, other: Array) -> Non
     if len(values) != len(other):
         raise InputError(
             f"{name} has {len(values)} samples, {other_name} has {len(other)}; both must come from one recording"
-        )
-
-
-def _check_time(t_s: Array, sample_rate_Hz: float) -> None:
-    if not (np.isfinite(sample_rate_Hz) and sample_rate_Hz > 0):
-        raise InputError(f"sample rate is {sample_rate_Hz} Hz; a positive number was expected")
-    steps = np.diff(t_s)
-    bad = np.flatnonzero(steps <= 0)
-    if len(bad):
-        k = int(bad[0])
-        kind = "repeats" if steps[k] == 0 else "goes backward"
-        raise InputError(f"t_s {kind} at sample {k + 1}: {t_s[k]:.6g} s, then {t_s[k + 1]:.6g} s")
-    seen_Hz = 1.0 / float(np.median(steps))
-    if abs(seen_Hz / sample_rate_Hz - 1) > RATE_TOLERANCE:
-        raise InputError(
-            f"the time stamps show {seen_Hz:.4g} Hz, the declared sample rate is {sample_rate_Hz:.4g} Hz; "
-            "correct the one that is wrong"
         )

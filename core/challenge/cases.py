@@ -131,19 +131,17 @@ class SealedCase:
         if plan.protocol == DUMMY_RESISTOR:
             return _still(plan.protocol, 60.0), None
         if plan.protocol == RIGID_BLOCK:
-            return self._block_path(), None
+            # The block is pressed twice up to the peak force at 0.02 mm/s, with two seconds at every turn.
+            yielding = sum(cause.values.get("compliance_mm_per_N", 0.0) for cause in self.causes)
+            play_mm = sum(cause.values.get("width_mm", 0.0) for cause in self.causes)
+            start_mm = max(0.0, self.rig.u0_mm - 0.02)
+            deep_mm = self.rig.u0_mm + play_mm + (BLOCK_COMPLIANCE_MM_PER_N + yielding) * self.peak_N
+            places = np.repeat([start_mm, deep_mm, start_mm, deep_mm, start_mm], 2)
+            travel_s = np.abs(np.diff(places)) / 0.02
+            times = np.concatenate([[0.0], np.cumsum(np.where(travel_s > 0, travel_s, 2.0))])
+            return Path("rigid block", times, places), None
         name = "mixed_ramps" if plan.protocol == TEMPERATURE_STEP else plan.protocol
         return PROTOCOLS[name](rng, self.depth_mm), None
-
-    def _block_path(self) -> Path:
-        """Press the block twice up to the peak force at 0.02 mm/s, with two seconds at every turn."""
-        yielding = sum(cause.values.get("compliance_mm_per_N", 0.0) for cause in self.causes)
-        play_mm = sum(cause.values.get("width_mm", 0.0) for cause in self.causes)
-        start_mm = max(0.0, self.rig.u0_mm - 0.02)
-        deep_mm = self.rig.u0_mm + play_mm + (BLOCK_COMPLIANCE_MM_PER_N + yielding) * self.peak_N
-        places = np.repeat([start_mm, deep_mm, start_mm, deep_mm, start_mm], 2)
-        travel_s = np.abs(np.diff(places)) / 0.02
-        return Path("rigid block", np.concatenate([[0.0], np.cumsum(np.where(travel_s > 0, travel_s, 2.0))]), places)
 
     def to_record(self) -> dict[str, Any]:
         record = asdict(replace(self, causes=()))
@@ -151,22 +149,14 @@ class SealedCase:
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> "SealedCase":
-        return cls(
-            name=record["name"],
-            line=record["line"],
-            rig=Rig(**record["rig"]),
-            peak_N=record["peak_N"],
-            depth_mm=record["depth_mm"],
-            causes=tuple(Cause.from_record(cause) for cause in record["causes"]),
-            plans=tuple(RunPlan(**plan) for plan in record["plans"]),
-            kept_back=RunPlan(**record["kept_back"]),
-            withheld=tuple(record["withheld"]),
-            turns_between_samples=record["turns_between_samples"],
-            mistake=record["mistake"],
-            tare_N=record["tare_N"],
-            seating=record["seating"],
-            seat_mm=record["seat_mm"],
-        )
+        built = {
+            "rig": Rig(**record["rig"]),
+            "causes": tuple(Cause.from_record(cause) for cause in record["causes"]),
+            "plans": tuple(RunPlan(**plan) for plan in record["plans"]),
+            "kept_back": RunPlan(**record["kept_back"]),
+            "withheld": tuple(record["withheld"]),
+        }
+        return cls(**{**record, **built})
 
 
 def full_depth_mm(rig: Rig, peak_N: float) -> float:

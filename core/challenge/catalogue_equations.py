@@ -1,8 +1,11 @@
 """The 25 effects of TWIN.md's catalogue in the page's own equations, each on a hook of the chain."""
 
+from collections.abc import Iterable
+from dataclasses import replace
+
 import numpy as np
 
-from softcal.core.challenge.chain import Apply, Equation, Moment
+from softcal.core.challenge.chain import Apply, Equation, Moment, equations
 from softcal.core.challenge.operators import loop, low_pass, play
 from softcal.core.recording import Array
 
@@ -136,8 +139,9 @@ def _dropped_samples(instants_s: Array, at: Moment, count: float) -> Array:
     return instants_s + missing / at.rig.sample_rate_Hz
 
 
-def _rows() -> list[tuple[str, str, str, Apply]]:
-    return [
+CATALOGUE = equations(
+    CATALOGUE_FORM,
+    (
         ("backlash", "motion", "position", _backlash),
         ("contact_shift", "mechanics", "contact", _contact_shift),
         ("frame_compliance", "mechanics", "yielding", _frame_compliance),
@@ -163,8 +167,11 @@ def _rows() -> list[tuple[str, str, str, Apply]]:
         ("clock_offset", "acquisition", "instant", _clock_offset),
         ("clock_skew", "acquisition", "instant", _clock_skew),
         ("dropped_samples", "acquisition", "instant", _dropped_samples),
-    ]
-
-
-CATALOGUE = {row[0]: Equation(row[0], CATALOGUE_FORM, *row[1:]) for row in _rows()}
+    ),
+)
 """Every effect of the catalogue by its identifier."""
+
+
+def in_other_forms(rows: Iterable[tuple[str, str, Apply]]) -> dict[tuple[str, str], Equation]:
+    """Return other equations of the catalogue's effects by (effect, form), from rows of both and what each does."""
+    return {(effect, form): replace(CATALOGUE[effect], form=form, apply=apply) for effect, form, apply in rows}

@@ -1,6 +1,6 @@
 """The chain of TWIN.md, written a second time: a fine time grid, and hooks where the causes act."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
@@ -85,6 +85,11 @@ class Equation:
     stage: str
     hook: str
     apply: Apply = field(compare=False)
+
+
+def equations(form: str, rows: Iterable[tuple[str, str, str, Apply]]) -> dict[str, Equation]:
+    """Return equations of one form by their effect, from rows of effect, stage, hook and what it does."""
+    return {effect: Equation(effect, form, stage, hook, apply) for effect, stage, hook, apply in rows}
 
 
 class Rack:

@@ -13,7 +13,7 @@ from softcal.core.challenge.outside_equations import OUTSIDE, OUTSIDE_FORM
 from softcal.core.challenge.published import PUBLISHED_FORMS, PUBLISHED_OUTSIDE, PUBLISHED_SIZES
 from softcal.core.challenge.rig import Cause, Rig
 from softcal.core.challenge.score import CASES_OF_FLOOR, FLOORS
-from softcal.core.challenge.sizes import CATALOGUE_SIZES, OUTSIDE_SIZES, Scope
+from softcal.core.challenge.sizes import CATALOGUE_SIZES, OUTSIDE_SIZES, Draw, Scope
 
 Rng = np.random.Generator
 
@@ -82,28 +82,14 @@ def _several(count: int) -> Callable[[Rng, Scope], tuple[Cause, ...]]:
     return lambda rng, scope: _named(rng, scope, _some(rng, count))
 
 
-def _none(rng: Rng, scope: Scope) -> tuple[Cause, ...]:
-    return ()
+def _by(equations: Sequence[tuple[str, str]], sizes: Mapping[str, Draw]) -> Callable[[Rng, Scope], tuple[Cause, ...]]:
+    """Return what draws one of (effect, form) at its usual size."""
 
+    def draw(rng: Rng, scope: Scope) -> tuple[Cause, ...]:
+        effect, form = equations[int(rng.integers(len(equations)))]
+        return (Cause(effect, form, sizes[effect](rng, scope, 1.0)),)
 
-def _other_form(rng: Rng, scope: Scope) -> tuple[Cause, ...]:
-    effect, form = list(OTHER_FORMS)[rng.integers(len(OTHER_FORMS))]
-    return (Cause(effect, form, CATALOGUE_SIZES[effect](rng, scope, 1.0)),)
-
-
-def _outside(rng: Rng, scope: Scope) -> tuple[Cause, ...]:
-    effect = list(OUTSIDE)[rng.integers(len(OUTSIDE))]
-    return (Cause(effect, OUTSIDE_FORM, OUTSIDE_SIZES[effect](rng, scope, 1.0)),)
-
-
-def _published_form(rng: Rng, scope: Scope) -> tuple[Cause, ...]:
-    effect, form = list(PUBLISHED_FORMS)[rng.integers(len(PUBLISHED_FORMS))]
-    return (Cause(effect, form, CATALOGUE_SIZES[effect](rng, scope, 1.0)),)
-
-
-def _published_outside(rng: Rng, scope: Scope) -> tuple[Cause, ...]:
-    effect = list(PUBLISHED_OUTSIDE)[rng.integers(len(PUBLISHED_OUTSIDE))]
-    return (Cause(effect, OUTSIDE_FORM, PUBLISHED_SIZES[effect](rng, scope, 1.0)),)
+    return draw
 
 
 def _single_or_none(stages: Sequence[str] | None = None) -> Callable[[Rng, Scope], tuple[Cause, ...]]:
@@ -111,12 +97,8 @@ def _single_or_none(stages: Sequence[str] | None = None) -> Callable[[Rng, Scope
     return lambda rng, scope: () if rng.random() < 0.2 else single(rng, scope)
 
 
-def _seldom_single(rng: Rng, scope: Scope) -> tuple[Cause, ...]:
-    return _single(1.0)(rng, scope) if rng.random() < 0.3 else ()
-
-
-def _half_single(rng: Rng, scope: Scope) -> tuple[Cause, ...]:
-    return _single(1.0)(rng, scope) if rng.random() < 0.5 else ()
+def _perhaps_single(chance: float) -> Callable[[Rng, Scope], tuple[Cause, ...]]:
+    return lambda rng, scope: _single(1.0)(rng, scope) if rng.random() < chance else ()
 
 
 _SEEN_WITHOUT_CELL = ("motion", "mechanics", "transduction", "electronics", "acquisition")
@@ -126,23 +108,21 @@ LINES: Mapping[str, Callable[[Rng, Scope], tuple[Cause, ...]]] = {
     "usual": _single(1.0),
     "third": _single(0.3),
     "tenth": _single(0.1),
-    "form": _other_form,
+    "form": _by(list(OTHER_FORMS), CATALOGUE_SIZES),
     "pair": _several(2),
     "triple": _several(3),
-    "none": _none,
-    "outside": _outside,
+    "none": lambda rng, scope: (),
+    "outside": _by([(effect, OUTSIDE_FORM) for effect in OUTSIDE], OUTSIDE_SIZES),
     "one_run": _single_or_none(),
     "one_speed": _single_or_none(),
     "no_load_cell": _single_or_none(_SEEN_WITHOUT_CELL),
     "no_stage": _single_or_none(_SEEN_WITHOUT_STAGE),
     "ten_bit": _single_or_none(),
     "turning": _single(1.0),
-    "published_form": _published_form,
-    "published_outside": _published_outside,
-    "mistakes": _seldom_single,
-    "untared": _half_single,
-    "reseated": _half_single,
-    "coloured": _half_single,
+    "published_form": _by(list(PUBLISHED_FORMS), CATALOGUE_SIZES),
+    "published_outside": _by([(effect, OUTSIDE_FORM) for effect in PUBLISHED_OUTSIDE], PUBLISHED_SIZES),
+    "mistakes": _perhaps_single(0.3),
+    **dict.fromkeys(("untared", "reseated", "coloured"), _perhaps_single(0.5)),
 }
 """The strata: singles at a rig's usual size and at 0.3 and 0.1 of it, the same causes by other equations, pairs,
 triples, none, effects outside the catalogue, poor recordings, singles on a stage that turns between samples, causes and

@@ -122,7 +122,17 @@ class Judged:
         if self.answer is None:
             return "wrong" if self.unread else "no report"
         if self.label.case.mistake:
-            return self._spoilt(self.answer, Mistake.of(self.label.case.mistake))
+            mistake = Mistake.of(self.label.case.mistake)
+            # A unit of the whole case contradicts nothing in it: it is asked about beside any verdict.
+            is_asked = mistake.what == "unit_factor" and not mistake.runs and bool(self.answer.data)
+            if self.answer.verdict != "data" and not is_asked:
+                return "wrong"
+            channels = set(mistake.channel.split("+")) - {""}
+            named = any(
+                what == mistake.what and runs == mistake.runs and channels <= set(channel.split("+"))
+                for what, channel, runs in self.answer.data
+            )
+            return "right" if named else "abstained"
         if self.label.case.causes and self.answer.verdict == "no_gap":
             return "missed" if self.is_visible else "below noise"
         if not self.label.case.causes:
@@ -130,37 +140,18 @@ class Judged:
             is_held_back = self.answer.verdict == "unknown" and not self.answer.named
             return "right" if self.answer.verdict == "no_gap" else "abstained" if is_held_back else "alarm"
         if any(cause.effect not in CATALOGUE for cause in self.label.case.causes):
-            return self._outside(self.answer)
-        return self._known(self.answer)
-
-    def _spoilt(self, answer: Answer, mistake: Mistake) -> str:
-        """Right is the kind of the mistake, its channel and its runs; `abstained` a mistake said, but another one."""
-        # A unit of the whole case contradicts nothing in it: it is asked about beside any verdict.
-        is_asked = mistake.what == "unit_factor" and not mistake.runs and bool(answer.data)
-        if answer.verdict != "data" and not is_asked:
-            return "wrong"
-        channels = set(mistake.channel.split("+")) - {""}
-        named = any(
-            what == mistake.what and runs == mistake.runs and channels <= set(channel.split("+"))
-            for what, channel, runs in answer.data
-        )
-        return "right" if named else "abstained"
-
-    def _outside(self, answer: Answer) -> str:
-        if answer.verdict == "unknown":
-            return "right"
-        alias = ALIASES.get(self.label.case.causes[0].effect)
-        return "set" if alias and alias in answer.candidates | {answer.first} else "wrong"
-
-    def _known(self, answer: Answer) -> str:
-        if answer.verdict == "explained" and answer.named == self.truth:
-            return "right"
-        if answer.verdict == "ambiguous":
-            if answer.named == self.truth or (len(self.truth) == 1 and answer.first in self.truth):
+            if self.answer.verdict == "unknown":
                 return "right"
-            if self.truth <= answer.candidates and len(answer.candidates) <= max(3, len(self.truth) + 1):
+            alias = ALIASES.get(self.label.case.causes[0].effect)
+            return "set" if alias and alias in self.answer.candidates | {self.answer.first} else "wrong"
+        if self.answer.verdict == "explained" and self.answer.named == self.truth:
+            return "right"
+        if self.answer.verdict == "ambiguous":
+            if self.answer.named == self.truth or (len(self.truth) == 1 and self.answer.first in self.truth):
+                return "right"
+            if self.truth <= self.answer.candidates and len(self.answer.candidates) <= max(3, len(self.truth) + 1):
                 return "set"
-        return "abstained" if answer.verdict == "unknown" else "wrong"
+        return "abstained" if self.answer.verdict == "unknown" else "wrong"
 
     @property
     def is_first_right(self) -> bool:

@@ -124,29 +124,12 @@ def _with(measured: Measured, **columns: Array) -> Measured:
     return replace(measured, columns={**measured.columns, **columns})
 
 
-def _column(measured: Measured, mistake: Mistake) -> tuple[str, Array]:
-    name = COLUMNS[mistake.channel]
-    return name, measured.columns[name]
+def _of_column(spoilt: Callable[[Array, Mistake], Array]) -> Callable[[_Sheet, int, Mistake], Measured]:
+    def spoil(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
+        name = COLUMNS[mistake.channel]
+        return _with(sheet.runs[k], **{name: spoilt(sheet.runs[k].columns[name], mistake)})
 
-
-def _unit(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
-    name, values = _column(sheet.runs[k], mistake)
-    return _with(sheet.runs[k], **{name: values / mistake.factor})
-
-
-def _gain(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
-    name, values = _column(sheet.runs[k], mistake)
-    return _with(sheet.runs[k], **{name: values * mistake.factor})
-
-
-def _zero(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
-    name, values = _column(sheet.runs[k], mistake)
-    return _with(sheet.runs[k], **{name: values + mistake.factor})
-
-
-def _sign(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
-    name, values = _column(sheet.runs[k], mistake)
-    return _with(sheet.runs[k], **{name: -values})
+    return spoil
 
 
 def _swapped_columns(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
@@ -175,25 +158,23 @@ def _rate(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
     return sheet.runs[k]
 
 
-def _out_of_range(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
-    rng = np.random.default_rng([mistake.seed, 6])
-    name, values = _column(sheet.runs[k], mistake)
-    spoilt = values.copy()
+def _out_of_range(values: Array, mistake: Mistake) -> Array:
+    rng, spoilt = np.random.default_rng([mistake.seed, 6]), values.copy()
     spoilt[rng.choice(len(values), int(rng.integers(1, FEW + 1)), replace=False)] = mistake.factor
-    return _with(sheet.runs[k], **{name: spoilt})
+    return spoilt
 
 
 _SPOILERS: Mapping[str, Callable[[_Sheet, int, Mistake], Measured]] = {
-    "unit_factor": _unit,
-    "gain": _gain,
-    "zero": _zero,
-    "sign": _sign,
+    "unit_factor": _of_column(lambda values, mistake: values / mistake.factor),
+    "gain": _of_column(lambda values, mistake: values * mistake.factor),
+    "zero": _of_column(lambda values, mistake: values + mistake.factor),
+    "sign": _of_column(lambda values, mistake: -values),
     "swapped_columns": _swapped_columns,
     "swapped_divider": _swapped_divider,
     "other_unit": _other_unit,
     "swapped_runs": _swapped_runs,
     "rate": _rate,
-    "out_of_range": _out_of_range,
+    "out_of_range": _of_column(_out_of_range),
 }
 
 RAILS = {"output": (6.5535e4, 9.99, -1.0), "force": (999.0, -999.0, 8388.607), "stage": (999.0, -999.0)}

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from softcal.core.challenge.catalogue_equations import CATALOGUE, completed_compressions, drawn_intervals
-from softcal.core.challenge.chain import Apply, Equation, Moment
+from softcal.core.challenge.catalogue_equations import completed_compressions, drawn_intervals, in_other_forms
+from softcal.core.challenge.chain import Apply, Moment
 from softcal.core.challenge.operators import bouc_wen, low_pass, low_passes, power_law, prandtl_ishlinskii
 from softcal.core.recording import Array
 
@@ -177,8 +177,5 @@ _FORMS: tuple[tuple[str, str, Apply], ...] = (
     ("clock_skew", "warming", _bent_clock),
 )
 
-OTHER_FORMS = {
-    (effect, form): Equation(effect, form, CATALOGUE[effect].stage, CATALOGUE[effect].hook, apply)
-    for effect, form, apply in _FORMS
-}
+OTHER_FORMS = in_other_forms(_FORMS)
 """By (effect, form); each takes the parameters of the catalogue's equation and is of about the same size."""

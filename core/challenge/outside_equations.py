@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from softcal.core.challenge.chain import Apply, Equation, Moment
+from softcal.core.challenge.chain import Apply, Moment, equations
 from softcal.core.challenge.operators import loop, low_pass
 from softcal.core.recording import Array
 
@@ -35,8 +35,8 @@ def _guide_friction(force_N: Array, at: Moment, friction_N: float) -> Array:
     return force_N + friction_N * loop(at.compression_mm, 0.005) * (at.compression_mm > 0.0)
 
 
-def _modulus_temperature(force_N: Array, at: Moment, coefficient_per_K: float) -> Array:
-    return np.asarray(force_N * (1.0 + coefficient_per_K * (at.temperature_C - at.temperature_C[0])))
+def _follows_temperature(values: Array, at: Moment, coefficient_per_K: float) -> Array:
+    return np.asarray(values * (1.0 + coefficient_per_K * (at.temperature_C - at.temperature_C[0])))
 
 
 def _contact_growth(load: Array, at: Moment, growth: float, half_N: float) -> Array:
@@ -46,10 +46,6 @@ def _contact_growth(load: Array, at: Moment, growth: float, half_N: float) -> Ar
 
 def _sensitivity_ageing(load: Array, at: Moment, rate_per_s: float) -> Array:
     return load * (1.0 + rate_per_s * at.t_s)
-
-
-def _divider_temperature(series_ohm: Array, at: Moment, coefficient_per_K: float) -> Array:
-    return np.asarray(series_ohm * (1.0 + coefficient_per_K * (at.temperature_C - at.temperature_C[0])))
 
 
 def _adc_inl(volts: Array, at: Moment, amplitude_V: float, period_V: float) -> Array:
@@ -81,10 +77,6 @@ def _cell_hysteresis(force_N: Array, at: Moment, size: float, scale_N: float) ->
     return force_N * (1.0 + size * loop(force_N, scale_N))
 
 
-def _cell_span_temperature(force_N: Array, at: Moment, coefficient_per_K: float) -> Array:
-    return np.asarray(force_N * (1.0 + coefficient_per_K * (at.temperature_C - at.temperature_C[0])))
-
-
 def _jitter(instants_s: Array, at: Moment, spread_s: float) -> Array:
     return instants_s + at.rng.normal(0.0, spread_s, len(instants_s))
 
@@ -95,21 +87,21 @@ _ROWS: tuple[tuple[str, str, str, Apply], ...] = (
     ("permanent_set", "mechanics", "contact", _permanent_set),
     ("adhesion", "mechanics", "elastic", _adhesion),
     ("guide_friction", "mechanics", "elastic", _guide_friction),
-    ("modulus_temperature", "mechanics", "elastic", _modulus_temperature),
+    ("modulus_temperature", "mechanics", "elastic", _follows_temperature),
     ("contact_growth", "transduction", "channel", _contact_growth),
     ("sensitivity_ageing", "transduction", "channel", _sensitivity_ageing),
-    ("divider_temperature", "electronics", "series", _divider_temperature),
+    ("divider_temperature", "electronics", "series", _follows_temperature),
     ("adc_inl", "electronics", "voltage", _adc_inl),
     ("spikes", "electronics", "pickup", _spikes),
     ("cable_drag", "load_cell", "cell", _cable_drag),
     ("inertia", "load_cell", "cell", _inertia),
     ("cell_filter", "load_cell", "cell", _cell_filter),
     ("cell_hysteresis", "load_cell", "cell", _cell_hysteresis),
-    ("cell_span_temperature", "load_cell", "cell", _cell_span_temperature),
+    ("cell_span_temperature", "load_cell", "cell", _follows_temperature),
     ("jitter", "acquisition", "instant", _jitter),
 )
 
-OUTSIDE = {row[0]: Equation(row[0], OUTSIDE_FORM, *row[1:]) for row in _ROWS}
+OUTSIDE = equations(OUTSIDE_FORM, _ROWS)
 """Every effect outside the catalogue by its name."""
 
 ALIASES = {"divider_temperature": "thermal_drift"}

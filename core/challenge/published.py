@@ -12,11 +12,11 @@ from scipy.optimize import nnls
 from scipy.signal import butter, lfilter
 from scipy.special import erf
 
-from softcal.core.challenge.catalogue_equations import CATALOGUE
-from softcal.core.challenge.chain import Apply, Equation, Moment
+from softcal.core.challenge.catalogue_equations import in_other_forms
+from softcal.core.challenge.chain import Apply, Equation, Moment, equations
 from softcal.core.challenge.operators import low_passes
 from softcal.core.challenge.outside_equations import OUTSIDE_FORM
-from softcal.core.challenge.sizes import Draw, Rng, Scope
+from softcal.core.challenge.sizes import Draw, Rng, Scope, near
 from softcal.core.recording import Array
 
 BRANCHES = 24
@@ -137,22 +137,11 @@ _EFFECTS: tuple[tuple[str, str, str, Apply], ...] = (
     ("cell_ringing", "load_cell", "cell", _cell_ringing),
 )
 
-PUBLISHED_FORMS: Mapping[tuple[str, str], Equation] = MappingProxyType(
-    {
-        (effect, form): Equation(effect, form, CATALOGUE[effect].stage, CATALOGUE[effect].hook, apply)
-        for effect, form, apply in _FORMS
-    }
-)
+PUBLISHED_FORMS: Mapping[tuple[str, str], Equation] = MappingProxyType(in_other_forms(_FORMS))
 """By (effect, form); each takes the parameters of the catalogue's equation and is of about the same size."""
 
-PUBLISHED_OUTSIDE: Mapping[str, Equation] = MappingProxyType(
-    {row[0]: Equation(row[0], OUTSIDE_FORM, *row[1:]) for row in _EFFECTS}
-)
+PUBLISHED_OUTSIDE: Mapping[str, Equation] = MappingProxyType(equations(OUTSIDE_FORM, _EFFECTS))
 """Published effects outside the catalogue by name."""
-
-
-def _near(rng: Rng, centre: float, factor: float = 1.6) -> float:
-    return float(centre * factor ** rng.uniform(-1.0, 1.0))
 
 
 def _tone_Hz(rng: Rng, at: Scope) -> float:
@@ -167,17 +156,17 @@ def _tone_Hz(rng: Rng, at: Scope) -> float:
 
 PUBLISHED_SIZES: Mapping[str, Draw] = MappingProxyType(
     {
-        "screw_growth": lambda rng, at, scale: {"growth": scale * _near(rng, 0.02), "tau_s": _near(rng, 60.0)},
-        "rate_stiffening": lambda rng, at, scale: {"size": scale * _near(rng, 0.05), "speed_mm_s": _near(rng, 2.0)},
+        "screw_growth": lambda rng, at, scale: {"growth": scale * near(rng, 0.02), "tau_s": near(rng, 60.0)},
+        "rate_stiffening": lambda rng, at, scale: {"size": scale * near(rng, 0.05), "speed_mm_s": near(rng, 2.0)},
         "film_contact": lambda rng, at, scale: {
-            "film_ohm": scale * at.rig.r0_ohm * _near(rng, 0.08),
-            "load_N": _near(rng, 0.3),
+            "film_ohm": scale * at.rig.r0_ohm * near(rng, 0.08),
+            "load_N": near(rng, 0.3),
         },
         "stray_tone": lambda rng, at, scale: {
-            "amplitude_V": scale * _near(rng, 4e-3),
+            "amplitude_V": scale * near(rng, 4e-3),
             "frequency_Hz": _tone_Hz(rng, at),
         },
-        "cell_ringing": lambda rng, at, scale: {"frequency_Hz": _near(rng, 5.0) / scale, "damping": _near(rng, 0.08)},
+        "cell_ringing": lambda rng, at, scale: {"frequency_Hz": near(rng, 5.0) / scale, "damping": near(rng, 0.08)},
     }
 )
 """Usual sizes of the published effects outside the catalogue."""

@@ -7,16 +7,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binomtest
 
 from softcal.core.challenge.judge import Judged, read_answer
 from softcal.core.challenge.seal import Label
 from softcal.core.errors import InputError
 from softcal.core.metrics import finite_or_none
+from softcal.core.quality.yields import wilson
 
 POOR = ("one_run", "one_speed", "no_load_cell", "no_stage", "ten_bit")
-LEAST_STATED = 0.05
-STATED_EDGES = (LEAST_STATED, 0.2, 0.5, 0.8, 0.95, 1.0)
+STATED_EDGES = (0.05, 0.2, 0.5, 0.8, 0.95, 1.0)
 DISTANCE_EDGES = (0.0, 3.0, 5.0, 10.0, 30.0, 100.0, np.inf)
 """Bins of the detection curve, in units of the noise over all samples."""
 
@@ -39,14 +38,6 @@ class Row:
     def interval(self) -> tuple[float, float]:
         """95 % interval of Wilson (1927)."""
         return wilson(self.hits, self.count)
-
-
-def wilson(hits: int, count: int) -> tuple[float, float]:
-    """Return Wilson's 95 % interval of a share."""
-    if count == 0:
-        return 0.0, 1.0
-    found = binomtest(hits, count).proportion_ci(method="wilson")
-    return float(found.low), float(found.high)
 
 
 @dataclass(frozen=True)
@@ -84,7 +75,7 @@ class Bin:
     """Named causes whose probability lies in one interval: how many there are, and how many are at work.
 
     An effect that nobody names is right at 0 whatever the diagnosis does, 24 times out of 25; so only stated
-    probabilities of `LEAST_STATED` or more are counted.
+    probabilities from the first of `STATED_EDGES` on are counted.
     """
 
     low: float
@@ -115,11 +106,12 @@ class ScoreSheet:
 
     def to_record(self) -> dict[str, Any]:
         """Return plain JSON values; what could not be computed is null."""
+        numbers = {name: finite_or_none(value) for name, value in vars(self.probabilities).items() if name != "by_bin"}
         return {
             "schema": "softcal.score/1",
             "rows": [_row_record(row) for row in self.rows],
             "detection": [{**asdict(bin_), "to_sigma": finite_or_none(bin_.to_sigma)} for bin_ in self.detection],
-            "probabilities": _sureness_record(self.probabilities),
+            "probabilities": {**numbers, "by_bin": [asdict(bin_) for bin_ in self.probabilities.by_bin]},
             "shrink": {
                 "count": self.shrink.count,
                 "median_realised": finite_or_none(self.shrink.median_realised),
@@ -150,11 +142,6 @@ def _case_record(judged: Judged) -> dict[str, Any]:
     }
 
 
-def _sureness_record(sure: Probabilities) -> dict[str, Any]:
-    numbers = {name: finite_or_none(value) for name, value in vars(sure).items() if name != "by_bin"}
-    return {**numbers, "by_bin": [asdict(bin_) for bin_ in sure.by_bin]}
-
-
 def score_reports(
     labels: Sequence[Label],
     reports: Mapping[str, Mapping[str, Any]],
@@ -167,7 +154,19 @@ def score_reports(
         realised: shrink of a report's twin on the run that was kept back, NaN where it has none.
     """
     judged = tuple(_judge(label, reports.get(label.case.name), realised) for label in labels)
-    return ScoreSheet(judged, tuple(_rows(judged)), tuple(_detection(judged)), _probabilities(judged), _shrink(judged))
+    answered = [(j, j.answer) for j in judged if j.answer is not None]
+    stated = np.array([p for _, a in answered for p in a.probabilities.values()])
+    present = np.array([effect in j.truth for j, a in answered for effect in a.probabilities], dtype=np.float64)
+    first = [(a.probabilities[a.first], j.is_first_right) for j, a in answered if a.first and a.verdict != "no_gap"]
+    singles = [a.probabilities.get(next(iter(j.truth)), 0.0) for j, a in answered if len(j.truth) == 1]
+    probabilities = Probabilities(
+        ece=calibration_error(stated, present),
+        ece_first=calibration_error(np.array([p for p, _ in first]), np.array([float(y) for _, y in first])),
+        brier=float(np.mean((stated - present) ** 2)) if len(stated) else float("nan"),
+        on_truth=float(np.mean(singles)) if singles else float("nan"),
+        by_bin=tuple(_bins(stated, present)),
+    )
+    return ScoreSheet(judged, tuple(_rows(judged)), tuple(_detection(judged)), probabilities, _shrink(judged))
 
 
 def _judge(label: Label, report: Mapping[str, Any] | None, realised: Callable[..., float]) -> Judged:
@@ -217,21 +216,6 @@ def _detection(judged: Sequence[Judged]) -> Iterable[Detection]:
             if here:
                 named, honest = sum(j.is_first_right for j in here), sum(j.outcome in HONEST for j in here)
                 yield Detection(effect, low, high, named, honest, len(here))
-
-
-def _probabilities(judged: Sequence[Judged]) -> Probabilities:
-    answered = [(j, j.answer) for j in judged if j.answer is not None]
-    stated = np.array([p for _, a in answered for p in a.probabilities.values()])
-    present = np.array([effect in j.truth for j, a in answered for effect in a.probabilities], dtype=np.float64)
-    first = [(a.probabilities[a.first], j.is_first_right) for j, a in answered if a.first and a.verdict != "no_gap"]
-    singles = [a.probabilities.get(next(iter(j.truth)), 0.0) for j, a in answered if len(j.truth) == 1]
-    return Probabilities(
-        ece=calibration_error(stated, present),
-        ece_first=calibration_error(np.array([p for p, _ in first]), np.array([float(y) for _, y in first])),
-        brier=float(np.mean((stated - present) ** 2)) if len(stated) else float("nan"),
-        on_truth=float(np.mean(singles)) if singles else float("nan"),
-        by_bin=tuple(_bins(stated, present)),
-    )
 
 
 def _bins(stated: NDArray[np.float64], present: NDArray[np.float64]) -> Iterable[Bin]:

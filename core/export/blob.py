@@ -165,7 +165,13 @@ class NetworkFile:
 
     @cached_property
     def _body(self) -> bytes:
-        return _network_body(self)
+        net, sizes = self.network, self.network.sizes
+        fixed = NETWORK_FIXED.pack(
+            len(net.layers), WEIGHTS_INT16, TAPS, net.output_exponent, *sizes, *[0] * (8 - len(sizes)), self.gap_ms, 0,
+            self.period_us, net.input_zero, net.input_lsb,
+            _unit_text(self.output_unit), _unit_text(self.reference_unit), bytes.fromhex(self.network_sha256),
+        )  # fmt: skip
+        return fixed + b"".join(_layer_bytes(layer) for layer in net.layers)
 
     @cached_property
     def id(self) -> bytes:
@@ -222,7 +228,18 @@ class UnitFile:
 
     def to_bytes(self) -> bytes:
         """Return the file: at most 256, 512 or 1024 bytes, as the export was asked."""
-        body = _unit_body(self)
+        form, adapt = self.device_map, self.adapt
+        knots = 0 if form.curve is None else len(form.curve.codes)
+        mix_bit = HAS_WIDE_MIX if form.mix is not None and form.mix.is_wide else HAS_MIX
+        parts = (HAS_CURVE, form.curve), (HAS_LAYER, form.layer), (mix_bit, form.mix)
+        fixed = UNIT_FIXED.pack(
+            sum(bit for bit, part in parts if part is not None), knots, len(self.bands), len(self.self_tests),
+            self.code_min, self.code_max, self.out_min, self.out_max,
+            self.scale.zero, self.scale.lsb, adapt.low, adapt.high, adapt.gain, adapt.offset,
+        )  # fmt: skip
+        tables = b"".join(BAND.pack(b.level, b.minus, b.plus) for b in self.bands)
+        tables += b"".join(SELF_TEST.pack(t.start, t.step, t.expected) for t in self.self_tests)
+        body = fixed + _padded(tables) + _map_bytes(form)
         return _sealed(
             Kind.UNIT, self.flags, self.network_id, self.revision, self.time_s, self.serial, body, self.minor
         )
@@ -252,16 +269,6 @@ def _sealed(
     return header + body + struct.pack("<I", zlib.crc32(header + body))
 
 
-def _network_body(file: NetworkFile) -> bytes:
-    net, sizes = file.network, file.network.sizes
-    fixed = NETWORK_FIXED.pack(
-        len(net.layers), WEIGHTS_INT16, TAPS, net.output_exponent, *sizes, *[0] * (8 - len(sizes)), file.gap_ms, 0,
-        file.period_us, net.input_zero, net.input_lsb,
-        _unit_text(file.output_unit), _unit_text(file.reference_unit), bytes.fromhex(file.network_sha256),
-    )  # fmt: skip
-    return fixed + b"".join(_layer_bytes(layer) for layer in net.layers)
-
-
 def _unit_text(unit: str) -> bytes:
     raw = unit.encode()
     if len(raw) > 8:
@@ -279,21 +286,6 @@ def _layer_bytes(layer: IntegerLayer) -> bytes:
     padded = np.vstack([layer.weights, np.zeros((missing, columns), dtype=np.int64)])
     interleaved = padded.reshape(-1, 4, columns).transpose(0, 2, 1)
     return records + ROW.pack(0, 0, 0, 1) * missing + interleaved.astype("<i2").tobytes()
-
-
-def _unit_body(file: UnitFile) -> bytes:
-    form, adapt = file.device_map, file.adapt
-    knots = 0 if form.curve is None else len(form.curve.codes)
-    mix_bit = HAS_WIDE_MIX if form.mix is not None and form.mix.is_wide else HAS_MIX
-    parts = (HAS_CURVE, form.curve), (HAS_LAYER, form.layer), (mix_bit, form.mix)
-    fixed = UNIT_FIXED.pack(
-        sum(bit for bit, part in parts if part is not None), knots, len(file.bands), len(file.self_tests),
-        file.code_min, file.code_max, file.out_min, file.out_max,
-        file.scale.zero, file.scale.lsb, adapt.low, adapt.high, adapt.gain, adapt.offset,
-    )  # fmt: skip
-    tables = b"".join(BAND.pack(b.level, b.minus, b.plus) for b in file.bands)
-    tables += b"".join(SELF_TEST.pack(t.start, t.step, t.expected) for t in file.self_tests)
-    return fixed + _padded(tables) + _map_bytes(form)
 
 
 def _padded(content: bytes) -> bytes:

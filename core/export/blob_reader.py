@@ -2,7 +2,6 @@
 
 import struct
 import zlib
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,35 +107,31 @@ def read_network(data: bytes) -> NetworkFile:
     """
     opened = _open(data, Kind.NETWORK)
     try:
-        file, end = _parse_network(opened)
+        count, weight_type, taps, exponent, *rest = NETWORK_FIXED.unpack_from(opened.body)
+        sizes, (_, _, period_us, zero, lsb, output_unit, reference_unit, sha256) = rest[:8], rest[8:]
+        if weight_type != WEIGHTS_INT16 or taps != TAPS or not 1 <= count <= MAX_LAYERS or period_us == 0:
+            raise ValueError(f"weight type {weight_type}, {taps} taps, {count} layers, period {period_us} µs")
+        if max(sizes) > MAX_WIDTH or min(sizes[: count + 1]) < 1 or not (np.isfinite(zero) and lsb > 0):
+            raise ValueError(f"sizes {sizes}, input scale {zero}, {lsb}")
+        layers, at = [], NETWORK_FIXED.size
+        for columns, rows in zip(sizes[:count], sizes[1 : count + 1], strict=True):
+            layer, at = _parse_layer(opened.body, at, rows, columns)
+            layers.append(layer)
+        network = IntegerNetwork(tuple(layers), zero, lsb, exponent)
+        levels = None
+        if opened.minor >= WITH_LEVELS:
+            first, step, *counts, _ = LEVELS.unpack_from(opened.body, at)
+            levels, at = LoadLevels(first, step, tuple(counts)), at + LEVELS.size
+            if not step:
+                raise ValueError("levels of the source have no distance")
+        units = _text(output_unit), _text(reference_unit)
+        file = NetworkFile(network, sha256.hex(), opened.serial, period_us, *units, levels)
     except (ValueError, struct.error, IndexError) as error:
         raise _layout("network", error) from error
-    _check_end("network", opened, end)
+    _check_end("network", opened, at)
     if file.id != opened.network_id:
         raise FileRefused(RefusalCause.NETWORK, "network file: its id is not the hash of its body; export it again")
     return file
-
-
-def _parse_network(opened: _Opened) -> tuple[NetworkFile, int]:
-    count, weight_type, taps, exponent, *rest = NETWORK_FIXED.unpack_from(opened.body)
-    sizes, (_, _, period_us, zero, lsb, output_unit, reference_unit, sha256) = rest[:8], rest[8:]
-    if weight_type != WEIGHTS_INT16 or taps != TAPS or not 1 <= count <= MAX_LAYERS or period_us == 0:
-        raise ValueError(f"weight type {weight_type}, {taps} taps, {count} layers, period {period_us} µs")
-    if max(sizes) > MAX_WIDTH or min(sizes[: count + 1]) < 1 or not (np.isfinite(zero) and lsb > 0):
-        raise ValueError(f"sizes {sizes}, input scale {zero}, {lsb}")
-    layers, at = [], NETWORK_FIXED.size
-    for columns, rows in zip(sizes[:count], sizes[1 : count + 1], strict=True):
-        layer, at = _parse_layer(opened.body, at, rows, columns)
-        layers.append(layer)
-    network = IntegerNetwork(tuple(layers), zero, lsb, exponent)
-    levels = None
-    if opened.minor >= WITH_LEVELS:
-        first, step, *counts, _ = LEVELS.unpack_from(opened.body, at)
-        levels, at = LoadLevels(first, step, tuple(counts)), at + LEVELS.size
-        if not step:
-            raise ValueError("levels of the source have no distance")
-    units = _text(output_unit), _text(reference_unit)
-    return NetworkFile(network, sha256.hex(), opened.serial, period_us, *units, levels), at
 
 
 def _parse_layer(body: bytes, at: int, rows: int, columns: int) -> tuple[IntegerLayer, int]:
@@ -189,12 +184,15 @@ def _parse_unit(opened: _Opened) -> tuple[UnitFile, int]:
         curve, at = PiecewiseMap(*pairs.reshape(-1, 2).T), at + knots * KNOT.size
     if form & HAS_LAYER:
         layer, at = _parse_layer(body, at, TAPS, TAPS)
-    if form & HAS_MIX:
-        mix, at = _parse_mix(body, at)
-    if form & HAS_WIDE_MIX:
-        mix, at = _parse_wide_mix(body, at)
+    if form & (HAS_MIX | HAS_WIDE_MIX):
+        mix, at = _parse_mix(body, at, bool(form & HAS_WIDE_MIX))
     device_map = DeviceMap(curve, layer, mix)
-    _check_tables(band_rows, test_rows)
+    levels = [band.level for band in band_rows]
+    if levels != sorted(levels):
+        raise ValueError(f"band levels {levels} do not rise")
+    for test in test_rows:
+        if not 0 <= test.start + (TAPS - 1) * test.step <= CODE_MAX or abs(test.expected) > ACTIVATION_MAX:
+            raise ValueError(f"self-test {test} leaves the range of codes")
     return UnitFile(
         opened.serial, opened.network_id, opened.revision, opened.time_s, opened.flags, device_map,
         InputScale(zero, lsb), code_min, code_max, out_min, out_max, band_rows, test_rows,
@@ -202,31 +200,16 @@ def _parse_unit(opened: _Opened) -> tuple[UnitFile, int]:
     ), at  # fmt: skip
 
 
-def _parse_mix(body: bytes, at: int) -> tuple[IntegerMix, int]:
-    keep, count = MIX_FIXED.unpack_from(body, at)
-    start = at + MIX_FIXED.size
-    rows = np.array([MIX_ROW.unpack_from(body, start + k * MIX_ROW.size) for k in range(count)], dtype=np.int64)
-    end = start + count * MIX_ROW.size
+def _parse_mix(body: bytes, at: int, is_wide: bool) -> tuple[IntegerMix, int]:
+    fixed, row = (WIDE_FIXED, WIDE_ROW) if is_wide else (MIX_FIXED, MIX_ROW)
+    keep, count, *_ = fixed.unpack_from(body, at)
+    start = at + fixed.size
+    rows = np.array([row.unpack_from(body, start + k * row.size) for k in range(count)], dtype=np.int64)
+    end = start + count * row.size
     table = rows.reshape(-1, TAPS + 2)
-    return IntegerMix(keep, table[:, :TAPS], table[:, TAPS], table[:, TAPS + 1]), end + -end % 4
-
-
-def _parse_wide_mix(body: bytes, at: int) -> tuple[IntegerMix, int]:
-    keep, count, _ = WIDE_FIXED.unpack_from(body, at)
-    start = at + WIDE_FIXED.size
-    rows = np.array([WIDE_ROW.unpack_from(body, start + k * WIDE_ROW.size) for k in range(count)], dtype=np.int64)
-    table = rows.reshape(-1, TAPS + 2)
-    mix = IntegerMix(keep, table[:, 1 : TAPS + 1], table[:, TAPS + 1], table[:, 0], is_wide=True)
-    return mix, start + count * WIDE_ROW.size
-
-
-def _check_tables(bands: Sequence[Band], tests: Sequence[SelfTest]) -> None:
-    levels = [band.level for band in bands]
-    if levels != sorted(levels):
-        raise ValueError(f"band levels {levels} do not rise")
-    for test in tests:
-        if not 0 <= test.start + (TAPS - 1) * test.step <= CODE_MAX or abs(test.expected) > ACTIVATION_MAX:
-            raise ValueError(f"self-test {test} leaves the range of codes")
+    # A wide row begins with its bias, which needs four bytes; a narrow one ends with it.
+    table = np.roll(table, -1, axis=1) if is_wide else table
+    return IntegerMix(keep, table[:, :TAPS], table[:, TAPS], table[:, TAPS + 1], is_wide), end + -end % 4
 
 
 def _check_end(name: str, opened: _Opened, end: int) -> None:

@@ -68,17 +68,13 @@ class InputScale:
     @classmethod
     def covering(cls, network: Network, output: Array) -> "InputScale":
         """A round full scale (1, 2 or 5 times a power of ten) that holds what the source and this unit put out."""
-        reach = np.array(
-            [network.output_mean - 6 * network.output_scale, network.output_mean + 6 * network.output_scale]
-        )
-        low, high = min(float(output.min()), float(reach[0])), max(float(output.max()), float(reach[1]))
-        top = _round_up(max(abs(low), abs(high)))
+        reach = 6 * network.output_scale
+        low = min(float(output.min()), float(network.output_mean - reach))
+        high = max(float(output.max()), float(network.output_mean + reach))
+        largest = max(abs(low), abs(high))
+        decade = 10.0 ** math.floor(math.log10(largest))
+        top = next(step * decade for step in (1, 2, 5, 10) if largest <= step * decade * (1 + 1e-12))
         return cls(-top if output.min() < 0 else 0.0, (2 if output.min() < 0 else 1) * top / CODE_MAX)
-
-
-def _round_up(value: float) -> float:
-    decade = 10.0 ** math.floor(math.log10(value))
-    return next(step * decade for step in (1, 2, 5, 10) if value <= step * decade * (1 + 1e-12))
 
 
 @dataclass(frozen=True, eq=False)

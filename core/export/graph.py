@@ -44,12 +44,14 @@ def compose(form: MapForm, network: Network, limits: Limits) -> Graph:
     The estimate is clamped, the interval that of its band, the flag a sum of OUT_OF_RANGE and CLAMPED: all as on the
     device.
     """
-    curve_nodes, curve_constants = _curve(form.curve, "source_window" if form.linear is None else "curved")
-    linear_nodes, linear_constants = _linear(form.linear, "window" if form.curve is None else "curved")
-    net_nodes, net_constants = _network(network)
-    limit_nodes, limit_constants = _limits(limits)
-    nodes = (*curve_nodes, *linear_nodes, *net_nodes, *limit_nodes)
-    return Graph(nodes, {**curve_constants, **linear_constants, **net_constants, **limit_constants})
+    parts = (
+        _curve(form.curve, "source_window" if form.linear is None else "curved"),
+        _linear(form.linear, "window" if form.curve is None else "curved"),
+        _network(network),
+        _limits(limits),
+    )
+    constants = {name: value for _, of_part in parts for name, value in of_part.items()}
+    return Graph(tuple(node for nodes, _ in parts for node in nodes), constants)
 
 
 def _curve(curve: Curve | None, result: str) -> tuple[list[Node], dict[str, Constant]]:

@@ -46,6 +46,7 @@ def network_from_values(values: Mapping[str, Any]) -> NetworkFile:
     """Rebuild a network file; `InputError` where a value is missing or impossible."""
     _check_schema(values, NETWORK_SCHEMA)
     try:
+        levels = values.get("levels")
         network = IntegerNetwork(
             tuple(_layer_from(layer) for layer in values["layers"]),
             float(values["input_zero"]),
@@ -59,20 +60,24 @@ def network_from_values(values: Mapping[str, Any]) -> NetworkFile:
             period_us=int(values["period_us"]),
             output_unit=str(values["output_unit"]),
             reference_unit=str(values["reference_unit"]),
-            levels=_levels_from(values.get("levels")),
+            levels=None
+            if levels is None
+            else LoadLevels(int(levels["first"]), int(levels["step"]), tuple(map(int, levels["counts"]))),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise _refusal(error) from error
 
 
-def _levels_from(values: Mapping[str, Any] | None) -> LoadLevels | None:
-    if values is None:
-        return None
-    return LoadLevels(int(values["first"]), int(values["step"]), tuple(int(count) for count in values["counts"]))
-
-
 def unit_values(file: UnitFile) -> dict[str, object]:
     """Return a unit file as JSON values."""
+    curve, layer = file.device_map.curve, file.device_map.layer
+    knots = None
+    if curve is not None:
+        knots = [[int(c), int(v)] for c, v in zip(curve.codes, curve.values, strict=True)]
+    mix, mix_values = file.device_map.mix, None
+    if mix is not None:
+        wide = {"wide": True} if mix.is_wide else {}
+        mix_values = {"keep": mix.keep, **wide, **{name: getattr(mix, name).tolist() for name in MIX_FIELDS}}
     return {
         "schema": UNIT_SCHEMA,
         "serial": file.serial,
@@ -82,7 +87,7 @@ def unit_values(file: UnitFile) -> dict[str, object]:
         "flags": file.flags,
         "code": {"zero": file.scale.zero, "lsb": file.scale.lsb, "min": file.code_min, "max": file.code_max},
         "estimate": {"min": file.out_min, "max": file.out_max},
-        "map": _map_values(file.device_map),
+        "map": {"knots": knots, "layer": None if layer is None else _layer_values(layer), "mix": mix_values},
         "bands": [vars(band) for band in file.bands],
         "self_tests": [vars(test) for test in file.self_tests],
         "adapt": vars(file.adapt),
@@ -130,20 +135,6 @@ def _layer_values(layer: IntegerLayer) -> dict[str, object]:
 
 def _layer_from(values: Mapping[str, Any]) -> IntegerLayer:
     return IntegerLayer(**{name: np.array(values[name], dtype=np.int64) for name in LAYER_FIELDS})
-
-
-def _map_values(device_map: DeviceMap) -> dict[str, object]:
-    curve, layer = device_map.curve, device_map.layer
-    knots = None
-    if curve is not None:
-        knots = [[int(c), int(v)] for c, v in zip(curve.codes, curve.values, strict=True)]
-    mix = None if device_map.mix is None else _mix_values(device_map.mix)
-    return {"knots": knots, "layer": None if layer is None else _layer_values(layer), "mix": mix}
-
-
-def _mix_values(mix: IntegerMix) -> dict[str, object]:
-    wide = {"wide": True} if mix.is_wide else {}
-    return {"keep": mix.keep, **wide, **{name: getattr(mix, name).tolist() for name in MIX_FIELDS}}
 
 
 def _map_from(values: Mapping[str, Any]) -> DeviceMap:

@@ -24,16 +24,14 @@ from softcal.core.recording import Array
 from softcal.core.windows import TAPS, resting
 
 HEADROOM = 1.5
-"""Activation ranges seen on the source's windows are widened by this before they are cut into counts."""
+"""Ranges seen on the source's windows are widened by this: of activations before they are cut into counts, of the
+estimate before it saturates."""
 
 STRETCH, SHIFT = 1.3, 0.1
 """Other units' mapped windows may be this much larger than the source's, or moved by this share of its span."""
 
 QUIET = 4
 """No hidden unit gets less than this fraction of its layer's widest range, however seldom the source moved it."""
-
-OUTPUT_HEADROOM = 1.5
-"""The estimate may leave the range seen on the source's windows by this factor before it saturates."""
 
 
 def quantise_network(network: Network, source_windows: Array) -> IntegerNetwork:
@@ -47,11 +45,18 @@ def quantise_network(network: Network, source_windows: Array) -> IntegerNetwork:
     """
     reach = HEADROOM * float(np.abs(source_windows - network.output_mean).max())
     input_lsb = _scale_of(np.array([reach]))[0]
-    top = OUTPUT_HEADROOM * float(np.abs(evaluate_float64(network, source_windows)).max())
+    top = HEADROOM * float(np.abs(evaluate_float64(network, source_windows)).max())
     if not (np.isfinite(top) and top > 0):
         raise UnitRefused(f"the network answers {top} on every window of the source; there is nothing to export")
     exponent = max(-30, math.ceil(math.log10(top / ACTIVATION_MAX)))
-    ranges = [HEADROOM * a.max(axis=0) for a in activations(network, _relatives(source_windows))[:-1]]
+    centre, span = float(source_windows.mean()), float(np.ptp(source_windows))
+    stretched = centre + STRETCH * (source_windows - centre)
+    shifted = [source_windows + SHIFT * span, source_windows - SHIFT * span]
+    # Windows as other units may send them: the source's, stretched, shifted, reversed in time, and flattened.
+    relatives = np.concatenate(
+        [source_windows, stretched, *shifted, source_windows[:, ::-1], resting(source_windows[:, -1])]
+    )
+    ranges = [HEADROOM * a.max(axis=0) for a in activations(network, relatives)[:-1]]
     # Real value of one count where it enters and leaves each layer; every hidden unit has its own.
     scales = [np.full(network.sizes[0], input_lsb), *map(_scale_of, ranges), np.array([10.0**exponent])]
     layers = tuple(
@@ -59,14 +64,6 @@ def quantise_network(network: Network, source_windows: Array) -> IntegerNetwork:
         for i, (weight, bias) in enumerate(folded_layers(network))
     )
     return IntegerNetwork(layers, network.output_mean, float(input_lsb), exponent)
-
-
-def _relatives(windows: Array) -> Array:
-    """Windows as other units may send them: the source's, stretched, shifted, reversed in time, and flattened."""
-    centre, span = float(windows.mean()), float(np.ptp(windows))
-    stretched = centre + STRETCH * (windows - centre)
-    shifted = [windows + SHIFT * span, windows - SHIFT * span]
-    return np.concatenate([windows, stretched, *shifted, windows[:, ::-1], resting(windows[:, -1])])
 
 
 def activations(network: Network, windows: Array) -> list[Array]:
@@ -172,29 +169,18 @@ def quantise_map(form: MapForm, scale: InputScale, network: IntegerNetwork) -> D
     try:
         curve = _quantise_curve(form.curve, scale, network)
         if isinstance(form.linear, Linear):
-            return DeviceMap(curve, _quantise_matrix(form.linear, network))
+            # A window of counts in, a window of counts out: count = (output - zero) / lsb on both sides.
+            matrix, zero, one = form.linear.matrix, network.input_zero, np.full(TAPS, network.input_lsb)
+            bias = zero * matrix.sum(axis=1) + form.linear.offset - zero
+            return DeviceMap(curve, quantise_layer(matrix, bias, one, one))
         mix = None if form.linear is None else form.linear.in_counts(network.input_zero, network.input_lsb)
         return DeviceMap(curve, None, mix)
     except ValueError as error:
         raise UnitRefused(f"the map has no integer form: {error}") from error
 
 
-def _quantise_matrix(linear: Linear, network: IntegerNetwork) -> IntegerLayer:
-    """A window of counts in, a window of counts out: count = (output - zero) / lsb on both sides."""
-    zero, one = network.input_zero, np.full(TAPS, network.input_lsb)
-    return quantise_layer(linear.matrix, zero * linear.matrix.sum(axis=1) + linear.offset - zero, one, one)
-
-
 def _quantise_curve(curve: Curve, scale: InputScale, network: IntegerNetwork) -> PiecewiseMap:
-    held = _within_counts(curve, network)
-    # Knots closer than one code fall together; one of them is kept.
-    codes, first = np.unique(scale.codes(held.outputs), return_index=True)
-    counts = np.rint((held.values[first] - network.input_zero) / network.input_lsb)
-    return PiecewiseMap(codes, np.clip(counts, -ACTIVATION_MAX, ACTIVATION_MAX).astype(np.int64))
-
-
-def _within_counts(curve: Curve, network: IntegerNetwork) -> Curve:
-    """Cut a curve where it leaves the network's counts: to clip its knots instead would bend what lies between."""
+    # Cut where it leaves the network's counts: to clip its knots instead would bend what lies between.
     outputs, values = curve.outputs, curve.values
     reach = network.input_lsb * ACTIVATION_MAX
     # Interpolated from value to output, which needs values in rising order; a falling sensor has them the other way.
@@ -203,7 +189,11 @@ def _within_counts(curve: Curve, network: IntegerNetwork) -> Curve:
     inside = np.abs(values - network.input_zero) <= reach
     crossings = np.interp(bounds, values[order], outputs[order])
     kept = np.unique(np.concatenate([outputs[inside], crossings]))
-    return Curve(kept, curve.apply(kept))
+    held = Curve(kept, curve.apply(kept))
+    # Knots closer than one code fall together; one of them is kept.
+    codes, first = np.unique(scale.codes(held.outputs), return_index=True)
+    counts = np.rint((held.values[first] - network.input_zero) / network.input_lsb)
+    return PiecewiseMap(codes, np.clip(counts, -ACTIVATION_MAX, ACTIVATION_MAX).astype(np.int64))
 
 
 def code_range(scale: InputScale, output: Array) -> tuple[int, int]:

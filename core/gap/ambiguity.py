@@ -5,12 +5,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from softcal.core.gap.fit import Fit
-from softcal.core.gap.forms import FORMS
 from softcal.core.gap.linear import energy
 from softcal.core.gap.posterior import Fits, exact_log_evidence
 from softcal.core.gap.residual import DIRTY_Z, structure
 from softcal.core.gap.screen import Tangent
 from softcal.core.recording import Array
+from softcal.core.twin.catalogue import FORMS
 
 RIVAL_LOG_ODDS = 5.0
 """A hypothesis within this log evidence of the best (ΔBIC < 10) is a rival: weak to positive evidence only."""
@@ -72,7 +72,8 @@ def _open_additions(fits: Fits, best: Fit, logs: Mapping[tuple[str, ...], float]
     behind = [logs[best.hypothesis.ids] - logs[found.hypothesis.ids] for found in larger]
     least = max(ahead, default=0.0) - RIVAL_LOG_ODDS
     # Another realisation of one cause may be two causes in the catalogue's equations: a joint is a frame with a toe.
-    within = RIVAL_LOG_ODDS if _is_in_other_form(best) else ADDED_LOG_ODDS
+    is_in_other_form = any(form.effect is e for e in best.hypothesis.effects for form in FORMS.get(e.id, ()))
+    within = RIVAL_LOG_ODDS if is_in_other_form else ADDED_LOG_ODDS
     most_z = max(DIRTY_Z, STRUCTURE_LEFT * structure(best).z)
     is_open = [
         a >= least and (b < within or (b < NEGLIGIBLE_LOG_ODDS and a > EXACT_LOG_ODDS)) and structure(found).z < most_z
@@ -80,10 +81,6 @@ def _open_additions(fits: Fits, best: Fit, logs: Mapping[tuple[str, ...], float]
     ]
     order = sorted(np.flatnonzero(is_open), key=lambda k: -ahead[k])
     return [larger[k] for k in order]
-
-
-def _is_in_other_form(found: Fit) -> bool:
-    return any(form.effect is e for e in found.hypothesis.effects for form in FORMS.get(e.id, ()))
 
 
 def confused_pairs(group: tuple[Fit, ...]) -> list[list[str]]:

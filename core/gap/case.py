@@ -79,15 +79,6 @@ class Run:
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise InputError(f"{self.name}: kind {self.kind!r} is not known; known are {', '.join(KINDS)}")
-        self._check_time()
-        for channel in (*CHANNELS, "known_force_N"):
-            self._check_channel(channel)
-        self._check_kind()
-
-    def __len__(self) -> int:
-        return len(self.t_s)
-
-    def _check_time(self) -> None:
         if len(self.t_s) < SHORTEST:
             raise InputError(f"{self.name}: {len(self.t_s)} samples; at least {SHORTEST} are needed for a diagnosis")
         if not np.all(np.isfinite(self.t_s)):
@@ -96,16 +87,20 @@ class Run:
         if np.any(steps_s <= 0):
             at = int(np.argmax(steps_s <= 0)) + 1
             raise InputError(f"{self.name}: t_s repeats or goes backward at sample {at} ({self.t_s[at]:.6g} s)")
+        for channel in (*CHANNELS, "known_force_N"):
+            values = getattr(self, channel)
+            if values is None:
+                continue
+            if len(values) != len(self.t_s):
+                raise InputError(f"{self.name}: {channel} has {len(values)} samples, t_s has {len(self.t_s)}")
+            bad = np.flatnonzero(~np.isfinite(values))
+            if len(bad):
+                first = f"{channel} is {values[bad[0]]} at sample {bad[0]}"
+                raise InputError(f"{self.name}: {first}; {len(bad)} not finite")
+        self._check_kind()
 
-    def _check_channel(self, channel: str) -> None:
-        values = getattr(self, channel)
-        if values is None:
-            return
-        if len(values) != len(self.t_s):
-            raise InputError(f"{self.name}: {channel} has {len(values)} samples, t_s has {len(self.t_s)}")
-        bad = np.flatnonzero(~np.isfinite(values))
-        if len(bad):
-            raise InputError(f"{self.name}: {channel} is {values[bad[0]]} at sample {bad[0]}; {len(bad)} not finite")
+    def __len__(self) -> int:
+        return len(self.t_s)
 
     def _check_kind(self) -> None:
         for channel in NEEDED[self.kind]:

@@ -298,22 +298,15 @@ def _unknown_places(
     stages: tuple[str, ...] = likely_stages(search.base, maps)
     if search.stranger is not None:
         stranger = stranger_of(search.stranger)
-        first = stranger.effect.stage
-        stages, detail = (
-            (first, *(s for s in stages if s != first)),
-            reason("gap.seen.like", like=stranger.like, seen=detail),
-        )
+        stages = tuple(dict.fromkeys((stranger.effect.stage, *stages)))
+        detail = reason("gap.seen.like", like=stranger.like, seen=detail)
     elif loose is not None and (not stages or structure(search.best).is_significant is False):
-        stages, detail = (
-            (loose.stage, *(s for s in stages if s != loose.stage)),
-            reason("gap.seen.noise", noise=loose.detail, seen=detail),
-        )
+        stages = tuple(dict.fromkeys((loose.stage, *stages)))
+        detail = reason("gap.seen.noise", noise=loose.detail, seen=detail)
     if not stages:
         stages = tuple(dict.fromkeys(EFFECTS[i].stage for i in search.best.hypothesis.ids)) or ("unknown",)
-    if search.stranger is None:
-        text = reason("gap.seen.left", seen=detail, share=share)
-    else:
-        text = reason("gap.seen.better", seen=detail, share=share)
+    code = "gap.seen.left" if search.stranger is None else "gap.seen.better"
+    text = reason(code, seen=detail, share=share)
     # Nothing measures how a gap splits between stages that may each hold all of it: the order tells which is likelier.
     seen = found[0].share if found else 1.0
     others = [GapPlace(s, channel, regime, seen, Reason("gap.seen.same_maps")) for s in stages[1:]]

@@ -14,21 +14,17 @@ from typing import Generic, Protocol, Self, TypeVar
 import numpy as np
 from scipy.stats import t as student
 
-from softcal.core.gap.case import Mask
 from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import energy
 from softcal.core.gap.offsets import rows_of_runs
 from softcal.core.gap.problem import Problem
 from softcal.core.gap.residual import structure
-from softcal.core.gap.shrink import Shrink
+from softcal.core.gap.shrink import HELD_PARTS, Shrink
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
 from softcal.core.twin.empirical_terms import PLACES, VARIABLES, EmpiricalTerm, Span
 from softcal.core.twin.mechanics import elastic_force
-
-QUARTERS = 4
-"""Contiguous parts of every run that are held back beside whole runs."""
 
 
 @dataclass(frozen=True)
@@ -167,8 +163,13 @@ def learned(
     if min(total, low, of_rest[1]) <= 0.0:
         return None
     shrink = Shrink(total, low, high, total)
-    ranked = _ranked(found, terms, per_fold)
-    return LearnedResidual(ranked, shrink, scores.interval("without", "before", config.coverage)[0], found)
+    ranked = []
+    for term in terms:
+        at = found.hypothesis.place_of(term.effect.id)
+        chosen = np.mean([any((t.place, t.variable) == (term.place, term.variable) for t in fold) for fold in per_fold])
+        fitted = term.sized(float(found.coordinates[at]))
+        ranked.append(LearnedTerm(fitted, _error(found, term.effect.id), float(chosen)))
+    return LearnedResidual(tuple(ranked), shrink, scores.interval("without", "before", config.coverage)[0], found)
 
 
 def _span(base: Fit) -> Span:
@@ -201,24 +202,20 @@ class _Choice(Generic[T]):
         self.parent, self._config = parent, config
         # What each run has of its own is fitted anew by every prediction; its jumps would drown a small derivative.
         self._bare = fit(parent.problem.bare, parent.hypothesis, parent.coordinates, steps=0)
-        self._nuisance = self._run_directions()
-        self._own = self._cleared(self._bare.jacobian[np.any(self._bare.jacobian != 0.0, axis=1)])
-        self.candidates, columns = self._columns(tried)
-        self._rows = np.vstack([self._own, columns, self._cleared(self._bare.residual[np.newaxis])])
-
-    def _run_directions(self) -> list[tuple[Array, Array]]:
-        """Per run, which samples it has and, (directions, samples), orthonormal directions of its own offsets."""
+        # Per run, which samples it has and, (directions, samples), orthonormal directions of its own offsets.
         problem, bare = self.parent.problem, self._bare
         along = problem.directions(bare.hypothesis, bare.coordinates, bare.predicted, {})
-        rows, out = rows_of_runs(problem, along), []
+        rows, self._nuisance = rows_of_runs(problem, along), []
         for run in sorted({block.run for block in problem.blocks}):
             at = np.concatenate(
                 [np.arange(b.place.start, b.place.stop) for b in problem.blocks if b.run == run],
             )
             own = np.array([problem.whitened(row)[at] for row in rows[run]]) if run in rows else np.zeros((0, len(at)))
             left, size, _ = np.linalg.svd(own.T, full_matrices=False)
-            out.append((at, left[:, size > 1e-6 * max(float(size.max(initial=0.0)), 1e-300)].T))
-        return out
+            self._nuisance.append((at, left[:, size > 1e-6 * max(float(size.max(initial=0.0)), 1e-300)].T))
+        self._own = self._cleared(self._bare.jacobian[np.any(self._bare.jacobian != 0.0, axis=1)])
+        self.candidates, columns = self._columns(tried)
+        self._rows = np.vstack([self._own, columns, self._cleared(self._bare.residual[np.newaxis])])
 
     def _cleared(self, rows: Array) -> Array:
         """(k, samples) rows without what the offsets of each run take up."""
@@ -232,25 +229,22 @@ class _Choice(Generic[T]):
         orthogonal = np.linalg.qr(self._own.T)[0]
         terms, columns = [], [np.empty((0, len(problem.measured)))]
         for term in tried:
-            column = self._cleared(problem.whitened(self._slope(term))[np.newaxis])[0]
+            # (samples,) derivative of the prediction with respect to a coefficient that is 0.
+            effect, bare = term.effect, self._bare
+            step = 0.01 * effect.parameters[0].usual
+            moved = bare.problem.predict(bare.hypothesis.adding(effect), np.append(bare.coordinates, step))
+            column = self._cleared(problem.whitened(np.asarray((moved - bare.predicted) / step))[np.newaxis])[0]
             rest = column - orthogonal @ (orthogonal.T @ column)
             if energy(rest) > self._config.distinct * max(energy(column), 1e-12):
                 terms.append(term)
                 columns.append(column[np.newaxis])
         return terms, np.vstack(columns)
 
-    def _slope(self, term: T) -> Array:
-        """(samples,) derivative of the prediction with respect to a coefficient that is 0."""
-        effect, bare = term.effect, self._bare
-        step = 0.01 * effect.parameters[0].usual
-        moved = bare.problem.predict(bare.hypothesis.adding(effect), np.append(bare.coordinates, step))
-        return np.asarray((moved - bare.predicted) / step)
-
     @cached_property
     def all_cells(self) -> frozenset[tuple[int, int]]:
         """Every run and quarter of it in which the sensor is pressed."""
         runs = self.parent.problem.case.runs
-        return frozenset((k, q) for k, run in enumerate(runs) if run.kind == "press" for q in range(QUARTERS))
+        return frozenset((k, q) for k, run in enumerate(runs) if run.kind == "press" for q in range(HELD_PARTS))
 
     @cached_property
     def _products(self) -> dict[tuple[int, int], Array]:
@@ -260,23 +254,20 @@ class _Choice(Generic[T]):
             out[cell] = out.get(cell, 0.0) + rows @ rows.T
         return out
 
-    def _sum(self, cells: frozenset[tuple[int, int]]) -> Array:
-        # Special runs always count for the fit: they calibrate, and are never held back.
-        special = [cell for cell in self._products if cell not in self.all_cells]
-        return self._added((*cells, *special))
-
     def _added(self, cells: Iterable[tuple[int, int]]) -> Array:
         return np.asarray(np.sum([self._products[cell] for cell in cells], axis=0))
 
     def noise(self, cells: frozenset[tuple[int, int]]) -> float:
         """Return χ² of noise alone on the cells, each sample as often as it is held back."""
         problem, runs = self.parent.problem, self.parent.problem.case.runs
-        held = {k: sum(1 for cell in cells if cell[0] == k) / QUARTERS for k in range(len(runs))}
+        held = {k: sum(1 for cell in cells if cell[0] == k) / HELD_PARTS for k in range(len(runs))}
         return times_held(cells) * sum(len(runs[b.run]) * held[b.run] for b in problem.blocks)
 
     def forward(self, cells: frozenset[tuple[int, int]]) -> tuple[list[T], float]:
         """Choose terms on these cells; return them and χ² on parts held back in turn."""
-        folds = [(self._sum(cells - held), self._added(held)) for held in parts_of(cells)]
+        # Special runs always count for the fit: they calibrate, and are never held back.
+        special = [cell for cell in self._products if cell not in self.all_cells]
+        folds = [(self._added((*(cells - held), *special)), self._added(held)) for held in parts_of(cells)]
         taken: list[int] = []
         lost, noise = self._lost(folds, taken), self.noise(cells)
         while folds and len(taken) < self._config.most:
@@ -395,7 +386,9 @@ def _held_out(base: Fit, choices: Sequence[_Choice[T]], config: LearnConfig) -> 
     squares = {what: np.zeros((len(folds), len(channels))) for what in ("before", "without", "after")}
     counts, taken = np.zeros((len(folds), len(channels))), []
     for k, held in enumerate(folds):
-        unseen = _samples(base, held)
+        unseen = np.zeros(len(base.problem.measured), dtype=np.bool_)
+        for cell, place in _places_of(base.problem):
+            unseen[place] = cell in held
         seen = (~unseen).astype(np.float64)
         parent, terms = _chosen(choices, cells - held, config)
         before = fit(problem.seeing(seen), base.hypothesis, base.coordinates, steps=6)
@@ -418,24 +411,6 @@ def _held_out(base: Fit, choices: Sequence[_Choice[T]], config: LearnConfig) -> 
 def _places_of(problem: Problem) -> Iterator[tuple[tuple[int, int], slice]]:
     """Yield the samples of every quarter of every block, with the run and quarter they belong to."""
     for block in problem.blocks:
-        ends = [part[0] for part in np.array_split(np.arange(block.place.start, block.place.stop), QUARTERS)]
+        ends = [part[0] for part in np.array_split(np.arange(block.place.start, block.place.stop), HELD_PARTS)]
         for quarter, (start, stop) in enumerate(pairwise([*ends, block.place.stop])):
             yield (block.run, quarter), slice(start, stop)
-
-
-def _samples(base: Fit, cells: frozenset[tuple[int, int]]) -> Mask:
-    out = np.zeros(len(base.problem.measured), dtype=np.bool_)
-    for cell, place in _places_of(base.problem):
-        out[place] = cell in cells
-    return out
-
-
-def _ranked(found: Fit, terms: Sequence[T], per_fold: Sequence[Sequence[T]]) -> tuple[LearnedTerm[T], ...]:
-    """Return the terms at their fitted coefficients, in the order they were chosen."""
-    out = []
-    for term in terms:
-        at = found.hypothesis.place_of(term.effect.id)
-        chosen = np.mean([any((t.place, t.variable) == (term.place, term.variable) for t in fold) for fold in per_fold])
-        fitted = term.sized(float(found.coordinates[at]))
-        out.append(LearnedTerm(fitted, _error(found, term.effect.id), float(chosen)))
-    return tuple(out)

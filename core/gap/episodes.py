@@ -101,7 +101,7 @@ def _jumps(found: Fit, effect_id: str) -> bool:
     without, left = found.hypothesis.without(effect_id)
     problem, clean = found.problem, found.problem.predict(without, found.coordinates[left])
     pull = power = 0.0
-    for block in _output_blocks(found):
+    for block in problem.blocks_of("output_V"):
         told, seen = (
             np.convolve((values - clean)[block.place] / problem.noise[block.place], ACROSS, mode="valid")
             for values in (found.predicted, problem.measured)
@@ -160,10 +160,6 @@ def _merged(found: Fit, effect_id: str, rows: list[Array]) -> Episodes:
     return tuple({**found.hypothesis.episodes_of(k), effect_id: rows[k]} for k in range(len(rows)))
 
 
-def _output_blocks(found: Fit) -> list[Block]:
-    return [b for b in found.problem.blocks if b.channel == "output_V"]
-
-
 def _robust_noise(found: Fit, blocks: list[Block]) -> float:
     """Return the level of the error of the output in units of its white noise, at least 1."""
     error = np.abs(found.problem.measured - found.predicted) * found.problem.weights
@@ -181,7 +177,7 @@ def _lost_samples(found: Fit, effect_id: str) -> tuple[list[Array], float]:
     own = found.predicted - bare.predict(found.hypothesis, found.coordinates)
     if not found.hypothesis.episode_count:
         own = np.zeros(len(own))
-    blocks = [b for b in _output_blocks(found) if case.runs[b.run].kind == "press"]
+    blocks = found.problem.blocks_of("output_V", "press")
     level = _robust_noise(found, blocks)
     # A delay that was fitted through the losses lies in their middle: the first samples then stand before it.
     lead = LONGEST_LEAD if _clocks(found, "delay") else 0
@@ -244,7 +240,7 @@ def _bad_contacts(found: Fit, effect_id: str) -> tuple[list[Array], float]:
         good = found.coordinates.copy()
         good[found.hypothesis.place_of(effect_id)] = 0.0
     clean = found.problem.predict(found.hypothesis, good)
-    blocks = [b for b in _output_blocks(found) if case.runs[b.run].kind != "dummy_resistor"]
+    blocks = [b for b in found.problem.blocks_of("output_V") if case.runs[b.run].kind != "dummy_resistor"]
     level = _robust_noise(found, blocks)
     errors, sigmas = [], []
     for block in blocks:
@@ -268,7 +264,10 @@ def _bad_contacts(found: Fit, effect_id: str) -> tuple[list[Array], float]:
         if gain > best_gain:
             best_gain, best_size, best_paths = gain, float(size), paths
     for block, path in zip(blocks, best_paths, strict=False):
-        rows[block.run] = _intervals(case.runs[block.run].elapsed_s, path)
+        t_s = case.runs[block.run].elapsed_s
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], path, [False]]).astype(int)))
+        end_s = np.append(t_s, 2 * t_s[-1] - t_s[-2])
+        rows[block.run] = np.column_stack([end_s[edges[0::2]], end_s[edges[1::2]]]).reshape(-1, 2)
     return rows, best_size
 
 
@@ -296,16 +295,10 @@ def step_path(error: Array, sigma: Array, size: float, penalty: float) -> Mask:
     return out
 
 
-def _intervals(t_s: Array, path: Mask) -> Array:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], path, [False]]).astype(int)))
-    end_s = np.append(t_s, 2 * t_s[-1] - t_s[-2])
-    return np.column_stack([end_s[edges[0::2]], end_s[edges[1::2]]]).reshape(-1, 2)
-
-
 def with_line(found: Fit, effect: Effect, _: Extent) -> Fit | None:
     """Add an effect that is a line of the output: the strongest near an alias of the mains, its phase free by run."""
     case, problem = found.problem.case, found.problem
-    blocks = _output_blocks(found)
+    blocks = problem.blocks_of("output_V")
     longest_s = max(float(case.runs[b.run].elapsed_s[-1]) for b in blocks)
     grid = _alias_grid(case.readout.sample_rate_Hz, longest_s)
     if not len(grid):
@@ -353,7 +346,7 @@ def with_level(found: Fit, effect: Effect, extent: Extent) -> Fit | None:
     """Add an effect that clips the output: fit the rest without the flat tops first, then set the level there."""
     side = 1 if effect.signs.placing == Placing.CEILING else -1
     problem = found.problem
-    blocks = [b for b in _output_blocks(found) if problem.case.runs[b.run].kind == "press"]
+    blocks = problem.blocks_of("output_V", "press")
     if not blocks:
         return None
     # Noise on a flat top reaches 3.5 σ above it and as far below.

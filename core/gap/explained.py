@@ -7,9 +7,8 @@ import numpy as np
 
 from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.forms import FORMS
 from softcal.core.gap.problem import BASE, Hypothesis
-from softcal.core.twin.catalogue import EFFECTS
+from softcal.core.twin.catalogue import EFFECTS, FORMS
 from softcal.core.twin.effects import Effect, Flow, Memory
 from softcal.core.twin.empirical_terms import EmpiricalTerm
 from softcal.core.twin.simulate import EffectSetting, Twin
@@ -26,11 +25,25 @@ def explained_twin(found: Fit, terms: Sequence[EmpiricalTerm] = ()) -> Twin:
     """
     found = with_constants(found)
     readout = found.problem.case.readout
+    # σV without the share of rounding, q²/12 where the noise is not small against a step.
+    sigma_V = found.problem.dither_V
+    if sigma_V is None:
+        sigma_V = float(np.sqrt(max(_floor(found, "output_V") ** 2 - readout.step_V**2 / 12, 0.0)))
     base = found.base.with_values(
-        sigma_output_V=_white(_floor(found, "output_V"), found.problem.dither_V, readout.step_V),
+        sigma_output_V=sigma_V,
         sigma_force_N=_floor(found, "force_N"),
     )
-    return Twin(base, tuple(_settings(found)), readout, tuple(terms))
+    settings = []
+    for effect, values in zip(found.hypothesis.effects, found.effect_values, strict=True):
+        if effect.id not in EFFECTS or EFFECTS[effect.id].is_episodic:
+            continue
+        given = {p.name: v for p, v in zip(effect.parameters, values, strict=True)} | dict(effect.constants)
+        form = form_of(effect)
+        # What belongs to a recording alone, as the phase of a hum in each run, is no parameter of the twin.
+        known = effect if form else EFFECTS[effect.id].side_with([effect.parameters[0].name])
+        kept = {k: v for k, v in given.items() if k in known.value_names and np.isfinite(v)}
+        settings.append(EffectSetting(effect.id, kept, form=form))
+    return Twin(base, tuple(settings), readout, tuple(terms))
 
 
 def _floor(found: Fit, channel: str) -> float:
@@ -96,22 +109,3 @@ def _fixed(effect: Effect, values: dict[str, float]) -> Effect:
         effect.step(flow, (*own, *behind), state)
 
     return replace(effect, step=step, constants=constants)
-
-
-def _white(sigma_V: float, dither_V: float | None, step_V: float) -> float:
-    """Return σV without the share of rounding, q²/12 where the noise is not small against a step."""
-    return float(np.sqrt(max(sigma_V**2 - step_V**2 / 12, 0.0))) if dither_V is None else dither_V
-
-
-def _settings(found: Fit) -> list[EffectSetting]:
-    out = []
-    for effect, values in zip(found.hypothesis.effects, found.effect_values, strict=True):
-        if effect.id not in EFFECTS or EFFECTS[effect.id].is_episodic:
-            continue
-        given = {p.name: v for p, v in zip(effect.parameters, values, strict=True)} | dict(effect.constants)
-        form = form_of(effect)
-        # What belongs to a recording alone, as the phase of a hum in each run, is no parameter of the twin.
-        known = effect if form else EFFECTS[effect.id].side_with([effect.parameters[0].name])
-        kept = {k: v for k, v in given.items() if k in known.value_names and np.isfinite(v)}
-        out.append(EffectSetting(effect.id, kept, form=form))
-    return out

@@ -71,14 +71,10 @@ def _noise_of(
 ) -> tuple[dict[str, float], dict[str, Colour]]:
     colours = {}
     for channel in channels:
-        noise = read_noise([_stretch(found, b) for b in _blocks(found, channel)], found.problem.colour_config)
+        noise = read_noise([_stretch(found, b) for b in found.problem.blocks_of(channel)], found.problem.colour_config)
         if noise.gain > found.problem.colour_config.gain:
             levels[channel], colours[channel] = noise.white, noise.colour
     return levels, colours
-
-
-def _blocks(found: Fit, channel: str) -> list[Block]:
-    return [b for b in found.problem.blocks if b.channel == channel]
 
 
 def _stretch(found: Fit, block: Block, use: Array | None = None) -> Stretch:
@@ -138,7 +134,7 @@ def _chance(found: Fit, channel: str, follows: Variables) -> float:
 
 def _strays(found: Fit, channel: str) -> float:
     """Return by how many standard errors the mean square of a residual is above that of noise."""
-    squares = np.concatenate([found.residual[b.place] for b in _blocks(found, channel)]) ** 2
+    squares = np.concatenate([found.residual[b.place] for b in found.problem.blocks_of(channel)]) ** 2
     count = int(np.count_nonzero(squares))
     # The noise level was estimated from the same samples: its error adds as much as it takes.
     return (float(np.sum(squares)) - count) / float(np.sqrt(2.0 * max(count, 1)))
@@ -148,7 +144,7 @@ def _is_even(found: Fit, channel: str, half: Halves) -> bool:
     """Whether one fading noise fits both conditions, as rest and load, alike; white noise may grow with the load."""
     problem = found.problem
     parts: dict[bool, list[Stretch]] = {False: [], True: []}
-    for block in _blocks(found, channel):
+    for block in found.problem.blocks_of(channel):
         is_inside = half(found, block)
         if is_inside is not None:
             parts[True].append(_stretch(found, block, is_inside.astype(np.float64)))
@@ -173,7 +169,8 @@ def _with_own_white(part: Sequence[Stretch], white: float, colour: Colour) -> fl
 
 def _remembers(found: Fit, channel: str) -> float:
     """Return by how many standard errors more than by chance a residual follows its own past (Box and Pierce 1970)."""
-    parts, products, count = [found.residual[b.place] for b in _blocks(found, channel)], np.zeros(CONFIG.lags), 0
+    parts = [found.residual[b.place] for b in found.problem.blocks_of(channel)]
+    products, count = np.zeros(CONFIG.lags), 0
     for part in parts:
         count += len(part)
         products += [float(part[k:] @ part[:-k]) for k in range(1, CONFIG.lags + 1)]
@@ -197,8 +194,8 @@ def _standard(chi2: float, freedom: int) -> float:
 def _elsewhere(found: Fit, channel: str) -> list[Array]:
     """Return what the channel before this one leaves of the same runs: noise of two channels has nothing in common."""
     problem, out = found.problem, np.zeros(len(found.problem.measured))
-    others = {b.run: b for name in problem.scored_channels if name != channel for b in _blocks(found, name)}
-    for block in _blocks(found, channel):
+    others = {b.run: b for name in problem.scored_channels if name != channel for b in found.problem.blocks_of(name)}
+    for block in found.problem.blocks_of(channel):
         if block.run in others and problem.case.runs[block.run].kind == "press":
             out[block.place] = (problem.measured - found.predicted)[others[block.run].place]
     return [out] if out.any() else []
@@ -208,12 +205,9 @@ def projected(rows: Sequence[Array], held: Array) -> Array:
     """Return (k, n) orthonormal rows that span what others, (m, n), leave of these."""
     away = orthonormal(np.asarray(held))
     left = [row - combine(dots(away, row), away) for row in rows] if len(away) else list(rows)
-    return orthonormal(np.array([row for row, whole in zip(left, rows, strict=True) if _stands(row, whole)]))
-
-
-def _stands(row: Array, whole: Array) -> bool:
     # What the fit imitates to a ten-thousandth of its energy is rounding.
-    return float(row @ row) > 1e-4 * float(whole @ whole) > 0.0
+    stand = [row for row, whole in zip(left, rows, strict=True) if float(row @ row) > 1e-4 * float(whole @ whole) > 0.0]
+    return orthonormal(np.array(stand))
 
 
 def orthonormal(rows: Array) -> Array:

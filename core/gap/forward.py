@@ -52,9 +52,15 @@ def predict(
     if run.kind == "rigid_block":
         return _rigid_block(run, flow, chain, values)
     if run.kind == "dead_weights":
-        return _dead_weights(run, flow, chain, values)
+        flow.force_N = np.asarray(run.known_force_N)
+        memories = chain.fresh_memories()
+        read_force(flow)
+        chain.apply(Hook.READING, flow, values, memories)
+        return Prediction(force_N=flow.reading_N)
     if run.kind == "dummy_resistor":
-        return _dummy_resistor(run, flow, chain, values)
+        flow.resistance_ohm = np.full(len(run), float(run.dummy_ohm or 0.0))
+        chain.read_out(flow, run.readout, values, chain.fresh_memories())
+        return Prediction(output_V=_read_output(flow))
     if run.kind == "rest":
         flow.stage_mm = np.full(len(run), RETRACTED_mm)
     elif run.stage_mm is None:
@@ -98,17 +104,3 @@ def _rigid_block(run: Run, flow: Flow, chain: Chain, values: Values) -> Predicti
     # Nobody measured where the block stands: its level is what the touched samples say on average.
     level_mm = float(np.mean((flow.stage_mm - bent_mm)[is_touched]))
     return Prediction(stage_mm=np.where(is_touched, level_mm + bent_mm, flow.stage_mm))
-
-
-def _dead_weights(run: Run, flow: Flow, chain: Chain, values: Values) -> Prediction:
-    flow.force_N = np.asarray(run.known_force_N)
-    memories = chain.fresh_memories()
-    read_force(flow)
-    chain.apply(Hook.READING, flow, values, memories)
-    return Prediction(force_N=flow.reading_N)
-
-
-def _dummy_resistor(run: Run, flow: Flow, chain: Chain, values: Values) -> Prediction:
-    flow.resistance_ohm = np.full(len(run), float(run.dummy_ohm or 0.0))
-    chain.read_out(flow, run.readout, values, chain.fresh_memories())
-    return Prediction(output_V=_read_output(flow))

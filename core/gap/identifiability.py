@@ -15,7 +15,7 @@ from softcal.core.gap.next_experiment import MenuEntry
 from softcal.core.gap.offsets import own_rows
 from softcal.core.gap.problem import Problem
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect, Parameter
+from softcal.core.twin.effects import Effect
 from softcal.core.words.reason import Reason, reason, several
 
 
@@ -132,7 +132,14 @@ def identifiability(
         there = here.with_run(_Rows.of(base, base.problem.of_run(entry.run), also))
         told = {one.name for one in left if there.shows(one.name)}
         every = [replace(one, by=(*one.by, entry.name)) if one.name in told else one for one in every]
-    return Identifiability(tuple(every), tuple(_alike(here, effects)))
+    ids = [e.id for e in effects]
+    alike = [
+        (one, other)
+        for k, one in enumerate(ids)
+        for other in ids[k + 1 :]
+        if abs(here.cosine(here.cause(one), here.cause(other))) > CONFIG.alike
+    ]
+    return Identifiability(tuple(every), tuple(alike))
 
 
 def sentences(found: Identifiability) -> list[str]:
@@ -282,21 +289,17 @@ def _changes(bare: Fit, effect: Effect) -> tuple[Array, Array]:
     """Return the whitened change by an effect of its usual size, and by one of a smaller size made as large."""
     sized = [bare.problem.scale.sized(p) for p in effect.parameters]
     usual = [p.usual for p in sized]
-    small = [_smaller(sized[0]), *usual[1:]]
+    smaller, neutral = usual[0], sized[0].neutral
+    if neutral is not None and np.isfinite(neutral):
+        # A level that cuts off is the smaller the farther it lies.
+        smaller = neutral + CONFIG.smaller * (usual[0] - neutral)
     rows = []
-    for values in (usual, small):
+    for values in (usual, [smaller, *usual[1:]]):
         start = np.append(bare.coordinates, start_coordinates([effect], [values]))
         change = bare.problem.predict(bare.hypothesis.adding(effect), start) - bare.predicted
         row = bare.problem.whitened(change) if np.all(np.isfinite(change)) else np.zeros(len(change))
         rows.append(row)
     return rows[0], rows[1]
-
-
-def _smaller(parameter: Parameter) -> float:
-    """Return a smaller size of an effect; a level that cuts off is the smaller the farther it lies."""
-    if parameter.neutral is None or not np.isfinite(parameter.neutral):
-        return parameter.usual
-    return parameter.neutral + CONFIG.smaller * (parameter.usual - parameter.neutral)
 
 
 def _of_base(here: _Rows, base: Fit) -> list[ParameterTold]:
@@ -341,14 +344,3 @@ def _on_bound(base: Fit) -> list[bool]:
     if not sizes.size:
         return [False] * len(largest)
     return [bool(at) for at in np.mean(np.abs(sizes) >= CONFIG.on_bound * largest, axis=0) > 0.5]
-
-
-def _alike(here: _Rows, effects: Sequence[Effect]) -> list[tuple[str, str]]:
-    """Return pairs of causes that these runs do not tell apart."""
-    ids = [e.id for e in effects]
-    return [
-        (one, other)
-        for k, one in enumerate(ids)
-        for other in ids[k + 1 :]
-        if abs(here.cosine(here.cause(one), here.cause(other))) > CONFIG.alike
-    ]

@@ -24,7 +24,7 @@ def variables(found: Fit, channel: str) -> Mapping[str, Array]:
     """
     problem = found.problem
     out: dict[str, Array] = {}
-    blocks = [b for b in problem.blocks if b.channel == channel]
+    blocks = problem.blocks_of(channel)
     blocks = [
         b for b in blocks if problem.case.runs[b.run].kind == "press" and problem.case.runs[b.run].stage_mm is not None
     ]

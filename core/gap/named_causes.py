@@ -1,6 +1,6 @@
 """What the diagnosis of the twin and that of a simulator say alike: causes with their chances, sizes and shares."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal, TypeVar
 
@@ -16,9 +16,7 @@ from softcal.core.gap.posterior import exact_log_evidence, log_evidences, probab
 from softcal.core.gap.problem import Problem
 from softcal.core.gap.search import EffectSearch
 from softcal.core.gap.shrink import ChannelGap, Quantified, quantify, unsupported
-from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS
-from softcal.core.twin.effects import Parameter
 from softcal.core.words.reason import Reason
 
 DiagnosisVerdict = Literal["no_gap", "explained", "ambiguous", "unknown", "data"]
@@ -105,8 +103,8 @@ class Partial:
 def let_go(search: EffectSearch) -> set[str]:
     """Take out of the best hypothesis every cause that lowers nothing on samples held back; return those."""
     gone: set[str] = set()
-    while len(ids := search.best.hypothesis.ids) > 1:
-        rest = {i: found for k, i in enumerate(ids) if (found := search.fits.get(ids[:k] + ids[k + 1 :])) is not None}
+    while len(search.best.hypothesis.ids) > 1:
+        rest = search.one_less(search.best)
         idle = unsupported(search.best, rest)
         if not idle:
             break
@@ -219,7 +217,7 @@ def gap_of_base(base: Fit) -> dict[str, ChannelGap]:
     """Return what a base leaves, where nothing else was fitted."""
     problem, gap = base.problem, {}
     for channel in problem.scored_channels:
-        parts = [(problem.measured - base.predicted)[b.place] for b in problem.blocks if b.channel == channel]
+        parts = [(problem.measured - base.predicted)[b.place] for b in problem.blocks_of(channel)]
         rms = float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
         gap[channel] = ChannelGap(rms, rms, problem.floor(channel))
     return gap
@@ -261,15 +259,12 @@ def estimates_of(found: Fit, effect_id: str) -> dict[str, ParameterEstimate]:
         if effect.id == effect_id:
             at = found.hypothesis.slices[effect_id]
             parameters = [found.problem.scale.sized(p) for p in effect.parameters]
-            return _named(parameters, found.coordinates[at], 1.645 * spread[at])
+            coordinates, margin = found.coordinates[at], 1.645 * spread[at]
+            out = {}
+            for k, p in enumerate(parameters):
+                ends = [from_fit(p, float(coordinates[k] + side * margin[k])) for side in (-1.0, 1.0)]
+                low, high = (float(np.nan_to_num(v, posinf=p.high, neginf=p.low)) for v in sorted(ends))
+                value = float(np.nan_to_num(from_fit(p, float(coordinates[k])), posinf=p.high, neginf=p.low))
+                out[p.name] = ParameterEstimate(value, low, high, p.unit)
+            return out
     return {}
-
-
-def _named(parameters: Sequence[Parameter], coordinates: Array, margin: Array) -> dict[str, ParameterEstimate]:
-    out = {}
-    for k, p in enumerate(parameters):
-        ends = [from_fit(p, float(coordinates[k] + side * margin[k])) for side in (-1.0, 1.0)]
-        low, high = (float(np.nan_to_num(v, posinf=p.high, neginf=p.low)) for v in sorted(ends))
-        value = float(np.nan_to_num(from_fit(p, float(coordinates[k])), posinf=p.high, neginf=p.low))
-        out[p.name] = ParameterEstimate(value, low, high, p.unit)
-    return out

@@ -86,10 +86,12 @@ def menu(case: Case, depth_mm: float, force_N: float) -> tuple[MenuEntry, ...]:
             "small_reversals": profiles.small_reversals(d),
             "fast_ramps": profiles.ramps([d] * 10, 3.0, name="fast ramps"),
         }
-    entries = [
-        MenuEntry(name, _press(case, p, rate_Hz), SET_UP_min["press"] + p.duration_s / 60, p)
-        for name, p in pressed.items()
-    ]
+    entries = []
+    for name, profile in pressed.items():
+        t_s, stage_mm = profile.sample(rate_Hz)
+        force, output = (np.zeros(len(t_s)) if case.has(name) else None for name in ("force_N", "output_V"))
+        run = Run(profile.name, t_s, case.readout, stage_mm, force, output, is_planned=True)
+        entries.append(MenuEntry(name, run, SET_UP_min["press"] + profile.duration_s / 60, profile))
     return (*entries, *_special(case, force_N, rate_Hz))
 
 
@@ -115,7 +117,9 @@ def most_telling(entries: Sequence[MenuEntry], rivals: Sequence[Fit]) -> NextExp
     count, _, distance, experiment = max(found, key=lambda entry: entry[:2])
     causes = causes_of(rivals)
     if count == 0:
-        return NextExperiment("none", reason("gap.next.inseparable", causes=causes, remedy=_remedy(rivals)))
+        remedies = dict.fromkeys(e.signs.remedy for f in rivals for e in f.hypothesis.effects if e.signs.remedy)
+        remedy = several([Reason.of(one) for one in remedies] or [Reason("gap.remedy.usual")])
+        return NextExperiment("none", reason("gap.next.inseparable", causes=causes, remedy=remedy))
     why = reason("gap.next.separates", causes=causes, distance=distance, minutes=experiment.minutes)
     if count < len(others):
         why = reason("gap.next.separates_most", **why.values, others=len(others) - count)
@@ -130,11 +134,6 @@ def causes_of(rivals: Sequence[Fit]) -> Reason:
 def named(effects: Sequence[str], code: str) -> Reason:
     """Return identifiers of effects as one reason; `code` says how they are joined."""
     return several([reason("gap.effect", effect=effect) for effect in effects], code)
-
-
-def _remedy(rivals: Sequence[Fit]) -> Reason:
-    remedies = dict.fromkeys(e.signs.remedy for f in rivals for e in f.hypothesis.effects if e.signs.remedy)
-    return several([Reason.of(one) for one in remedies] or [Reason("gap.remedy.usual")])
 
 
 def _apart(one: Fit, other: Fit, run: Run) -> float:
@@ -163,20 +162,6 @@ def _distance(mine: Fit, other: Fit, run: Run) -> float:
     slope = dots(jacobian[free], parted)
     left = energy(parted) - float(slope @ np.linalg.lstsq(normal, slope, rcond=None)[0])
     return float(np.sqrt(max(left, 0.0)))
-
-
-def _press(case: Case, profile: Profile, rate_Hz: float) -> Run:
-    t_s, stage_mm = profile.sample(rate_Hz)
-    zeros = np.zeros(len(t_s))
-    return Run(
-        profile.name,
-        t_s,
-        case.readout,
-        stage_mm=stage_mm,
-        force_N=zeros if case.has("force_N") else None,
-        output_V=zeros if case.has("output_V") else None,
-        is_planned=True,
-    )
 
 
 def _special(case: Case, force_N: float, rate_Hz: float) -> tuple[MenuEntry, ...]:

@@ -12,7 +12,7 @@ import numpy as np
 from softcal.core.gap.case import Case
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import dots, energy, gram
-from softcal.core.gap.plausibility import DataMistake, numbers
+from softcal.core.gap.plausibility import DataMistake, numbers, of_gain
 from softcal.core.gap.residual import structure
 from softcal.core.gap.screen import Tangent
 from softcal.core.gap.search import EffectSearch
@@ -158,17 +158,15 @@ def _promised(base: Fit, runs: Sequence[int]) -> list[tuple[float, int, _Oddity]
     slopes = base.jacobian[base.hypothesis.of_base]
     for run in runs:
         inside = np.zeros(len(problem.measured))
-        for block in problem.blocks:
-            inside[block.place] = 1.0 if block.run == run else 0.0
-        of_channel = {
-            short: sum((_marks(b.place, len(inside)) for b in problem.blocks if (b.run, b.channel) == (run, name)), 0.0)
-            for short, name in (("force", "force_N"), ("output", "output_V"))
-        }
-        rows: dict[tuple[str, str], list[Array]] = {("other_unit", ""): [row * inside for row in slopes]}
-        for short, at in of_channel.items():
-            if np.any(at):
-                rows["zero", short] = [problem.whitened(np.asarray(at))]
-                rows["gain", short] = [problem.whitened(np.asarray(at * base.predicted))]
+        rows: dict[tuple[str, str], list[Array]] = {}
+        for block in (b for b in problem.blocks if b.run == run):
+            inside[block.place] = 1.0
+            if (channel := block.channel.split("_")[0]) != "stage":
+                here = np.zeros(len(problem.measured))
+                here[block.place] = 1.0
+                rows["zero", channel] = [problem.whitened(here)]
+                rows["gain", channel] = [problem.whitened(here * base.predicted)]
+        rows["other_unit", ""] = [row * inside for row in slopes]
         if problem.is_free[0]:
             rows["zero", "stage"] = [slopes[0] * inside]
         for oddity in ODDITIES:
@@ -176,12 +174,6 @@ def _promised(base: Fit, runs: Sequence[int]) -> list[tuple[float, int, _Oddity]
             if signatures is not None:
                 promised.append((_gain(tangent, signatures, base.residual), run, oddity))
     return promised
-
-
-def _marks(place: slice, count: int) -> Array:
-    out = np.zeros(count)
-    out[place] = 1.0
-    return out
 
 
 def _gain(tangent: Tangent, signatures: list[Array], residual: Array) -> float:
@@ -194,23 +186,18 @@ def _gain(tangent: Tangent, signatures: list[Array], residual: Array) -> float:
 
 
 def _effects(run: int, oddity: _Oddity, base: Fit) -> list[Effect]:
-    case = base.problem.case
-    columns = {"reading_N": "force_N", "output_V": "output_V", "pad_mm": "stage_mm"}
-    return [
-        _effect(run, hook, signal, is_gain, 1.0 if is_gain else _span(case, columns[signal]))
-        for hook, signal, is_gain in oddity.hooks
-    ]
+    columns, effects = {"reading_N": "force_N", "output_V": "output_V", "pad_mm": "stage_mm"}, []
+    for hook, signal, is_gain in oddity.hooks:
+        span = 1.0 if is_gain else _span(base.problem.case, columns[signal])
+        size = Parameter("size", "", -0.9 * span, 3.0 * span, 0.05 * span, neutral=0.0)
+        effects.append(Effect(f"{signal} of run {run}", "", hook, "", "", (size,), _step(run, signal, is_gain)))
+    return effects
 
 
 def _span(case: Case, column: str) -> float:
     """Return the range of a column over the runs that are pressed; 1 where it was not recorded."""
     parts = [values for run in case.presses if (values := getattr(run, column)) is not None]
     return float(np.ptp(np.concatenate(parts))) if parts else 1.0
-
-
-def _effect(run: int, hook: Hook, signal: str, is_gain: bool, span: float) -> Effect:
-    size = Parameter("size", "", -0.9 * span, 3.0 * span, 0.05 * span, neutral=0.0)
-    return Effect(f"{signal} of run {run}", "", hook, "", "", (size,), _step(run, signal, is_gain))
 
 
 def _step(run: int, signal: str, is_gain: bool) -> Callable[[Flow, Sequence[float], Memory], None]:
@@ -229,13 +216,8 @@ def _finding(fitted: Fit, run: int, oddity: _Oddity, share: float) -> DataMistak
     sizes = [of_run[effect.id] for effect in _effects(run, oddity, fitted)]
     if oddity.what == "other_unit":
         stiffness, sensitivity, resistance, _ = sizes
-        evidence = reason(
-            "data.run.other_unit",
-            stiffness=stiffness,
-            resistance=resistance,
-            sensitivity=sensitivity,
-            share=min(share, 1.0),
-        )
+        told = {"stiffness": stiffness, "resistance": resistance, "sensitivity": sensitivity, "share": min(share, 1.0)}
+        evidence = reason("data.run.other_unit", **told)
         return DataMistake("other_unit", "", number, None, evidence, reason("data.repair.other_unit"))
     column = {"force": "force_N", "output": "output_V", "stage": "stage_mm"}[oddity.channel]
     span, size = _span(case, column), sizes[0]
@@ -245,8 +227,7 @@ def _finding(fitted: Fit, run: int, oddity: _Oddity, share: float) -> DataMistak
         if abs(ratio - 1.0) < LEAST["gain"]:
             return None
         evidence = reason("data.run.gain", channel=oddity.channel, ratio=ratio, share=min(share, 1.0))
-        repair = reason("data.repair.gain", channel=oddity.channel, factor=1.0 / ratio)
-        return DataMistake("gain", oddity.channel, number, 1.0 / ratio, evidence, repair)
+        return of_gain(oddity.channel, number, 1.0 / ratio, evidence)
     offset, unit = size if oddity.channel != "stage" else -size, column.split("_")[1]
     if abs(offset) < LEAST["zero"] * span:
         return None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from softcal.core.gap.case import Case, Run
+from softcal.core.gap.case import Case
 from softcal.core.gap.linear import combine, dots, gram
 from softcal.core.recording import Array
 from softcal.core.twin.parameters import BaseParameters
@@ -234,28 +234,26 @@ def directions(
     problem: "Problem", base: BaseParameters, clean: Array, sizes: Sizes = MappingProxyType({})
 ) -> Directions:
     """Return per block, (3, n), how the channel changes with each offset; None where the unit is not in the run."""
-    runs, own = problem.case.runs, bases_of(base, sizes)
-    return [
-        _directions(runs[b.run], own.get(b.run, base), b.channel, clean[b.place])
-        if runs[b.run].kind in SEATED
-        else None
-        for b in problem.blocks
-    ]
-
-
-def _directions(run: Run, base: BaseParameters, channel: str, clean: Array) -> Array:
-    """(3, n) change of a channel per N of tare, per share of R0 and per mm of seat, by the base's own equations."""
-    readout = run.readout
-    # Where nothing is pressed, or nobody knows how deep, the seat changes nothing.
-    stage_mm = run.stage_mm if run.stage_mm is not None and run.kind == "press" else np.full(len(run), -np.inf)
-    kinds = (channel == "force_N", readout.sensor_type == "strain")
-    return _rows(kinds, stage_mm, clean, readout.vref_V, (base.u0_mm, base.k1_N_mm, base.k3_N_mm3, base.kappa_per_N))
+    own = bases_of(base, sizes)
+    out: Directions = []
+    for block in problem.blocks:
+        run, mine = problem.case.runs[block.run], own.get(block.run, base)
+        if run.kind not in SEATED:
+            out.append(None)
+            continue
+        # Where nothing is pressed, or nobody knows how deep, the seat changes nothing.
+        stage_mm = run.stage_mm if run.stage_mm is not None and run.kind == "press" else np.full(len(run), -np.inf)
+        kinds = (block.channel == "force_N", run.readout.sensor_type == "strain")
+        given = (mine.u0_mm, mine.k1_N_mm, mine.k3_N_mm3, mine.kappa_per_N)
+        out.append(_rows(kinds, stage_mm, clean[block.place], run.readout.vref_V, given))
+    return out
 
 
 @compiled
 def _rows(
     kinds: tuple[bool, bool], stage_mm: Array, clean: Array, vref_V: float, base: tuple[float, float, float, float]
 ) -> Array:
+    """(3, n) change of a channel per N of tare, per share of R0 and per mm of seat, by the base's own equations."""
     is_force, is_strain = kinds
     u0_mm, k1_N_mm, k3_N_mm3, kappa_per_N = base
     out = np.zeros((3, len(clean)))

@@ -78,7 +78,8 @@ def _is_beside_line(found: Fit, tone: Tone) -> bool:
 
 
 def _loose_output(found: Fit) -> LooseNoise | None:
-    blocks = [b for b in _blocks(found, "output_V") if found.problem.case.runs[b.run].stage_mm is not None]
+    runs = found.problem.case.runs
+    blocks = [b for b in found.problem.blocks_of("output_V", "press") if runs[b.run].stage_mm is not None]
     if not blocks or found.problem.dither_V is not None:
         return None
     # A clipped output has less noise than the rest, and stands still.
@@ -134,18 +135,13 @@ def likely_stages(base: Fit, maps: tuple[Map, ...]) -> tuple[ChainStage, ...]:
     return (*first, *(stage for stage in pointed if stage not in first))
 
 
-def _blocks(found: Fit, channel: str) -> list[Block]:
-    runs = found.problem.case.runs
-    return [b for b in found.problem.blocks if b.channel == channel and runs[b.run].kind == "press"]
-
-
 def _rate(found: Fit, block: Block) -> Array:
     run = found.problem.case.runs[block.run]
     return np.asarray(np.gradient(found.predicted[block.place], run.t_s))
 
 
 def _behind(base: Fit) -> ChainStage:
-    blocks = _blocks(base, "output_V")
+    blocks = base.problem.blocks_of("output_V", "press")
     if not blocks:
         return "transduction"
     error = np.concatenate([base.residual[b.place] for b in blocks])
@@ -184,7 +180,7 @@ def _static(error: Array, drive: Array, excess: float) -> tuple[float, int]:
 
 def _is_motion(base: Fit) -> bool:
     """Whether the force is off by what a wrong position would do: a ripple over the travel, or a jump in time."""
-    blocks = _blocks(base, "force_N")
+    blocks = base.problem.blocks_of("force_N", "press")
     if not blocks:
         return False
     runs = [base.problem.case.runs[b.run] for b in blocks]

@@ -6,13 +6,13 @@ effect of the catalogue is fitted before this has found nothing.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from softcal.core.gap.case import Case, Mask, Run
-from softcal.core.recording import Array
+from softcal.core.recording import RATE_TOLERANCE, Array
 from softcal.core.words.reason import Reason, reason
 
 Kind = Literal[
@@ -29,9 +29,6 @@ Kind = Literal[
     "constant",
 ]
 COLUMNS = {"stage": "stage_mm", "force": "force_N", "output": "output_V"}
-
-RATE_TOLERANCE = 0.02
-"""Relative difference up to which the stated rate and the time stamps agree."""
 
 TIME_UNITS = {"ms": 1e-3, "us": 1e-6, "min": 60.0}
 UNITS: Mapping[str, Mapping[str, float]] = {
@@ -158,21 +155,13 @@ def doubts(case: Case) -> tuple[DataMistake, ...]:
     return (DataMistake("unit_factor", channel, (), factor, _unusual(size, channel, *STIFFNESS_N_mm), repair),)
 
 
-@dataclass(frozen=True)
-class _Seen:
-    """What one run shows, before runs of the same mistake are joined."""
+def _joined(case: Case, seen: Iterable[DataMistake]) -> list[DataMistake]:
+    """Return one finding for the same mistake in several runs; in all that are pressed, of the whole case.
 
-    run: int
-    what: Kind
-    channel: str
-    factor: float | None
-    evidence: Reason
-    repair: Reason
-
-
-def _joined(case: Case, seen: Iterable[_Seen]) -> list[DataMistake]:
-    """Return one finding for the same mistake in several runs; in all that are pressed, of the whole case."""
-    groups: dict[tuple[str, str, float | None], list[_Seen]] = {}
+    Args:
+        seen: mistakes of single runs, by their places from 0.
+    """
+    groups: dict[tuple[str, str, float | None], list[DataMistake]] = {}
     for one in seen:
         factor = None if one.factor is None else float(f"{one.factor:.2g}")
         groups.setdefault((one.what, one.channel, factor), []).append(one)
@@ -180,9 +169,9 @@ def _joined(case: Case, seen: Iterable[_Seen]) -> list[DataMistake]:
     pressed = {k for k, run in enumerate(case.runs) if run.kind == "press"}
     found = []
     for members in groups.values():
-        at, first = {m.run for m in members}, members[0]
+        at = {k for one in members for k in one.runs}
         runs = () if at >= pressed else tuple(number[k] for k in sorted(at))
-        found.append(DataMistake(first.what, first.channel, runs, first.factor, first.evidence, first.repair))
+        found.append(replace(members[0], runs=runs))
     return found
 
 
@@ -205,12 +194,10 @@ def _rates(case: Case) -> list[DataMistake]:
         evidence = reason("data.rate", seen=run.seen_Hz, stated=stated_Hz)
         unit = next((u for u, s in TIME_UNITS.items() if abs(ratio / s - 1.0) <= RATE_TOLERANCE), None)
         if unit is not None:
-            factor = TIME_UNITS[unit]
-            repair = reason("data.repair.unit", channel="time", factor=factor, unit=unit)
-            seen.append(_Seen(k, "unit_factor", "time", factor, evidence, repair))
+            seen.append(of_unit("time", (k,), unit, TIME_UNITS[unit], evidence))
         else:
             repair = reason("data.repair.rate", seen=run.seen_Hz)
-            seen.append(_Seen(k, "rate", "time", ratio, evidence, repair))
+            seen.append(DataMistake("rate", "time", (k,), ratio, evidence, repair))
     return _joined(case, seen)
 
 
@@ -224,7 +211,9 @@ def _columns(case: Case) -> list[DataMistake]:
         output, stage = _output_by_steps(run, channels), None
         rest = [name for name in channels if name != output]
         if output is not None and len(rest) == 2:
-            stage = _stage_by_smoothness({name: channels[name] for name in rest})
+            rough = {name: _roughness(channels[name]) for name in rest}
+            first, second = sorted(rest, key=lambda name: rough[name])
+            stage = first if rough[first] < SMOOTH * rough[second] else None
         moved = []
         if output not in (None, "output"):
             moved = ["output", str(output)]
@@ -235,7 +224,7 @@ def _columns(case: Case) -> list[DataMistake]:
             one, other = pair.split("+")
             evidence = reason("data.swapped_columns.steps" if "output" in moved else "data.swapped_columns.smooth")
             repair = reason("data.repair.swap", one=COLUMNS[one], other=COLUMNS[other])
-            seen.append(_Seen(k, "swapped_columns", pair, None, evidence, repair))
+            seen.append(DataMistake("swapped_columns", pair, (k,), None, evidence, repair))
     return _joined(case, seen)
 
 
@@ -253,11 +242,6 @@ def _output_by_steps(run: Run, channels: Mapping[str, Array]) -> str | None:
         shares[name] = float(np.mean((is_on & is_within)[is_telling])) if is_telling.mean() > 0.2 else 0.0
     first, *others = sorted(shares, key=lambda name: -shares[name])
     return first if shares[first] > ON_GRID and all(shares[name] < OFF_GRID for name in others) else None
-
-
-def _stage_by_smoothness(channels: Mapping[str, Array]) -> str | None:
-    first, second = sorted(channels, key=lambda name: _roughness(channels[name]))
-    return first if _roughness(channels[first]) < SMOOTH * _roughness(channels[second]) else None
 
 
 def _roughness(values: Array) -> float:
@@ -285,7 +269,7 @@ def _ranges(case: Case) -> list[DataMistake]:
                 seen.append(repaired)
                 continue
         repair = reason("data.repair.samples", count=int(beyond.sum()))
-        seen.append(_Seen(k, "out_of_range", "output", None, evidence, repair))
+        seen.append(DataMistake("out_of_range", "output", (k,), None, evidence, repair))
     return _joined(case, seen)
 
 
@@ -293,7 +277,7 @@ def _beyond(values: Array, low: float, high: float) -> Mask:
     return np.asarray((values < low) | (values > high))
 
 
-def _output_repaired(run: Run, k: int, evidence: Reason) -> _Seen | None:
+def _output_repaired(run: Run, k: int, evidence: Reason) -> DataMistake | None:
     """Return the unit or sign that brings the output of a run back, None where none does."""
     values, readout = np.asarray(run.output_V), run.readout
     factors = {"mV": 1e-3, "uV": 1e-6}
@@ -302,10 +286,9 @@ def _output_repaired(run: Run, k: int, evidence: Reason) -> _Seen | None:
     for unit, factor in factors.items():
         share = np.quantile(values, (0.02, 0.98)) * factor / readout.vref_V
         if 0.01 < share[0] and share[1] < 1.0 and share[1] > 0.02:
-            repair = reason("data.repair.unit", channel="output", factor=factor, unit=unit)
-            return _Seen(k, "unit_factor", "output", factor, evidence, repair)
+            return of_unit("output", (k,), unit, factor, evidence)
     if np.quantile(values, 0.98) < 0 and -np.quantile(values, 0.02) <= readout.vref_V:
-        return _Seen(k, "sign", "output", -1.0, evidence, reason("data.repair.sign", channel="output"))
+        return of_sign("output", k, evidence)
     return None
 
 
@@ -330,7 +313,7 @@ def _strays(case: Case) -> list[DataMistake]:
                     unit=unit,
                 )
                 repair = reason("data.repair.samples", count=int(beyond.sum()))
-                seen.append(_Seen(k, "out_of_range", name, None, evidence, repair))
+                seen.append(DataMistake("out_of_range", name, (k,), None, evidence, repair))
     return _joined(case, seen)
 
 
@@ -378,15 +361,15 @@ def _directions(case: Case) -> list[DataMistake]:
                 turned.add("stage")
                 stage = -stage
         for name in sorted(turned):
-            evidence = reason("data.sign", channel=name)
-            seen.append(_Seen(k, "sign", name, -1.0, evidence, reason("data.repair.sign", channel=name)))
+            seen.append(of_sign(name, k, reason("data.sign", channel=name)))
         pressing = force if force is not None else stage
         if output is None or pressing is None or run.readout.sensor_type == "strain":
             continue
         correlation = _agreement(output, pressing)
         if correlation < OPPOSED:
             evidence = reason("data.swapped_divider", correlation=correlation)
-            seen.append(_Seen(k, "swapped_divider", "output", None, evidence, reason("data.repair.divider")))
+            repair = reason("data.repair.divider")
+            seen.append(DataMistake("swapped_divider", "output", (k,), None, evidence, repair))
     return _joined(case, seen)
 
 
@@ -411,7 +394,8 @@ class _Size:
     @property
     def oddness(self) -> float:
         """Largest distance from the usual, as a logarithm."""
-        return max((abs(np.log(v / USUAL[name])) for name, v in self._known()), default=0.0)
+        known = [(value, usual) for name, usual in USUAL.items() if (value := getattr(self, name)) is not None]
+        return max((abs(np.log(value / usual)) for value, usual in known), default=0.0)
 
     @property
     def is_odd(self) -> bool:
@@ -421,10 +405,6 @@ class _Size:
         if self.depth_mm is not None:
             return not DEPTH_mm[0] <= self.depth_mm <= DEPTH_mm[1]
         return self.force_N is not None and not FORCE_N[0] <= self.force_N <= FORCE_N[1]
-
-    def _known(self) -> list[tuple[str, float]]:
-        values = {name: getattr(self, name) for name in USUAL}
-        return [(name, value) for name, value in values.items() if value is not None]
 
 
 def _size(case: Case) -> _Size:
@@ -489,10 +469,8 @@ def _against_stated(case: Case) -> list[DataMistake]:
     ]
     distance, channel, unit, factor = min(turned)
     if distance < abs(np.log(stated[1] / middle)) + np.log(NEAR_FACTOR):
-        repair = reason("data.repair.unit", channel=channel, factor=factor, unit=unit)
-        return [DataMistake("unit_factor", channel, (), factor, evidence, repair)]
-    repair = reason("data.repair.gain", channel="force", factor=middle / stiffness)
-    return [DataMistake("gain", "force", (), middle / stiffness, evidence, repair)]
+        return [of_unit(channel, (), unit, factor, evidence)]
+    return [of_gain("force", (), middle / stiffness, evidence)]
 
 
 def _runs_apart(case: Case) -> list[DataMistake]:
@@ -511,7 +489,7 @@ def _runs_apart(case: Case) -> list[DataMistake]:
             ratio = float(np.exp(np.median(np.delete(spans, at)) - spans[at]))
             others = np.ptp(np.delete(spans, at))
             if abs(np.log(ratio)) > np.log(APART) + others:
-                found.append(_apart(name, number[k], ratio, others))
+                found.append(apart(name, number[k], ratio, UNITS_OF_RUN[name], others))
     return found[:1]
 
 
@@ -527,12 +505,41 @@ def _spread_at(reference: Array, values: Array) -> float:
     return max(abs(float(np.median(top) - np.median(bottom))) / max(float(high - low), 1e-12), 1e-12)
 
 
-def _apart(name: str, run: int, ratio: float, others: float) -> DataMistake:
-    units = UNITS_OF_RUN[name]
-    unit = min(units, key=lambda u: abs(np.log(units[u] / ratio)))
-    evidence = reason("data.run.apart", channel=name, ratio=1.0 / ratio)
-    if abs(np.log(units[unit] / ratio)) < np.log(SAME_FACTOR) + others:
-        repair = reason("data.repair.unit", channel=name, factor=units[unit], unit=unit)
-        return DataMistake("unit_factor", name, (run,), units[unit], evidence, repair)
-    repair = reason("data.repair.gain", channel=name, factor=ratio)
-    return DataMistake("gain", name, (run,), ratio, evidence, repair)
+def apart(channel: str, run: int, factor: float, units: Mapping[str, float], others: float = 0.0) -> DataMistake:
+    """Return what is wrong with one run against the others: its unit, else its gain.
+
+    Args:
+        factor: what brings its values to those of the others.
+        units: what values in each must be multiplied by.
+        others: logarithm of the factor by which the others differ among themselves.
+    """
+    evidence = reason("data.run.apart", channel=channel, ratio=1.0 / factor)
+    if unit := unit_of(factor, units, others):
+        return of_unit(channel, (run,), unit, units[unit], evidence)
+    return of_gain(channel, (run,), factor, evidence)
+
+
+def unit_of(factor: float, units: Mapping[str, float], others: float = 0.0) -> str:
+    """Return the unit whose factor this is, empty where it is none."""
+    if factor <= 0.0:
+        return ""
+    near = min(units, key=lambda unit: abs(np.log(units[unit] / factor)))
+    return near if abs(np.log(units[near] / factor)) < np.log(SAME_FACTOR) + others else ""
+
+
+def of_unit(channel: str, runs: tuple[int, ...], unit: str, factor: float, evidence: Reason) -> DataMistake:
+    """Return the mistake of a channel that is in another unit."""
+    repair = reason("data.repair.unit", channel=channel, factor=factor, unit=unit)
+    return DataMistake("unit_factor", channel, runs, factor, evidence, repair)
+
+
+def of_gain(channel: str, runs: tuple[int, ...], factor: float, evidence: Reason) -> DataMistake:
+    """Return the mistake of a channel with a wrong gain."""
+    return DataMistake(
+        "gain", channel, runs, factor, evidence, reason("data.repair.gain", channel=channel, factor=factor)
+    )
+
+
+def of_sign(channel: str, run: int, evidence: Reason) -> DataMistake:
+    """Return the mistake of a channel with the other sign in one run."""
+    return DataMistake("sign", channel, (run,), -1.0, evidence, reason("data.repair.sign", channel=channel))

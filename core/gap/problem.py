@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from softcal.core.gap.case import Case, Mask, Run
+from softcal.core.gap.case import Case, Mask, Run, RunKind
 from softcal.core.gap.colour import Colour, ColourConfig, filter_of, filtered
 from softcal.core.gap.coordinates import from_fit
 from softcal.core.gap.forward import predict
@@ -161,6 +161,11 @@ class Problem:
                 blocks.append(Block(k, channel, slice(at, at + len(run))))
                 at += len(run)
         return tuple(blocks)
+
+    def blocks_of(self, channel: str, kind: RunKind | None = None) -> list[Block]:
+        """Return the blocks of a channel, of runs of one kind where it is given."""
+        runs = self.case.runs
+        return [b for b in self.blocks if b.channel == channel and kind in (None, runs[b.run].kind)]
 
     @cached_property
     def measured(self) -> Array:

@@ -1,5 +1,6 @@
 """Where the gap lies: three maps refitted separately, and the regimes in which the residual stands out."""
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -172,22 +173,31 @@ def regimes(found: Fit) -> tuple[Regime, ...]:
     """
     out = []
     for channel in ("force_N", "output_V"):
-        blocks = [b for b in found.problem.blocks if b.channel == channel]
-        blocks = [b for b in blocks if found.problem.case.runs[b.run].kind == "press"]
+        blocks = found.problem.blocks_of(channel, "press")
         if not blocks:
             continue
-        excess = np.concatenate([found.residual[b.place] ** 2 - 1.0 for b in blocks])
-        total = float(excess.sum())
-        # Within four standard errors of the sum of squares there is no gap to divide.
-        if total <= 4 * np.sqrt(2 * len(excess)):
-            continue
-        for name, members in _conditions(found, blocks).items():
+        for name, share, time_share in shares_of_gap(found, blocks, _conditions(found, blocks)):
+            out.append(Regime(channel, name, float(np.clip(share, 0.0, 1.0)), share / time_share))
+    return tuple(sorted(out, key=lambda r: -r.share * np.log(max(r.lift, 1.0) + 1e-9)))
+
+
+def shares_of_gap(
+    found: Fit, blocks: list[Block], conditions: Mapping[Reason, Array]
+) -> Iterator[tuple[Reason, float, float]]:
+    """Yield each condition with its share of the structured energy of these blocks and its share of the time.
+
+    Args:
+        conditions: which samples of the blocks, one after the other, lie in each.
+    """
+    excess = np.concatenate([found.residual[b.place] ** 2 - 1.0 for b in blocks])
+    total = float(excess.sum())
+    # Within four standard errors of the sum of squares there is no gap to divide.
+    if total > 4 * np.sqrt(2 * len(excess)):
+        for name, members in conditions.items():
             time_share = float(np.mean(members))
             # A regime of next to no time, or of nearly all, says nothing of where a gap lies.
             if 0.01 < time_share < 0.95:
-                share = float(excess[members].sum()) / total
-                out.append(Regime(channel, name, float(np.clip(share, 0.0, 1.0)), share / time_share))
-    return tuple(sorted(out, key=lambda r: -r.share * np.log(max(r.lift, 1.0) + 1e-9)))
+                yield name, float(excess[members].sum()) / total, time_share
 
 
 def _conditions(found: Fit, blocks: list[Block]) -> dict[Reason, Array]:

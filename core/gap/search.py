@@ -11,7 +11,6 @@ from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.episodes import PLACERS, placed_again
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.floor import noise_chance, noise_of
-from softcal.core.gap.forms import FORMS
 from softcal.core.gap.free_form import imitated_causes
 from softcal.core.gap.posterior import Yardstick, log_evidences
 from softcal.core.gap.problem import Hypothesis, Problem
@@ -20,6 +19,7 @@ from softcal.core.gap.screen import hiding, joined, screen
 from softcal.core.gap.start import base_fit, rough_start, with_driving_noise
 from softcal.core.gap.strangers import stranger
 from softcal.core.recording import Array
+from softcal.core.twin.catalogue import FORMS
 from softcal.core.twin.effects import Effect, Form, Placing
 from softcal.core.twin.probes import Extent
 
@@ -106,7 +106,10 @@ class EffectSearch:
             if not grown:
                 break
             if size > 1:
-                self._place_again()
+                # Episodes of the best hypotheses are placed anew, with all their causes in.
+                for found in sorted(self.fits.values(), key=lambda f: f.bic)[:4]:
+                    if found.hypothesis.episode_count and not self.is_clean(found):
+                        self.keep(placed_again(found))
             self._settle_noise(self._leader)
             if size == len(self._config.leads) or not self._is_wanting(self._leader):
                 break
@@ -125,8 +128,7 @@ class EffectSearch:
         if self.is_clean(self._leader):
             return
         likely = sorted(self.fits.values(), key=lambda f: f.bic)[: self._config.again]
-        ids = self._leader.hypothesis.ids
-        likely += [self.fits[part] for k in range(len(ids)) if (part := ids[:k] + ids[k + 1 :]) in self.fits]
+        likely += self.one_less(self._leader).values()
         first = self._rough_start()
         for _ in range(2):
             for found in likely:
@@ -137,12 +139,6 @@ class EffectSearch:
 
     def _rough_start(self) -> Array:
         return rough_start(self.base.problem.case)
-
-    def _place_again(self) -> None:
-        """Place episodes of the best hypotheses anew, with all their causes in."""
-        for found in sorted(self.fits.values(), key=lambda f: f.bic)[:4]:
-            if found.hypothesis.episode_count and not self.is_clean(found):
-                self.keep(placed_again(found))
 
     def _share_places(self) -> None:
         """Give smaller hypotheses the places of episodes that the closest one has found: places are no cause."""
@@ -171,9 +167,8 @@ class EffectSearch:
 
     def hold_open(self) -> None:
         """Take out of the best hypothesis every cause that a free form of the others imitates; it stays in play."""
-        while len(ids := self.best.hypothesis.ids) > 1:
-            rest = {i: self.fits.get(ids[:k] + ids[k + 1 :]) for k, i in enumerate(ids)}
-            smaller = {i: f for i, f in rest.items() if f is not None and self.is_explained(f)}
+        while len(self.best.hypothesis.ids) > 1:
+            smaller = {i: found for i, found in self.one_less(self.best).items() if self.is_explained(found)}
             imitated = imitated_causes(self.best, smaller)
             if not imitated:
                 break
@@ -186,9 +181,13 @@ class EffectSearch:
 
     def _find_stranger(self) -> Fit | None:
         """Look for a departure outside the catalogue, alone or in the place of one of the causes found."""
-        ids = self.best.hypothesis.ids
-        parents = [self.fits.get(ids[:k] + ids[k + 1 :]) for k in range(len(ids))] if len(ids) > 1 else []
-        return stranger(self.best, [self.base, *(p for p in parents if p is not None)], list(self.fits.values()))
+        parents = self.one_less(self.best).values() if len(self.best.hypothesis.ids) > 1 else ()
+        return stranger(self.best, [self.base, *parents], list(self.fits.values()))
+
+    def one_less(self, found: Fit) -> dict[str, Fit]:
+        """Return the fits without each of the causes of a hypothesis, by that cause, where there is one."""
+        ids = found.hypothesis.ids
+        return {i: self.fits[rest] for k, i in enumerate(ids) if (rest := ids[:k] + ids[k + 1 :]) in self.fits}
 
     def _look_beside(self) -> None:
         """Fit every effect that may stand beside the best hypothesis: a small or hidden one is found there alone."""
@@ -215,12 +214,8 @@ class EffectSearch:
 
     def _exchange(self, found: Fit) -> None:
         """Fit hiding effects in the place of each of several causes: beside the rest alone they promise little."""
-        ids = found.hypothesis.ids
-        for k in range(len(ids)):
-            rest = self.fits.get(ids[:k] + ids[k + 1 :])
-            if rest is None or not rest.hypothesis.ids:
-                continue
-            for probe in hiding(rest, self._probes, self._config.hiding):
+        for rest in self.one_less(found).values():
+            for probe in hiding(rest, self._probes, self._config.hiding) if rest.hypothesis.ids else ():
                 if tuple(sorted({*rest.hypothesis.ids, probe.effect.id})) not in self.fits:
                     start = np.append(rest.coordinates, start_coordinates([probe.effect], [probe.values]))
                     self.keep(fit(rest.problem, rest.hypothesis.adding(probe.effect), start, steps=40))
@@ -229,11 +224,6 @@ class EffectSearch:
     def _most_likely(self) -> Fit:
         logs = log_evidences(self.fits)
         return self.fits[max(logs, key=lambda ids: logs[ids])]
-
-    def _is_worth_patching(self, parent: Fit, steps: Fit) -> bool:
-        """Steps placed freely in time take a little off any structure; they must take a visible part of the gap."""
-        excess = max(self.base.chi2 - self.base.problem.count, 0.0)
-        return parent.chi2 - steps.chi2 > self._config.patch * excess
 
     def share(self, found: Fit) -> float:
         """Return which share of the excess of the base over the noise a hypothesis takes away."""
@@ -281,15 +271,11 @@ class EffectSearch:
 
     def _try_forms_within(self, best: Fit) -> bool:
         """Fit the other realisations of each cause with one other cause left out; tell whether one of them won."""
-        ids = best.hypothesis.ids
-        for left_out in range(len(ids)):
-            smaller = self.fits.get(ids[:left_out] + ids[left_out + 1 :])
-            if smaller is None or len(smaller.hypothesis.ids) < 2:
-                continue
-            for cause in smaller.hypothesis.ids:
+        for smaller in self.one_less(best).values():
+            for cause in smaller.hypothesis.ids if len(smaller.hypothesis.ids) > 1 else ():
                 for form in FORMS.get(cause, ()):
                     self.keep(self._in_form(smaller, form))
-        return self._most_likely.hypothesis.ids != ids
+        return self._most_likely.hypothesis.ids != best.hypothesis.ids
 
     def _in_form(self, found: Fit, form: Form) -> Fit:
         at = [e.id for e in found.hypothesis.effects].index(form.effect.id)
@@ -346,10 +332,12 @@ class EffectSearch:
         missing = [e for e in self._to_place if e.id not in parent.hypothesis.ids]
         every = [(side, _placing(side)) for e in missing for side in (e, *e.sides)]
         found = [(placing, PLACERS[placing](parent, side, self._extent)) for side, placing in every]
+        # Steps placed freely in time take a little off any structure; they must take a visible part of the gap.
+        least = self._config.patch * max(self.base.chi2 - self.base.problem.count, 0.0)
         return [
             child
             for placing, child in found
-            if child is not None and (placing != Placing.INTERVALS or self._is_worth_patching(parent, child))
+            if child is not None and (placing != Placing.INTERVALS or parent.chi2 - child.chi2 > least)
         ]
 
     def _settle_noise(self, best: Fit) -> None:

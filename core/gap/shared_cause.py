@@ -194,11 +194,11 @@ def diagnose_lot(cases: Mapping[str, Case], progress: Callable[[str], None] | No
     say = progress or (lambda _: None)
     alone: dict[str, Diagnosis] = {}
     searched: dict[str, Searched] = {}
+    every: list[Searched] = []
     for number, (name, case) in enumerate(cases.items(), start=1):
-        kept: list[Searched] = []
-        alone[name] = found = diagnose(case, on_fits=_keeper(kept))
+        alone[name] = found = diagnose(case, on_fits=lambda fits: every.append(Searched.of(fits)))
         if found.verdict != "data":
-            searched[name] = kept[-1]
+            searched[name] = every[-1]
         named = " + ".join(found.best.hypothesis.ids) or "no cause"
         say(f"unit {number} of {len(cases)}, {name}: {found.verdict}, {named}")
     if not searched:
@@ -218,10 +218,6 @@ def diagnose_lot(cases: Mapping[str, Case], progress: Callable[[str], None] | No
     return LotDiagnosis(verdict, best, rivals, probability, logs, ruled_out, members)
 
 
-def _keeper(kept: list[Searched]) -> Callable[[Fits], None]:
-    return lambda fits: kept.append(Searched.of(fits))
-
-
 def joint_logs(following: Sequence[Searched], hypotheses: Iterable[Ids]) -> dict[Ids, float]:
     """Return the log evidence of every hypothesis over units that share their causes, up to a constant.
 
@@ -230,20 +226,13 @@ def joint_logs(following: Sequence[Searched], hypotheses: Iterable[Ids]) -> dict
     counts in full.
     """
     floor = sum(one.yardstick.floor for one in following)
-    left = {ids: _left(following, ids) for ids in hypotheses}
+    # The first unit's parameters are paid for apart. Paid for in every unit, what one cause is a little cheaper than
+    # another would count as often as there are units.
+    size = sum(float(np.log(one.problem.count)) for one in following[1:])
+    left = {ids: sum(one.left[ids][0] for one in following) + len(ids) * size for ids in hypotheses}
     least = min(left.values())
     cost = {ids: float(np.mean([one.left[ids][1] for one in following])) for ids in left}
     return {ids: -0.5 * (misfit(floor + total - least) + cost[ids]) for ids, total in left.items()}
-
-
-def _left(following: Sequence[Searched], ids: Ids) -> float:
-    """Return the χ² that a hypothesis leaves in all units, and what the sizes of its causes cost in all but the first.
-
-    The first unit's parameters are paid for apart. Paid for in every unit, what one cause is a little cheaper than
-    another would count as often as there are units.
-    """
-    sizes = len(ids) * sum(float(np.log(one.problem.count)) for one in following[1:])
-    return sum(one.left[ids][0] for one in following) + sizes
 
 
 def lot_logs(searched: Sequence[Searched]) -> tuple[dict[Ids, float], int]:
@@ -309,9 +298,8 @@ def _member(name: str, alone: Diagnosis, searched: Searched | None, best: Ids) -
 def _verdict(best: Ids, rivals: tuple[Ids, ...], members: tuple[LotMember, ...]) -> DiagnosisVerdict:
     judged = [m for m in members if not m.is_left_out]
     # The lot explains no more than most of its units: what they leave is there in each of them.
-    if 2 * sum(m.diagnosis.verdict == "unknown" for m in judged) > len(judged):
-        return "unknown"
-    if 2 * sum(m.follows for m in judged) <= len(judged):
+    is_left = 2 * sum(m.diagnosis.verdict == "unknown" for m in judged) > len(judged)
+    if is_left or 2 * sum(m.follows for m in judged) <= len(judged):
         return "unknown"
     if not best:
         return "no_gap"

@@ -14,6 +14,8 @@ from softcal.core.gap.residual import structure
 from softcal.core.recording import Array
 
 HELD_PARTS = 4
+"""Contiguous parts, or interleaved stretches, of every run that are held back beside whole runs."""
+
 MOST_CHOSEN_FROM = 3
 """Hypotheses that are fitted anew where a part is held back."""
 
@@ -98,13 +100,18 @@ def quantify(base: Fit, best: Fit, others: Iterable[Fit] = (), is_given: bool = 
     folds, protocol = _folds(base.problem, best.hypothesis)
     seen = [_refit(base, best, unseen) for unseen in folds]
     if not best.hypothesis.ids:
-        gap = {c: _channel_gap(seen, best.problem, c) for c in _channels(best.problem)}
+        gap = {c: _channel_gap(seen, best.problem, c) for c in best.problem.scored_channels}
         return Quantified(gap, Shrink(0.0, 0.0, 0.0, 0.0), protocol)
-    rivals = list(_rivals(best, others))
+    # Without causes it is the base, which every fold has; what belongs to one run foretells no other.
+    rivals = [
+        other
+        for other in others
+        if other.hypothesis.ids not in ((), best.hypothesis.ids)
+        and not any(effect.belongs_to_run for effect in other.hypothesis.effects)
+    ]
     chosen = seen if is_given else [fold.chosen(rivals) for fold in seen]
-    gap = {c: _channel_gap(chosen, best.problem, c) for c in _channels(best.problem)}
-    held_out = _ratio([(g.rmse_before, g.rmse_after, g.noise_floor, g.noise_floor) for g in gap.values()])
-    shrink = Shrink(*_forecast(seen, best), held_out)
+    gap = {c: _channel_gap(chosen, best.problem, c) for c in best.problem.scored_channels}
+    shrink = Shrink(*_forecast(seen, best), _shrink_of(gap.values()))
     ids = tuple(fold.after.hypothesis.ids for fold in chosen)
     return Quantified(gap, shrink, protocol, ids, *_held_out_gain(chosen, best.problem))
 
@@ -115,37 +122,16 @@ def _refitted_to_first_order(found: Fit) -> Fit:
     return replace(found, chi2=found.chi2 - float(gradient @ found.covariance @ gradient))
 
 
-def _rivals(best: Fit, others: Iterable[Fit]) -> Iterable[Fit]:
-    """Give the other hypotheses that foretell the same parts."""
-    for other in others:
-        ids, effects = other.hypothesis.ids, other.hypothesis.effects
-        # Without causes it is the base, which every fold has; what belongs to one run foretells no other.
-        if ids and ids != best.hypothesis.ids and not any(effect.belongs_to_run for effect in effects):
-            yield other
-
-
 def _folds(problem: Problem, hypothesis: Hypothesis) -> tuple[list[Mask], str]:
-    presses = [k for k, run in enumerate(problem.case.runs) if run.kind == "press"]
+    presses = np.flatnonzero([run.kind == "press" for run in problem.case.runs])
     # What belongs to one run cannot be foretold by another.
-    if len(presses) > 1 and not any(effect.belongs_to_run for effect in hypothesis.effects):
-        return [_of_run(problem, k) for k in presses], "one run after the other held back"
-    return [_of_stretches(problem, part) for part in range(HELD_PARTS)], "stretches of every run held back"
-
-
-def _of_run(problem: Problem, run: int) -> Mask:
-    unseen = np.zeros(len(problem.measured), dtype=np.bool_)
+    is_by_run = len(presses) > 1 and not any(effect.belongs_to_run for effect in hypothesis.effects)
+    parts = presses if is_by_run else np.arange(HELD_PARTS)
+    unseen = np.zeros((len(parts), len(problem.measured)), dtype=np.bool_)
     for block in problem.blocks:
-        if block.run == run:
-            unseen[block.place] = True
-    return unseen
-
-
-def _of_stretches(problem: Problem, part: int) -> Mask:
-    unseen = np.zeros(len(problem.measured), dtype=np.bool_)
-    for block in problem.blocks:
-        stretch = (problem.case.runs[block.run].elapsed_s / BLOCK_s).astype(int)
-        unseen[block.place] = stretch % HELD_PARTS == part
-    return unseen
+        stretch = (problem.case.runs[block.run].elapsed_s / BLOCK_s).astype(int) % HELD_PARTS
+        unseen[:, block.place] = parts[:, np.newaxis] == (block.run if is_by_run else stretch)
+    return list(unseen), f"{'one run after the other' if is_by_run else 'stretches of every run'} held back"
 
 
 def _refit(base: Fit, best: Fit, unseen: Mask) -> _Fold:
@@ -156,18 +142,13 @@ def _refit(base: Fit, best: Fit, unseen: Mask) -> _Fold:
     return _Fold(unseen, before, after)
 
 
-def _channels(problem: Problem) -> list[str]:
-    return problem.scored_channels
-
-
 def _pooled(folds: list[_Fold], problem: Problem, channel: str, errors: list[Array]) -> float:
     squares, count = 0.0, 0
     for fold, error in zip(folds, errors, strict=True):
-        for block in problem.blocks:
-            # Presses alone count: they are what a twin is for, weights and resistors only calibrate it.
-            if block.channel == channel and problem.case.runs[block.run].kind == "press":
-                members = error[block.place][fold.unseen[block.place]]
-                squares, count = squares + float(members @ members), count + len(members)
+        # Presses alone count: they are what a twin is for, weights and resistors only calibrate it.
+        for block in problem.blocks_of(channel, "press"):
+            members = error[block.place][fold.unseen[block.place]]
+            squares, count = squares + float(members @ members), count + len(members)
     return float(np.sqrt(squares / max(count, 1)))
 
 
@@ -180,14 +161,12 @@ def unsupported(best: Fit, smaller: Mapping[str, Fit]) -> list[str]:
     folds = [_refit(best, best, unseen) for unseen in _folds(best.problem, best.hypothesis)[0]]
     sure = {}
     for effect_id, rest in smaller.items():
-        pairs = [replace(fold, before=_seen_by(fold, rest)) for fold in folds]
+        pairs = [
+            replace(fold, before=fit(fold.after.problem, rest.hypothesis, rest.coordinates, steps=6)) for fold in folds
+        ]
         gain, error = _held_out_gain(pairs, best.problem)
         sure[effect_id] = gain / error if error > 0.0 else 0.0
     return sorted((i for i, z in sure.items() if z <= BEYOND), key=lambda i: sure[i])
-
-
-def _seen_by(fold: _Fold, found: Fit) -> Fit:
-    return fit(fold.after.problem, found.hypothesis, found.coordinates, steps=6)
 
 
 def _held_out_gain(folds: list[_Fold], problem: Problem) -> tuple[float, float]:
@@ -208,10 +187,12 @@ def _channel_gap(folds: list[_Fold], problem: Problem, channel: str) -> ChannelG
     return ChannelGap(before, after, problem.floor(channel))
 
 
-def _ratio(channels: list[tuple[float, float, float, float]]) -> float:
+def _shrink_of(channels: Iterable[ChannelGap]) -> float:
     """Return the shrink over channels, each in units of its noise."""
-    gap = sum(max(before - floor, 0.0) / sigma for before, _, floor, sigma in channels)
-    left = sum(max(after - floor, 0.0) / sigma for _, after, floor, sigma in channels)
+    gap = left = 0.0
+    for one in channels:
+        gap += max(one.rmse_before - one.noise_floor, 0.0) / one.noise_floor
+        left += max(one.rmse_after - one.noise_floor, 0.0) / one.noise_floor
     return float(np.clip(1.0 - left / gap, 0.0, 1.0)) if gap > 0 else 0.0
 
 
@@ -224,19 +205,20 @@ def _forecast(folds: list[_Fold], best: Fit) -> tuple[float, float, float]:
     """
     problem = best.problem
     is_clean = not structure(best).is_significant
-    rows, wide = [], []
-    for channel in _channels(problem):
-        floor = sigma = problem.floor(channel)
+    likely, pessimist = [], []
+    for channel in problem.scored_channels:
+        floor = problem.floor(channel)
         left = _left_over(best, channel)
         parted = _pooled(folds, problem, channel, [f.after.predicted - f.before.predicted for f in folds])
         spread = _pooled(folds, problem, channel, [_spread(f) for f in folds])
-        likely = 0.0 if is_clean else left
-        before = [float(np.sqrt(floor**2 + parted**2 + part**2)) for part in (likely, left)]
-        rows.append((before[0], float(np.sqrt(floor**2 + likely**2 + spread**2)), floor, sigma))
-        wide.append((before[1], float(np.sqrt(floor**2 + (1.6 * left) ** 2 + (2.0 * spread) ** 2)), floor, sigma))
-    predicted, pessimist = _ratio(rows), _ratio(wide)
+        unexplained = 0.0 if is_clean else left
+        before = [float(np.sqrt(floor**2 + parted**2 + part**2)) for part in (unexplained, left)]
+        likely.append(ChannelGap(before[0], float(np.sqrt(floor**2 + unexplained**2 + spread**2)), floor))
+        after = float(np.sqrt(floor**2 + (1.6 * left) ** 2 + (2.0 * spread) ** 2))
+        pessimist.append(ChannelGap(before[1], after, floor))
+    predicted = _shrink_of(likely)
     # One recording does not know its own forecast better than to 0.02.
-    margin = max(0.02, predicted - pessimist)
+    margin = max(0.02, predicted - _shrink_of(pessimist))
     return predicted, max(0.0, predicted - margin), min(1.0, predicted + margin)
 
 
@@ -246,7 +228,7 @@ def _left_over(best: Fit, channel: str) -> float:
     Where a measured force drives the chain its noise is part of it: nothing removes it on other samples either.
     """
     problem = best.problem
-    parts = [b.place for b in problem.blocks if b.channel == channel]
+    parts = [b.place for b in problem.blocks_of(channel)]
     error = np.concatenate([(problem.measured - best.predicted)[p] for p in parts]) / problem.floor(channel)
     # Below, one standard error is taken off: a right hypothesis leaves a mean square that scatters about 1.
     excess = float(np.mean(error**2)) - 1.0

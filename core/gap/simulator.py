@@ -139,7 +139,9 @@ class Simulator:
             with np.errstate(all="ignore"):
                 found = self.run(inputs, parameters)
         except Exception as error:
-            raise self._failed(f"{type(error).__name__}: {error}", parameters, _line_of(error, self._file)) from error
+            lines = [one.lineno for one in traceback.extract_tb(error.__traceback__) if one.filename == self._file]
+            line = f", line {lines[-1]}" if lines else ""
+            raise self._failed(f"{type(error).__name__}: {error}", parameters, line) from error
         out: dict[str, Array] = {}
         for channel in self.channels:
             if not isinstance(found, Mapping) or channel not in found:
@@ -166,12 +168,6 @@ class Simulator:
     def _failed(self, what: str, parameters: Mapping[str, float], line: str = "") -> SimulatorFailed:
         at = ", ".join(f"{name} = {value:.4g}" for name, value in parameters.items())
         return SimulatorFailed(f"simulator {self.name} ({self._file}{line}) fails: {what}; at {at}")
-
-
-def _line_of(error: Exception, file: str) -> str:
-    """Return the last line of the user's file that an error went through, empty where it did not."""
-    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
-    return f", line {lines[-1]}" if lines else ""
 
 
 def _elsewhere(flow: Flow, values: Sequence[float], state: Memory) -> None:

@@ -6,7 +6,7 @@ from softcal.core.gap import next_experiment
 from softcal.core.gap.fit import Fit
 from softcal.core.gap.named_causes import DiagnosisVerdict, GapPlace, RankedCause
 from softcal.core.gap.problem import Block
-from softcal.core.gap.residual import Regime, structure
+from softcal.core.gap.residual import Regime, shares_of_gap, structure
 from softcal.core.gap.search import EffectSearch
 from softcal.core.recording import Array
 from softcal.core.words.reason import Reason, reason
@@ -23,7 +23,8 @@ def places_of(
         return ()
     seen = regimes_of(search.base)
     everywhere = Reason("gap.regime.everywhere")
-    channel, regime = (seen[0].channel, seen[0].name) if seen else (_loudest(search.base), everywhere)
+    loudest = max(search.base.problem.scored_channels, key=lambda channel: structure(search.base, channel).z)
+    channel, regime = (seen[0].channel, seen[0].name) if seen else (loudest, everywhere)
     if verdict == "unknown":
         part, ids = float(np.clip(search.share(best), 0.0, 1.0)), best.hypothesis.ids
         nearest = Reason("gap.seen.no_candidate")
@@ -44,23 +45,13 @@ def places_of(
     return (*places, *lines)
 
 
-def _loudest(found: Fit) -> str:
-    """Return the channel with the most structure left."""
-    return max(found.problem.scored_channels, key=lambda channel: structure(found, channel).z)
-
-
 def regimes_of(found: Fit) -> list[Regime]:
     """Return the conditions in which the residual of a channel stands out, by share and lift, strongest first."""
     out = []
     for channel in found.problem.scored_channels:
-        blocks = [b for b in found.problem.blocks if b.channel == channel]
-        excess = np.concatenate([found.residual[b.place] ** 2 - 1.0 for b in blocks])
-        total = float(excess.sum())
-        if total <= 4 * np.sqrt(2 * len(excess)):
-            continue
-        for name, members in _conditions(found, blocks).items():
-            time_share = float(np.mean(members))
-            share = float(np.clip(excess[members].sum() / total, 0.0, 1.0)) if 0.01 < time_share < 0.95 else 0.0
+        blocks = found.problem.blocks_of(channel)
+        for name, part, time_share in shares_of_gap(found, blocks, _conditions(found, blocks)):
+            share = float(np.clip(part, 0.0, 1.0))
             if share > STANDS_OUT * time_share:
                 out.append(Regime(channel, name, share, share / time_share))
     return sorted(out, key=lambda r: -r.share * np.log(r.lift))

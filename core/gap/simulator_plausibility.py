@@ -12,7 +12,7 @@ import numpy as np
 
 from softcal.core.gap.case import Case
 from softcal.core.gap.fit import Fit
-from softcal.core.gap.plausibility import DataMistake, numbers
+from softcal.core.gap.plausibility import SAME_FACTOR, DataMistake, apart, numbers, of_sign, unit_of
 from softcal.core.gap.problem import Hypothesis
 from softcal.core.gap.simulator import Simulator, SimulatorRun
 from softcal.core.gap.simulator_problem import SimulatorProblem
@@ -28,7 +28,6 @@ class MistakeConfig:
     Args:
         good, bad: share of a channel that a base takes up where it agrees, and below which it does not.
         gain: ratio of one run to the others from which no effect but a wrong gain explains it.
-        same: factor up to which a ratio of one run to the others is that of a unit.
         apart: factor from which the steps of time of one run are none of jitter.
         stuck: share of samples on the largest or smallest value from which a channel may be cut off there.
         resting: share of samples that repeat the one before up to which a channel does not rest on steps.
@@ -38,7 +37,6 @@ class MistakeConfig:
     good: float = 0.9
     bad: float = 0.8
     gain: float = 2.0
-    same: float = 1.1
     apart: float = 5.0
     stuck: float = 0.01
     resting: float = 0.05
@@ -66,8 +64,21 @@ FACTORS: Mapping[str, float] = {
 
 def shown(simulator: Simulator, case: Case) -> tuple[DataMistake, ...]:
     """Return the mistakes that the columns of runs show by themselves: another unit of time, a channel that is dead."""
-    runs, number = _runs(case), numbers(case)
-    return (*_times(runs, number), *_dead(simulator, runs, number))
+    runs, number, found = _runs(case), numbers(case), []
+    steps_s = np.array([float(np.median(np.diff(run.t_s))) for run in runs])
+    for k, step_s in enumerate(steps_s) if len(runs) > 2 else ():
+        others = np.delete(steps_s, k)
+        ratio = float(np.median(others) / step_s)
+        is_apart = max(ratio, 1.0 / ratio) > CONFIG.apart and others.max() < SAME_FACTOR * others.min()
+        if is_apart and unit_of(ratio, FACTORS):
+            found.append(apart("t_s", number[k], ratio, FACTORS))
+    for channel in simulator.channels:
+        dead = tuple(n for n, run in zip(number, runs, strict=True) if np.ptp(run.columns[channel]) == 0.0)
+        if dead:
+            at = () if len(dead) == len(runs) else dead
+            evidence = reason("data.dead", channel=channel)
+            found.append(DataMistake("constant", channel, at, None, evidence, Reason("data.repair.dead")))
+    return tuple(found)
 
 
 def cut_off(simulator: Simulator, case: Case) -> tuple[DataMistake, ...]:
@@ -91,45 +102,27 @@ def against_others(base: Fit) -> tuple[DataMistake, ...]:
     if not isinstance(problem, SimulatorProblem) or _agreement(base) > CONFIG.good:
         return ()
     for pair in combinations((*problem.of.inputs, *problem.of.channels), 2):
-        runs = [_exchanged(run, *pair) for run in _runs(problem.case)]
+        one, other = pair
+        runs = [
+            replace(run, columns={**run.columns, one: run.columns[other], other: run.columns[one]})
+            for run in _runs(problem.case)
+        ]
         if _agreement(_fitted(problem, runs)) > CONFIG.good:
-            evidence = reason("data.swapped", one=pair[0], other=pair[1])
-            repair = reason("data.repair.swap", one=pair[0], other=pair[1])
+            evidence = reason("data.swapped", one=one, other=other)
+            repair = reason("data.repair.swap", one=one, other=other)
             return (DataMistake("swapped_columns", "+".join(pair), (), None, evidence, repair),)
-    if len(problem.case.runs) < 3:
-        return ()
-    return next(_one_against_others(problem), ())
+    runs, number = _runs(problem.case), numbers(problem.case)
+    for k, run in enumerate(runs) if len(runs) > 2 else ():
+        others = _fitted(problem, runs[:k] + runs[k + 1 :])
+        if _agreement(others) >= CONFIG.good:
+            mistake = next(_repaired(problem.of, others, run, number[k]), None)
+            if mistake is not None:
+                return (mistake,)
+    return ()
 
 
 def _runs(case: Case) -> list[SimulatorRun]:
     return [run for run in case.runs if isinstance(run, SimulatorRun)]
-
-
-def _exchanged(run: SimulatorRun, one: str, other: str) -> SimulatorRun:
-    return replace(run, columns={**run.columns, one: run.columns[other], other: run.columns[one]})
-
-
-def _times(runs: Sequence[SimulatorRun], number: Sequence[int]) -> Iterator[DataMistake]:
-    if len(runs) < 3:
-        return
-    steps_s = np.array([float(np.median(np.diff(run.t_s))) for run in runs])
-    for k, step_s in enumerate(steps_s):
-        others = np.delete(steps_s, k)
-        ratio = float(np.median(others) / step_s)
-        unit = _unit(ratio)
-        if unit and max(ratio, 1.0 / ratio) > CONFIG.apart and others.max() < CONFIG.same * others.min():
-            evidence = reason("data.run.apart", channel="t_s", ratio=1.0 / ratio)
-            yield _in_unit("t_s", number[k], unit, evidence)
-
-
-def _dead(simulator: Simulator, runs: Sequence[SimulatorRun], number: Sequence[int]) -> Iterator[DataMistake]:
-    for channel in simulator.channels:
-        still = [bool(np.ptp(run.columns[channel]) == 0.0) for run in runs]
-        dead = tuple(n for n, is_still in zip(number, still, strict=True) if is_still)
-        if dead:
-            evidence = reason("data.dead", channel=channel)
-            runs_told = () if len(dead) == len(runs) else dead
-            yield DataMistake("constant", channel, runs_told, None, evidence, Reason("data.repair.dead"))
 
 
 def _is_cut_off(values: Array, end: float) -> bool:
@@ -162,16 +155,6 @@ def _fitted(problem: SimulatorProblem, runs: Sequence[SimulatorRun]) -> Fit:
     return best_start(again, Hypothesis(of_all=problem.of.base), CONFIG.starts)
 
 
-def _one_against_others(problem: SimulatorProblem) -> Iterator[tuple[DataMistake, ...]]:
-    runs, number = _runs(problem.case), numbers(problem.case)
-    for k, run in enumerate(runs):
-        found = _fitted(problem, runs[:k] + runs[k + 1 :])
-        if _agreement(found) < CONFIG.good:
-            continue
-        for mistake in _repaired(problem.of, found, run, number[k]):
-            yield (mistake,)
-
-
 def _repaired(simulator: Simulator, others: Fit, run: SimulatorRun, number: int) -> Iterator[DataMistake]:
     """Give the repairs of one run after which it agrees with what the others say of it."""
     said = simulator.named(others.hypothesis, others.coordinates)
@@ -190,24 +173,6 @@ def _repaired(simulator: Simulator, others: Fit, run: SimulatorRun, number: int)
 
 
 def _of_factor(name: str, number: int, factor: float) -> DataMistake:
-    evidence = reason("data.run.apart", channel=name, ratio=1.0 / factor)
-    if abs(np.log(abs(factor))) < np.log(CONFIG.same) and factor < 0.0:
-        return DataMistake("sign", name, (number,), -1.0, evidence, reason("data.repair.sign", channel=name))
-    unit = _unit(factor)
-    if unit:
-        return _in_unit(name, number, unit, evidence)
-    repair = reason("data.repair.gain", channel=name, factor=factor)
-    return DataMistake("gain", name, (number,), factor, evidence, repair)
-
-
-def _in_unit(name: str, number: int, unit: str, evidence: Reason) -> DataMistake:
-    repair = reason("data.repair.unit", channel=name, factor=FACTORS[unit], unit=unit)
-    return DataMistake("unit_factor", name, (number,), FACTORS[unit], evidence, repair)
-
-
-def _unit(factor: float) -> str:
-    """Return the unit whose factor this is, empty where it is none."""
-    if factor <= 0.0:
-        return ""
-    near = min(FACTORS, key=lambda unit: abs(np.log(FACTORS[unit] / factor)))
-    return near if abs(np.log(FACTORS[near] / factor)) < np.log(CONFIG.same) else ""
+    if abs(np.log(abs(factor))) < np.log(SAME_FACTOR) and factor < 0.0:
+        return of_sign(name, number, reason("data.run.apart", channel=name, ratio=1.0 / factor))
+    return apart(name, number, factor, FACTORS)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from softcal.core.gap.case import Case, Mask, Run
 from softcal.core.gap.colour import ColourConfig, COMMON_STEP_s
@@ -16,7 +17,6 @@ from softcal.core.gap.scale import RigScale
 from softcal.core.gap.simulator import STRAIGHT, Simulator, SimulatorFailed, SimulatorRun
 from softcal.core.gap.simulator_terms import TermStep
 from softcal.core.recording import Array
-from softcal.core.twin.signals import compiled
 
 KNOWN = 200
 """Answers of a simulator that are kept."""
@@ -94,7 +94,7 @@ class SimulatorProblem(Problem):
         return 2
 
     def least_noise(self, channel: str) -> float:
-        return 1e-9 * max(float(np.ptp(self.measured[b.place])) for b in self.blocks if b.channel == channel)
+        return 1e-9 * max(float(np.ptp(self.measured[b.place])) for b in self.blocks_of(channel))
 
     def of_run(self, run: Run) -> Problem:
         case = Case(self.case.serial, (run,), is_planned=True)
@@ -192,11 +192,11 @@ class SimulatorProblem(Problem):
         """Return groups of (samples,) columns that a residual of a channel may follow: of inputs and channels."""
         signals = {name: [run.columns[name] for run in self._runs] for name in self.of.inputs if name != channel}
         for name in self.of.channels:
-            signals[name] = [predicted[b.place] for b in self.blocks if b.channel == name]
+            signals[name] = [predicted[b.place] for b in self.blocks_of(name)]
         out: dict[str, dict[str, Array]] = {}
         for name, parts in signals.items():
             low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)
-            for block in (b for b in self.blocks if b.channel == channel):
+            for block in self.blocks_of(channel):
                 signal = (2.0 * parts[block.run] - low - high) / max(high - low, 1e-300)
                 for kind, columns in columns_of(signal, self._runs[block.run], self._times_slower).items():
                     group = out.setdefault(f"{kind} of {name}", {})
@@ -209,7 +209,6 @@ class SimulatorProblem(Problem):
         return [run for run in self.case.runs if isinstance(run, SimulatorRun)]
 
 
-@compiled
 def shifted(values: Array, t_s: Array, delay_s: float, straight: float) -> Array:
     """Return (3, n) a channel as it is some time later, its rate of change, and straight lines less a curve.
 
@@ -219,34 +218,13 @@ def shifted(values: Array, t_s: Array, delay_s: float, straight: float) -> Array
         values: (n,) with n of 4 and more, at the times t_s.
         straight: how far it goes by straight lines from sample to sample; by a curve elsewhere.
     """
-    count, step, rise = len(values), np.diff(t_s), np.diff(values) / np.diff(t_s)
-    first, last = step[0] + step[1], step[-1] + step[-2]
-    upper, slope = np.empty(count), np.empty(count)
-    upper[0] = first / step[1]
-    slope[0] = ((step[0] + 2.0 * first) * step[1] * rise[0] + step[0] ** 2 * rise[1]) / first / step[1]
-    for k in range(1, count):
-        if k < count - 1:
-            below, middle, above = step[k], 2.0 * (step[k - 1] + step[k]), step[k - 1]
-            right = 3.0 * (step[k] * rise[k - 1] + step[k - 1] * rise[k])
-        else:
-            below, middle, above = last, step[-2], 0.0
-            right = (step[-1] ** 2 * rise[-2] + (2.0 * last + step[-1]) * step[-2] * rise[-1]) / last
-        pivot = middle - below * upper[k - 1]
-        upper[k], slope[k] = above / pivot, (right - below * slope[k - 1]) / pivot
-    for k in range(count - 2, -1, -1):
-        slope[k] -= upper[k] * slope[k + 1]
-    out = np.empty((3, count))
-    for k in range(count):
-        at_s = min(max(t_s[k] - delay_s, t_s[0]), t_s[-1])
-        i = min(np.searchsorted(t_s, at_s, side="right") - 1, count - 2)
-        x, wide = (at_s - t_s[i]) / step[i], step[i]
-        bend, turn = slope[i] - rise[i], slope[i + 1] - rise[i]
-        apart = -x * (1.0 - x) * wide * ((1.0 - x) * bend - x * turn)
-        faster = (1.0 - x) * (1.0 - 3.0 * x) * bend + x * (3.0 * x - 2.0) * turn
-        out[0, k] = values[i] + x * wide * rise[i] - (1.0 - straight) * apart
-        out[1, k] = rise[i] + (1.0 - straight) * faster if t_s[k] - delay_s > t_s[0] else 0.0
-        out[2, k] = apart
-    return out
+    curve, rise = CubicSpline(t_s, values), np.diff(values) / np.diff(t_s)
+    at_s = np.clip(t_s - delay_s, t_s[0], t_s[-1])
+    before = np.minimum(np.searchsorted(t_s, at_s, side="right") - 1, len(rise) - 1)
+    line = values[before] + (at_s - t_s[before]) * rise[before]
+    apart = line - curve(at_s)
+    rate = rise[before] + (1.0 - straight) * (curve(at_s, 1) - rise[before])
+    return np.array([line - (1.0 - straight) * apart, np.where(t_s - delay_s > t_s[0], rate, 0.0), apart])
 
 
 def followed(found: Fit, channel: str) -> list[Mapping[str, Array]]:

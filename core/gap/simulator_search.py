@@ -142,7 +142,7 @@ def base_fit(simulator: Simulator, case: Case) -> Fit:
         InputError: the simulator fails wherever it is tried.
     """
     problem = SimulatorProblem(case, dict.fromkeys(simulator.channels, 1.0), simulator=simulator)
-    spans = {c: [problem.measured[b.place] for b in problem.blocks if b.channel == c] for c in simulator.channels}
+    spans = {c: [problem.measured[b.place] for b in problem.blocks_of(c)] for c in simulator.channels}
     rough = {c: 0.02 * max(float(np.std(np.concatenate(parts))), 1e-12) for c, parts in spans.items()}
     hypothesis = Hypothesis(of_all=simulator.base)
     best = best_start(problem.with_noise(rough), hypothesis)

@@ -128,9 +128,9 @@ def terms_of(problem: "SimulatorProblem", predicted: Array) -> Iterator[Simulato
     runs = problem.case.runs
     longest_s = max(float(run.elapsed_s[-1]) for run in runs)
     signals = {name: [problem.recorded(k, name) for k in range(len(runs))] for name in problem.of.inputs}
-    signals |= {c: [predicted[b.place] for b in problem.blocks if b.channel == c] for c in problem.of.channels}
+    signals |= {c: [predicted[b.place] for b in problem.blocks_of(c)] for c in problem.of.channels}
     for place in problem.of.channels:
-        span = max(float(np.ptp(problem.measured[b.place])) for b in problem.blocks if b.channel == place)
+        span = max(float(np.ptp(problem.measured[b.place])) for b in problem.blocks_of(place))
         yield SimulatorTerm(place, TIME, "", 0.0, 0.0, 1.0, 1.0, 0.0, span)
         for name, parts in signals.items():
             low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)

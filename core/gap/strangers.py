@@ -10,21 +10,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from softcal.core.gap.ambiguity import RIVAL_LOG_ODDS
 from softcal.core.gap.candidates import Probe
-from softcal.core.gap.case import Case
 from softcal.core.gap.fit import Fit
 from softcal.core.gap.posterior import Yardstick
 from softcal.core.gap.residual import structure
-from softcal.core.gap.scale import RigScale
 from softcal.core.gap.screen import joined, screen
 from softcal.core.recording import Array
 from softcal.core.twin.effects import ChainStage, Effect, Flow, Hook, Memory, Parameter, Step
 from softcal.core.twin.signals import low_pass
 from softcal.core.words.reason import Reason
 
-LOG_ODDS = 5.0
 CLEAN_LOG_ODDS = 2.0
-"""Log evidence by which a stranger must beat the catalogue: where it leaves structure, and where it leaves none ..."""
+"""Log evidence by which a stranger must beat a catalogue that leaves no structure; one that leaves some must be no
+rival any more ..."""
 
 LEAST_GAIN = 12.0
 """... and by how much it must lower χ² besides, unless it stands for two causes more than itself: fewer parameters
@@ -129,7 +128,7 @@ def stranger(best: Fit, parents: Sequence[Fit], fits: Sequence[Fit]) -> Fit | No
     yardstick = Yardstick.of((*fits, *found))
     closest = max(found, key=yardstick.log_evidence)
     ahead = yardstick.log_evidence(closest) - yardstick.log_evidence(best)
-    is_decisive = ahead > (LOG_ODDS if structure(closest).is_significant else CLEAN_LOG_ODDS)
+    is_decisive = ahead > (RIVAL_LOG_ODDS if structure(closest).is_significant else CLEAN_LOG_ODDS)
     is_simpler = len(closest.hypothesis.ids) <= len(best.hypothesis.ids) - 2
     return closest if is_decisive and (is_simpler or closest.chi2 < best.chi2 - LEAST_GAIN) else None
 
@@ -140,13 +139,10 @@ def stranger_of(found: Fit) -> Stranger:
 
 
 def _grown(parent: Fit) -> list[Fit]:
-    leads = screen(parent, _probes(parent.problem.case, parent.problem.scale))[:1]
-    return [joined(parent, lead) for lead in leads]
-
-
-def _probes(case: Case, scale: RigScale) -> list[Probe]:
+    case, scale = parent.problem.case, parent.problem.scale
     is_warming = any(run.temperature_C is not None and np.ptp(run.temperature_C) > 0 for run in case.presses)
     felt = [one for one in STRANGERS if is_warming or not one.is_warming]
     seen = [one.effect for one in felt if one.effect.stage not in case.unseen_stages]
     seen += [WARM_DIVIDER.effect] if case.has_warmed_dummy else []
-    return [Probe(e, (scale.sized(e.parameters[0]).usual,), e.parameters[0].low == 0.0) for e in seen]
+    probes = [Probe(e, (scale.sized(e.parameters[0]).usual,), e.parameters[0].low == 0.0) for e in seen]
+    return [joined(parent, lead) for lead in screen(parent, probes)[:1]]

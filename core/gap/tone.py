@@ -35,6 +35,11 @@ class Tone:
     rms: float
     width_Hz: float
 
+    def is_same(self, other: "Tone") -> bool:
+        """Whether another tone, of another run for example, is this one."""
+        distance_Hz = abs(self.frequency_Hz - other.frequency_Hz)
+        return self.channel == other.channel and distance_Hz < self.width_Hz + other.width_Hz
+
 
 def strongest_tone(found: Fit) -> Tone | None:
     """Return the strongest tone of one frequency in the residuals of a channel; None where there is none.
@@ -43,12 +48,8 @@ def strongest_tone(found: Fit) -> Tone | None:
     """
     tones = [t for block in found.problem.blocks if (t := _tone(found, block)) is not None]
     alone = len(found.problem.case.presses) == 1
-    kept = [t for t in tones if alone or sum(_is_same(t, other) for other in tones) > 1]
+    kept = [t for t in tones if alone or sum(t.is_same(other) for other in tones) > 1]
     return max(kept, key=lambda tone: tone.rms, default=None)
-
-
-def _is_same(one: Tone, other: Tone) -> bool:
-    return one.channel == other.channel and abs(one.frequency_Hz - other.frequency_Hz) < one.width_Hz + other.width_Hz
 
 
 def _tone(found: Fit, block: Block) -> Tone | None:

@@ -9,7 +9,7 @@ from softcal.core.errors import InputError, UnitRefused
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
-from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import LotDesign
 from softcal.core.twin.simulate import Twin, simulate
 from softcal.core.twin.spread import LotSpread, draw_lot
@@ -119,16 +119,19 @@ def simulated_like(rig: PressedLot, twin: Twin, seed: int, spread: LotSpread | N
         rng, len(rig.units) + 1, twin.parameters, twin.metadata, twin.effects, spread or LotDesign().spread
     )
     units = tuple(
-        LotUnit(_pressed(own, u.recording, rng).unlabelled, _pressed(own, u.audit.unlabelled, rng))
+        LotUnit(pressed(own, u.recording, rng).unlabelled, pressed(own, u.audit.unlabelled, rng))
         for own, u in zip(twins[1:], rig.units, strict=True)
     )
-    return PressedLot(_pressed(twins[0], rig.source.unlabelled, rng), units)
+    return PressedLot(pressed(twins[0], rig.source.unlabelled, rng), units)
 
 
-def _pressed(twin: Twin, like: OutputRecording, rng: np.random.Generator) -> LabelledRecording:
+def pressed(
+    twin: Twin, like: OutputRecording, rng: np.random.Generator, temperature_C: Array | None = None
+) -> LabelledRecording:
+    """Return what a twin records when it is pressed along the stage positions of a recording."""
     if like.stage_mm is None:
         raise ValueError(f"{like.serial} has no stage position")
-    force_N, output_V = simulate(twin, like.t_s, like.stage_mm, rng)
+    force_N, output_V = simulate(twin, like.t_s, like.stage_mm, rng, temperature_C)
     return LabelledRecording(
         OutputRecording(like.serial, like.t_s, output_V, like.sample_rate_Hz, stage_mm=like.stage_mm), force_N
     )

@@ -10,11 +10,11 @@ from softcal.core.gap.case import Case, Run
 from softcal.core.gap.explained import explained_twin
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.start import base_fit
-from softcal.core.gap.transfer import NETWORK
+from softcal.core.gap.transfer import NETWORK, pressed
 from softcal.core.metrics import rmse
 from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.twin.simulate import Twin, simulate
+from softcal.core.twin.simulate import Twin
 
 FITTED_ON = 1
 """Recordings of the rig that the twins of a unit are fitted to; the lot's other units have told the causes."""
@@ -113,14 +113,8 @@ def _labelled(unit: str, run: Run) -> LabelledRecording:
 
 
 def _simulated(unit: str, twin: Twin, runs: Sequence[Run], seed: int) -> LabelledRecording:
-    rng, parts = np.random.default_rng(seed), []
-    for run in runs:
-        if run.stage_mm is None:
-            raise ValueError(f"{run.name} has no stage position")
-        force_N, output_V = simulate(twin, run.t_s, run.stage_mm, rng, run.temperature_C)
-        output = OutputRecording(unit, run.t_s, output_V, run.readout.sample_rate_Hz, stage_mm=run.stage_mm)
-        parts.append(LabelledRecording(output, force_N))
-    return _joined(unit, parts)
+    rng = np.random.default_rng(seed)
+    return _joined(unit, [pressed(twin, _labelled(unit, run).unlabelled, rng, run.temperature_C) for run in runs])
 
 
 def _joined(unit: str, parts: Sequence[LabelledRecording]) -> LabelledRecording:

@@ -61,8 +61,12 @@ def _exchanged(readings: Readings, rules: ReleaseConfig) -> Doubts:
             shown = float(np.quantile(np.abs(np.subtract(moved, usual)), 0.75)) / 1.15
             spread = max(shown, rules.least_rest * min(one.span for one in pair))
             far = (rules.exchanged * spread) ** 2
-            swapped = ((pair[0], pair[1]), (pair[1], pair[0]))
-            if all(_nearer(own, other, usual) > far for own, other in swapped):
+            # By how much, squared, each audit rests nearer to where the other unit does than to its own.
+            nearer = [
+                (_moved(own) - usual) ** 2 - (own.audit_rest - other.unit_rest - usual) ** 2
+                for own, other in (pair, pair[::-1])
+            ]
+            if min(nearer) > far:
                 for own, name in zip(pair, (second, first), strict=True):
                     serial = first if name == second else second
                     found[serial] = reason("doubt.exchanged", other=name, rest=own.audit_rest, unit_rest=own.unit_rest)
@@ -71,11 +75,6 @@ def _exchanged(readings: Readings, rules: ReleaseConfig) -> Doubts:
 
 def _moved(reading: AuditReading) -> float:
     return reading.audit_rest - reading.unit_rest
-
-
-def _nearer(own: AuditReading, other: AuditReading, usual: float) -> float:
-    """Return by how much, squared, an audit rests nearer to where another unit does than to its own."""
-    return (_moved(own) - usual) ** 2 - (own.audit_rest - other.unit_rest - usual) ** 2
 
 
 def _out_of_line(readings: Readings, rules: ReleaseConfig) -> Doubts:

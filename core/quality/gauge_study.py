@@ -12,9 +12,8 @@ from softcal.core.errors import InputError
 from softcal.core.recording import Array
 
 K1 = {2: 0.8862, 3: 0.5908}
-K2 = {2: 0.7071, 3: 0.5231}
-K3 = dict(zip(range(2, 11), (0.7071, 0.5231, 0.4467, 0.4030, 0.3742, 0.3534, 0.3375, 0.3249, 0.3146), strict=True))
-"""1 / d2* for trials, appraisers and parts (AIAG MSA, 4th edition, Appendix C)."""
+K2 = dict(zip(range(2, 11), (0.7071, 0.5231, 0.4467, 0.4030, 0.3742, 0.3534, 0.3375, 0.3249, 0.3146), strict=True))
+"""1 / d2* for trials, and for appraisers and parts, of which there is one range (AIAG MSA, 4th ed., Appendix C)."""
 
 POOLING_ALPHA = 0.05
 """An interaction less significant than this is counted as repeatability, as Minitab does."""
@@ -118,7 +117,7 @@ def study_by_ranges(measured: Array) -> GaugeStudy:
         InputError: another size, a value that is not finite, or no variation at all.
     """
     parts, appraisers, trials = _checked(measured)
-    if parts not in K3 or appraisers not in K2 or trials not in K1:
+    if parts not in K2 or appraisers not in K1 or trials not in K1:
         raise InputError(
             f"{parts} units, {appraisers} stations, {trials} trials: the average and range method is tabulated for "
             "2 to 10 units, 2 or 3 stations and 2 or 3 trials; use ANOVA"
@@ -131,7 +130,7 @@ def study_by_ranges(measured: Array) -> GaugeStudy:
         repeatability=repeatability,
         reproducibility=float(reproducibility),
         interaction=0.0,
-        parts=float(np.ptp(measured.mean((1, 2)))) * K3[parts],
+        parts=float(np.ptp(measured.mean((1, 2)))) * K2[parts],
     )
 
 

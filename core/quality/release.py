@@ -185,7 +185,7 @@ def release(
     while (passing := int(np.count_nonzero(needed[:count] * factor <= 1))) < count:
         count = passing
         if count < least:
-            return PromisedRelease((), factor, ratios, considered, promise, 1.0, 1.0)
+            break
         factor = ratios.bound(replace(promise, risk=promise.risk * count / considered), rules)
     if count < least:
         return PromisedRelease((), factor, ratios, considered, promise, 1.0, 1.0)

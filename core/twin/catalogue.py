@@ -6,7 +6,7 @@ from types import MappingProxyType
 from softcal.core.errors import InputError
 from softcal.core.plugins import PluginKind
 from softcal.core.twin import acquisition, electronics, load_cell, mechanics, motion, transduction
-from softcal.core.twin.effects import Effect
+from softcal.core.twin.effects import Effect, Form
 
 OWN_EFFECTS: Mapping[str, Effect] = MappingProxyType(
     {
@@ -24,6 +24,9 @@ PLUGINS = PluginKind[Effect](
 
 EFFECTS: Mapping[str, Effect] = MappingProxyType(PLUGINS.beside(OWN_EFFECTS))
 """Every effect that a diagnosis can name, by identifier."""
+
+FORMS: Mapping[str, tuple[Form, ...]] = MappingProxyType({e.id: e.forms for e in EFFECTS.values() if e.forms})
+"""Other realisations of causes: what a rig may show instead of the catalogue's equation; none of a cause not here."""
 
 
 def effect(effect_id: str) -> Effect:

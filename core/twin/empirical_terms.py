@@ -130,10 +130,6 @@ def _remembered(tau_s: float) -> Column:
     return column
 
 
-def _times_load(column: Column) -> Column:
-    return lambda flow, state, span: _load(flow, state, span) * column(flow, state, span)
-
-
 def _product(one: Column, other: Column) -> Column:
     return lambda flow, state, span: one(flow, state, span) * other(flow, state, span)
 
@@ -148,7 +144,7 @@ def _variables() -> Mapping[str, Variable]:
         "T": Variable("K", _rise, "temperature_C"),
         **{f"memory(load, {tau_s:g} s)": Variable("", _remembered(tau_s)) for tau_s in MEMORY_s},
     }
-    loaded = {f"load·{name}": Variable(v.unit, _times_load(v.column), v.needs) for name, v in plain.items()}
+    loaded = {f"load·{name}": Variable(v.unit, _product(_load, v.column), v.needs) for name, v in plain.items()}
     others = {
         "load": Variable("", _load),
         "load²": Variable("", _power(2)),

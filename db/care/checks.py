@@ -208,9 +208,21 @@ def schema_faults(connection: Connection) -> Iterator[str]:
         yield f"schema: {' '.join(str(part) for part in what[:3])[:160]} is not as this version makes it"
 
 
+TRIGGERS = {
+    "sqlite": "SELECT name, sql FROM sqlite_master WHERE type = 'trigger'",
+    "postgresql": "SELECT t.tgname, c.relname || ' ' || p.proname || ' ' || t.tgtype || ' ' || "
+    "CAST(t.tgenabled AS text) || ' ' || "
+    "md5(regexp_replace(p.prosrc, '\\s+', ' ', 'g')) FROM pg_trigger t JOIN pg_class c ON c.oid = t.tgrelid "
+    "JOIN pg_proc p ON p.oid = t.tgfoid JOIN pg_namespace n ON n.oid = c.relnamespace "
+    "WHERE NOT t.tgisinternal AND n.nspname = 'public'",
+}
+"""Names of triggers with what they do, by database."""
+
+
 def trigger_faults(connection: Connection) -> Iterator[str]:
     """Give a line for every table whose rows can be changed because its triggers are gone, off, or others."""
-    found = _sqlite_triggers(connection) if connection.dialect.name == "sqlite" else _postgresql_triggers(connection)
+    rows = connection.execute(text(TRIGGERS[connection.dialect.name]))
+    found = {name: " ".join(str(definition).split()) for name, definition in rows}
     for table in APPEND_ONLY:
         wanted = append_only.triggers_of(table, connection.dialect.name)
         for name, definition in wanted.items():
@@ -220,22 +232,6 @@ def trigger_faults(connection: Connection) -> Iterator[str]:
                 yield f"trigger {name}: is not the one that was made; rows of {table} can be changed"
     for name in found:
         yield f"trigger {name}: was put in; softcal made no such trigger"
-
-
-def _sqlite_triggers(connection: Connection) -> dict[str, str]:
-    rows = connection.exec_driver_sql("SELECT name, sql FROM sqlite_master WHERE type = 'trigger'").all()
-    return {name: " ".join(str(sql).split()) for name, sql in rows}
-
-
-def _postgresql_triggers(connection: Connection) -> dict[str, str]:
-    query = text(
-        "SELECT t.tgname, c.relname || ' ' || p.proname || ' ' || t.tgtype || ' ' || "
-        "CAST(t.tgenabled AS text) || ' ' || "
-        "md5(regexp_replace(p.prosrc, '\\s+', ' ', 'g')) FROM pg_trigger t JOIN pg_class c ON c.oid = t.tgrelid "
-        "JOIN pg_proc p ON p.oid = t.tgfoid JOIN pg_namespace n ON n.oid = c.relnamespace "
-        "WHERE NOT t.tgisinternal AND n.nspname = 'public'"
-    )
-    return {name: definition for name, definition in connection.execute(query)}
 
 
 def origin_faults(connection: Connection) -> Iterator[str]:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, cast
 
-from sqlalchemy import RowMapping, bindparam, select
+from sqlalchemy import bindparam, select
 
 from softcal.core.errors import InputError
 from softcal.db.entries import RecordingEntry
@@ -66,7 +65,15 @@ class RecordingTables(RegistryBase):
             if row is None:
                 raise InputError(f"recording {sha256[:12]} is not in the registry")
             self._check_row(connection, recordings, row)
-            return _recording(row, cast("dict[str, Array]", get_arrays(connection, row["blob_sha256"])))
+            arrays = cast("dict[str, Array]", get_arrays(connection, row["blob_sha256"]))
+            # Whoever lists units reads none.
+            from softcal.core.recording import LabelledRecording, OutputRecording
+
+            facts = (row["sample_rate_Hz"], row["output_unit"], arrays.get("stage_mm"))
+            unlabelled = OutputRecording(row["serial"], arrays["t_s"], arrays["output"], *facts)
+            if "reference" not in arrays:
+                return unlabelled
+            return LabelledRecording(unlabelled, arrays["reference"], row["reference_unit"])
 
     def of_lot(self, lot_id: str, serial: str | None = None, kind: str | None = None) -> list[RecordingEntry]:
         """Return what is known of a lot's recordings, oldest first, without reading their samples."""
@@ -75,14 +82,3 @@ class RecordingTables(RegistryBase):
         query = query if kind is None else query.where(recordings.c.kind == kind)
         query = query.order_by(recordings.c.added_at, recordings.c.sha256)
         return [of_row(RecordingEntry, row) for row in self.database.rows(query)]
-
-
-def _recording(row: RowMapping, arrays: Mapping[str, Array]) -> Recording:
-    # Whoever lists units reads none.
-    from softcal.core.recording import LabelledRecording, OutputRecording
-
-    facts = (row["sample_rate_Hz"], row["output_unit"], arrays.get("stage_mm"))
-    unlabelled = OutputRecording(row["serial"], arrays["t_s"], arrays["output"], *facts)
-    if "reference" not in arrays:
-        return unlabelled
-    return LabelledRecording(unlabelled, arrays["reference"], row["reference_unit"])

@@ -34,11 +34,10 @@ from softcal.core.challenge.protocols import PROTOCOLS
 from softcal.core.gap import plausibility
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
-from softcal.core.gap.forms import FORMS
 from softcal.core.gap.next_experiment import SET_UP_min
 from softcal.core.gap.strangers import STRANGERS, WARM_DIVIDER
 from softcal.core.orders import RunState
-from softcal.core.twin.catalogue import OWN_EFFECTS
+from softcal.core.twin.catalogue import FORMS, OWN_EFFECTS
 from softcal.core.twin.effects import Alias
 from softcal.core.twin.empirical_terms import VARIABLES
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata

@@ -14,9 +14,10 @@ from softcal.core.challenge.judge import Judged, read_answer
 from softcal.core.challenge.mistakes import Mistake
 from softcal.core.challenge.realised import BASE, PER_RUN, realised_shrink
 from softcal.core.challenge.rig import Cause
-from softcal.core.challenge.score import calibration_error, score_reports, wilson
+from softcal.core.challenge.score import calibration_error, score_reports
 from softcal.core.challenge.seal import Label
 from softcal.core.errors import InputError
+from softcal.core.quality.yields import wilson
 
 
 def report(

@@ -14,11 +14,10 @@ from softcal.core.gap.diagnosis import diagnose
 from softcal.core.gap.episodes import with_intervals, with_line, with_losses
 from softcal.core.gap.explained import explained_twin, in_catalogue_form, with_constants
 from softcal.core.gap.fit import fit
-from softcal.core.gap.forms import FORMS
 from softcal.core.gap.problem import Hypothesis
 from softcal.core.gap.residual import structure
 from softcal.core.gap.start import base_fit
-from softcal.core.twin.catalogue import EFFECTS
+from softcal.core.twin.catalogue import EFFECTS, FORMS
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.record import twin_from_record, twin_record
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate
