@@ -337,6 +337,8 @@ class DriftTracker:
         stands = min(abs(moved), abs(moved - crept)) <= max(config.floor[0], config.rest_sigmas * activity.rest_scatter)
         if stands or now.trust.is_lighter(activity, now.filter.drift, step):
             now.unresolved = 0.0
+            if not stands:
+                now.stray = max(now.stray, math.sqrt(1 - self._method.trust.use_share) * abs(moved))
             if self._is_improved and len(now.jumps) == config.most and self._learner.learn(now, now.jumps):
                 now.jumps.clear()
             return self._held(cycle, USE_CHANGED if stands else PRELOAD_GONE, index)
@@ -393,7 +395,7 @@ class DriftTracker:
         was_known, now.was_known, now.unresolved = now.was_known, False, 0.0
         # A shift that may have come in use nobody compared is in doubt for every use that is learnt from it. A gain is
         # not: the next cycle within reach, of a larger or a smaller use, would be taken for one.
-        unseen = self._method.doubt.unseen**2 * cycle.duration_s / self._use.duration_s
+        unseen = self._method.drift.unseen**2 * cycle.duration_s / self._use.duration_s
         now.filter = now.filter.moved(np.diag([unseen, 0.0]))
         # A sensor re-seated in the midst of a cycle gives it another shape.
         if was_known and is_like_but_for_shape(cycle, now.activities[now.latest], now.filter.drift, self._method.jump):

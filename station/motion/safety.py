@@ -99,12 +99,17 @@ class JumpWatch:
         self._last_N: float | None = None
         self._moved_s = 0.0
 
-    def check(self, force_N: float, is_moving: bool, now_s: float) -> None:
-        """Raise `BadReply` when one sample differs from the one before by what no unit at rest can do."""
+    def check(self, force_N: float, is_moving: bool, now_s: float, latest_s: float) -> None:
+        """Raise `BadReply` when one sample differs from the one before by what no unit at rest can do.
+
+        Args:
+            latest_s: how late the sample may be: so long ago the stage must have stood, too.
+        """
         if is_moving:
             self._moved_s = now_s
         last_N, self._last_N = self._last_N, force_N
-        if last_N is not None and now_s - self._moved_s > LASTS_S and abs(force_N - last_N) > SUDDEN_N:
+        has_stood = now_s - self._moved_s > LASTS_S + latest_s
+        if last_N is not None and has_stood and abs(force_N - last_N) > SUDDEN_N:
             raise BadReply(reason("rig.jump", before_N=last_N, after_N=force_N))
 
 

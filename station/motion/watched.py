@@ -305,7 +305,7 @@ class WatchedBench:
         if StageWatch.FOLLOW in on:
             self._follow_watch.check(newton - self._force_watch.zero_N, self.pressed_mm(self.late_s), sample.host_s)
         if StageWatch.JUMP in on:
-            self._jump_watch.check(newton, self.bench.stage.is_moving, sample.host_s)
+            self._jump_watch.check(newton, self.bench.stage.is_moving, sample.host_s, self.latest_s)
 
     def _check_free(self, force_N: float) -> None:
         touch_N, free_N = self.bench.config.fixture.touch_N, self.known.free_N or 0.0

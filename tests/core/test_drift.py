@@ -447,7 +447,7 @@ def test_a_drift_that_came_in_use_nobody_compared_is_not_sure() -> None:
     seen = observe(tracker, presses(300.0, seed=5, power=8.0), use, 400.0)
     assert {one.verdict for one in seen[1:]} == {HELD}
     assert seen[0].shift_sd < 0.1
-    assert seen[-1].shift_sd > UseMethod().doubt.unseen
+    assert seen[-1].shift_sd > UseMethod().drift.unseen
 
 
 def test_predicted_error_grows_with_use_that_says_nothing() -> None:
