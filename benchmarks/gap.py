@@ -33,8 +33,7 @@ from softcal.core.challenge.score import POOR, ScoreSheet, score_reports
 from softcal.core.challenge.seal import Label
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import diagnose
-from softcal.core.metrics import finite_or_none
-from softcal.core.quality.yields import wilson
+from softcal.core.metrics import finite_or_none, wilson
 from softcal.core.twin.parameters import ReadoutMetadata
 
 TABLES = ("lines", "detection", "sureness", "experiments", "speed", "residual", "forms")

@@ -465,7 +465,7 @@ def print_table(mutants: Sequence[Mutant], keep: Path) -> None:
         fast, long = [noticed.get(name) == "fast" for name in of_room], [by_long[n] for n in of_room if n in by_long]
         print(f"| {room} | {len(fast)} | {sum(fast)} | {len(long)} | {sum(long)} |")
     if by_long:
-        from softcal.core.quality.yields import wilson
+        from softcal.core.metrics import wilson
 
         fast = sum(noticed.get(name) == "fast" for name in mine)
         low, high = (share * (len(mine) - fast) for share in wilson(sum(by_long.values()), len(by_long)))

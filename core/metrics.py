@@ -1,4 +1,4 @@
-"""Error figures of an estimate beside its reference."""
+"""Error figures of an estimate beside its reference, and the interval of a share."""
 
 import numpy as np
 
@@ -19,3 +19,14 @@ def rmse(estimate: Array, reference: Array) -> float:
     """
     error = (estimate - reference)[np.isfinite(estimate) & np.isfinite(reference)]
     return float(np.sqrt(np.mean(error**2))) if len(error) else float("nan")
+
+
+def wilson(count: int, of: int) -> tuple[float, float]:
+    """Return the 95 % interval of a share after Wilson (1927); from 0 to 1 without a case."""
+    # Who needs an error figure alone does not wait for scipy.stats.
+    from scipy.stats import binomtest
+
+    if not of:
+        return 0.0, 1.0
+    found = binomtest(count, of).proportion_ci(0.95, method="wilson")
+    return float(found.low), float(found.high)

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from softcal.core.challenge.judge import Judged, read_answer
 from softcal.core.challenge.seal import Label
 from softcal.core.errors import InputError
-from softcal.core.metrics import finite_or_none
-from softcal.core.quality.yields import wilson
+from softcal.core.metrics import finite_or_none, wilson
 
 POOR = ("one_run", "one_speed", "no_load_cell", "no_stage", "ten_bit")
 STATED_EDGES = (0.05, 0.2, 0.5, 0.8, 0.95, 1.0)

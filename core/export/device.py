@@ -36,7 +36,7 @@ from softcal.core.export.integer_network import (
     IntegerNetwork,
     Integers,
 )
-from softcal.core.export.limits import BANDS, Limits, limits_of
+from softcal.core.export.limits import Limits, limits_of, reach_by_band
 from softcal.core.export.loader import join, run_self_test
 from softcal.core.export.quantise import code_range, evaluate_float64, quantise_map, quantise_network
 from softcal.core.maps.anchors import SourceLevels
@@ -218,7 +218,8 @@ def _build(
             f"{limit:.3g} is allowed; give the converter's own scale, or calibrate with another map"
         )
     code_min, code_max = code_range(scale, facts.recording.output)
-    out_min, out_max = _clamps(counts)
+    # Estimates seen on the unit's recording, and a quarter of their span beyond on both sides.
+    margin = int(np.ptp(counts)) // 4 + 1
     file = UnitFile(
         serial=facts.serial,
         network_id=network_file.id,
@@ -229,8 +230,8 @@ def _build(
         scale=scale,
         code_min=code_min,
         code_max=code_max,
-        out_min=out_min,
-        out_max=out_max,
+        out_min=max(-ACTIVATION_MAX, int(counts.min()) - margin),
+        out_max=min(ACTIVATION_MAX, int(counts.max()) + margin),
         bands=_bands(counts, exact, facts, error, 10.0**integers.output_exponent),
         self_tests=_self_tests(integers, device_map, code_min, code_max),
         adapt=_anchors(device_map, codes),
@@ -276,28 +277,12 @@ def _check_scale(scale: InputScale, facts: UnitFacts) -> None:
         )
 
 
-def _clamps(counts: Integers) -> tuple[int, int]:
-    """Estimates seen on the unit's recording, and a quarter of their span beyond on both sides."""
-    margin = int(np.ptp(counts)) // 4 + 1
-    return (
-        max(-ACTIVATION_MAX, int(counts.min()) - margin),
-        min(ACTIVATION_MAX, int(counts.max()) + margin),
-    )
-
-
 def _bands(counts: Integers, exact: Array, facts: UnitFacts, error: Array, count: float) -> tuple[Band, ...]:
     """The 90 % interval by level of the estimate: per band its mean reach, and the device's own error on top."""
     own = float(np.quantile(np.abs(error), COVERAGE))
-    edges = np.linspace(counts.min(), counts.max(), BANDS + 1)[1:-1]
-    band = np.searchsorted(edges, counts, side="left")
-    bands = []
-    for k in range(BANDS):
-        here = band == k if (band == k).any() else np.ones(len(counts), dtype=bool)
-        minus = float(np.mean(exact[here] - facts.lower[here])) + own
-        plus = float(np.mean(facts.upper[here] - exact[here])) + own
-        level = int(edges[k]) if k < BANDS - 1 else ACTIVATION_MAX
-        bands.append(Band(level, *(int(np.clip(np.ceil(side / count), 0, CODE_MAX)) for side in (minus, plus))))
-    return tuple(bands)
+    levels, *reach = reach_by_band(counts, exact - facts.lower, facts.upper - exact)
+    minus, plus = (np.clip(np.ceil((side + own) / count), 0, CODE_MAX).astype(int).tolist() for side in reach)
+    return tuple(map(Band, (*map(int, levels), ACTIVATION_MAX), minus, plus))
 
 
 def _self_tests(network: IntegerNetwork, device_map: DeviceMap, code_min: int, code_max: int) -> tuple[SelfTest, ...]:

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from softcal.core.export.blob import MAX_BANDS
 from softcal.core.export.compile_map import InputScale
+from softcal.core.export.integer_network import Integers
 from softcal.core.export.quantise import code_range
 from softcal.core.recording import Array
-
-BANDS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,15 +42,23 @@ def limits_of(exact: Array, lower: Array, upper: Array, output: Array, scale: In
     """
     code_min, code_max = code_range(scale, output)
     low, high, margin = float(exact.min()), float(exact.max()), float(np.ptp(exact)) / 4
-    levels = np.linspace(low, high, BANDS + 1)[1:-1]
-    band = np.searchsorted(levels, exact, side="left")
-    here = [band == k if (band == k).any() else np.ones(len(exact), dtype=bool) for k in range(BANDS)]
     return Limits(
         scale.zero + scale.lsb * (code_min - 0.5),
         scale.zero + scale.lsb * (code_max + 0.5),
         low - margin,
         high + margin,
-        levels,
-        np.array([np.mean((exact - lower)[rows]) for rows in here]),
-        np.array([np.mean((upper - exact)[rows]) for rows in here]),
+        *reach_by_band(exact, exact - lower, upper - exact),
     )
+
+
+def reach_by_band(estimate: Array | Integers, below: Array, above: Array) -> tuple[Array, Array, Array]:
+    """Return levels between `MAX_BANDS` bands of an estimate, and its mean reach below and above in each.
+
+    Args:
+        estimate, below, above: (m,), the reach in any unit; a band without an estimate has that of all.
+    """
+    levels = np.linspace(estimate.min(), estimate.max(), MAX_BANDS + 1)[1:-1]
+    band = np.searchsorted(levels, estimate, side="left")
+    here = [band == k if (band == k).any() else np.ones(len(estimate), dtype=bool) for k in range(MAX_BANDS)]
+    minus, plus = (np.array([np.mean(reach[rows]) for rows in here]) for reach in (below, above))
+    return levels, minus, plus

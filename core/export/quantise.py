@@ -1,7 +1,6 @@
 """From real numbers to the integers of the end device: the network row by row, the map, the scales."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -111,31 +110,21 @@ def quantise_layer(weights: Array, bias: Array, scale_in: Array, scale_out: Arra
     """
     per_count = weights * scale_in
     rows = [_quantise_row(w, float(b), float(s)) for w, b, s in zip(per_count, bias, scale_out, strict=True)]
-    fields = ("weights", "bias", "multiplier", "shift1", "shift2")
     try:
-        return IntegerLayer(**{name: np.array([getattr(r, name) for r in rows], dtype=np.int64) for name in fields})
+        return IntegerLayer(*(np.array(column, dtype=np.int64) for column in zip(*rows, strict=True)))
     except ValueError as error:
         raise UnitRefused(f"no integer form without overflow: {error}; train the network again") from error
 
 
-@dataclass(frozen=True)
-class _Row:
-    weights: list[int]
-    bias: int
-    multiplier: int
-    shift1: int
-    shift2: int
-
-
-def _quantise_row(weights: Array, bias: float, scale_out: float) -> _Row:
-    """Quantise one row; `weights` are in real units per input count."""
+def _quantise_row(weights: Array, bias: float, scale_out: float) -> tuple[list[int], int, int, int, int]:
+    """Return weights, bias, multiplier and both shifts of one row; `weights` are in real units per input count."""
     largest = float(np.abs(weights).max(initial=0.0))
     # Rounding may add half a step for every weight, and the bias carries the rounding of the first shift.
     # The finest step that can still not overflow: steps are chosen by the proof, not by trial.
     budget = ACCUMULATOR_MAX - len(weights) * ACTIVATION_MAX - 2**16
     reach = float(np.abs(weights).sum()) * ACTIVATION_MAX + abs(bias)
     if reach == 0.0:
-        return _Row([0] * len(weights), 0, MULTIPLIER_MIN, 0, 14)
+        return [0] * len(weights), 0, MULTIPLIER_MIN, 0, 14
     # Either the largest weight or the sum of all of them sets the step.
     step = max(largest / ACTIVATION_MAX, reach / budget)
     integers = [round(float(w) / step) for w in weights]
@@ -144,7 +133,7 @@ def _quantise_row(weights: Array, bias: float, scale_out: float) -> _Row:
     shift1 = max(0, bound.bit_length() - REDUCED_BITS)
     multiplier, shift2 = _as_multiplier(step / scale_out * 2.0**shift1)
     half = 2 ** (shift1 - 1) if shift1 else 0  # turns the floor of the first shift into rounding
-    return _Row(integers, integer_bias + half, multiplier, shift1, shift2)
+    return integers, integer_bias + half, multiplier, shift1, shift2
 
 
 def _as_multiplier(factor: float) -> tuple[int, int]:

@@ -36,7 +36,7 @@ from softcal.core.gap.start import unfitted
 from softcal.core.gap.strangers import stranger_of
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS, OWN_EFFECTS
-from softcal.core.twin.effects import Alias, Parameter
+from softcal.core.twin.effects import Alias
 from softcal.core.twin.empirical_terms import EmpiricalTerm
 from softcal.core.twin.mechanics import elastic_force_at
 from softcal.core.twin.record import twin_record
@@ -93,10 +93,13 @@ class Diagnosis(GapDiagnosis[EmpiricalTerm]):
     @property
     def on_bound(self) -> dict[str, float]:
         """Base parameters that the fit left on a bound, with their value: most often the recordings are to blame."""
-        values = {p: getattr(self.named.base, p.name) for p in BASE}
-        free = dict(zip(BASE, self.named.problem.is_free, strict=True))
-        sized = self.named.problem.scale.sized
-        return {p.name: v for p, v in values.items() if free[p] and _is_on_bound(sized(p), v)}
+        stuck = {}
+        for p, is_free in zip(BASE, self.named.problem.is_free, strict=True):
+            value, own = getattr(self.named.base, p.name), self.named.problem.scale.sized(p)
+            near = 1e-9 * own.usual
+            if is_free and any(math.isclose(value, end, rel_tol=1e-9, abs_tol=near) for end in (own.low, own.high)):
+                stuck[p.name] = value
+        return stuck
 
     @property
     def offsets(self) -> list[Offsets]:
@@ -227,11 +230,6 @@ def _stopped(base: Fit, found: tuple[DataMistake, ...]) -> Diagnosis:
         next_experiment=NextExperiment("none", several([one.repair for one in found])),
         mistakes=found,
     )
-
-
-def _is_on_bound(parameter: Parameter, value: float) -> bool:
-    near = 1e-9 * parameter.usual
-    return any(math.isclose(value, end, rel_tol=1e-9, abs_tol=near) for end in (parameter.low, parameter.high))
 
 
 def _places(

@@ -17,7 +17,7 @@ from softcal.core.gap.floor import projected
 from softcal.core.gap.linear import dots
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS
-from softcal.core.twin.effects import Effect, Parameter
+from softcal.core.twin.effects import Effect
 from softcal.core.twin.mechanics import elastic_force_at
 
 
@@ -72,7 +72,9 @@ def _directions(found: Fit, effect: Effect) -> Iterator[Array]:
     for k, parameter in () if EFFECTS[effect.id].belongs_to_run else shapes:
         for ratio in CONFIG.ratios:
             moved = found.coordinates.copy()
-            moved[k] = _moved(parameter, moved[k], ratio)
+            value = from_fit(parameter, moved[k])
+            if np.isfinite(value) and value != 0.0:
+                moved[k] = to_fit(parameter, float(np.clip(ratio * value, parameter.low, parameter.high)))
             if moved[k] != found.coordinates[k]:
                 yield problem.predict(found.hypothesis, moved) - found.predicted
     without, left = found.hypothesis.without(effect.id)
@@ -81,13 +83,6 @@ def _directions(found: Fit, effect: Effect) -> Iterator[Array]:
     # A delay that grows with time is a rate, a cause of its own.
     for course in of_load if effect.signs.clock is not None else of_load + of_time:
         yield signature * course
-
-
-def _moved(parameter: Parameter, coordinate: float, ratio: float) -> float:
-    value = from_fit(parameter, coordinate)
-    if not np.isfinite(value) or value == 0.0:
-        return coordinate
-    return to_fit(parameter, float(np.clip(ratio * value, parameter.low, parameter.high)))
 
 
 def _courses(found: Fit) -> tuple[list[Array], list[Array]]:

@@ -198,9 +198,16 @@ class _Rows:
         rows = [scale * row for scale, row in zip(scales, bare.jacobian, strict=True)]
         names = [p.name for p in found.hypothesis.of_all]
         kept = [k for k, row in enumerate(rows) if row.any()]
-        own, kinds = _own(problem, bare)
+        own: list[Array] = []
+        kinds: tuple[int, ...] = ()
+        if len(problem.largest_offsets):
+            own, kinds = own_rows(problem, problem.directions(found.hypothesis, bare.coordinates, bare.predicted, {}))
         causes = {e.id: _changes(bare, e) for e in effects}
-        every = [*(rows[k] for k in kept), *own, *(row for pair in causes.values() for row in pair)]
+        every = [
+            *(rows[k] for k in kept),
+            *map(problem.whitened, own),
+            *(row for pair in causes.values() for row in pair),
+        ]
         stacked = np.array(every).reshape(len(every), len(problem.measured))
         return cls(tuple(names[k] for k in kept), kinds, tuple(causes), stacked @ stacked.T)
 
@@ -274,15 +281,6 @@ class _Rows:
             return 0.0
         shared = float(self.gram[one, other] - self.gram[one, held] @ self.weights(other, held))
         return shared / float(np.sqrt(left[0] * left[1]))
-
-
-def _own(problem: Problem, bare: Fit) -> tuple[list[Array], tuple[int, ...]]:
-    """Return whitened rows along which runs move on their own, and the kind of each."""
-    if not len(problem.largest_offsets):
-        return [], ()
-    along = problem.directions(bare.hypothesis, bare.coordinates, bare.predicted, {})
-    rows, kinds = own_rows(problem, along)
-    return [problem.whitened(row) for row in rows], kinds
 
 
 def _changes(bare: Fit, effect: Effect) -> tuple[Array, Array]:

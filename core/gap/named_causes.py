@@ -17,7 +17,7 @@ from softcal.core.gap.problem import Problem
 from softcal.core.gap.search import EffectSearch
 from softcal.core.gap.shrink import ChannelGap, Quantified, quantify, unsupported
 from softcal.core.twin.catalogue import EFFECTS
-from softcal.core.words.reason import Reason
+from softcal.core.words.reason import Reason, in_words
 
 DiagnosisVerdict = Literal["no_gap", "explained", "ambiguous", "unknown", "data"]
 
@@ -82,14 +82,7 @@ class GapPlace:
 
     def record(self) -> dict[str, object]:
         """Return it as a report has it."""
-        return {
-            "stage": self.stage,
-            "channel": self.channel,
-            "regime": str(self.regime),
-            "share": self.share,
-            "detail": str(self.detail),
-            "reasons": [self.regime.to_json(), self.detail.to_json()],
-        }
+        return in_words(vars(self), "regime", "detail")
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from softcal.core.gap.case import Case, Run
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import dots, energy, gram
 from softcal.core.profiles import Profile
-from softcal.core.words.reason import Reason, reason, several
+from softcal.core.words.reason import Reason, in_words, reason, several
 
 ENOUGH_SIGMA = 10.0
 """Rivals this far apart, in standard deviations over all samples, are told apart on a real, coloured floor."""
@@ -62,13 +62,7 @@ class NextExperiment:
 
     def record(self) -> dict[str, object]:
         """Return it as a report has it."""
-        return {
-            "profile": self.profile,
-            "why": str(self.why),
-            "separation_sigma": self.separation_sigma,
-            "minutes": self.minutes,
-            "reasons": [self.why.to_json()],
-        }
+        return in_words({name: value for name, value in vars(self).items() if name != "stage_profile"}, "why")
 
 
 def menu(case: Case, depth_mm: float, force_N: float) -> tuple[MenuEntry, ...]:

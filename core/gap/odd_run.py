@@ -12,7 +12,7 @@ import numpy as np
 from softcal.core.gap.case import Case
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import dots, energy, gram
-from softcal.core.gap.plausibility import DataMistake, numbers, of_gain
+from softcal.core.gap.plausibility import FEWEST_RUNS, DataMistake, numbers, of_gain
 from softcal.core.gap.residual import structure
 from softcal.core.gap.screen import Tangent
 from softcal.core.gap.search import EffectSearch
@@ -34,9 +34,6 @@ catalogue's best: other equations of a cause leave much less to one run alone.""
 
 PROMISED, LEAST_PROMISED = 0.5, 0.15
 """Share that a mistake must promise to be fitted: alone, and where a cause of the same size stands beside it."""
-
-FEWEST_RUNS = 3
-"""With two runs nobody can tell which one is wrong."""
 
 EACH, DEARER = 3.0, 2e-4
 """What a number costs, in ln n, and which share of the gap besides where structure is left."""

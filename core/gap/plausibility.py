@@ -13,7 +13,7 @@ import numpy as np
 
 from softcal.core.gap.case import Case, Mask, Run
 from softcal.core.recording import RATE_TOLERANCE, Array
-from softcal.core.words.reason import Reason, reason
+from softcal.core.words.reason import Reason, in_words, reason
 
 Kind = Literal[
     "unit_factor",
@@ -76,6 +76,9 @@ OPPOSED = -0.5
 PAIRED, UNPAIRED = 0.75, 0.6
 """Correlation above which two columns belong to one run, and below which they do not."""
 
+FEWEST_RUNS = 3
+"""With two runs nobody can tell which one is wrong."""
+
 APART = 2.0
 """Ratio of one run to the others above which no effect but only a wrong unit or gain explains it."""
 
@@ -106,15 +109,7 @@ class DataMistake:
 
     def record(self) -> dict[str, object]:
         """Return it as a report has it."""
-        return {
-            "what": self.what,
-            "channel": self.channel,
-            "runs": list(self.runs) or "all",
-            "factor": self.factor,
-            "evidence": str(self.evidence),
-            "repair": str(self.repair),
-            "reasons": [self.evidence.to_json(), self.repair.to_json()],
-        }
+        return in_words(vars(self) | {"runs": list(self.runs) or "all"}, "evidence", "repair")
 
 
 def numbers(case: Case) -> list[int]:
@@ -147,7 +142,10 @@ def doubts(case: Case) -> tuple[DataMistake, ...]:
     for channel, unit, factor in _every_unit():
         repaired = size.with_unit(channel, factor)
         if not repaired.is_odd and repaired.oddness < np.log(NEAR_USUAL):
-            fitting.append((repaired.oddness - _roundness(repaired.speed_mm_s, channel), channel, unit, factor))
+            # Stages are told to go at round speeds, which speaks for a unit of theirs.
+            speed = repaired.speed_mm_s if channel == "stage" else None
+            is_round = speed is not None and abs(float(f"{speed:.1e}") / speed - 1.0) < 2e-3
+            fitting.append((repaired.oddness - 0.5 * is_round, channel, unit, factor))
     if not fitting:
         return ()
     _, channel, unit, factor = min(fitting)
@@ -441,13 +439,6 @@ def _every_unit() -> list[tuple[str, str, float]]:
     return [(channel, unit, factor) for channel, units in UNITS.items() for unit, factor in units.items()]
 
 
-def _roundness(speed_mm_s: float | None, channel: str) -> float:
-    """Return what speaks for a unit of the stage: stages are told to go at round speeds."""
-    if speed_mm_s is None or channel != "stage":
-        return 0.0
-    return 0.5 if abs(float(f"{speed_mm_s:.1e}") / speed_mm_s - 1.0) < 2e-3 else 0.0
-
-
 def _unusual(size: _Size, channel: str, low: float, high: float) -> Reason:
     if size.stiffness_N_mm is not None:
         return reason("data.unit.stiffness", seen=size.stiffness_N_mm, low=low, high=high)
@@ -477,7 +468,7 @@ def _runs_apart(case: Case) -> list[DataMistake]:
     """One run whose values are larger or smaller than those of all others by a factor that no effect has."""
     presses, number = _presses(case), numbers(case)
     found: list[DataMistake] = []
-    if len(presses) < 3:
+    if len(presses) < FEWEST_RUNS:
         return found
     for name, reference in (("force", "output"), ("stage", "output"), ("force", "stage"), ("stage", "force")):
         if not (case.has(COLUMNS[name]) and case.has(COLUMNS[reference])) or found:

@@ -131,7 +131,9 @@ def suspects(maps: tuple[Map, ...], sensor_type: SensorType = "pressure") -> tup
     if sensor_type == "strain":
         return _of_strain(dirty)
     if len(dirty) < 3:
-        return _from_fewer(dirty)
+        # One map alone: what lies on its own side, and the cell that reads its force.
+        side = {"stage→force": BEFORE, "force→output": BEHIND}.get(next(iter(dirty)))
+        return (*BEFORE, *BEHIND) if side is None else (*side, "load_cell")
     force, channel, direct = (dirty[n] for n in ("stage→force", "force→output", "stage→output"))
     loud = max(force.z, channel.z, direct.z)
 
@@ -155,15 +157,6 @@ def _of_strain(dirty: dict[str, Structure]) -> tuple[ChainStage, ...]:
     if direct is None or not direct.is_significant:
         return ("mechanics", "load_cell")
     return BEHIND if force is None or not force.is_significant else BEFORE
-
-
-def _from_fewer(dirty: dict[str, Structure]) -> tuple[ChainStage, ...]:
-    name = next(iter(dirty))
-    if name == "stage→force":
-        return (*BEFORE, "load_cell")
-    if name == "force→output":
-        return (*BEHIND, "load_cell")
-    return (*BEFORE, *BEHIND)
 
 
 def regimes(found: Fit) -> tuple[Regime, ...]:
@@ -228,14 +221,11 @@ def _conditions(found: Fit, blocks: list[Block]) -> dict[Reason, Array]:
         Reason("gap.regime.end"): part > 0.75,
     }
     for k, run in enumerate(runs):
-        conditions[_of_run(run)] = np.concatenate([np.full(len(r), i == k) for i, r in enumerate(runs)])
+        name = reason("gap.regime.run", run=run.name)
+        if run.profile:
+            name = reason("gap.regime.run_pressed", run=run.name, pressed=pressed(run.profile))
+        conditions[name] = np.concatenate([np.full(len(r), i == k) for i, r in enumerate(runs)])
     return conditions
-
-
-def _of_run(run: Run) -> Reason:
-    if not run.profile:
-        return reason("gap.regime.run", run=run.name)
-    return reason("gap.regime.run_pressed", run=run.name, pressed=pressed(run.profile))
 
 
 def _drive(run: Run) -> Array:

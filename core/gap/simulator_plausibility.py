@@ -12,7 +12,7 @@ import numpy as np
 
 from softcal.core.gap.case import Case
 from softcal.core.gap.fit import Fit
-from softcal.core.gap.plausibility import SAME_FACTOR, DataMistake, apart, numbers, of_sign, unit_of
+from softcal.core.gap.plausibility import FEWEST_RUNS, SAME_FACTOR, DataMistake, apart, numbers, of_sign, unit_of
 from softcal.core.gap.problem import Hypothesis
 from softcal.core.gap.simulator import Simulator, SimulatorRun
 from softcal.core.gap.simulator_problem import SimulatorProblem
@@ -66,7 +66,7 @@ def shown(simulator: Simulator, case: Case) -> tuple[DataMistake, ...]:
     """Return the mistakes that the columns of runs show by themselves: another unit of time, a channel that is dead."""
     runs, number, found = _runs(case), numbers(case), []
     steps_s = np.array([float(np.median(np.diff(run.t_s))) for run in runs])
-    for k, step_s in enumerate(steps_s) if len(runs) > 2 else ():
+    for k, step_s in enumerate(steps_s) if len(runs) >= FEWEST_RUNS else ():
         others = np.delete(steps_s, k)
         ratio = float(np.median(others) / step_s)
         is_apart = max(ratio, 1.0 / ratio) > CONFIG.apart and others.max() < SAME_FACTOR * others.min()
@@ -112,7 +112,7 @@ def against_others(base: Fit) -> tuple[DataMistake, ...]:
             repair = reason("data.repair.swap", one=one, other=other)
             return (DataMistake("swapped_columns", "+".join(pair), (), None, evidence, repair),)
     runs, number = _runs(problem.case), numbers(problem.case)
-    for k, run in enumerate(runs) if len(runs) > 2 else ():
+    for k, run in enumerate(runs) if len(runs) >= FEWEST_RUNS else ():
         others = _fitted(problem, runs[:k] + runs[k + 1 :])
         if _agreement(others) >= CONFIG.good:
             mistake = next(_repaired(problem.of, others, run, number[k]), None)

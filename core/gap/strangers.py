@@ -5,7 +5,7 @@ share of the position. They are no causes a report can name; where one wins, the
 like.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,6 @@ from softcal.core.gap.fit import Fit
 from softcal.core.gap.posterior import Yardstick
 from softcal.core.gap.residual import structure
 from softcal.core.gap.screen import joined, screen
-from softcal.core.recording import Array
 from softcal.core.twin.effects import ChainStage, Effect, Flow, Hook, Memory, Parameter, Step
 from softcal.core.twin.signals import low_pass
 from softcal.core.words.reason import Reason
@@ -29,38 +28,27 @@ LEAST_GAIN = 12.0
 """... and by how much it must lower χ² besides, unless it stands for two causes more than itself: fewer parameters
 alone do not make a stranger, but three causes that together imitate one departure do."""
 
-Follow = Callable[[Flow], Array]
+TIME, WARMTH, PLACE = "t_s", "warmed_K", "stage_mm"
+"""What of the flow a departure may follow."""
 
 
-def _time(flow: Flow) -> Array:
-    return flow.t_s
-
-
-def _temperature(flow: Flow) -> Array:
-    return np.zeros(len(flow.t_s)) if flow.temperature_rise_K is None else flow.temperature_rise_K
-
-
-def _position(flow: Flow) -> Array:
-    return flow.stage_mm
-
-
-def _gain(signal: str, follow: Follow) -> Step:
+def _gain(signal: str, follows: str) -> Step:
     def step(flow: Flow, values: Sequence[float], _: Memory) -> None:
-        setattr(flow, signal, getattr(flow, signal) * (1.0 + values[0] * follow(flow)))
+        setattr(flow, signal, getattr(flow, signal) * (1.0 + values[0] * getattr(flow, follows)))
 
     return step
 
 
-def _offset(signal: str, follow: Follow) -> Step:
+def _offset(signal: str, follows: str) -> Step:
     def step(flow: Flow, values: Sequence[float], _: Memory) -> None:
-        setattr(flow, signal, getattr(flow, signal) + values[0] * follow(flow))
+        setattr(flow, signal, getattr(flow, signal) + values[0] * getattr(flow, follows))
 
     return step
 
 
 def _divider(flow: Flow, values: Sequence[float], _: Memory) -> None:
     # Only R/Rs enters the divider: a resistor that grows is a channel, dummy or not, that shrinks.
-    flow.resistance_ohm = flow.resistance_ohm / (1.0 + values[0] * _temperature(flow))
+    flow.resistance_ohm = flow.resistance_ohm / (1.0 + values[0] * flow.warmed_K)
 
 
 def _cell_lag(flow: Flow, values: Sequence[float], _: Memory) -> None:
@@ -90,20 +78,16 @@ def _stranger(
 
 
 STRANGERS = (
-    _stranger("gap.like.stiffness_in_time", "mechanics", Hook.FORCE, _gain("force_N", _time), "1/s", 1e-3),
-    _stranger("gap.like.stiffness_when_warm", "mechanics", Hook.FORCE, _gain("force_N", _temperature), "1/K", 5e-3),
-    _stranger("gap.like.sensitivity_in_time", "transduction", Hook.CHANNEL, _gain("drive", _time), "1/s", 1e-3),
-    _stranger(
-        "gap.like.sensitivity_when_warm", "transduction", Hook.CHANNEL, _gain("drive", _temperature), "1/K", 5e-3
-    ),
-    _stranger("gap.like.offset_in_time", "electronics", Hook.OUTPUT, _offset("output_V", _time), "V/s", 2e-4),
-    _stranger("gap.like.offset_when_warm", "electronics", Hook.OUTPUT, _offset("output_V", _temperature), "V/K", 1e-3),
-    _stranger("gap.like.cell_span_in_time", "load_cell", Hook.READING, _gain("reading_N", _time), "1/s", 1e-3),
-    _stranger("gap.like.cell_span_when_warm", "load_cell", Hook.READING, _gain("reading_N", _temperature), "1/K", 5e-3),
-    _stranger(
-        "gap.like.cell_zero_when_warm", "load_cell", Hook.READING, _offset("reading_N", _temperature), "N/K", 0.01
-    ),
-    _stranger("gap.like.cell_by_position", "load_cell", Hook.READING, _offset("reading_N", _position), "N/mm", 0.05),
+    _stranger("gap.like.stiffness_in_time", "mechanics", Hook.FORCE, _gain("force_N", TIME), "1/s", 1e-3),
+    _stranger("gap.like.stiffness_when_warm", "mechanics", Hook.FORCE, _gain("force_N", WARMTH), "1/K", 5e-3),
+    _stranger("gap.like.sensitivity_in_time", "transduction", Hook.CHANNEL, _gain("drive", TIME), "1/s", 1e-3),
+    _stranger("gap.like.sensitivity_when_warm", "transduction", Hook.CHANNEL, _gain("drive", WARMTH), "1/K", 5e-3),
+    _stranger("gap.like.offset_in_time", "electronics", Hook.OUTPUT, _offset("output_V", TIME), "V/s", 2e-4),
+    _stranger("gap.like.offset_when_warm", "electronics", Hook.OUTPUT, _offset("output_V", WARMTH), "V/K", 1e-3),
+    _stranger("gap.like.cell_span_in_time", "load_cell", Hook.READING, _gain("reading_N", TIME), "1/s", 1e-3),
+    _stranger("gap.like.cell_span_when_warm", "load_cell", Hook.READING, _gain("reading_N", WARMTH), "1/K", 5e-3),
+    _stranger("gap.like.cell_zero_when_warm", "load_cell", Hook.READING, _offset("reading_N", WARMTH), "N/K", 0.01),
+    _stranger("gap.like.cell_by_position", "load_cell", Hook.READING, _offset("reading_N", PLACE), "N/mm", 0.05),
     _stranger("gap.like.cell_late", "load_cell", Hook.READING, _cell_lag, "s", 0.1, is_signed=False),
 )
 """Generic departures."""

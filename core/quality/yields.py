@@ -4,8 +4,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
-from scipy.stats import binomtest
-
+from softcal.core.metrics import wilson
 from softcal.core.unit.verdict import Verdict
 from softcal.core.words.reason import PLAIN, Reason, plain
 
@@ -27,14 +26,6 @@ class Share:
     @property
     def interval(self) -> tuple[float, float]:
         return wilson(self.count, self.of)
-
-
-def wilson(count: int, of: int) -> tuple[float, float]:
-    """Return the 95 % interval of a share after Wilson (1927); all there is without a case."""
-    if not of:
-        return 0.0, 1.0
-    found = binomtest(count, of).proportion_ci(0.95, method="wilson")
-    return float(found.low), float(found.high)
 
 
 @dataclass(frozen=True)

@@ -100,6 +100,11 @@ class Flow:
     is_unforeseeable: NDArray[np.bool_] | None = None
     """(n,) where nobody can foretell the output: after the end of this stretch, or amid a step; None for nowhere."""
 
+    @property
+    def warmed_K(self) -> Array:
+        """(n,) temperature above that of the run's first sample, 0 where it is not recorded."""
+        return np.zeros(len(self.t_s)) if self.temperature_rise_K is None else self.temperature_rise_K
+
 
 Step: TypeAlias = Callable[[Flow, Sequence[float], Memory], None]
 """Change the flow in place by an effect with these parameter values and this memory."""

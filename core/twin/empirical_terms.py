@@ -74,14 +74,6 @@ def _power(exponent: int) -> Column:
     return lambda flow, state, span: _load(flow, state, span) ** exponent
 
 
-def _time(flow: Flow, _: Memory, __: Span) -> Array:
-    return flow.t_s
-
-
-def _rise(flow: Flow, _: Memory, __: Span) -> Array:
-    return np.zeros(len(flow.t_s)) if flow.temperature_rise_K is None else flow.temperature_rise_K
-
-
 def _per_s(values: Array, flow: Flow, last: Array) -> Array:
     change = np.diff(values, prepend=last[0])
     last[0] = values[-1]
@@ -136,12 +128,12 @@ def _product(one: Column, other: Column) -> Column:
 
 def _variables() -> Mapping[str, Variable]:
     plain = {
-        "t": Variable("s", _time),
+        "t": Variable("s", lambda flow, _, __: flow.t_s),
         "direction": Variable("", _direction(SHARP)),
         "blunt direction": Variable("", _direction(BLUNT)),
         "rate": Variable("1/s", _rate),
         "deepest": Variable("", _deepest, "stage_mm"),
-        "T": Variable("K", _rise, "temperature_C"),
+        "T": Variable("K", lambda flow, _, __: flow.warmed_K, "temperature_C"),
         **{f"memory(load, {tau_s:g} s)": Variable("", _remembered(tau_s)) for tau_s in MEMORY_s},
     }
     loaded = {f"load·{name}": Variable(v.unit, _product(_load, v.column), v.needs) for name, v in plain.items()}

@@ -148,6 +148,16 @@ def joined(reasons: Iterable[Reason]) -> str:
     return "; ".join(str(one) for one in reasons)
 
 
+def in_words(values: Mapping[str, object], *names: str) -> dict[str, object]:
+    """Return a record whose values of these names, which are reasons, are in English, with all of them as `reasons`."""
+    why = {name: value for name in names if isinstance(value := values[name], Reason)}
+    return {
+        **values,
+        **{name: str(one) for name, one in why.items()},
+        "reasons": [one.to_json() for one in why.values()],
+    }
+
+
 def _plain_value(value: Value) -> Value:
     if isinstance(value, str | Reason):
         return value

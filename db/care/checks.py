@@ -13,7 +13,7 @@ from softcal.db.access.tokens import token_as_told
 from softcal.db.entries import Anchor
 from softcal.db.schema import append_only
 from softcal.db.schema.arrays import ARRAY, ARRAYS, parts_of
-from softcal.db.schema.database import is_denied
+from softcal.db.schema.database import first_line, is_denied
 from softcal.db.schema.tables import (
     APPEND_ONLY,
     AUDITED,
@@ -65,8 +65,7 @@ def faults(
             if is_denied(error):
                 raise
             # A damaged value may not even be read: that is what was to be found out.
-            cause = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
-            yield f"{name}: cannot be read: {(str(cause).splitlines() or [type(cause).__name__])[0][:160]}"
+            yield f"{name}: cannot be read: {first_line(error)[:160]}"
 
 
 def _checks(connection: Connection, is_quick: bool, anchors: Sequence[Anchor]) -> Iterator[tuple[str, Iterator[str]]]:

@@ -199,9 +199,7 @@ class Database:
         try:
             yield phase
         except (SQLAlchemyError, sqlite3.Error) as error:
-            cause = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
-            lines = [line.strip() for line in str(cause).splitlines() if line.strip()]
-            what = without_password(lines[0] if lines else type(cause).__name__, self.engine.url)
+            what = without_password(first_line(error), self.engine.url)
             if phase["is_committing"] and not self.is_sqlite and isinstance(error, OperationalError):
                 raise ConnectionCut(
                     f"registry {self.name}: {what}; this happened while the change was being kept: look whether it "
@@ -214,6 +212,13 @@ class Database:
             if is_denied(error):
                 what += "; the database account may not do this, ask who manages the registry to do it"
             raise RegistryError(f"registry {self.name}: {what}; nothing was changed") from error
+
+
+def first_line(error: Exception) -> str:
+    """Return the first line of what a driver said, else the kind of its error."""
+    cause = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
+    lines = [line.strip() for line in str(cause).splitlines() if line.strip()]
+    return lines[0] if lines else type(cause).__name__
 
 
 def is_denied(error: Exception) -> bool:

@@ -17,7 +17,7 @@ from softcal.core.challenge.rig import Cause
 from softcal.core.challenge.score import calibration_error, score_reports
 from softcal.core.challenge.seal import Label
 from softcal.core.errors import InputError
-from softcal.core.quality.yields import wilson
+from softcal.core.metrics import wilson
 
 
 def report(

@@ -10,7 +10,6 @@ FOLDERS = ("core", "db", "station", "app")
 ONE_MEANING_IN_MANY_ROOMS = {
     "catalogue.py": "the one list of what a room holds",
     "config.py": "the configuration of a room",
-    "forms.py": "other realisations of a cause: how they are built (twin), and which there are (gap)",
     "method.py": "every number that decides, with its origin: of a calibration (unit), of long use (use)",
 }
 """Modules of core that share a name, with what it means in each of their rooms."""
