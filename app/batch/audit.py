@@ -62,7 +62,14 @@ def draw_plan(
     """
     if registry.trail.of(PLAN, (lot_id,)) and not reason.strip():
         raise InputError(f"lot {lot_id!r} has an audit plan; a new draw needs a reason")
-    accepted = _accepted(registry, lot_id)
+    # Forecasts of the units that audits can speak for; their forecast alone may speak against them
+    units = {unit.serial: unit for unit in _targets(registry, lot_id) if unit.predicted_rmse is not None}
+    standings = registry.pages.standings(lot_id, list(units))
+    accepted = {
+        serial: float(unit.predicted_rmse or 0.0)
+        for serial, unit in units.items()
+        if unit.verdict in ACCEPTED or _is_open(standings.get(serial))
+    }
     if not accepted:
         raise InputError(f"lot {lot_id!r} has no accepted unit yet; calibrate its units first")
     plan = plan_audit(accepted, config)
@@ -152,17 +159,6 @@ def _standing(registry: Registry, lot_id: str, facts: Mapping[str, object]) -> L
 
 def _targets(registry: Registry, lot_id: str) -> list[UnitEntry]:
     return [unit for unit in registry.lots.units(lot_id) if unit.role == "target"]
-
-
-def _accepted(registry: Registry, lot_id: str) -> dict[str, float]:
-    """Return forecasts of the units that audits can speak for; their forecast alone may speak against them."""
-    units = {unit.serial: unit for unit in _targets(registry, lot_id) if unit.predicted_rmse is not None}
-    standings = registry.pages.standings(lot_id, list(units))
-    return {
-        serial: float(unit.predicted_rmse or 0.0)
-        for serial, unit in units.items()
-        if unit.verdict in ACCEPTED or _is_open(standings.get(serial))
-    }
 
 
 def _is_open(standing: UnitStanding | None) -> bool:

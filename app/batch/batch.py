@@ -50,7 +50,16 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     watch.on_start(len(folder.unit_paths))
     work = LotWork(folder, registry, facts, kept, config, watch)
     work.run()
-    _keep_beside(registry, work, folder, run, config)
+    # Keep known loads and the golden run that lay beside the files: whoever calibrates those recordings
+    # has them
+    lot_id, actor = folder.lot.id, config.actor
+    of = work.recordings([serial for serial in folder.unit_paths if serial in config.anchors])
+    loads = {sha256: (serial, config.anchors[serial]) for serial, sha256 in of.items()}
+    keep_loads(registry, lot_id, loads, "file", actor=actor)
+    if isinstance(run, LabelledRecording):
+        golden = registry.recordings.add(lot_id, run, "audit", actor=actor)
+        pressed = {sha256: (serial, golden) for serial, sha256 in work.recordings(list(folder.unit_paths)).items()}
+        keep_golden_of(registry, lot_id, pressed, actor=actor)
     decided = judge_lot(registry, folder.lot.id, config.actor)
     audit = update_lot(registry, folder.lot.id, config.actor)
     judge_leaning(registry, folder.lot.id, config.actor)
@@ -67,15 +76,3 @@ def _bridge(folder: LotFolder, model: SourceModel, run: Golden) -> Bridge | None
         return None
     with naming(folder.golden_path):
         return make_bridge(model, run)
-
-
-def _keep_beside(registry: Registry, work: LotWork, folder: LotFolder, run: Golden, config: BatchConfig) -> None:
-    """Keep known loads and the golden run that lay beside the files: whoever calibrates those recordings has them."""
-    lot_id, actor = folder.lot.id, config.actor
-    of = work.recordings([serial for serial in folder.unit_paths if serial in config.anchors])
-    loads = {sha256: (serial, config.anchors[serial]) for serial, sha256 in of.items()}
-    keep_loads(registry, lot_id, loads, "file", actor=actor)
-    if isinstance(run, LabelledRecording):
-        golden = registry.recordings.add(lot_id, run, "audit", actor=actor)
-        pressed = {sha256: (serial, golden) for serial, sha256 in work.recordings(list(folder.unit_paths)).items()}
-        keep_golden_of(registry, lot_id, pressed, actor=actor)

@@ -52,7 +52,10 @@ def judge_lot(
     with registry.transaction():
         for made in standing.moved():
             _keep(registry, lot_id, made, decided, standing.evidence, actor)
-        _tell(registry, lot_id, decided, actor)
+        # Keep the statement, where it says something new
+        if not is_told(registry, lot_id, decided):
+            facts = decided.to_json()
+            registry.trail.add("release" if decided.released else "withhold", STATEMENT, (lot_id,), facts, actor=actor)
     return decided
 
 
@@ -384,10 +387,3 @@ def is_told(registry: Registry, lot_id: str, decided: LotRelease) -> bool:
     """Return whether this very decision is the last that was kept: then units and files follow it already."""
     told = registry.trail.of(STATEMENT, (lot_id,))
     return bool(told) and json.loads(told[-1].after or "{}") == json.loads(json.dumps(decided.to_json()))
-
-
-def _tell(registry: Registry, lot_id: str, decided: LotRelease, actor: str | None) -> None:
-    """Keep the statement, where it says something new."""
-    if not is_told(registry, lot_id, decided):
-        facts = decided.to_json()
-        registry.trail.add("release" if decided.released else "withhold", STATEMENT, (lot_id,), facts, actor=actor)

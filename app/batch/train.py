@@ -12,7 +12,7 @@ from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording
-from softcal.db.queues.work_queue import WorkItem, WorkSet
+from softcal.db.queues.work_queue import WorkSet
 from softcal.db.registry import Registry
 
 LOOK_EVERY_S = 1.0
@@ -53,7 +53,10 @@ def train_or_find(
         return _registered(registry, found, False)
     with Claims(registry, WorkSet(lot.id, input_sha256, "train")) as claims:
         claims.queue.enqueue(claims.work, {source.serial: input_sha256})
-        mine = _turn(claims)
+        # Claim the training, or wait for the process that has it; nothing is claimed where that one has
+        # finished it
+        while not (mine := claims.take(1)) and claims.queue.counts(work=claims.work)["claimed"]:
+            time.sleep(LOOK_EVERY_S)
         found = registry.networks.find(input_sha256)
         if found is not None:
             return _registered(registry, found, False)
@@ -71,13 +74,6 @@ def train_or_find(
             claims.queue.finish(claims.owner, [item.id])
     note("network", lot=lot.id, network=id_, **metrics)
     return _registered(registry, id_, True)
-
-
-def _turn(claims: Claims) -> list[WorkItem]:
-    """Claim the training, or wait for the process that has it; nothing is claimed where that one has finished it."""
-    while not (items := claims.take(1)) and claims.queue.counts(work=claims.work)["claimed"]:
-        time.sleep(LOOK_EVERY_S)
-    return items
 
 
 def _registered(registry: Registry, network_id: str, is_new: bool) -> TrainedOrFound:

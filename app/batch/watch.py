@@ -48,7 +48,8 @@ def watch_lot(
         now = _seen(folder)
         new = {serial for serial, state in now.items() if before.get(serial) == state != done.get(serial)}
         if new:
-            yield run_batch(_only(folder, new), registry, batch, progress)
+            paths: Mapping[str, Path] = {serial: path for serial, path in folder.unit_paths.items() if serial in new}
+            yield run_batch(replace(folder, unit_paths=paths), registry, batch, progress)
             done |= {serial: now[serial] for serial in new}
         is_settling = any(before.get(serial) != state for serial, state in now.items())
         idle_s = 0.0 if new or is_settling else idle_s + config.every_s
@@ -67,8 +68,3 @@ def _seen(folder: LotFolder) -> Seen:
             continue
         seen[serial] = (stat.st_size, stat.st_mtime_ns)
     return seen
-
-
-def _only(folder: LotFolder, serials: set[str]) -> LotFolder:
-    paths: Mapping[str, Path] = {serial: path for serial, path in folder.unit_paths.items() if serial in serials}
-    return replace(folder, unit_paths=paths)

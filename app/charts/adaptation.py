@@ -38,21 +38,6 @@ def adaptation_figure(
     _line(figure, 1, trace.t_s, trace.output, "output", GREY)
     seen = [step for step in maps if step["t_s"] is not None]
     times = [step["t_s"] for step in seen]
-    _drift(figure, seen, times)
-    _line(figure, 3, times, [step["gain"] for step in seen], "gain", BLUE, step=True)
-    _line(figure, 3, times, [step["offset"] for step in seen], f"offset [{output_unit}]", ORANGE, step=True)
-    _band(figure, 4, trace.t_s, trace.lower, trace.upper, "90 % interval", BLUE)
-    _line(figure, 4, trace.t_s, trace.estimate, "estimate", BLUE)
-    _line(figure, 5, trace.t_s, trace.predicted_rmse, "predicted error", BLUE, step=True)
-    _alarms(figure, seen)
-    look = {"template": "plotly_white", "font_family": FONTS, "hovermode": "x unified"}
-    figure.update_layout(title=title, height=1150, margin={"t": 90}, **look)
-    figure.update_xaxes(title_text="time [s]", row=5, col=1)
-    figure.update_yaxes(rangemode="tozero", row=5, col=1)
-    return figure
-
-
-def _drift(figure: "Figure", seen: Course, times: list[float]) -> None:
     for name, shown, colour in (("shift", "shift", BLUE), ("log_gain", "log gain", ORANGE)):
         lower, upper = ([step[name] + sign * step[f"{name}_sd"] for step in seen] for sign in (-1, 1))
         _band(figure, 2, times, lower, upper, f"{shown} ± sd", colour)
@@ -69,6 +54,17 @@ def _drift(figure: "Figure", seen: Course, times: list[float]) -> None:
                 row=2,
                 col=1,
             )
+    _line(figure, 3, times, [step["gain"] for step in seen], "gain", BLUE, step=True)
+    _line(figure, 3, times, [step["offset"] for step in seen], f"offset [{output_unit}]", ORANGE, step=True)
+    _band(figure, 4, trace.t_s, trace.lower, trace.upper, "90 % interval", BLUE)
+    _line(figure, 4, trace.t_s, trace.estimate, "estimate", BLUE)
+    _line(figure, 5, trace.t_s, trace.predicted_rmse, "predicted error", BLUE, step=True)
+    _alarms(figure, seen)
+    look = {"template": "plotly_white", "font_family": FONTS, "hovermode": "x unified"}
+    figure.update_layout(title=title, height=1150, margin={"t": 90}, **look)
+    figure.update_xaxes(title_text="time [s]", row=5, col=1)
+    figure.update_yaxes(rangemode="tozero", row=5, col=1)
+    return figure
 
 
 def _alarms(figure: "Figure", seen: Course) -> None:

@@ -46,10 +46,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     client = actions.add_parser("client", help="write a typed Python client: one file, standard library alone")
     client.add_argument("--out", type=Path, required=True, metavar="FILE")
     client.set_defaults(run=_client)
-    _add_token(actions)
-
-
-def _add_token(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     token = actions.add_parser("token", help="make, list and withdraw tokens")
     kinds = token.add_subparsers(title="actions", metavar="ACTION", required=True)
     create = kinds.add_parser("create", help="make a token; it is shown once")

@@ -13,7 +13,6 @@ from softcal.app.export.names import formats
 from softcal.app.output import ProgressLine, print_table, say, write_json
 
 if TYPE_CHECKING:
-    from softcal.app.export.calibrated_unit import ExportOptions
     from softcal.app.export.signature import SigningKey
 
 EXAMPLES = """examples:
@@ -57,14 +56,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--format", action="append", default=[], choices=formats(), help="may be repeated")
     parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder to write into or to check")
     parser.add_argument("--check", action="store_true", help="read back: complete, unchanged, signed by whom?")
-    _add_device_options(parser)
-    _add_certificate_options(parser)
-    add_registry(parser)
-    add_json(parser)
-    add_csv(parser)
-
-
-def _add_device_options(parser: argparse.ArgumentParser) -> None:
     device = parser.add_argument_group("devices")
     device.add_argument("--adc-bits", type=int, metavar="N", help="the converter's bits; its codes go left-aligned")
     device.add_argument("--adc-full-scale", type=float, metavar="X", help="output at the converter's highest code")
@@ -76,6 +67,10 @@ def _add_device_options(parser: argparse.ArgumentParser) -> None:
     )
     device.add_argument("--unit-address", type=_address, default=0x3FF00, metavar="ADDR", help="for hex: 0x3ff00")
     device.add_argument("--network-address", type=_address, default=0x38000, metavar="ADDR", help="for hex: 0x38000")
+    _add_certificate_options(parser)
+    add_registry(parser)
+    add_json(parser)
+    add_csv(parser)
 
 
 def _add_certificate_options(parser: argparse.ArgumentParser) -> None:
@@ -130,11 +125,29 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _export(options: argparse.Namespace) -> tuple[list[dict[str, object]], int]:
+    from softcal.app.export.calibrated_unit import ExportOptions
     from softcal.app.export.export import export_units, lot_serials
-    from softcal.core.errors import UnitRefused
+    from softcal.core.errors import InputError, UnitRefused
+    from softcal.core.export.device import DeviceOptions
+    from softcal.core.unit.verdict import Release
 
     with registry_of(options, create=False) as registry:
-        choices = _options(options)
+        if not 0 <= options.max_deviation <= 0.5:
+            raise InputError(f"--max-deviation {options.max_deviation}: 0 ... 0.5 is allowed")
+        choices = ExportOptions(
+            adc_bits=options.adc_bits,
+            adc_full_scale=options.adc_full_scale,
+            device=DeviceOptions(None, options.max_deviation, options.unit_bytes),
+            unit_address=options.unit_address,
+            network_address=options.network_address,
+            release=Release(options.release),
+            failed_too=options.failed_too,
+            revision=options.revision,
+            lot_id=options.lot,
+            signing_key=_signing_key(options),
+            laboratory=options.laboratory,
+            issued_on=options.issued_on,
+        )
         serials = options.serial or lot_serials(registry, options.lot, choices)
         progress = ProgressLine("units exported", len(serials))
         formats = options.format or ["json"]
@@ -168,30 +181,6 @@ def _say_cost(devices: Sequence[Mapping[str, object]]) -> None:
     say(
         f"on a Cortex-M0+ at 48 MHz: network {dearest['network_bytes']} B, code 1.9 KB, RAM {dearest['ram_bytes']} B, "
         f"about {ms:.2f} ms per estimate (at most {1000 / ms:.0f} Hz)"
-    )
-
-
-def _options(options: argparse.Namespace) -> "ExportOptions":
-    from softcal.app.export.calibrated_unit import ExportOptions
-    from softcal.core.errors import InputError
-    from softcal.core.export.device import DeviceOptions
-    from softcal.core.unit.verdict import Release
-
-    if not 0 <= options.max_deviation <= 0.5:
-        raise InputError(f"--max-deviation {options.max_deviation}: 0 ... 0.5 is allowed")
-    return ExportOptions(
-        adc_bits=options.adc_bits,
-        adc_full_scale=options.adc_full_scale,
-        device=DeviceOptions(None, options.max_deviation, options.unit_bytes),
-        unit_address=options.unit_address,
-        network_address=options.network_address,
-        release=Release(options.release),
-        failed_too=options.failed_too,
-        revision=options.revision,
-        lot_id=options.lot,
-        signing_key=_signing_key(options),
-        laboratory=options.laboratory,
-        issued_on=options.issued_on,
     )
 
 

@@ -12,7 +12,6 @@ from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
     from softcal.core.gap.diagnosis import Diagnosis
-    from softcal.core.gap.empirical import LearnedResidual
     from softcal.core.gap.gap_diagnosis import GapDiagnosis
     from softcal.core.gap.identifiability import Identifiability
     from softcal.core.gap.named_causes import RankedCause
@@ -279,7 +278,12 @@ def _show(diagnosis: "GapDiagnosis[Any]") -> None:
     for cause in (c for c in diagnosis.causes if c.form and c.probability >= 0.5):
         print(f"form        {cause.effect}: the twin has it as {cause.form}; the values above are the catalogue's")
     if diagnosis.residual is not None:
-        _show_residual(diagnosis.residual)
+        for one in diagnosis.residual.terms:
+            print(f"empirical   {one.term.formula}  (standard error {one.standard_error:.1g} {one.term.unit})")
+        shrink, beside = diagnosis.residual.shrink, " + ".join(diagnosis.residual.beside)
+        held = f"{shrink.held_out:.2f} [{shrink.low:.2f}, {shrink.high:.2f}] held out"
+        told = f", beside {beside}, which alone reach {diagnosis.residual.without:.2f}" if beside else ""
+        print(f"describes   {held}{told}: a description, no cause; softcal gap apply --empirical adds it")
 
 
 def _show_twin(diagnosis: "Diagnosis", target: str | None) -> None:
@@ -299,15 +303,6 @@ def _show_twin(diagnosis: "Diagnosis", target: str | None) -> None:
         print(f"missing     {', '.join(diagnosis.case.missing_channels)}")
     if diagnosis.case.unseen_stages:
         print(f"not judged  {', '.join(diagnosis.case.unseen_stages)}: these recordings cannot show them")
-
-
-def _show_residual(found: "LearnedResidual[Any]") -> None:
-    for one in found.terms:
-        print(f"empirical   {one.term.formula}  (standard error {one.standard_error:.1g} {one.term.unit})")
-    shrink, beside = found.shrink, " + ".join(found.beside)
-    held = f"{shrink.held_out:.2f} [{shrink.low:.2f}, {shrink.high:.2f}] held out"
-    told = f", beside {beside}, which alone reach {found.without:.2f}" if beside else ""
-    print(f"describes   {held}{told}: a description, no cause; softcal gap apply --empirical adds it")
 
 
 def _chosen_otherwise(diagnosis: "GapDiagnosis[Any]") -> list[tuple[int, tuple[str, ...]]]:

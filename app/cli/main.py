@@ -53,7 +53,10 @@ def main(arguments: list[str] | None = None) -> int:
     A defect of softcal itself is one line for the person, too; its traceback goes to the log.
     """
     given = sys.argv[1:] if arguments is None else arguments
-    parser = command_parser(_needed(given))
+    # The modules of the commands that can matter: the one that is named, else all
+    named = [name for name in COMMANDS if name.rstrip("_") in given[:1]]
+    # A configuration file is checked whole, with the options of every command.
+    parser = command_parser(COMMANDS if not named or files_in_use() else named)
     try:
         configure(parser)
     except InputError as error:
@@ -116,13 +119,6 @@ def _log_of(options: argparse.Namespace, arguments: list[str]) -> Any:
     names = ("lot", "serial", "station", "actor")
     context = {name: str(value) for name in names if (value := getattr(options, name, None)) is not None}
     return begin_run(command.strip("_"), arguments, **context)
-
-
-def _needed(arguments: Sequence[str]) -> Sequence[str]:
-    """Return the modules of the commands that can matter: the one that is named, else all."""
-    named = [name for name in COMMANDS if name.rstrip("_") in arguments[:1]]
-    # A configuration file is checked whole, with the options of every command.
-    return COMMANDS if not named or files_in_use() else named
 
 
 def command_parser(modules: Sequence[str] = COMMANDS) -> argparse.ArgumentParser:

@@ -142,7 +142,14 @@ def entry_of(row: AuditRow, words: Words) -> Entry:
     """Return one row as a line."""
     before, after = _values(row.before), _values(row.after)
     section = "papers" if row.action == "export" else SECTIONS.get(row.entity, "registry")
-    return Entry(row, section, _what(row, words), tuple(_changes(before, after, words)))
+    found = []
+    for name in FIELDS:
+        old, new = before.get(name), after.get(name)
+        if name not in after or new == old or (new in (None, "") and old in (None, "")):
+            continue
+        shown = _said(name, old, words) if name in before else ""
+        found.append((words(f"trail.field.{name}"), shown, _said(name, new, words)))
+    return Entry(row, section, _what(row, words), tuple(found))
 
 
 def _values(kept: str | None) -> Mapping[str, Any]:
@@ -169,17 +176,6 @@ def _what(row: AuditRow, words: Words) -> str:
 def _kind(after: Mapping[str, Any], words: Words) -> str:
     kind = after.get("kind")
     return words(f"kind.{kind}") if kind in ("source", "unit", "audit") else ""
-
-
-def _changes(before: Mapping[str, Any], after: Mapping[str, Any], words: Words) -> list[tuple[str, str, str]]:
-    found = []
-    for name in FIELDS:
-        old, new = before.get(name), after.get(name)
-        if name not in after or new == old or (new in (None, "") and old in (None, "")):
-            continue
-        shown = _said(name, old, words) if name in before else ""
-        found.append((words(f"trail.field.{name}"), shown, _said(name, new, words)))
-    return found
 
 
 def _said(name: str, value: object, words: Words) -> str:

@@ -181,7 +181,10 @@ def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> 
     runs = [one.run for one in placed_runs]
     chosen = None if wanted.is_open else tuple(sorted({run.serial for run in runs}))
     golden = {run.serial for run in registry.stations.golden_runs()}
-    found = yields(_by_unit(runs), golden)
+    by_unit: dict[str, list[UnitRun]] = {}
+    for run in runs:
+        by_unit.setdefault(run.serial, []).append(UnitRun(run.verdict, run.reasons))
+    found = yields(by_unit, golden)
     errors, limit = registry.pages.lot_errors(lot_id), limit_or_none(registry, lot_id)
     if chosen is not None:
         kept = frozenset(chosen)
@@ -252,21 +255,6 @@ def process_view(runs: Sequence[RunEntry], limit_rmse: float | None) -> ProcessV
         chart = control_chart(np.array([value for _, value in known]))
     except InputError as error:
         return ProcessView(serials, None, (), None, error.reason)
-    broken = _broken(chart, serials)
-    try:
-        return ProcessView(serials, chart, broken, capability(chart, None, limit_rmse), None)
-    except InputError as error:
-        return ProcessView(serials, chart, broken, None, error.reason)
-
-
-def _by_unit(runs: Sequence[RunEntry]) -> dict[str, list[UnitRun]]:
-    by_unit: dict[str, list[UnitRun]] = {}
-    for run in runs:
-        by_unit.setdefault(run.serial, []).append(UnitRun(run.verdict, run.reasons))
-    return by_unit
-
-
-def _broken(chart: ControlChart, serials: Sequence[str]) -> tuple[RuleBroken, ...]:
     forbidding = {signal.rule for signal in chart.instabilities}
     by_rule: dict[int, list[int]] = {}
     for signal in chart.signals:
@@ -274,4 +262,8 @@ def _broken(chart: ControlChart, serials: Sequence[str]) -> tuple[RuleBroken, ..
     rules = [
         RuleBroken(rule, len(indices), serials[max(indices)], rule in forbidding) for rule, indices in by_rule.items()
     ]
-    return tuple(sorted(rules, key=lambda broken: (not broken.forbids, broken.rule)))
+    broken = tuple(sorted(rules, key=lambda broken: (not broken.forbids, broken.rule)))
+    try:
+        return ProcessView(serials, chart, broken, capability(chart, None, limit_rmse), None)
+    except InputError as error:
+        return ProcessView(serials, chart, broken, None, error.reason)

@@ -80,22 +80,24 @@ def wall_view(
     )
     verdicts = tuple((word, words(f"verdict.{word}"), count) for word, count in view.counts.items() if word != "none")
     stations = tuple(tile for beat in registry.order_queue.stations() if (tile := _station(beat, now, words)))
+    said = [(words(f"alert.{alert.kind}", **alert.values), alert.is_urgent) for alert in found[:MOST_ALERTS]]
+    if len(found) > MOST_ALERTS:
+        said.append((words("wall.more", count=len(found) - MOST_ALERTS), False))
+    last: dict[str, None] = {}
+    for run in reversed(registry.lots.runs(view.lot.id)):
+        last.setdefault(run.serial, None)
+        if len(last) == LAST_UNITS:
+            break
+    standings = registry.pages.standings(view.lot.id, list(last))
     return WallView(
         view.lot.id,
         tiles,
         verdicts,
         stations,
-        _chips(registry, view.lot.id, words),
-        _alerts(found, words),
+        tuple(_chip(standings[serial], words) for serial in last if serial in standings),
+        tuple(said),
         words("wall.drawn", at=now),
     )
-
-
-def _alerts(found: Sequence[Alert], words: Words) -> tuple[tuple[str, bool], ...]:
-    said = [(words(f"alert.{alert.kind}", **alert.values), alert.is_urgent) for alert in found[:MOST_ALERTS]]
-    if len(found) > MOST_ALERTS:
-        said.append((words("wall.more", count=len(found) - MOST_ALERTS), False))
-    return tuple(said)
 
 
 def _station(beat: Heartbeat, now: datetime, words: Words) -> StationTile | None:
@@ -104,16 +106,6 @@ def _station(beat: Heartbeat, now: datetime, words: Words) -> StationTile | None
     state = state_of(beat, now, is_alive(beat.process))
     is_well = state in (StationState.READY, StationState.RUNNING)
     return StationTile(beat.station, words(f"station.state.{state}"), is_well)
-
-
-def _chips(registry: Registry, lot_id: str, words: Words) -> tuple[Chip, ...]:
-    last: dict[str, None] = {}
-    for run in reversed(registry.lots.runs(lot_id)):
-        last.setdefault(run.serial, None)
-        if len(last) == LAST_UNITS:
-            break
-    standings = registry.pages.standings(lot_id, list(last))
-    return tuple(_chip(standings[serial], words) for serial in last if serial in standings)
 
 
 def _chip(standing: UnitStanding, words: Words) -> Chip:

@@ -66,7 +66,12 @@ def render() -> None:
     with _step(4):
         usable = _expected(plan)
     if usable is not None and st.button(say("new_lot.do"), type="primary", icon=":material/play_arrow:"):
-        _store(usable)
+        permit("set_up")
+        store_lot(registry(), usable, actor())
+        start_job(registry(), "calibrate", {"lot": usable.lot.id}, actor())
+        forget_files()
+        st.session_state[ASKED] = usable.lot.id
+        st.rerun()
 
 
 def _step(number: int) -> st.delta_generator.DeltaGenerator:
@@ -84,7 +89,12 @@ def _columns(path: Path, content: pd.DataFrame) -> tuple[Columns, float]:
     shape = st.radio(say("new_lot.shape"), list(shapes), format_func=shapes.__getitem__, horizontal=True)
     columns = choose_columns(content, shape == "wide")
     rate_Hz = _rate_Hz(path, columns.time)
-    _plots(content, columns)
+    left, right = st.columns(2)
+    with left:
+        show_figure(columns_over_time(content, columns, colours(), words()), "new-lot-figure")
+    with right:
+        if columns.reference is not None and (figure := reference_over_output(content, columns, colours(), words())):
+            show_figure(figure, "new-lot-figure-reference")
     return columns, rate_Hz
 
 
@@ -100,15 +110,6 @@ def _rate_Hz(path: Path, time_column: str | None) -> float:
         return 0.0
     st.caption(say("new_lot.rate", rate=f"{rate_Hz:g}"))
     return rate_Hz
-
-
-def _plots(content: pd.DataFrame, columns: Columns) -> None:
-    left, right = st.columns(2)
-    with left:
-        show_figure(columns_over_time(content, columns, colours(), words()), "new-lot-figure")
-    with right:
-        if columns.reference is not None and (figure := reference_over_output(content, columns, colours(), words())):
-            show_figure(figure, "new-lot-figure-reference")
 
 
 def _facts(files: Sequence[Path], content: pd.DataFrame, columns: Columns) -> _Facts:
@@ -171,15 +172,6 @@ def _row(one: Expected, source: str) -> dict[str, object]:
         say("new_lot.column.will"): say(f"new_lot.will.{will}"),
         say("column.reasons"): in_words(one.problem) if one.problem else all_said(one.findings, say),
     }
-
-
-def _store(plan: ImportPlan) -> None:
-    permit("set_up")
-    store_lot(registry(), plan, actor())
-    start_job(registry(), "calibrate", {"lot": plan.lot.id}, actor())
-    forget_files()
-    st.session_state[ASKED] = plan.lot.id
-    st.rerun()
 
 
 def _calibrating(lot_id: str) -> None:

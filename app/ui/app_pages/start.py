@@ -35,7 +35,9 @@ def _demo() -> None:
     is_busy = job is not None and job.state.is_active
     if DEMO in registry().lots.ids() and not is_busy:
         if job is not None and job.state is RunState.DONE:
-            _landed(job.job_id)
+            # Lead to the lot whoever has waited for it here
+            if st.session_state.pop("demo-asked", "") == job.job_id:
+                go_to("lot", lot=DEMO)
         if st.button(say("start.demo.open"), type="primary", width="stretch", key="demo-open"):
             go_to("lot", lot=DEMO)
         return
@@ -45,12 +47,6 @@ def _demo() -> None:
         st.rerun()
     if job is not None:
         job_panel(job)
-
-
-def _landed(job_id: str) -> None:
-    """Lead to the lot whoever has waited for it here."""
-    if st.session_state.pop("demo-asked", "") == job_id:
-        go_to("lot", lot=DEMO)
 
 
 def _way(name: str, page: str, icon: str) -> None:
