@@ -182,9 +182,11 @@ def main() -> None:
     options = parser.parse_args()
     networks = Networks(options.cache)
     print("after / own, median (95 %):\n")
-    of_set = {
-        name: [ratios(case, networks, options.methods) for case in SETS[name](options.every)] for name in options.sets
-    }
+    of_set: dict[str, list[dict[str, float]]] = {}
+    for name in options.sets:
+        for case in SETS[name](options.every):
+            # Both ways and both days apart: what helps one of them may harm the other.
+            of_set.setdefault(case.line.split(",")[0], []).append(ratios(case, networks, options.methods))
     print_table(
         ("method", *(f"{name}, {len(found)} units" for name, found in of_set.items())),
         (

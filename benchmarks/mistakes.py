@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from common.tables import print_table
 
 from softcal.core.errors import UnitRefused
 from softcal.core.metrics import rmse
@@ -225,10 +226,10 @@ def main() -> int:
             print(
                 f"  missed: {name} on {kind} {recording.serial}: {word}, {sorted(found)}, error / forecast {ratio:.2g}"
             )
-    print(f"{'mistake':20}" + "".join(f"{kind:>14}" for kind in by_kind))
-    for name in names:
-        print(f"{name:20}" + "".join(f"{caught[name, k]:>9} / {drawn[name, k]:<2}" for k in by_kind))
-    print(f"{'good refused':20}" + "".join(f"{refused[k]:>9} / {good[k]:<2}" for k in by_kind))
+    rows = [(name, *(f"{caught[name, kind]}/{drawn[name, kind]}" for kind in by_kind)) for name in names]
+    print_table(
+        ("mistake", *by_kind), [*rows, ("good units refused", *(f"{refused[kind]}/{good[kind]}" for kind in by_kind))]
+    )
     share, lost = caught.total() / drawn.total(), refused.total() / good.total()
     print(
         f"caught {share:.1%} of {drawn.total()}, good units refused {lost:.2%} of {good.total()}, five times: {small}"
