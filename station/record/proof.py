@@ -41,9 +41,9 @@ force by depth, and output by force. Softening shows in the first alone, a senso
 what the best of so many changes explains of n samples of noise: 2 ln(changes)/n. Good rigs show 0.10 beyond that at
 most. What moves a law by less than SLIGHT of its range (RMS) is none."""
 
-ODD_S, ODD_BESIDE_S, ODD, ODD_TIMES, ODD_LEAST, ODD_ROUNDS = 0.1, 0.6, 0.3, 15.0, 0.03, 25
+ODD_S, ODD_BESIDE_S, ODD, ODD_TIMES, ODD_LEAST, ODD_ROUNDS = 0.1, 0.6, 0.3, 20.0, 0.03, 25
 """A cell hangs where its mean force over ODD_S is off the law of the depth by ODD of the largest force, or by ODD_LEAST
-of it and ODD_TIMES the RMS of the rest of the run (all but ODD_BESIDE_S on either side). Good rigs show 0.22 and 10."""
+of it and ODD_TIMES the RMS of the rest of the run (all but ODD_BESIDE_S on either side). Good rigs show 0.28 and 19."""
 
 FOLLOWS = 0.7
 """Share of an output's variance that goes with the depth, at least; 0.84 is the least of a good rig."""

@@ -197,7 +197,7 @@ def test_a_latency_that_nobody_stated_is_found_and_taken_off():
     assert np.sqrt(np.mean((recording.force_N - force_N) ** 2)) < 0.1
 
 
-@pytest.mark.parametrize("seed", layered((7, 19, 31, 36, 57, 66, 615, 667, 704), (7, 615, 667)))
+@pytest.mark.parametrize("seed", layered((7, 19, 31, 36, 57, 66, 615, 667, 704, 1018), (7, 615, 667, 1018)))
 def test_slow_late_and_flat_channels_of_a_good_rig_are_no_fault(seed):
     rig = draw_good_rig(seed)
     recording = press_good_rig(rig)
