@@ -49,6 +49,8 @@ rig.late.lifting: stage: late while it was lifted
 rig.behind: load cell: its readings come later than the stage moves; look for a slow line or a
   filter, or ask the engineer to state the delay in the station file (found {found_s:.3f} s, stated
   {declared_s:.3f} s, latency_s = {latency_s:.2f})
+rig.gain: load cell: one press shows another force than the next at equal depth; check the cell's
+  amplifier, its mounting and the unit's seat, then press again ({ratio:.2f} x)
 rig.odd_force: load cell: its force does not fit depth and output; check its plug and amplifier, and
   whether something touches unit or stage; then press again ({at_s:.1f} s after the first press began)
 rig.output_gain: sensor readout: one press changes the output more than the next at equal depth;

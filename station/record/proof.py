@@ -1,4 +1,4 @@
-"""Whether the channels of a finished run tell one story: force and stage in step, one law from end to end.
+"""Whether the channels of a finished run tell one story: force and stage in step, one gain from press to press.
 
 No I/O here. A channel that lies smoothly cannot be seen sample by sample; it is seen against the others.
 """
@@ -31,9 +31,9 @@ BESIDE_S, TELLS, TELLS_SAMPLES = 0.04, 1.1, 40.0
 """A delay is known that fits n samples TELLS + TELLS_SAMPLES/n times better than any that is BESIDE_S or more away: few
 samples fit anyhow."""
 
-OUTPUT_GAIN = 1.6
-"""Largest ratio between what two presses of one run do to the output at equal depths: it may creep and follow late by
-itself. It is looked at where no load cell says whether the stage moved."""
+GAIN, OUTPUT_GAIN = 1.4, 1.6
+"""Largest ratio between the stiffest and the softest press of one run; a cell whose gain halves shows 2. An output may
+creep and follow late by itself; it is looked at where no load cell says whether the stage moved."""
 
 MOMENTS, CHANGED, SLIGHT = 60, 0.12, 0.003
 """Instants at which a cell may change, and the share of what two laws leave that one change explains at one of them:
@@ -41,9 +41,9 @@ force by depth, and output by force. Softening shows in the first alone, a senso
 what the best of so many changes explains of n samples of noise: 2 ln(changes)/n. Good rigs show 0.10 beyond that at
 most. What moves a law by less than SLIGHT of its range (RMS) is none."""
 
-ODD_S, ODD_BESIDE_S, ODD, ODD_TIMES, ODD_LEAST, ODD_ROUNDS = 0.1, 0.6, 0.3, 20.0, 0.03, 25
+ODD_S, ODD_BESIDE_S, ODD, ODD_TIMES, ODD_LEAST, ODD_ROUNDS = 0.1, 0.6, 0.3, 15.0, 0.03, 25
 """A cell hangs where its mean force over ODD_S is off the law of the depth by ODD of the largest force, or by ODD_LEAST
-of it and ODD_TIMES the RMS of the rest of the run (all but ODD_BESIDE_S on either side). Good rigs show 0.28 and 19."""
+of it and ODD_TIMES the RMS of the rest of the run (all but ODD_BESIDE_S on either side). Good rigs show 0.22 and 10."""
 
 FOLLOWS = 0.7
 """Share of an output's variance that goes with the depth, at least; 0.84 is the least of a good rig."""
@@ -104,6 +104,21 @@ def check_lag(found_s: float, declared_s: float, period_s: float) -> None:
         raise BadReply(reason("rig.behind", found_s=found_s, declared_s=declared_s, latency_s=max(0.0, found_s)))
 
 
+def check_gain(stage_mm: Array, force_N: Array) -> None:
+    """Compare the presses of a run with each other at equal depths.
+
+    Args:
+        stage_mm: (n,) depth, 0 at the start of the profile.
+        force_N: (n,) force there.
+
+    Raises:
+        BadReply: at equal depths one press shows far more force than another.
+    """
+    ratio = _ratio(press_gains(stage_mm, force_N))
+    if ratio > GAIN:
+        raise BadReply(reason("rig.gain", ratio=ratio))
+
+
 def check_law(
     t_s: Array, force_N: Array, output: Array, stage_mm_at: Callable[[Array], Array], contact_mm: float
 ) -> None:
@@ -122,10 +137,14 @@ def check_law(
             moment.
     """
     grid_s = np.arange(t_s[0], t_s[-1] + GRID_S, GRID_S)
-    relaxation_s = [time_s for time_s in EVERY_RELAXATION_S if time_s < t_s[-1] - t_s[0]]
     depth_mm, felt_N = np.maximum(0.0, stage_mm_at(grid_s) - contact_mm), np.interp(grid_s, t_s, force_N)
     _check_moments(t_s, _basis(t_s, grid_s, depth_mm, RELAXATION_S), force_N)
-    by_depth, by_force = (_basis(t_s, grid_s, value, relaxation_s) for value in (depth_mm, felt_N))
+    relaxation_s = [time_s for time_s in EVERY_RELAXATION_S if time_s < t_s[-1] - t_s[0]]
+    # What is left of a path before these samples fades with the times of the relaxation.
+    before = [np.ones_like(t_s), *(np.exp((t_s[0] - t_s) / time_s) for time_s in relaxation_s)]
+    by_depth, by_force = (
+        np.column_stack([*before, _basis(t_s, grid_s, value, relaxation_s)]) for value in (depth_mm, felt_N)
+    )
     explained = np.minimum(_explained(t_s, by_depth, force_N), _explained(t_s, by_force, output))
     by_chance = 2.0 * np.log(3 * MOMENTS) / len(t_s)  # A gain, a zero or a delay.
     if len(t_s) >= MOMENTS and np.max(explained) > CHANGED + by_chance:
@@ -158,6 +177,8 @@ def _check_moments(t_s: Array, basis: Array, force_N: Array) -> None:
         trust = 1 / np.sqrt(np.maximum(np.abs(off_N), np.median(np.abs(off_N)) + 1e-12))
         off_N = force_N - basis @ _weights(basis * trust[:, None], force_N * trust)
     mean_N = np.convolve(off_N, np.full(length, 1 / length), "same")
+    # What arrives first may belong to a path before these samples.
+    mean_N[t_s < min(t_s[0] + LATEST_S, float(np.median(t_s)))] = 0.0
     oddest = int(np.argmax(np.abs(mean_N)))
     is_rest = np.abs(t_s - t_s[oddest]) > ODD_BESIDE_S
     share = abs(mean_N[oddest]) / float(np.quantile(np.abs(force_N), LARGEST))
@@ -179,8 +200,7 @@ def check_output_gain(stage_mm: Array, output: Array) -> None:
     """
     is_up = stage_mm <= SHALLOW * np.max(stage_mm)
     change = output - (np.median(output[is_up]) if np.any(is_up) else output[0])
-    gains = _press_gains(stage_mm, change * np.sign(np.sum(change)))
-    ratio = float(np.max(gains) / max(float(np.min(gains)), 1e-9)) if len(gains) > 1 else 1.0
+    ratio = _ratio(press_gains(stage_mm, change * np.sign(np.sum(change))))
     if ratio > OUTPUT_GAIN:
         raise BadReply(reason("rig.output_gain", ratio=ratio))
 
@@ -201,7 +221,7 @@ def check_follows(t_s: Array, output: Array, stage_mm_at: Callable[[Array], Arra
     depth_mm = np.maximum(0.0, stage_mm_at(grid_s) - contact_mm)
     if len(t_s) < PRESS_SAMPLES or float(np.max(depth_mm)) <= 0.0:
         return
-    basis = _basis(t_s, grid_s, depth_mm, RELAXATION_S)
+    basis = np.column_stack([np.ones_like(t_s), _basis(t_s, grid_s, depth_mm, RELAXATION_S)])
     for values in output.T:
         spread = float(np.sum((values - values.mean()) ** 2))
         followed = 1.0 - _misfit(basis, values) / spread if spread else 0.0
@@ -231,24 +251,24 @@ def check_bits(output: Array) -> None:
                 raise BadReply(reason("rig.bit", bit=bit))
 
 
-def _press_gains(stage_mm: Array, change: Array) -> Array:
-    """Return what each press changes relative to the run's usual one at equal depths, (number of presses,).
+def press_gains(stage_mm: Array, force_N: Array) -> Array:
+    """Return the force of each press relative to the run's usual one at equal depths, (number of presses,).
 
-    A press that never is where others have a quarter of the run's largest change is left out.
+    A press that never is where others have a quarter of the run's largest force is left out.
     """
     presses = _presses(stage_mm)
     if not presses:
         return np.empty(0)
     edges = np.linspace(0.0, float(np.max(stage_mm)) + 1e-9, 25)
     bins = np.digitize(stage_mm, edges)
-    usual = np.array([_median(change[bins == k]) for k in range(len(edges) + 1)])[bins]
+    usual = np.array([_median(force_N[bins == k]) for k in range(len(edges) + 1)])[bins]
     is_pressed = np.isfinite(usual) & (usual > 0.25 * np.nanmax(usual))
     gains = []
     for begin, end in presses:
         own = is_pressed[begin:end]
         if np.count_nonzero(own) >= PRESS_SAMPLES:
-            expected, shown = usual[begin:end][own], change[begin:end][own]
-            gains.append(float(np.dot(shown, expected) / np.dot(expected, expected)))
+            expected, force = usual[begin:end][own], force_N[begin:end][own]
+            gains.append(float(np.dot(force, expected) / np.dot(expected, expected)))
     return np.array(gains)
 
 
@@ -259,15 +279,17 @@ def _presses(stage_mm: Array) -> list[tuple[int, int]]:
     return [(int(begin), int(end)) for begin, end in zip(turns[::2], turns[1::2], strict=True)]
 
 
+def _ratio(gains: Array) -> float:
+    return float(np.max(gains) / max(float(np.min(gains)), 1e-9)) if len(gains) > 1 else 1.0
+
+
 def _median(values: Array) -> float:
     return float(np.median(values)) if len(values) else float("nan")
 
 
 def _basis(t_s: Array, grid_s: Array, value: Array, relaxation_s: Sequence[float]) -> Array:
-    """Return a law of a depth, or of a force, at instants, with a constant and what is left of a path before them."""
-    columns = [np.interp(t_s, grid_s, column) for column in _law(value, relaxation_s)]
-    before = [np.exp((grid_s[0] - t_s) / time_s) for time_s in relaxation_s]
-    return np.column_stack([np.ones_like(t_s), *before, *columns])
+    """Return a law of a depth, or of a force, at instants."""
+    return np.column_stack([np.interp(t_s, grid_s, column) for column in _law(value, relaxation_s)])
 
 
 def _law(value: Array, relaxation_s: Sequence[float]) -> list[Array]:

@@ -15,6 +15,7 @@ from softcal.station.record.proof import (
     LATE_S,
     check_bits,
     check_follows,
+    check_gain,
     check_lag,
     check_law,
     check_output_gain,
@@ -156,7 +157,7 @@ def assemble(raw: Raw, facts: RunFacts) -> StationRecording:
 
     Raises:
         BadReply: too many samples were lost, a device clock is far off, or the load cell does not tell the stage's
-            story (late, or changed in the run).
+            story (late, another gain from press to press).
     """
     sensor_s, output = _columns(raw.output)
     sensor = _fitted(sensor_s, raw.output, facts.sensor)
@@ -277,6 +278,7 @@ def _check_cell(raw: Raw, cell: ClockFit, sensor: ClockFit, track: StageTrack, f
     inside = _in_presses(force_s, facts)
     if not len(inside):
         return
+    check_gain(track.at(force_s[inside]) - facts.zero_mm, force_N[inside, 0] - facts.zero_N)
     inside = _enough(inside)
     sensor_s, output = _columns(raw.output)
     shown = np.interp(force_s[inside], sensor.to_host(sensor_s), output[:, 0])

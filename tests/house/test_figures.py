@@ -20,7 +20,7 @@ SETTINGS = {
     "gap": "0.95 1 0.4 25 2 8 10 5 90 40 0.25 0.5",
     "long-term": "0.08 0.3 1.5 1.8 10 60",
     "results": "1.03 1.13 2.6 1.10 95 800 799 1199 400,000 100",
-    "station": "1.1 34461 1000 100 120 122 0.9 10 3.3 170 28 73 42 223 1.6 15 2 18.2",
+    "station": "1.1 34461 1000 100 120 122 0.9 10 3.3 170 28 73 42 223 1.4 1.6 15 2 18.2",
     "trust": "12 10 90 99 22 5 3 0.25 1961 16269 3951 2859",
 }
 """Page → its numbers that nobody measured: settings, limits, rows that were used, and what the paper states."""

@@ -14,10 +14,12 @@ from softcal.station.devices.config import UNKNOWN_S
 from softcal.station.record.proof import (
     check_bits,
     check_follows,
+    check_gain,
     check_lag,
     check_law,
     check_output_gain,
     lag_s,
+    press_gains,
 )
 from softcal.station.record.recording import Raw, RunFacts, assemble
 from softcal.station.record.spool import read_spool
@@ -80,6 +82,14 @@ def test_a_cell_may_be_off_by_a_share_of_its_sampling_period():
     for found_s in (0.02, -0.15):
         values = refused("rig.behind", check_lag, found_s, 0.0, 0.0125)
         assert (values["found_s"], values["declared_s"]) == (found_s, 0.0)
+
+
+def test_a_press_with_another_gain_is_refused():
+    t_s = np.arange(0.0, 30.0, 0.02)
+    force_N = relaxing_force(t_s)
+    check_gain(stage_mm(t_s), force_N)
+    assert press_gains(stage_mm(t_s), force_N) == pytest.approx(1.0, abs=0.15)
+    refused("rig.gain", check_gain, stage_mm(t_s), np.where(t_s > 15.0, 0.6, 1.0) * force_N)
 
 
 def shown_by(force_N, rng):
@@ -149,7 +159,7 @@ def test_a_cell_whose_gain_halves_in_a_short_run_is_noticed(seed, tmp_path):
     assemble(Raw(run.output, run.force, run.polls), facts)
     with pytest.raises(BadReply) as bad:
         assemble(Raw(run.output, halved, run.polls), facts)
-    assert bad.value.reason.code == "rig.odd_force"
+    assert bad.value.reason.code in ("rig.gain", "rig.odd_force")
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
