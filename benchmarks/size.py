@@ -2,19 +2,23 @@
 
     python benchmarks/size.py                    this working copy
     python benchmarks/size.py --against HEAD~20  a commit and this working copy side by side
+    python benchmarks/size.py --way              the way of one simulated unit through core/unit/calibrate.py
 
-Prints a row a measure. Nothing is imported and nothing is run; a commit is read by `git archive`.
+Prints a row a measure. Without `--way` nothing is imported and nothing is run; a commit is read by `git archive`.
 """
 
 import argparse
 import ast
 import io
 import subprocess
+import sys
 import tarfile
 import tempfile
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from itertools import groupby
 from pathlib import Path
+from types import FrameType
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("core", "db", "station", "app")
@@ -31,7 +35,12 @@ Arrows = dict[str, set[str]]
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--against", metavar="REF", help="a commit to print before this working copy")
-    ref = parser.parse_args().against
+    parser.add_argument("--way", action="store_true", help="calibrate one unit and print the modules it walks")
+    options = parser.parse_args()
+    if options.way:
+        print_way()
+        return
+    ref = options.against
     columns = [measured(ROOT)]
     if ref is not None:
         with tempfile.TemporaryDirectory() as folder:
@@ -185,6 +194,32 @@ def closing(circle: frozenset[str], arrows: Arrows) -> int:
         order.append(room)
         left.remove(room)
     return sum(order.index(other) < order.index(room) for room in circle for other in arrows[room] & circle)
+
+
+def print_way() -> None:
+    """Print which modules `calibrate` calls for one audited unit, in order, and how often it comes back to one."""
+    from softcal.core.network.config import NetworkConfig
+    from softcal.core.network.training import fit_network
+    from softcal.core.simulated_lot import LotDesign, simulate_lot
+    from softcal.core.unit.calibrate import UnitProblem, calibrate
+    from softcal.core.unit.source_model import make_source_model
+
+    lot = simulate_lot(3, LotDesign(good=1))
+    network = fit_network(lot.source, NetworkConfig(hidden=(20,), max_epochs=5)).network
+    problem = UnitProblem(make_source_model(lot.source, network), lot.units[0].recording, audit=lot.units[0].audit)
+    called: list[str] = []
+
+    def note(frame: FrameType, event: str, _: object) -> None:
+        file, caller = frame.f_code.co_filename, frame.f_back
+        is_direct = caller is not None and caller.f_code.co_filename.endswith(FITTED) and not file.endswith(FITTED)
+        if event == "call" and is_direct and "/core/" in file:
+            called.append(file.split("/core/")[1])
+
+    sys.setprofile(note)
+    calibrate(problem)
+    sys.setprofile(None)
+    way = [name for name, _ in groupby(called)]
+    print(f"{len(set(way))} modules, {len(way) - len(set(way))} returns: {', '.join(dict.fromkeys(way))}")
 
 
 if __name__ == "__main__":
