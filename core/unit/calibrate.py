@@ -12,15 +12,12 @@ import numpy as np
 
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.identity import content_sha256
-from softcal.core.maps.affine import IdentityFamily
-from softcal.core.maps.between import Between
+from softcal.core.maps.affine_map import IDENTITY, LABEL_SHIFT
 from softcal.core.maps.choose import ChosenMap, choose_map, fit_family
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
-from softcal.core.maps.label_shift import LabelShift
-from softcal.core.maps.paired import fit_pairs
-from softcal.core.maps.phase import Phase
+from softcal.core.maps.monotone import BETWEEN
+from softcal.core.maps.paired import PHASE, SYNCHRONOUS, fit_pairs
 from softcal.core.maps.readout_lag import ReadoutLag, find_readout_lag
-from softcal.core.maps.synchronous import Synchronous
 from softcal.core.maps.synchrony import paired_rows
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
@@ -266,12 +263,12 @@ def _evidence(problem: UnitProblem, fit: FitProblem, chosen: ChosenMap, limits: 
     trials = _trials(problem, fit, chosen)
     bridge = _crossed(problem, fit)
     # Where the stage position or a common load is known, that tells more than leaving shares out.
-    is_measured = bool(trials) or chosen.family == Phase.name
+    is_measured = bool(trials) or chosen.family == PHASE
     return gather_evidence(
         problem.source,
         problem.recording,
         chosen.unit_map,
-        alternatives=[other for name, other in chosen.alternatives.items() if name != IdentityFamily.name],
+        alternatives=[other for name, other in chosen.alternatives.items() if name != IDENTITY],
         resampled=[] if is_measured else _refitted(fit, chosen, problem.source.method),
         limits=limits,
         trials=trials,
@@ -279,7 +276,7 @@ def _evidence(problem: UnitProblem, fit: FitProblem, chosen: ChosenMap, limits: 
         is_anchored=problem.anchors is not None,
         line=problem.line,
         day_rmse=0.0 if bridge is None else bridge.day_rmse,
-        straight=chosen.alternatives.get(LabelShift.name) if chosen.family == Between.name else None,
+        straight=chosen.alternatives.get(LABEL_SHIFT) if chosen.family == BETWEEN else None,
     )
 
 
@@ -297,7 +294,7 @@ def _trials(problem: UnitProblem, fit: FitProblem, chosen: ChosenMap) -> list[Tr
     An opening holds few presses, which the map has been bent to: there, each map has not seen the windows it is
     judged by.
     """
-    if chosen.family != Synchronous.name:
+    if chosen.family != SYNCHRONOUS:
         return []
     source_rows, target_rows = paired_rows(fit.source.unlabelled, fit.target, fit.synchrony, fit.config.synchrony)
     bridge = _crossed(problem, fit)
@@ -308,7 +305,7 @@ def _trials(problem: UnitProblem, fit: FitProblem, chosen: ChosenMap) -> list[Tr
     part = np.arange(len(target_rows)) * parts // len(target_rows)
     trials = []
     for held in (part == k for k in range(parts)):
-        unit_map = fit_pairs(fit, source_rows[~held], target_rows[~held], Synchronous.name)
+        unit_map = fit_pairs(fit, source_rows[~held], target_rows[~held], SYNCHRONOUS)
         trials.append(Trial(unit_map, fit.source, source_rows[held], target_rows[held], floor))
     return trials
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import UnitRefused
-from softcal.core.maps.phase import paired_by_stage, stage_histories
+from softcal.core.maps.paired import paired_by_stage, stage_histories
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.method import Method
 

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from softcal.core.errors import InputError
 from softcal.core.maps.anchors import AnchoredMap
-from softcal.core.maps.exact import NAME, exact_map
 from softcal.core.maps.interface import UnitMap
-from softcal.core.maps.plan import TransportMap
+from softcal.core.maps.plan import EXACT, TransportMap, exact_map
 from softcal.core.metrics import rmse
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
@@ -229,7 +228,7 @@ class QueuedTransport(Batches):
         if "placed" in kept:
             self._source = SourcePairs(kept["windows"], kept["placed"])
         if "stored" in kept:
-            self._use(TransportMap(kept["stored"], kept["displacement"], NAME, self._plan.neighbours))
+            self._use(TransportMap(kept["stored"], kept["displacement"], EXACT, self._plan.neighbours))
 
 
 def _rows(name: str, kept: Any) -> Array:

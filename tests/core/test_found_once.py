@@ -7,8 +7,8 @@ import pytest
 
 from softcal.core.maps import interface
 from softcal.core.maps.catalogue import OWN_FAMILIES
+from softcal.core.maps.choose import dwell_distance
 from softcal.core.maps.interface import FitProblem
-from softcal.core.maps.label_shift import dwell_distance
 from softcal.core.network.network import Network
 from softcal.core.unit import forecast
 from softcal.core.unit.calibrate import UnitProblem, calibrate

@@ -60,7 +60,7 @@ EXPLAINED = {
         "12": "variance of a uniform variable over its squared width",
     },
     "core/use/activity.py": {"12": "one over the variance of a uniform index from -1/2 to 1/2"},
-    "core/maps/label_shift.py": {"5": "a third of a window"},
+    "core/maps/choose.py": {"5": "a third of a window"},
     "core/maps/paired.py": {"1.5": "exponent of the integral of a squared second difference"},
     "core/maps/synchrony.py": {"4": "bands of one recording in a cache"},
     "core/maps/plan.py": {"2000000": "iterations of the exact solver: it refuses beyond them, nothing else changes"},
