@@ -9,7 +9,7 @@ from softcal.core.errors import InputError
 from softcal.core.identity import Settings
 from softcal.core.maps.config import AnchorConfig
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
-from softcal.core.metrics import rmse
+from softcal.core.metrics import rms, rmse
 from softcal.core.recording import Array, LabelledRecording
 from softcal.core.windows import resting
 
@@ -102,7 +102,7 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, kind: str) 
     theta = taken * np.linalg.solve(normal, design.T @ ((wanted - mapped) / sigma))
     gain = 1.0 + spread * float(theta[0])
     offset = float(rest * (1.0 - gain) + level * theta[1])
-    misfit = float(np.sqrt(np.mean(((offset + gain * mapped - wanted) / sigma) ** 2)))
+    misfit = rms((offset + gain * mapped - wanted) / sigma)
     # Loads that do not fit a gain and an offset know neither better than they fit.
     # The unknowns were counted where the map was before; errors count where it is now: at rest and about it.
     now = np.array([[spread / gain, 0.0], [-spread * level * float(theta[1]) / gain, level]])
@@ -178,7 +178,7 @@ def source_bend(source: LabelledRecording, config: AnchorConfig) -> float:
     loads = np.linspace(float(low), float(high), config.bend_levels)
     levels = np.array([source_level(source, float(load), config)[0] for load in loads])
     chord = levels[0] + (levels[-1] - levels[0]) * (loads - low) / (high - low)
-    return float(np.sqrt(np.mean((levels - chord)[1:-1] ** 2)) / max(abs(levels[-1] - levels[0]), 1e-12))
+    return rms((levels - chord)[1:-1]) / max(abs(float(levels[-1] - levels[0])), 1e-12)
 
 
 def check_values(source: LabelledRecording, load: Array, nothing: str, config: AnchorConfig) -> None:

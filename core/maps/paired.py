@@ -22,6 +22,7 @@ from softcal.core.maps.crossing import robust_range
 from softcal.core.maps.curve import CurveMap, continued
 from softcal.core.maps.interface import FitProblem
 from softcal.core.maps.synchrony import paired_rows
+from softcal.core.metrics import rms
 from softcal.core.recording import Array, Indices, OutputRecording
 from softcal.core.windows import TAPS, resting, windows
 from softcal.core.words.reason import reason
@@ -157,7 +158,7 @@ class _Pairs:
     def error(self, unit_map: PairedMap, rows: Indices) -> float:
         """Return the root mean square difference of the estimates over some pairs, in standard deviations."""
         estimate = self._network.evaluate(unit_map.apply(self._target[rows])) / self._network.reference_scale
-        return float(np.sqrt(np.mean((estimate - self._label[rows]) ** 2)))
+        return rms(estimate - self._label[rows])
 
     def fit(self, rows: Indices, shapes: int) -> PairedMap:
         """Fit the curve, and the mix of the first `shapes` window polynomials where that is not 0."""
