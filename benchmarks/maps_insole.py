@@ -21,8 +21,9 @@ from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
-from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.source_model import SourceModel, make_source_model
+from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import VERDICTS
 
 SOURCES = ("taxel_001", "taxel_030", "taxel_060", "taxel_061", "taxel_135")

@@ -24,7 +24,7 @@ from common.tables import print_table
 from maps_insole import SOURCES, split
 
 from softcal.core.identity import content_sha256
-from softcal.core.maps.anchors import firmness, refine
+from softcal.core.maps.anchors import refine
 from softcal.core.maps.catalogue import family
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.config import MapConfig
@@ -148,7 +148,7 @@ def two_known(case: Case, networks: Networks) -> tuple[float, float, float]:
     problem = FitProblem(case.source, network, case.unit, loads)
     maps = [choose_map(problem).unit_map]
     for name in ("between", "label_shift"):
-        maps.append(refine(problem, family(name).fit(problem), loads, firmness("", problem.config.anchors)).unit_map)
+        maps.append(refine(problem, family(name).fit(problem), loads, "").unit_map)
     default, half, line = (one.apply(case.test.windows) for one in maps)
     span, middle = float(np.ptp(case.source.unlabelled.output)), float(np.median(line))
     tried = (

@@ -16,7 +16,7 @@ from common.tables import print_table
 
 from softcal.core.maps.config import MapConfig, PairConfig
 from softcal.core.maps.interface import FitProblem
-from softcal.core.maps.synchronous import Synchronous
+from softcal.core.maps.paired import fit_synchronous
 from softcal.core.metrics import rmse
 from softcal.core.network.training import fit_network
 
@@ -46,7 +46,7 @@ def main() -> None:
             unit, test = taxel(day, name, fitted).unlabelled, taxel(day, name, judged)
             for label, config in configs:
                 problem = FitProblem(recording, network, unit, config=replace(MapConfig(), pairs=config))
-                estimate = network.evaluate(Synchronous().fit(problem).apply(test.windows))
+                estimate = network.evaluate(fit_synchronous(problem).apply(test.windows))
                 errors[label].append(rmse(estimate, test.window_reference))
     base = np.array(errors[configs[0][0]])
     pairs = f"Sources {', '.join(sources)}, {len(base)} pairs of source and unit"

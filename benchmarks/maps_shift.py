@@ -16,8 +16,9 @@ from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
 from softcal.core.simulated_lot import SHIFTS, LotDesign, simulate_lot
-from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.source_model import SourceModel, make_source_model
+from softcal.core.unit.unit_problem import UnitProblem
 
 NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60, batch=128)
 """Smaller than the paper's for f and own calibrations alike, so that hundreds of units fit in minutes."""

@@ -30,9 +30,10 @@ from softcal.core.maps.interface import FitProblem
 from softcal.core.maps.paired import fit_pairs
 from softcal.core.metrics import rmse
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import make_source_model
+from softcal.core.unit.unit_problem import UnitProblem
 
 FAMILIES = ("identity", "affine", "label_shift", "monotone", "between")
 KNOWN = ("before (no map)", "softcal default", "ot.da.EMDTransport")

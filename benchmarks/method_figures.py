@@ -14,7 +14,7 @@ from plotly.subplots import make_subplots
 
 from softcal.core.maps.catalogue import family
 from softcal.core.maps.interface import FitProblem, UnitMap
-from softcal.core.maps.phase import paired_by_stage
+from softcal.core.maps.paired import paired_by_stage
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, LabelledRecording

@@ -26,8 +26,9 @@ from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import LotDesign, simulate_lot
-from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.source_model import SourceModel, make_source_model
+from softcal.core.unit.unit_problem import UnitProblem
 
 CAUGHT, REFUSED_GOOD, TOO_SMALL = 0.98, 0.005, 5.0
 CONTRADICTED = {"reversed", "elsewhere", "other speed", "other rate"}

@@ -33,9 +33,10 @@ from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
 from softcal.core.orders import Heartbeat, StationState
 from softcal.core.simulated_lot import LotDesign, simulate_lot
-from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.source_model import make_source_model
+from softcal.core.unit.unit_problem import UnitProblem
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
 from softcal.db.truth.lot_pages import UnitFilter

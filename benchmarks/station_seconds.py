@@ -16,9 +16,10 @@ from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network
 from softcal.core.recording import OutputRecording
 from softcal.core.simulated_lot import draw_twins
-from softcal.core.unit.calibrate import UnitProblem, calibrate
-from softcal.core.unit.scoring import score_map
+from softcal.core.unit.audit_reading import score_map
+from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.source_model import SourceModel, make_source_model
+from softcal.core.unit.unit_problem import UnitProblem
 
 SECONDS = (10.0, 15.0, 25.0, 40.0, 60.0, 90.0, 150.0)
 BESIDE_S = 11.0

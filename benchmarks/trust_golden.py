@@ -24,8 +24,9 @@ from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
 from softcal.core.network.training import fit_network
 from softcal.core.unit.bridge import Bridge, make_bridge
-from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.source_model import SourceModel, make_source_model
+from softcal.core.unit.unit_problem import UnitProblem
 
 EVERY = 5
 """Every fifth taxel is a unit."""

@@ -10,6 +10,11 @@ def finite_or_none(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
+def rms(values: Array) -> float:
+    """Return the root mean square; 0 of nothing."""
+    return float(np.sqrt(np.mean(np.square(values)))) if np.size(values) else 0.0
+
+
 def rmse(estimate: Array, reference: Array) -> float:
     """Return the root mean square error over rows where both are finite; NaN where there is none.
 

@@ -17,8 +17,7 @@ from softcal.core.quality.release import AuditedUnit, audits_wanted
 from softcal.core.quality.widening import AuditedSamples, Widening, fit_widening
 from softcal.core.recording import LabelledRecording
 from softcal.core.unit.audit_reading import AuditReading, line_of
-from softcal.core.unit.audited import with_audit
-from softcal.core.unit.calibrate import read_gain
+from softcal.core.unit.audited import read_gain, with_audit
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.common_misreading import CommonMisreading, LoadLine, common_misreading, without
 from softcal.core.unit.knowledge import ANCHORED

@@ -14,10 +14,9 @@ from softcal.core.identity import content_sha256
 from softcal.core.quality.lot_release import LotRelease, release_lot
 from softcal.core.quality.lot_standing import LotStanding, UnitInLot
 from softcal.core.quality.release import least_passing
-from softcal.core.unit.audited import measured
+from softcal.core.unit.audited import judged, measured
 from softcal.core.unit.calibration import AUDIT_GAIN, AUDIT_ZERO, CalibrationRecord
 from softcal.core.unit.common_misreading import CommonMisreading, corrected
-from softcal.core.unit.judging import judged
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Limit
 from softcal.core.words.reason import Reason

@@ -14,10 +14,11 @@ from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, LabelledRecording
 from softcal.core.simulated_lot import SHIFTS, LotDesign, SimulatedUnit, simulate_lot
-from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import Estimate, estimate
 from softcal.core.unit.source_model import SourceModel, make_source_model
+from softcal.core.unit.unit_problem import UnitProblem
 
 NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60, patience=10, batch=128)
 """Smaller than the paper's, for shared network and own calibrations alike, so that hundreds of units fit in minutes."""

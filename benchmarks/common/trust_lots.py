@@ -27,12 +27,13 @@ from softcal.core.simulated_lot import DEPTH_MM, LotDesign, draw_twins, simulate
 from softcal.core.twin.simulate import Twin, simulate
 from softcal.core.unit.audit_reading import OutputLevel, line_of
 from softcal.core.unit.bridge import make_bridge
-from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.calibration import OUTPUT_REST, OUTPUT_SPAN, Calibration
 from softcal.core.unit.common_misreading import LoadLine
 from softcal.core.unit.estimate import Estimate, estimate
-from softcal.core.unit.forecast import rms_load
+from softcal.core.unit.evidence import rms_load
 from softcal.core.unit.source_model import SourceModel, make_source_model
+from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import default_limit
 
 UNITS, MANY, MANY_EVERY, LARGE = 14, 26, 6, 30

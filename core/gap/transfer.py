@@ -13,9 +13,10 @@ from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import LotDesign
 from softcal.core.twin.simulate import Twin, simulate
 from softcal.core.twin.spread import LotSpread, draw_lot
-from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.source_model import make_source_model
+from softcal.core.unit.unit_problem import UnitProblem
 
 NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60, patience=10, batch=128)
 """Smaller than the paper's and the same for rig and twins: what is compared is what the twin predicts."""

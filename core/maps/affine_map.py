@@ -1,13 +1,19 @@
 """One gain and one offset for every sample: the form of several families, and of the identity."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from softcal.core.errors import UnitRefused
 from softcal.core.identity import Settings
+from softcal.core.maps.interface import FitProblem
 from softcal.core.recording import Array
 from softcal.core.windows import windows
+from softcal.core.words.reason import reason
+
+IDENTITY, AFFINE, LABEL_SHIFT = "identity", "affine", "label_shift"
 
 
 @dataclass(frozen=True)
@@ -22,7 +28,7 @@ class AffineMap:
 
     gain: float
     offset: float
-    family: str = "affine"
+    family: str = AFFINE
 
     def apply(self, windows: Array) -> Array:
         return self.offset + self.gain * windows
@@ -35,3 +41,33 @@ class AffineMap:
 
     def settings(self) -> Settings:
         return {}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]], settings: Settings, family: str) -> "AffineMap":
+        return cls(float(arrays["gain"]), float(arrays["offset"]), family)
+
+
+def fit_identity(problem: FitProblem) -> AffineMap:
+    """Do nothing: the candidate every other map has to beat."""
+    return AffineMap(1.0, 0.0, IDENTITY)
+
+
+def fit_affine(problem: FitProblem) -> AffineMap:
+    """Match two robust extremes of the outputs: the level at rest and the level of the hardest presses."""
+    extremes = problem.config.choice.extremes
+    low, high = np.quantile(problem.target.output, extremes)
+    source_low, source_high = np.quantile(problem.source.unlabelled.output, extremes)
+    if high <= low:
+        raise UnitRefused(reason("still", level=float(low), unit=problem.target.output_unit))
+    gain = float((source_high - source_low) / (high - low))
+    return AffineMap(gain, float(source_low - gain * low))
+
+
+def fit_label_shift(problem: FitProblem) -> AffineMap:
+    """Match rest and peak of the two outputs, blind to how long and how fast each unit was pressed.
+
+    What units pressed between the same rest and peaks share, however the time between is spent, are these two levels.
+    The peak is read off the crossing measure, N(x) the number of times the output crosses level x, which does not
+    change when presses are held longer or made faster.
+    """
+    return AffineMap(problem.ends.gain, problem.ends.offset, LABEL_SHIFT)

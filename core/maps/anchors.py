@@ -9,7 +9,7 @@ from softcal.core.errors import InputError
 from softcal.core.identity import Settings
 from softcal.core.maps.config import AnchorConfig
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
-from softcal.core.metrics import rmse
+from softcal.core.metrics import rms, rmse
 from softcal.core.recording import Array, LabelledRecording
 from softcal.core.windows import resting
 
@@ -62,74 +62,50 @@ class Anchoring:
     misfit: float
 
 
-@dataclass(frozen=True, eq=False)
-class Firmness:
-    """How far a map may be off before any load is seen: one standard deviation each.
-
-    Args:
-        level: of the level at rest, as a share of the source's output range.
-        is_paired: whether the map was fitted to pairs behind f: it makes up for what f misreads, and is left as it is
-            unless the loads contradict it.
-    """
-
-    gain: float
-    level: float
-    is_paired: bool = False
-
-
-def firmness(kind: str, config: AnchorConfig) -> Firmness:
-    """Return how firm a map is.
-
-    Args:
-        kind: how its loads are known: `paired`, `stage` or anything else (`core/unit/knowledge.py`).
-    """
-    firm = {"paired": config.firm_paired, "stage": config.firm_stage}
-    if kind in firm:
-        return Firmness(firm[kind], config.firm_level, is_paired=True)
-    return Firmness(config.gain_spread, config.level_spread)
-
-
-def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, firm: Firmness) -> Anchoring:
+def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, kind: str) -> Anchoring:
     """Correct gain and level of a map so that the unit under a known load looks like the source under it.
 
-    Minimises sum ((offset + gain x_k - y_k) / sigma_k)^2 + (dgain / firm.gain)^2 + (dlevel / firm.level range)^2: x_k
-    is what the map makes of the output at rest under load k, y_k and sigma_k are level and spread of the source's own
-    output under that load. One anchor moves what it can see, several fix both numbers. The gain turns about the
-    source's rest level: both numbers would else be strongly correlated.
+    Minimises sum ((offset + gain x_k - y_k) / sigma_k)^2 + (dgain / s_gain)^2 + (dlevel / s_level)^2: x_k is what the
+    map makes of the output at rest under load k, y_k and sigma_k are level and spread of the source's own output under
+    that load, s_gain and s_level how far the map may be off before any load is seen. One anchor moves what it can see,
+    several fix both numbers. The gain turns about the source's rest level: both numbers would else be strongly
+    correlated.
 
     f is left out on purpose: it misreads a load at rest by its own error, and where it is flat no gain or offset of
     any size would make it read the load. A map from pairs was fitted behind f and differs from the source's levels by
-    what f misreads: there f's error is in sigma_k. Of what K loads ask for a part 1 - K / sum z_k^2 is taken, with
-    z_k = (x_k - y_k) / sigma_k: none of what the errors explain (James and Stein 1961, positive part). So loads that
-    were read in motion, whose scatter is that of sigma_k, change little.
+    what f misreads: there f's error is in sigma_k, and the map is left as it is unless the loads contradict it. Of what
+    K loads ask for a part 1 - K / sum z_k^2 is taken, with z_k = (x_k - y_k) / sigma_k: none of what the errors explain
+    (James and Stein 1961, positive part). So loads that were read in motion, whose scatter is that of sigma_k, change
+    little.
 
     Args:
         unit_map: fitted without anchors.
         anchors: outputs at rest under known loads.
-        firm: how far the map is believed beside them.
+        kind: how its loads are known: `paired`, `stage` or anything else (`core/unit/knowledge.py`).
     """
-    config, output = problem.config, problem.source.unlabelled.output
-    low, high = np.quantile(output, config.crossing.robust_range)
+    config, output = problem.config.anchors, problem.source.unlabelled.output
+    low, high = np.quantile(output, problem.config.crossing.robust_range)
     is_rising = np.corrcoef(output, problem.source.reference)[0, 1] >= 0
-    rest, level = float(low if is_rising else high), firm.level * float(high - low)
+    rest, spread = float(low if is_rising else high), config.gain_spread
+    firm = {"paired": config.firm_paired, "stage": config.firm_stage}.get(kind)
+    level = (config.level_spread if firm is None else config.firm_level) * float(high - low)
+    prior = np.array([spread if firm is None else firm, level])
     mapped = unit_map.apply(resting(np.asarray(anchors.output, np.float64))).mean(axis=1)
-    wanted, sigma = np.array([source_level(problem.source, load, config.anchors) for load in anchors.reference]).T
-    prior = np.array([firm.gain, level])
-    if firm.is_paired:
+    wanted, sigma = np.array([source_level(problem.source, load, config) for load in anchors.reference]).T
+    if firm is not None:
         sigma = np.hypot(sigma, _model_error(problem))
-        # Pairs pressed with another load than the source's know the gain no better than the output alone does.
-        firm = firmness("", config.anchors)
     taken = 1.0 - wanted.size / max(float(np.sum(((wanted - mapped) / sigma) ** 2)), wanted.size)
-    # In standard deviations of the prior, whose own residual is then the unknown itself.
-    design = np.stack([firm.gain * (mapped - rest), np.full_like(mapped, level)], axis=1) / sigma[:, None]
+    # In standard deviations of the prior, whose own residual is then the unknown itself. Pairs pressed with another
+    # load than the source's know the gain no better than the output alone does.
+    design = np.stack([spread * (mapped - rest), np.full_like(mapped, level)], axis=1) / sigma[:, None]
     normal = design.T @ design + np.eye(2)
     theta = taken * np.linalg.solve(normal, design.T @ ((wanted - mapped) / sigma))
-    gain = 1.0 + firm.gain * float(theta[0])
+    gain = 1.0 + spread * float(theta[0])
     offset = float(rest * (1.0 - gain) + level * theta[1])
-    misfit = float(np.sqrt(np.mean(((offset + gain * mapped - wanted) / sigma) ** 2)))
+    misfit = rms((offset + gain * mapped - wanted) / sigma)
     # Loads that do not fit a gain and an offset know neither better than they fit.
     # The unknowns were counted where the map was before; errors count where it is now: at rest and about it.
-    now = np.array([[firm.gain / gain, 0.0], [-firm.gain * level * float(theta[1]) / gain, level]])
+    now = np.array([[spread / gain, 0.0], [-spread * level * float(theta[1]) / gain, level]])
     covariance = now @ np.linalg.inv(normal) @ now.T * max(misfit, 1.0) ** 2
     error = np.sqrt(taken * np.diag(covariance) + (1.0 - taken) * prior**2)
     return Anchoring(AnchoredMap(unit_map, gain, offset), float(error[0]), float(error[1]), misfit)
@@ -202,17 +178,15 @@ def source_bend(source: LabelledRecording, config: AnchorConfig) -> float:
     loads = np.linspace(float(low), float(high), config.bend_levels)
     levels = np.array([source_level(source, float(load), config)[0] for load in loads])
     chord = levels[0] + (levels[-1] - levels[0]) * (loads - low) / (high - low)
-    return float(np.sqrt(np.mean((levels - chord)[1:-1] ** 2)) / max(abs(levels[-1] - levels[0]), 1e-12))
+    return rms((levels - chord)[1:-1]) / max(abs(float(levels[-1] - levels[0])), 1e-12)
 
 
 def check_values(source: LabelledRecording, load: Array, nothing: str, config: AnchorConfig) -> None:
     """Refuse known loads, whatever was read under them, that are out of the source's range, or one twice.
 
     Args:
-        source: labelled recording of the lot's source.
         load: (k,) in the source's reference unit.
         nothing: what was not done, the end of the message.
-        config: which loads the source knows, and which are two.
 
     Raises:
         InputError: which row is wrong, what was expected, and that nothing was changed.

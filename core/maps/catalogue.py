@@ -1,35 +1,54 @@
 """The one list of map families: softcal's own, then plug-ins."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softcal.core.errors import InputError
 from softcal.core.identity import Settings
-from softcal.core.maps.affine import Affine, IdentityFamily
+from softcal.core.maps.affine_map import (
+    AFFINE,
+    IDENTITY,
+    LABEL_SHIFT,
+    AffineMap,
+    fit_affine,
+    fit_identity,
+    fit_label_shift,
+)
 from softcal.core.maps.anchors import AnchoredMap
-from softcal.core.maps.between import Between
 from softcal.core.maps.config import DEFAULT
-from softcal.core.maps.exact import Exact
-from softcal.core.maps.interface import MapFamily, UnitMap
-from softcal.core.maps.joint import Joint
-from softcal.core.maps.label_shift import LabelShift
-from softcal.core.maps.monotone import Monotone
-from softcal.core.maps.phase import Phase
-from softcal.core.maps.synchronous import Synchronous
+from softcal.core.maps.curve import CurveMap
+from softcal.core.maps.interface import FitProblem, MapFamily, UnitMap
+from softcal.core.maps.monotone import BETWEEN, MONOTONE, fit_between, fit_monotone
+from softcal.core.maps.paired import PHASE, SYNCHRONOUS, fit_phase, fit_synchronous, paired_map_from_arrays
+from softcal.core.maps.plan import EXACT, JOINT, TransportMap, fit_exact, fit_joint
 from softcal.core.plugins import PluginKind
 
-_LISTED: tuple[MapFamily, ...] = (
-    IdentityFamily(),
-    Affine(),
-    LabelShift(),
-    Monotone(),
-    Between(),
-    Synchronous(),
-    Phase(),
-    Exact(),
-    Joint(),
+
+@dataclass(frozen=True)
+class OwnFamily:
+    """A family of softcal's own: how it is fitted, and how a map of its form is rebuilt."""
+
+    name: str
+    fit: Callable[[FitProblem], UnitMap]
+    rebuild: Callable[[Mapping[str, NDArray[np.generic]], Settings, str], UnitMap]
+
+    def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> UnitMap:
+        return self.rebuild(arrays, settings, self.name)
+
+
+_LISTED = (
+    OwnFamily(IDENTITY, fit_identity, AffineMap.from_arrays),
+    OwnFamily(AFFINE, fit_affine, AffineMap.from_arrays),
+    OwnFamily(LABEL_SHIFT, fit_label_shift, AffineMap.from_arrays),
+    OwnFamily(MONOTONE, fit_monotone, CurveMap.from_arrays),
+    OwnFamily(BETWEEN, fit_between, CurveMap.from_arrays),
+    OwnFamily(SYNCHRONOUS, fit_synchronous, paired_map_from_arrays),
+    OwnFamily(PHASE, fit_phase, paired_map_from_arrays),
+    OwnFamily(EXACT, fit_exact, TransportMap.from_arrays),
+    OwnFamily(JOINT, fit_joint, TransportMap.from_arrays),
 )
 
 OWN_FAMILIES: Mapping[str, MapFamily] = {family.name: family for family in _LISTED}

@@ -2,21 +2,22 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from softcal.core.errors import UnitRefused
-from softcal.core.maps.affine import IdentityFamily
-from softcal.core.maps.anchors import Anchoring, firmness, refine, source_bend
+from softcal.core.maps.affine_map import AFFINE, IDENTITY, LABEL_SHIFT, fit_label_shift
+from softcal.core.maps.anchors import refine, source_bend
 from softcal.core.maps.catalogue import family
 from softcal.core.maps.config import DEFAULT, CrossingConfig
-from softcal.core.maps.crossing import averaging_length, level_path
-from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
-from softcal.core.maps.label_shift import dwell_distance
-from softcal.core.maps.synchrony import Synchrony
-from softcal.core.recording import OutputRecording
+from softcal.core.maps.crossing import KEPT, averaging_length, level_path
+from softcal.core.maps.interface import FitProblem, UnitMap
+from softcal.core.maps.monotone import BETWEEN, MONOTONE
+from softcal.core.maps.paired import PHASE, SYNCHRONOUS
+from softcal.core.recording import Array, OutputRecording
 
-_KIND = {"synchronous": "paired", "phase": "stage"}
+_KIND = {SYNCHRONOUS: "paired", PHASE: "stage"}
 """How the loads behind a family are known; any other rests on distributions."""
 
 
@@ -51,39 +52,19 @@ def choose_map(problem: FitProblem) -> ChosenMap:
     evidence: Mapping[str, float | str]
     forced = problem.config.family
     if forced != DEFAULT:
-        candidates = {forced: family(forced).fit(problem)} | _fitted(problem, ("identity", "label_shift"))
+        candidates = {forced: family(forced).fit(problem)} | _fitted(problem, IDENTITY, LABEL_SHIFT)
         # The others are fitted all the same: where they disagree the estimate is uncertain.
         name, evidence = forced, {"decision": f"{forced}, as configured"}
     else:
-        # Pairs need what not every recording has; these four need the output alone.
-        candidates = _fitted(problem, ("identity", "affine", "label_shift", "monotone", "between"))
+        # Pairs need what not every recording has; these need the output alone.
+        candidates = _fitted(problem, IDENTITY, AFFINE, LABEL_SHIFT, MONOTONE, BETWEEN)
         name, evidence = _decide(problem, candidates)
     chosen = candidates.pop(name)
     if problem.anchors is None:
         return ChosenMap(chosen, evidence, candidates)
-    return _anchored(problem, problem.anchors, ChosenMap(chosen, evidence, candidates))
-
-
-def fit_family(problem: FitProblem, name: str) -> UnitMap:
-    """Fit one family and refine it by anchors where there are any: the map `choose_map` takes where it is configured.
-
-    Raises:
-        UnitRefused: the recording allows no such map.
-    """
-    unit_map = family(name).fit(problem)
-    if problem.anchors is None:
-        return unit_map
-    return _refined(problem, unit_map, problem.anchors).unit_map
-
-
-def _refined(problem: FitProblem, unit_map: UnitMap, anchors: Anchors) -> Anchoring:
-    return refine(problem, unit_map, anchors, firmness(_KIND.get(unit_map.family, ""), problem.config.anchors))
-
-
-def _anchored(problem: FitProblem, anchors: Anchors, found: ChosenMap) -> ChosenMap:
-    """Hold the map and those that might have been taken against the known loads."""
-    refined = _refined(problem, found.unit_map, anchors)
-    told: dict[str, float | str] = {
+    # Maps that might have been taken are held against the known loads as well.
+    refined = refine(problem, chosen, problem.anchors, _KIND.get(name, ""))
+    by_loads: dict[str, float | str] = {
         "anchor_gain": refined.unit_map.gain,
         "anchor_offset": refined.unit_map.offset,
         "anchor_misfit": refined.misfit,
@@ -92,13 +73,27 @@ def _anchored(problem: FitProblem, anchors: Anchors, found: ChosenMap) -> Chosen
         "rest_error": refined.rest_error,
     }
     others = {
-        name: other if name == IdentityFamily.name else _refined(problem, other, anchors).unit_map
-        for name, other in found.alternatives.items()
+        other: unit_map if other == IDENTITY else _by_loads(problem, unit_map) for other, unit_map in candidates.items()
     }
-    return ChosenMap(refined.unit_map, {**found.evidence, **told}, others)
+    return ChosenMap(refined.unit_map, {**evidence, **by_loads}, others)
 
 
-def _fitted(problem: FitProblem, names: tuple[str, ...]) -> dict[str, UnitMap]:
+def fit_family(problem: FitProblem, name: str) -> UnitMap:
+    """Fit one family and refine it by anchors where there are any: the map `choose_map` takes where it is configured.
+
+    Raises:
+        UnitRefused: the recording allows no such map.
+    """
+    return _by_loads(problem, family(name).fit(problem))
+
+
+def _by_loads(problem: FitProblem, unit_map: UnitMap) -> UnitMap:
+    if problem.anchors is None:
+        return unit_map
+    return refine(problem, unit_map, problem.anchors, _KIND.get(unit_map.family, "")).unit_map
+
+
+def _fitted(problem: FitProblem, *names: str) -> dict[str, UnitMap]:
     fits = {}
     for name in names:
         try:
@@ -110,9 +105,9 @@ def _fitted(problem: FitProblem, names: tuple[str, ...]) -> dict[str, UnitMap]:
 
 def _decide(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple[str, dict[str, float | str]]:
     """Name the candidate to take and why; paired candidates are added where pairs are to be had."""
-    if "label_shift" not in candidates:
+    if LABEL_SHIFT not in candidates:
         # Raises the reason in words: the output makes no swing.
-        family("label_shift").fit(problem)
+        fit_label_shift(problem)
     synchrony = problem.synchrony
     is_opening = bool(np.isfinite(synchrony.until_s))
     evidence: dict[str, float | str] = {
@@ -121,24 +116,21 @@ def _decide(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple[str, d
     }
     # In order of trust: the first that can be fitted is taken, since a known pair beats any matched distribution.
     for name, is_offered, why in (
-        ("synchronous", synchrony.is_synchronous and not is_opening, "pressed by the source's load at the same time"),
-        ("phase", problem.target.stage_mm is not None, "windows paired at equal stage position and history"),
-        ("synchronous", synchrony.is_synchronous, "opened by the source's load at the same time: that part is paired"),
+        (SYNCHRONOUS, synchrony.is_synchronous and not is_opening, "pressed by the source's load at the same time"),
+        (PHASE, problem.target.stage_mm is not None, "windows paired at equal stage position and history"),
+        (SYNCHRONOUS, synchrony.is_synchronous, "opened by the source's load at the same time: that part is paired"),
     ):
-        paired = _fitted(problem, (name,)) if is_offered else {}
+        paired = _fitted(problem, name) if is_offered else {}
         if paired:
             candidates |= paired
-            if name == "synchronous":
-                evidence |= _shared(synchrony)
+            if name == SYNCHRONOUS:
+                # How far the clocks are apart, and where the common load ends if it does.
+                evidence["lag_s"] = synchrony.lag_s
+                if is_opening:
+                    evidence["shared_until_s"] = synchrony.until_s
             return name, evidence | {"decision": why}
     name, numbers = _without_pairs(problem, candidates)
     return name, evidence | numbers
-
-
-def _shared(synchrony: Synchrony) -> dict[str, float | str]:
-    """Say how far the clocks are apart, and where the common load ends if it does."""
-    until_s = {"shared_until_s": synchrony.until_s} if np.isfinite(synchrony.until_s) else {}
-    return {"lag_s": synchrony.lag_s, **until_s}
 
 
 def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple[str, dict[str, float | str]]:
@@ -149,7 +141,7 @@ def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple
     )
     # Noise that passes for presses shows as far more swings than the source has.
     rate = target_rate / max(source_rate, 1e-9)
-    mapped = candidates["label_shift"].apply(problem.target.windows)
+    mapped = candidates[LABEL_SHIFT].apply(problem.target.windows)
     dwell = dwell_distance(problem.source.unlabelled, mapped, config.dwell_cells)
     numbers: dict[str, float | str] = {
         "swing_rate_ratio": rate,
@@ -160,25 +152,55 @@ def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple
     }
     if rate > config.unlike_rate:
         why = "swings far more often than the source: only rest level and hardest presses are matched; abstain"
-        return "label_shift", numbers | {"decision": why}
+        return LABEL_SHIFT, numbers | {"decision": why}
     # Both gain and rest must be indistinguishable: a map that is not needed only adds its own error.
     is_same_gain = abs(np.log(match.gain)) < config.clear * match.gain_error
     is_same_rest = abs(match.rest_shift) < config.clear * match.rest_error
     if match.gain_error < config.sharp and is_same_gain and is_same_rest:
-        return "identity", numbers | {"decision": "no difference from the source that the recording could show"}
+        return IDENTITY, numbers | {"decision": "no difference from the source that the recording could show"}
     if dwell < config.same_programme:
-        return "monotone", numbers | {"decision": "time is spent as in the source: sample quantiles matched"}
+        return MONOTONE, numbers | {"decision": "time is spent as in the source: sample quantiles matched"}
     known = 0 if problem.anchors is None else len(problem.anchors.reference)
     if known > 1 and (bend := source_bend(problem.source, problem.config.anchors)) < problem.config.anchors.straight:
         why = "known loads give gain and level, and the source is straight between them: so is the unit, of its kind"
-        return "label_shift", numbers | {"source_bend": bend, "decision": why}
+        return LABEL_SHIFT, numbers | {"source_bend": bend, "decision": why}
     why = (
         f"{dwell:.0%} of the time is spent at other loads, or the unit is bent otherwise: half way between rest and "
         "hardest presses, and sample quantiles"
     )
-    return "between", numbers | {"decision": why}
+    return BETWEEN, numbers | {"decision": why}
 
 
 def _swing_rate(recording: OutputRecording, config: CrossingConfig) -> float:
     path = level_path(recording, averaging_length(recording, config), config)
     return 0.0 if path is None else path.swings / len(recording)
+
+
+def dwell_distance(source: OutputRecording, mapped_target: Array, cells: int) -> float:
+    """Return how differently two units spend their time: 0 alike, 1 never at one level in one direction.
+
+    Args:
+        source: recording of the source, which every unit of a lot is compared with.
+        mapped_target: (m, taps) windows of the target after its map.
+        cells: levels; each counts twice, once rising and once falling.
+
+    Returns:
+        Total variation distance between the shares of time per level and direction.
+    """
+    edges, source_share = _use(source, cells)
+    return float(np.abs(source_share - _shares(mapped_target, edges)).sum() / 2)
+
+
+@lru_cache(maxsize=KEPT)
+def _use(source: OutputRecording, cells: int) -> tuple[Array, Array]:
+    """Return the inner edges of the levels, and the share of time in each cell."""
+    # Equal shares of the source per cell: each difference from them is then known equally well.
+    edges = np.quantile(source.windows[:, -1], np.linspace(0, 1, cells + 1)[1:-1])
+    return edges, _shares(source.windows, edges)
+
+
+def _shares(windows: Array, edges: Array) -> Array:
+    # Loading and unloading pass a level at different loads (hysteresis): they are counted apart.
+    rising = windows[:, -5:].mean(axis=1) > windows[:, :5].mean(axis=1)
+    cell = 2 * np.searchsorted(edges, windows[:, -1]) + rising
+    return np.asarray(np.bincount(cell, minlength=2 * (len(edges) + 1)) / len(cell))

@@ -167,7 +167,7 @@ class LagConfig:
 
 @dataclass(frozen=True)
 class PhaseConfig:
-    """Pairs at equal stage position (`phase.py`).
+    """Pairs at equal stage position (`paired.py`).
 
     Args:
         history: samples back at which the stage must have stood alike: position, direction, speed, what creep keeps.
@@ -231,7 +231,7 @@ class PairConfig:
 
 @dataclass(frozen=True)
 class PlanConfig:
-    """Discrete transport plans, exact and joint (`plan.py`, `exact.py`, `joint.py`).
+    """Discrete transport plans, exact and joint (`plan.py`).
 
     Args:
         most_windows: per side of an exact plan; the cost matrix grows with their product, the solver faster still.
@@ -310,7 +310,7 @@ class ChoiceConfig:
         unlike_rate: a unit that swings this many times more often than the source shows noise or another use.
         clear: a gain or level this many standard errors from the source's is worth correcting.
         sharp: only a recording that fixes the gain this well can show that there is nothing to correct.
-        curve_weight: of equal quantiles beside rest and peak where neither can be shown to be right (`between.py`).
+        curve_weight: of equal quantiles beside rest and peak where neither can be shown to be right (`monotone.py`).
         shape_shares: quantiles between which two outputs are compared in shape (`sources.py`).
         extremes: quantiles both units share, for the affine family: rest below, the hardest presses above.
     """

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softcal.core.maps.interface import FitProblem, MapFamily, UnitMap, map_sha256
+from softcal.core.metrics import rms
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.windows import TAPS, windows
@@ -52,7 +53,7 @@ def _of_map(family: MapFamily, fitted: UnitMap, problem: FitProblem) -> Iterator
         yield "the map of a window depends on the windows beside it"
     yield from _kept(family, fitted, probe, mapped)
     load = problem.network.evaluate(problem.source.windows[: len(probe)])
-    with_map, without = (np.sqrt(np.mean((problem.network.evaluate(w) - load) ** 2)) for w in (mapped, probe))
+    with_map, without = (rms(problem.network.evaluate(w) - load) for w in (mapped, probe))
     if with_map > without:
         yield f"the estimate errs by {with_map:.3g} with the map and {without:.3g} without it"
 

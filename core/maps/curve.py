@@ -50,7 +50,7 @@ class CurveMap:
         return {}
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]], family: str) -> "CurveMap":
+    def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]], settings: Settings, family: str) -> "CurveMap":
         return cls(np.asarray(arrays["knots"], np.float64), np.asarray(arrays["values"], np.float64), family)
 
 
@@ -85,18 +85,3 @@ def continued(curve: CurveMap, source_span: float, config: CurveConfig) -> Curve
         np.concatenate([[values[0] - below], values, [values[-1] + above]]),
         curve.family,
     )
-
-
-def monotone_curve(knots: Array, values: Array, family: str) -> CurveMap:
-    """Make a curve from a cloud of knots: ties are averaged and the values made monotone.
-
-    Args:
-        knots: (m,) target outputs in any order.
-        values: (m,) source outputs beside them.
-    """
-    order = np.argsort(knots, kind="stable")
-    unique, place = np.unique(knots[order], return_inverse=True)
-    # Quantised outputs repeat; a curve has one value at each of them.
-    means = np.bincount(place, values[order]) / np.bincount(place)
-    # Equal quantiles rise already; this takes out rounding only, where isotonic regression would cost more.
-    return CurveMap(unique, np.maximum.accumulate(means), family)

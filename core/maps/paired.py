@@ -1,4 +1,4 @@
-"""Fit a map to pairs of windows under equal load, through the network that will read it.
+"""Fit a map to pairs of windows under equal load, at equal time or stage position, through f that will read it.
 
 Pairs are a known transport plan, so that only a regression is left. What counts is the error of the estimate, not that
 of the mapped window. Over pairs (target window x_i, source window y_i, load r_i) the map minimises
@@ -17,13 +17,17 @@ from numpy.typing import NDArray
 
 from softcal.core.errors import UnitRefused
 from softcal.core.identity import Settings
-from softcal.core.maps.config import PairConfig
+from softcal.core.maps.config import MapConfig, PairConfig, PhaseConfig
 from softcal.core.maps.crossing import robust_range
 from softcal.core.maps.curve import CurveMap, continued
 from softcal.core.maps.interface import FitProblem
-from softcal.core.recording import Array, Indices
+from softcal.core.maps.synchrony import paired_rows
+from softcal.core.metrics import rms
+from softcal.core.recording import Array, Indices, OutputRecording
 from softcal.core.windows import TAPS, resting, windows
 from softcal.core.words.reason import reason
+
+SYNCHRONOUS, PHASE = "synchronous", "phase"
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +71,9 @@ class DynamicMap:
 PairedMap = CurveMap | DynamicMap
 
 
-def paired_map_from_arrays(arrays: Mapping[str, NDArray[np.generic]], family: str) -> PairedMap:
+def paired_map_from_arrays(arrays: Mapping[str, NDArray[np.generic]], settings: Settings, family: str) -> PairedMap:
     """Rebuild a map fitted to pairs, with or without its dynamic part."""
-    curve = CurveMap.from_arrays(arrays, family)
+    curve = CurveMap.from_arrays(arrays, settings, family)
     return DynamicMap(curve, np.asarray(arrays["mix"], np.float64), family) if "mix" in arrays else curve
 
 
@@ -77,6 +81,26 @@ def window_shapes(count: int) -> Array:
     """Return the first orthonormal polynomials over the taps: (TAPS, count); level first, then slope, curvature."""
     tap = np.linspace(-1.0, 1.0, TAPS)
     return np.asarray(np.linalg.qr(np.vander(tap, count, increasing=True))[0])
+
+
+def fit_synchronous(problem: FitProblem) -> PairedMap:
+    """Pair windows taken at the same time, under one load, and regress the source's on the target's."""
+    synchrony, config = problem.synchrony, problem.config.synchrony
+    if not synchrony.is_synchronous:
+        raise UnitRefused(reason("not_synchronous", correlation=synchrony.rank_correlation))
+    source_rows, target_rows = paired_rows(problem.source.unlabelled, problem.target, synchrony, config)
+    if len(target_rows) < config.min_pairs:
+        raise UnitRefused(reason("few.times", windows=len(target_rows), enough=config.min_pairs))
+    return fit_pairs(problem, source_rows, target_rows, SYNCHRONOUS)
+
+
+def fit_phase(problem: FitProblem) -> PairedMap:
+    """Pair windows whose stage histories agree and regress the source's on the target's.
+
+    The station knows the stage position of both recordings, although the load on the unit is not measured. Assumes that
+    equal travel means equal load: true for pads from one mould, not for units of different stiffness.
+    """
+    return fit_pairs(problem, *paired_by_stage(problem.source.unlabelled, problem.target, problem.config), PHASE)
 
 
 def fit_pairs(problem: FitProblem, source_rows: Indices, target_rows: Indices, family: str) -> PairedMap:
@@ -134,7 +158,7 @@ class _Pairs:
     def error(self, unit_map: PairedMap, rows: Indices) -> float:
         """Return the root mean square difference of the estimates over some pairs, in standard deviations."""
         estimate = self._network.evaluate(unit_map.apply(self._target[rows])) / self._network.reference_scale
-        return float(np.sqrt(np.mean((estimate - self._label[rows]) ** 2)))
+        return rms(estimate - self._label[rows])
 
     def fit(self, rows: Indices, shapes: int) -> PairedMap:
         """Fit the curve, and the mix of the first `shapes` window polynomials where that is not 0."""
@@ -256,3 +280,57 @@ def _static_regression(target: Array, source: Array, knots: Array, stiffness: fl
     normal = hats.T @ hats / len(target) + stiffness * bend.T @ bend + 1e-9 * np.eye(len(knots))
     values = np.linalg.solve(normal, hats.T @ source.mean(axis=1) / len(target))
     return np.asarray(isotonic_regression(values).x)
+
+
+def paired_by_stage(source: OutputRecording, target: OutputRecording, config: MapConfig) -> tuple[Indices, Indices]:
+    """Return the windows of both recordings at equal stage position, direction and recent history.
+
+    Returns:
+        Row numbers into `source.windows` and `target.windows`, equal lengths, in the target's time order.
+
+    Raises:
+        UnitRefused: a recording has no stage position, or too few positions are shared.
+    """
+    if source.stage_mm is None or target.stage_mm is None:
+        raise UnitRefused(reason("no_position"))
+    # Imported here: whoever applies a map does not wait for scipy.
+    from scipy.spatial import cKDTree
+
+    phase = config.phase
+    known, asked = (stage_histories(r, r.stage_mm, phase) for r in (source, target) if r.stage_mm is not None)
+    travel_mm = float(np.ptp(target.stage_mm))
+    # Twice as many as the fit reads: some of them find no partner.
+    rows = np.linspace(0, len(asked) - 1, min(2 * config.pairs.pairs, len(asked))).astype(np.int64)
+    distance_mm, nearest = np.empty(len(rows)), np.empty(len(rows), np.int64)
+    seen = _seen_entries(target, phase)[rows]
+    # One tree for each length of known history: what lies before a gap must not be compared as if it were known.
+    for entries in np.unique(seen):
+        group = seen == entries
+        tree = cKDTree(known[:, :entries])
+        distance_mm[group], nearest[group] = tree.query(asked[rows[group], :entries])
+    # A share of the travel, so that one number serves strokes of 1 mm and of 20 mm.
+    alike = distance_mm <= phase.near_share * travel_mm
+    if travel_mm <= 0 or alike.sum() < phase.min_pairs:
+        raise UnitRefused(reason("few.positions", windows=int(alike.sum()), enough=phase.min_pairs))
+    return nearest[alike].astype(np.int64), rows[alike]
+
+
+def stage_histories(recording: OutputRecording, stage_mm: Array, config: PhaseConfig) -> Array:
+    """Return where the stage stood now and before each full window, weighted: (m, len(config.history)) in mm."""
+    ago_s = np.array(config.history) / recording.sample_rate_Hz
+    asked_s = recording.t_s[recording.window_rows][:, None] - ago_s[None, :]
+    return np.asarray(np.interp(asked_s, recording.t_s, stage_mm) * np.array(config.history_weight))
+
+
+def _seen_entries(recording: OutputRecording, config: PhaseConfig) -> Indices:
+    """Return how many entries of each full window's history were recorded: what lies before a gap is not known.
+
+    Before a recording begins the stage is taken to have stood where it begins.
+    """
+    begins_s = np.concatenate([np.full(s.stop - s.start, recording.t_s[s.start]) for s in recording.segments])
+    # Nothing moved before the first sample; only gaps inside hide movements.
+    begins_s[recording.segments[0]] = -np.inf
+    ago_s = np.array(config.history) / recording.sample_rate_Hz
+    # Half a sample of slack: times are kept in floating point.
+    is_seen = recording.t_s[:, None] - ago_s >= begins_s[:, None] - 0.5 / recording.sample_rate_Hz
+    return np.asarray(is_seen[recording.window_rows].sum(axis=1))

@@ -1,4 +1,4 @@
-"""A discrete transport plan between windows, and the map it gives to windows it has not seen."""
+"""Discrete transport between windows: the paper's two plans, and the map each gives to windows it has not seen."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,11 +10,14 @@ from numpy.typing import NDArray
 
 from softcal.core.identity import Settings
 from softcal.core.maps.config import PlanConfig
+from softcal.core.maps.interface import FitProblem
 from softcal.core.recording import Array
 from softcal.core.windows import windows
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
+
+EXACT, JOINT = "exact", "joint"
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +70,77 @@ class TransportMap:
         return cls(stored, displacement, family, neighbours)
 
 
+def exact_map(target: Array, source: Array, placed: Array, config: PlanConfig) -> TransportMap:
+    """Couple target windows with source windows at least squared distance, and carry them to where the source stands.
+
+    The paper's map: barycentric projection of the exact plan (Kim et al. 2020, eq. 3).
+
+    Args:
+        target: (m, taps) windows.
+        source: (n, taps) windows they are coupled with.
+        placed: (n, taps) where these stand in the space f reads; the source windows themselves, unless they were moved.
+    """
+    rows = _spread_rows(len(source), config.most_windows)
+    target, source, placed = target[_spread_rows(len(target), config.most_windows)], source[rows], placed[rows]
+    plan = solve_exact(_squared_distances(target, source))
+    return TransportMap(target, barycentric(plan, placed) - target, EXACT, config.neighbours)
+
+
+def fit_exact(problem: FitProblem) -> TransportMap:
+    """Solve for the plan of least squared distance, then move each window to the mean of what it is coupled to.
+
+    Assumes that both units were pressed under one distribution of loads. Long recordings are thinned evenly
+    (`PlanConfig.most_windows`).
+    """
+    source = problem.source.windows
+    return exact_map(problem.target.windows, source, source, problem.config.plan)
+
+
+def fit_joint(problem: FitProblem) -> TransportMap:
+    """Transport windows and labels together (Courty et al. 2017; Kim et al. 2020, eq. 5).
+
+    min over plan and f_t of sum plan_ij (|x_i - y_j|^2 / s^2 + a (f_t(x_i) - r_j)^2 / s_r^2) + ridge |f_t|^2, by block
+    coordinate descent: the plan for fixed f_t is a transport problem; f_t for a fixed plan is kernel ridge regression
+    on the labels the plan carries over, as in the authors' own implementation. Each round lowers the objective or
+    stops. The lot shares one f, so the f_t of this unit is only a tool: what is kept is the plan, as a map into the
+    windows that the shared f reads. Descent starts from f read through matched means and scales.
+    """
+    config = problem.config.plan
+    source_rows = _spread_rows(len(problem.source.windows), config.joint_windows)
+    source = problem.source.windows[source_rows]
+    label = problem.source.window_reference[source_rows] / problem.network.reference_scale
+    target = problem.target.windows[_spread_rows(len(problem.target.windows), config.joint_windows)]
+    distance = _squared_distances(target, source)
+    # Windows and labels are both made free of units, or one of them would decide alone.
+    distance /= float(np.mean(np.var(source, axis=0))) * source.shape[1]
+    # The problem has many local minima: descent starts where means and scales already agree.
+    matched = (target - target.mean()) / max(float(target.std()), 1e-12) * source.std() + source.mean()
+    estimate = problem.network.evaluate(matched) / problem.network.reference_scale
+    smoother = _smoother(target, config.ridge * len(target) / config.ridge_windows)
+    plan, best = np.empty((0, 0)), np.inf
+    for _ in range(config.joint_rounds):
+        cost = distance + config.label_weight * (estimate[:, None] - label[None, :]) ** 2
+        trial = solve_exact(cost)
+        total = float(np.sum(trial * cost))
+        # Each step lowers the objective; below a ten-thousandth it only trades rounding.
+        if total >= best * (1 - config.joint_settled):
+            break
+        plan, best = trial, total
+        carried = barycentric(plan, label[:, None])[:, 0]
+        # The ridge draws towards 0: centred, it draws towards the mean load instead.
+        middle = float(carried.mean())
+        estimate = middle + smoother @ (carried - middle)
+    return TransportMap(target, barycentric(plan, source) - target, JOINT, config.neighbours)
+
+
+def _smoother(inputs: Array, ridge: float) -> Array:
+    """Return the (m, m) matrix of kernel ridge regression on (m, k) fixed windows: labels to fitted values."""
+    # The median heuristic: the kernel is as wide as windows usually are apart, whatever their unit.
+    squared = _squared_distances(inputs, inputs)
+    kernel = np.exp(-squared / max(float(np.median(squared)), 1e-12))
+    return np.asarray(np.linalg.solve(kernel + ridge * np.eye(len(inputs)), kernel).T)
+
+
 def solve_exact(cost: Array) -> Array:
     """Return the plan of least total cost between uniform weights (Kantorovich; POT's network simplex).
 
@@ -80,7 +154,7 @@ def solve_exact(cost: Array) -> Array:
     return np.asarray(ot.emd(np.full(rows, 1 / rows), np.full(columns, 1 / columns), cost, numItermax=2_000_000))
 
 
-def squared_distances(a: Array, b: Array) -> Array:
+def _squared_distances(a: Array, b: Array) -> Array:
     """Return (m, n) squared Euclidean distances between (m, k) and (n, k) rows."""
     import ot
 
@@ -92,6 +166,6 @@ def barycentric(plan: Array, source: Array) -> Array:
     return np.asarray(plan @ source / plan.sum(axis=1, keepdims=True))
 
 
-def spread_rows(count: int, most: int) -> NDArray[np.int64]:
+def _spread_rows(count: int, most: int) -> NDArray[np.int64]:
     """Return at most `most` row numbers spread evenly over `count`."""
     return np.linspace(0, count - 1, min(most, count)).astype(np.int64)

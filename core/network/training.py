@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softcal.core.errors import InputError
+from softcal.core.metrics import rms
 from softcal.core.network.config import EpochReport, Mask, NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording
@@ -66,8 +67,7 @@ def fit_network(
     unlabelled = source.unlabelled
     scales = (output_mean, output_scale, reference_mean, reference_scale)
     network = Network(weights, biases, *scales, unlabelled.output_unit, source.reference_unit)
-    error = network.evaluate(inputs[validation]) - reference[validation]
-    rmse = float(np.sqrt(np.mean(error**2)))
+    rmse = rms(network.evaluate(inputs[validation]) - reference[validation])
     # Both scales: the held-out blocks may lie where the load hardly moves, and the mean is then a good estimate.
     if rmse > 0.95 * float(reference[validation].std()) and rmse > 0.5 * reference_scale:
         raise InputError(

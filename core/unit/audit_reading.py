@@ -1,12 +1,20 @@
-"""What a labelled recording of one unit says beside its error, kept with the calibration: nobody reads it again."""
+"""What a labelled recording of one unit says: its error, and what is kept beside it; nobody reads it again for that."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from softcal.core.errors import InputError, UnitRefused
 from softcal.core.identity import content_sha256
+from softcal.core.maps.interface import UnitMap
+from softcal.core.metrics import rmse
+from softcal.core.network.config import NetworkConfig
+from softcal.core.network.network import Network
+from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.unit.method import DecisionConfig
 
 KEPT = 201
 """Instants of an audit that are kept, evenly spaced: enough for shares of its samples."""
@@ -65,26 +73,12 @@ class AuditReading:
         return {**vars(self), "residual": list(self.residual), "half": list(self.half)}
 
     @classmethod
-    def of(cls, kept: Mapping[str, object]) -> "AuditReading | None":
+    def of(cls, kept: Mapping[str, Any]) -> "AuditReading | None":
         """Read what `to_json` wrote; None of what an older version kept, whose recording is to be read again."""
         if not {"residual", "zero"} <= kept.keys():
             return None
-        residual, half = (tuple(map(float, kept[name])) for name in ("residual", "half"))  # type: ignore[call-overload]
-        gain, unit_rest, audit_rest, span = (
-            float(str(kept[name])) for name in ("gain", "unit_rest", "audit_rest", "span")
-        )
-        return cls(
-            output_sha256=str(kept["output_sha256"]),
-            reference_sha256=str(kept["reference_sha256"]),
-            gain=gain,
-            unit_rest=unit_rest,
-            audit_rest=audit_rest,
-            span=span,
-            residual=residual,
-            half=half,
-            recording_sha256=str(kept.get("recording_sha256", "")),
-            zero=float(str(kept["zero"])),
-        )
+        known = {name: value for name, value in kept.items() if name in cls.__dataclass_fields__}
+        return cls(**known | {name: tuple(map(float, kept[name])) for name in ("residual", "half")})
 
 
 def read_audit(
@@ -125,3 +119,51 @@ def line_of(value: Array, reference: Array) -> tuple[float, float]:
     rows = np.isfinite(value)
     gain, zero = np.polyfit(reference[rows], value[rows], 1)
     return float(gain), float(zero)
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Errors on one audit recording, in the reference unit.
+
+    Args:
+        before, after: RMSE of f on raw and on mapped windows.
+        own: RMSE of a network trained on the unit's own labels; None where there are too few of them.
+    """
+
+    before: float
+    after: float
+    own: float | None
+
+
+def score_map(
+    network: Network,
+    unit_map: UnitMap,
+    audit: LabelledRecording,
+    own: NetworkConfig | None,
+    config: DecisionConfig = DecisionConfig(),  # noqa: B008 - frozen
+) -> Scores:
+    """Score a unit on the last quarter of its audit recording, by time (Kim et al. 2020, Table 1).
+
+    Args:
+        audit: labelled recording of the unit that no fit has seen.
+        own: how to train the unit's own calibration on the first three quarters; None leaves it out.
+    """
+    # By time and never at random: a later stretch is what the unit will be used on.
+    split = round(len(audit) * (1 - config.test_share))
+    test = audit.part(split, len(audit))
+    truth = test.window_reference
+    return Scores(
+        before=rmse(network.evaluate(test.windows), truth),
+        after=rmse(network.evaluate(unit_map.apply(test.windows)), truth),
+        own=None if own is None else _own_rmse(audit.part(0, split), test, own, config.least_own_windows),
+    )
+
+
+def _own_rmse(train: LabelledRecording, test: LabelledRecording, config: NetworkConfig, least: int) -> float | None:
+    try:
+        if len(train.windows) < least:
+            return None
+        trained = fit_network(train, config)
+    except (UnitRefused, InputError):
+        return None
+    return rmse(trained.network.evaluate(test.windows), test.window_reference)

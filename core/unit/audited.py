@@ -1,16 +1,15 @@
-"""A calibration beside an audit of its unit: what the audit says of it, and how it is judged by it; its map stays."""
+"""A calibration judged again, by an audit of its unit or against another limit: its map stays."""
 
 from dataclasses import replace
 
 from softcal.core.identity import content_sha256
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.unit.audit_reading import read_audit
+from softcal.core.unit.audit_reading import line_of, read_audit, score_map
 from softcal.core.unit.calibration import AUDIT_GAIN, AUDIT_ZERO, Calibration, CalibrationRecord
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.judging import TRIM_BARS, UNREADABLE, MeasuredError, limit_evidence
-from softcal.core.unit.method import Method
-from softcal.core.unit.scoring import score_map
+from softcal.core.unit.method import DecisionConfig, Method
 from softcal.core.unit.verdict import Limit
 
 
@@ -74,3 +73,31 @@ def measured(
         settings={**record.settings, **found.settings},
         evidence={**record.evidence, **found.evidence, **limit_evidence(limit)},
     )
+
+
+def judged(record: CalibrationRecord, limit: Limit) -> CalibrationRecord | None:
+    """Return a calibration judged against another limit; None where only a new fit can judge it.
+
+    Calibrations of older versions kept no grounds, and rules of other packages have to see the recording again.
+
+    Args:
+        record: as it was fitted, before audits of other units scaled it.
+        limit: in force now.
+    """
+    grounds = record.grounds
+    if grounds is None or grounds.rules:
+        return None
+    decision = grounds.decide(limit, (record.method.decision if record.method else DecisionConfig()))
+    return replace(
+        record,
+        settings={**record.settings, "decision": decision.to_json()},
+        verdict=str(decision.verdict),
+        reasons=decision.reasons,
+        evidence={**record.evidence, **limit_evidence(limit)},
+        input_sha256=content_sha256({}, {"base": record.input_sha256, "limit": limit.to_json()}),
+    )
+
+
+def read_gain(network: Network, calibration: Calibration, recording: LabelledRecording) -> float:
+    """Return the slope of a unit's estimates over the reference: 1 where it reads its loads in full."""
+    return line_of(estimate(network, calibration, recording.unlabelled).estimate, recording.reference)[0]

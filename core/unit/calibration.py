@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 from softcal.core.identity import Settings
 from softcal.core.maps.interface import UnitMap, map_sha256
 from softcal.core.metrics import finite_or_none
-from softcal.core.unit.audit_reading import AuditReading, OutputLevel
+from softcal.core.unit.audit_reading import AuditReading, OutputLevel, Scores
 from softcal.core.unit.budget import Reference
 from softcal.core.unit.health import OutputLimits
 from softcal.core.unit.judging import Grounds
 from softcal.core.unit.knowledge import LoadKnowledge, known_by
 from softcal.core.unit.method import Method
-from softcal.core.unit.scoring import Scores
 from softcal.core.unit.uncertainty import ErrorForecast, Interval
 from softcal.core.unit.verdict import VERDICTS, Decision, Judgement, Verdict
 from softcal.core.words.reason import Reason

@@ -7,8 +7,7 @@ import numpy as np
 
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.unit.calibration import Calibration
-from softcal.core.unit.forecast import DAY, LINE, gather_evidence
-from softcal.core.unit.method import LEVELS
+from softcal.core.unit.evidence import DAY, LINE, gather_evidence
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.uncertainty import DIRECTIONS
 from softcal.core.words.reason import Reason
@@ -58,12 +57,12 @@ def explain(model: SourceModel, calibration: Calibration, target: OutputRecordin
         model: the lot's source.
     """
     interval = model.interval
-    evidence = gather_evidence(model, target, calibration.unit_map, (), (), calibration.output_limits)
+    evidence = gather_evidence(model, target, calibration.unit_map, calibration.output_limits)
     edges = np.linspace(*_span(model.estimate, evidence.estimate), DENSITY_BINS + 1)
     forecast = calibration.forecast
     limit = calibration.evidence.get("limit_rmse")
     return Explanation(
-        levels=interval.low + (np.arange(LEVELS) + 0.5) * (interval.high - interval.low) / LEVELS,
+        levels=interval.levels,
         half_width=calibration.interval.half_width,
         source_half_width=interval.half_width,
         density_edges=edges,

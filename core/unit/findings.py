@@ -11,7 +11,8 @@ from softcal.core.maps.crossing import KEPT, averaging_length, level_path
 from softcal.core.maps.readout_lag import ReadoutLag
 from softcal.core.maps.synchrony import Synchrony, find_synchrony
 from softcal.core.recording import RATE_TOLERANCE, Array, OutputRecording
-from softcal.core.unit.forecast import MapEvidence, map_variance, rest_rows
+from softcal.core.unit.evidence import MapEvidence, rest_rows
+from softcal.core.unit.forecast import map_variance
 from softcal.core.unit.health import OutputLimits
 from softcal.core.unit.method import FindingConfig, Method
 from softcal.core.unit.source_model import SourceModel

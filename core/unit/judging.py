@@ -2,17 +2,13 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from softcal.core.identity import content_sha256
+from softcal.core.unit.audit_reading import Scores
 from softcal.core.unit.method import DecisionConfig
-from softcal.core.unit.scoring import Scores
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Decision, Finding, Judgement, Limit, Verdict, decide, decide_audited, worst_of
 from softcal.core.words.reason import Reason
-
-if TYPE_CHECKING:
-    from softcal.core.unit.calibration import CalibrationRecord
 
 
 @dataclass(frozen=True)
@@ -105,29 +101,6 @@ def _finding_json(finding: Finding) -> dict[str, object]:
 def _finding_of(kept: object) -> Finding:
     facts: Mapping[str, object] = kept  # type: ignore[assignment]
     return Finding(Reason.of(facts["reason"]), Verdict(str(facts["best"])))
-
-
-def judged(record: "CalibrationRecord", limit: Limit) -> "CalibrationRecord | None":
-    """Return a calibration judged against another limit; None where only a new fit can judge it.
-
-    Calibrations of older versions kept no grounds, and rules of other packages have to see the recording again.
-
-    Args:
-        record: as it was fitted, before audits of other units scaled it.
-        limit: in force now.
-    """
-    grounds = record.grounds
-    if grounds is None or grounds.rules:
-        return None
-    decision = grounds.decide(limit, (record.method.decision if record.method else DecisionConfig()))
-    return replace(
-        record,
-        settings={**record.settings, "decision": decision.to_json()},
-        verdict=str(decision.verdict),
-        reasons=decision.reasons,
-        evidence={**record.evidence, **limit_evidence(limit)},
-        input_sha256=content_sha256({}, {"base": record.input_sha256, "limit": limit.to_json()}),
-    )
 
 
 AUDITED_BEFORE_TRIM = "audited_before_trim"

@@ -11,7 +11,6 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.unit.method import ReleaseConfig
-from softcal.core.words.reason import Reason, reason
 
 MOST_SPREAD = 1.0
 
@@ -74,15 +73,3 @@ def seen_gains(gains: Sequence[float], least: int = ReleaseConfig.least_gains) -
         return None
     logs = np.log(gains)
     return SeenGains(len(gains), float(np.exp(logs.mean())), float(np.std(logs, ddof=1)))
-
-
-def line_reason(share: float, load: float, unit: str, is_stated: bool) -> Reason:
-    """Say in the reference's unit what a line's spread is for one unit.
-
-    Args:
-        share: of the load, one standard deviation.
-        load: RMS load above rest that the unit's recording shows, in `unit`.
-        is_stated: whether the forecast holds it already; else nobody stated it, and it is the method's default.
-    """
-    code = "line.stated" if is_stated else "line.open"
-    return reason(code, share=share, rmse=share * load, unit=unit)

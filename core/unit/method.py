@@ -53,7 +53,7 @@ class SourceConfig:
 
 @dataclass(frozen=True)
 class StageCheckConfig:
-    """A unit beside the source's load cell at equal stage position (`stage_check.py`).
+    """A unit beside the source's load cell at equal stage position (`source_model.py`).
 
     Args:
         blocks: parts of the source that are compared with the rest of it.
@@ -113,7 +113,7 @@ class HealthConfig:
 
 @dataclass(frozen=True)
 class ForecastConfig:
-    """The error budget of one unit (`forecast.py`, `own_forecast.py`).
+    """The error budget of one unit (`evidence.py`, `forecast.py`).
 
     Args:
         rows: windows looked at per unit, evenly spaced: enough for every number, whatever the recording's length.
@@ -244,7 +244,7 @@ class FindingConfig:
 
 @dataclass(frozen=True)
 class DecisionConfig:
-    """From an error to a verdict (`verdict.py`, `scoring.py`).
+    """From an error to a verdict (`verdict.py`, `audit_reading.py`).
 
     Args:
         default_factor: a lot that states no limit gets this factor times the source's own held-out RMSE.

@@ -11,7 +11,8 @@ from softcal.core.maps.crossing import robust_range
 from softcal.core.maps.ends import match_ends
 from softcal.core.maps.monotone import between_steps
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.calibrate import calibrate
+from softcal.core.unit.unit_problem import UnitProblem
 
 
 def shape_distance(source: LabelledRecording, target: OutputRecording, config: MapConfig) -> float:

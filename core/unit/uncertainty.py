@@ -1,21 +1,111 @@
-"""How wrong an estimate may be: the source's residuals by load band and direction, widened by the map's doubt."""
+"""How wrong an estimate may be: the source's residuals by load band and direction, widened by the map's doubt.
 
-from collections.abc import Callable, Mapping
+The interval grows where a window lies outside the region of window shapes that the source has visited.
+"""
+
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softcal.core.identity import Settings
-from softcal.core.network.network import Network
+from softcal.core.network.network import CHUNK
 from softcal.core.recording import Array, Indices
-from softcal.core.unit.method import CONFIDENCE, LEVELS, SourceConfig
-from softcal.core.unit.support import Support, WindowShape, fit_support
+from softcal.core.unit.method import LEVELS
+from softcal.core.windows import TAPS
 
 NORMAL_90 = 1.645
 """Half-width of a 90 % interval in standard deviations of a normal distribution."""
 
 DIRECTIONS = ("unloading", "hold", "loading")
+_NUMBERS = ("low", "high", "slope_limit", "sensitivity", "familiar_distance")
+_SUPPORT_ARRAYS = ("origin", "step", "distance_grid")
+_SUPPORT_NUMBERS = ("output_mean", "output_scale", "bend_limit", "roughness_limit")
+"""Fields as a calibration keeps them."""
+
+
+def _polynomials() -> Array:
+    """Return level, slope and bend of a window as (TAPS, 3) orthogonal columns whose coefficients are RMS values."""
+    columns = np.vander(np.linspace(-1, 1, TAPS), 3, increasing=True)
+    # Signs of a QR are arbitrary; positive diagonals make slope mean rising everywhere.
+    basis, triangular = np.linalg.qr(columns)
+    return np.asarray(basis * np.sign(np.diag(triangular)) / np.sqrt(TAPS))
+
+
+BASIS = _polynomials()
+
+
+@dataclass(frozen=True, eq=False)
+class WindowShape:
+    """What a window looks like, in standard deviations of the source's output (RMS over the taps).
+
+    Args:
+        level: (n,) mean.
+        slope: (n,) linear part, positive when the newest samples are the highest.
+        bend: (n,) quadratic part.
+        roughness: (n,) what neither explains: noise, steps, fast dynamics.
+    """
+
+    level: Array
+    slope: Array
+    bend: Array
+    roughness: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Support:
+    """The region of window shapes the source has visited: a map of distances over level and slope, bounds on the rest.
+
+    Args:
+        output_mean, output_scale: standardise windows in the source's space, as the network does.
+        origin, step: (2,) lower edge and cell size of the grid over (level, slope).
+        distance_grid: (levels, slopes) distance of each cell to the nearest visited one; 0 where visited.
+        bend_limit, roughness_limit: largest familiar values.
+    """
+
+    output_mean: float
+    output_scale: float
+    origin: Array
+    step: Array
+    distance_grid: Array
+    bend_limit: float
+    roughness_limit: float
+
+    def shape(self, windows: Array) -> WindowShape:
+        """Describe (n, TAPS) windows in the source's space, newest sample last."""
+        level, slope, bend, roughness = (np.empty(len(windows)) for _ in range(4))
+        for start in range(0, len(windows), CHUNK):
+            rows = slice(start, start + CHUNK)
+            z = ((windows[rows] - self.output_mean) / self.output_scale).astype(np.float32)
+            parts = z @ BASIS.astype(np.float32)
+            level[rows], slope[rows], bend[rows] = parts.T
+            # Pythagoras instead of the residual itself: no second (n, TAPS) array is made.
+            left = np.einsum("ij,ij->i", z, z) / TAPS - np.einsum("ij,ij->i", parts, parts)
+            roughness[rows] = np.sqrt(np.maximum(left, 0))
+        return WindowShape(level, slope, bend, roughness)
+
+    def distance(self, shape: WindowShape) -> Array:
+        """Return how far each window lies outside the source's support, in the units of `WindowShape`; 0 inside."""
+        row, beyond_level = _cell(shape.level, self.origin[0], self.step[0], self.distance_grid.shape[0])
+        column, beyond_slope = _cell(shape.slope, self.origin[1], self.step[1], self.distance_grid.shape[1])
+        parts = (
+            self.distance_grid[row, column],
+            beyond_level,
+            beyond_slope,
+            np.maximum(np.abs(shape.bend) - self.bend_limit, 0),
+            np.maximum(shape.roughness - self.roughness_limit, 0),
+        )
+        return np.sqrt(sum((part * part for part in parts), start=np.zeros(len(shape.level))))
+
+
+def _cell(value: Array, origin: float, step: float, cells: int) -> tuple[Indices, Array]:
+    """Return the cell each value falls in, the outermost one beyond the grid, and how far beyond its middle it is."""
+    position = (value - origin) / step
+    # Off the grid the distance goes on in a straight line from its outermost cell.
+    inside = np.clip(position, 0.5, cells - 0.5)
+    return inside.astype(np.int64), np.abs(position - inside) * step
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +129,11 @@ class Interval:
     sensitivity: float
     familiar_distance: float
 
+    @property
+    def levels(self) -> Array:
+        """Middle of each load level: (LEVELS,) in the reference unit."""
+        return self.low + (np.arange(LEVELS) + 0.5) * (self.high - self.low) / LEVELS
+
     def direction(self, shape: WindowShape) -> Indices:
         """Return 0 unloading, 1 hold, 2 loading for each window."""
         ratio = shape.slope / self.slope_limit
@@ -61,23 +156,20 @@ class Interval:
         return replace(self, half_width=np.sqrt(self.half_width**2 + NORMAL_90**2 * variance))
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        support = {f"support_{name}": array for name, array in self.support.arrays().items()}
+        support = {f"support_{name}": getattr(self.support, name) for name in _SUPPORT_ARRAYS}
         return {"half_width": self.half_width, **support}
 
     def settings(self) -> dict[str, float]:
-        numbers = ("low", "high", "slope_limit", "sensitivity", "familiar_distance")
-        support = {f"support_{name}": value for name, value in self.support.settings().items()}
-        return {name: float(getattr(self, name)) for name in numbers} | support
+        support = {f"support_{name}": getattr(self.support, name) for name in _SUPPORT_NUMBERS}
+        return {name: float(getattr(self, name)) for name in _NUMBERS} | support
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> "Interval":
-        support = Support.from_arrays(
-            {name.removeprefix("support_"): array for name, array in arrays.items()},
-            {name.removeprefix("support_"): value for name, value in settings.items()},
-        )
-        numbers = ("low", "high", "slope_limit", "sensitivity", "familiar_distance")
-        half_width = np.asarray(arrays["half_width"], dtype=np.float64)
-        return cls(support, half_width, **{name: float(str(settings[name])) for name in numbers})
+        """Read what `arrays` and `settings` gave."""
+        support: dict[str, Any] = {name: float(str(settings[f"support_{name}"])) for name in _SUPPORT_NUMBERS}
+        support |= {name: np.asarray(arrays[f"support_{name}"], np.float64) for name in _SUPPORT_ARRAYS}
+        numbers = {name: float(str(settings[name])) for name in _NUMBERS}
+        return cls(Support(**support), np.asarray(arrays["half_width"], np.float64), **numbers)
 
 
 @dataclass(frozen=True)
@@ -92,103 +184,3 @@ class ErrorForecast:
     rmse: float
     lower: float
     upper: float
-
-
-@dataclass(frozen=True, eq=False)
-class SourceResiduals:
-    """What f itself leaves open on the source: interval and RMS error by direction and load level.
-
-    Args:
-        interval: normalised split-conformal 90 % interval (Lei et al. 2018, section 5.2) for the source's windows.
-        rmse_table: (3, LEVELS) RMS error, same cells.
-        held_out_rmse: on windows that never entered a gradient.
-    """
-
-    interval: Interval
-    rmse_table: Array
-    held_out_rmse: float
-
-
-def source_residuals(
-    network: Network, windows: Array, reference: Array, held_out: Indices, config: SourceConfig
-) -> SourceResiduals:
-    """Tabulate the residuals of f on its source.
-
-    All windows give the pattern over bands and directions, the held-out ones alone its size.
-
-    Args:
-        windows: (n, TAPS) of the source.
-        reference: (n,) beside them.
-        held_out: indices of windows kept out of the training.
-    """
-    estimate = network.evaluate(windows)
-    # The pattern needs many rows, its size honest ones: trained rows give the first, held-out rows the second.
-    residual = estimate - reference
-    support = fit_support(windows, network.output_mean, network.output_scale, config)
-    shape = support.shape(windows)
-    blank = Interval(
-        support,
-        np.zeros((len(DIRECTIONS), LEVELS)),
-        float(reference.min()),
-        float(reference.max()),
-        slope_limit=_slope_limit(shape, reference, config),
-        sensitivity=_sensitivity(network, windows, config.step),
-        familiar_distance=float(support.step.max()),
-    )
-    cells = blank.direction(shape), blank.column(estimate)
-    rmse_table = np.sqrt(_tabulate(residual**2, *cells, np.mean, config))
-    spread = _tabulate(np.abs(residual), *cells, lambda values: float(np.quantile(values, CONFIDENCE)), config)
-    held_direction, held_column = cells[0][held_out], cells[1][held_out]
-    # Divided by the local spread, so that one quantile serves quiet and noisy bands alike.
-    scores = np.abs(residual[held_out]) / spread[held_direction, held_column]
-    held_rmse = float(np.sqrt(np.mean(residual[held_out] ** 2)))
-    expected_rmse = float(np.sqrt(np.mean(rmse_table[held_direction, held_column] ** 2)))
-    return SourceResiduals(
-        replace(blank, half_width=spread * conformal_quantile(scores)),
-        rmse_table * held_rmse / expected_rmse,
-        held_rmse,
-    )
-
-
-def conformal_quantile(scores: Array) -> float:
-    """Return the ceil((n + 1) 0.9)-th smallest of n scores (Lei et al. 2018, algorithm 2); the largest where n < 9."""
-    rank = min(int(np.ceil((len(scores) + 1) * CONFIDENCE)), len(scores))
-    return float(np.sort(scores)[rank - 1])
-
-
-def _slope_limit(shape: WindowShape, reference: Array, config: SourceConfig) -> float:
-    # On a sensor that falls under load a falling output is loading.
-    sign = 1.0 if np.corrcoef(shape.level, reference)[0, 1] >= 0 else -1.0
-    return sign * max(config.slope_share * float(np.quantile(np.abs(shape.slope), config.slope_quantile)), 1e-9)
-
-
-def _sensitivity(network: Network, windows: Array, share: float) -> float:
-    step = share * network.output_scale
-    # A finite step: the slope of a ReLU network at a point says nothing of its neighbourhood.
-    rise = network.evaluate(windows + step) - network.evaluate(windows - step)
-    return float(np.sqrt(np.mean((rise / (2 * share)) ** 2)))
-
-
-def _tabulate(
-    values: Array, direction: Indices, column: Indices, statistic: Callable[[Array], float], config: SourceConfig
-) -> Array:
-    """Return the statistic per direction and band on the (3, LEVELS) grid, sparse cells drawn to their neighbours."""
-    bands, prior = config.bands, config.cell_prior
-    band = column * bands // LEVELS
-    whole = float(statistic(values))
-    table = np.empty((len(DIRECTIONS), bands))
-    for b in range(bands):
-        in_band = band == b
-        # From the whole to the band to the cell: a cell with few rows says what its neighbours say.
-        level = _shrunk(values[in_band], whole, statistic, prior)
-        for d in range(len(DIRECTIONS)):
-            table[d, b] = _shrunk(values[in_band & (direction == d)], level, statistic, prior)
-    centres = (np.arange(bands) + 0.5) * LEVELS / bands
-    table = np.maximum(table, config.least_share * whole + 1e-12)
-    return np.stack([np.interp(np.arange(LEVELS) + 0.5, centres, row) for row in table])
-
-
-def _shrunk(values: Array, expected: float, statistic: Callable[[Array], float], prior: float) -> float:
-    if not len(values):
-        return expected
-    return float((len(values) * statistic(values) + prior * expected) / (len(values) + prior))

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 
 from softcal.core.errors import InputError
 from softcal.core.maps.anchors import AnchoredMap
-from softcal.core.maps.exact import NAME, exact_map
 from softcal.core.maps.interface import UnitMap
-from softcal.core.maps.plan import TransportMap
-from softcal.core.metrics import rmse
+from softcal.core.maps.plan import EXACT, TransportMap, exact_map
+from softcal.core.metrics import rms, rmse
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
@@ -124,7 +123,7 @@ class QueuedTransport(Batches):
         pieces = [self._known[start : start + self._queue] for start in starts]
         source = self._given or self._as_calibrated(pieces[0])
         moved = [self._moved_by(self._mapped_onto(source, piece), piece) for piece in pieces]
-        return float(np.sqrt(np.mean(np.square(moved))))
+        return rms(np.array(moved))
 
     def _moved_by(self, fitted: UnitMap, windows: Array) -> float:
         """Return by how much a map moves the estimates of windows from those of the calibration (RMS)."""
@@ -229,7 +228,7 @@ class QueuedTransport(Batches):
         if "placed" in kept:
             self._source = SourcePairs(kept["windows"], kept["placed"])
         if "stored" in kept:
-            self._use(TransportMap(kept["stored"], kept["displacement"], NAME, self._plan.neighbours))
+            self._use(TransportMap(kept["stored"], kept["displacement"], EXACT, self._plan.neighbours))
 
 
 def _rows(name: str, kept: Any) -> Array:

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from softcal.core.metrics import rms
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.unit.calibration import Calibration
@@ -34,7 +35,7 @@ def learn_sensitivity(
     # A difference over a finite step, not the derivative: f is piecewise linear with kinks close together.
     step = config.slope_step * use.scale
     rise = (estimates(windows + step) - estimates(windows - step)) / (2 * config.slope_step)
-    return use, float(np.sqrt(np.mean(rise**2)))
+    return use, rms(rise)
 
 
 def _curve(
@@ -71,4 +72,4 @@ def calibrated_rmse(calibration: Calibration) -> float:
     """Return the error a calibration promises, in the reference unit."""
     if calibration.predicted_rmse is not None:
         return calibration.predicted_rmse
-    return float(np.sqrt(np.mean(calibration.interval.half_width**2))) / NORMAL_90
+    return rms(calibration.interval.half_width) / NORMAL_90

@@ -10,9 +10,8 @@ import numpy as np
 from softcal.core.errors import InputError
 from softcal.core.maps.anchors import AnchoredMap, SourceLevels, check_loads
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
-from softcal.core.metrics import rmse
+from softcal.core.metrics import rms, rmse
 from softcal.core.recording import Array, OutputRecording
-from softcal.core.unit.method import LEVELS
 from softcal.core.unit.uncertainty import NORMAL_90, Interval
 from softcal.core.use.method import TrimConfig
 from softcal.core.windows import resting
@@ -55,8 +54,7 @@ class Trimmed:
 
         The errors at the loads are independent, and run on in a straight line between and beyond them.
         """
-        load = interval.low + (interval.high - interval.low) * (np.arange(LEVELS) + 0.5) / LEVELS
-        line = np.stack([np.ones(LEVELS), load], axis=1)
+        line = np.stack([np.ones(len(interval.levels)), interval.levels], axis=1)
         return np.asarray(np.sum((line @ self.covariance) * line, axis=1))
 
 
@@ -134,7 +132,7 @@ def trim(
         )
     design = np.stack([np.ones_like(load), load], axis=1) / error[:, None]
     # Loads that do not fit a straight line know neither number better than they fit.
-    spread = max(1.0, float(np.sqrt(np.mean(left**2))))
+    spread = max(1.0, rms(left))
     covariance = np.asarray(np.linalg.inv(design.T @ design) * spread**2, np.float64)
     return Trimmed(_joined(found), covariance, before, after)
 

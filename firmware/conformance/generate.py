@@ -21,7 +21,7 @@ from softcal.core.export.device import DeviceOptions, UnitFacts, build_network_f
 from softcal.core.export.integer_network import DeviceMap, IntegerMix
 from softcal.core.export.loader import run_self_test
 from softcal.core.export.quantise import quantise_layer
-from softcal.core.maps.affine import AffineMap
+from softcal.core.maps.affine_map import AffineMap
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
 

@@ -28,8 +28,8 @@ from softcal.core.network.config import NetworkConfig
 from softcal.core.orders import Order, OrderKind, Progress
 from softcal.core.quality.known_loads import KnownLoad
 from softcal.core.quality.line_rules import LineRules
-from softcal.core.unit.calibrate import UnitProblem
 from softcal.core.unit.method import Method
+from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import stated_limit
 from softcal.db.care.sync import synchronise
 from softcal.db.connection import open_registry

@@ -14,7 +14,7 @@ from softcal.app.texts.catalogue import LANGUAGES, catalogue, text
 from softcal.app.texts.reasons import PLAINLY, PREFIX, plainly, said
 from softcal.core.maps import affine, ends, monotone, paired, phase, synchronous
 from softcal.core.unit import findings, health, verdict
-from softcal.core.unit.forecast import DAY, LINE
+from softcal.core.unit.evidence import DAY, LINE
 from softcal.core.unit.knowledge import KnowledgeConfig
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Limit, decide, decide_audited, default_limit

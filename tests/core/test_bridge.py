@@ -12,7 +12,8 @@ from softcal.core.errors import InputError
 from softcal.core.metrics import rmse
 from softcal.core.recording import LabelledRecording
 from softcal.core.unit.bridge import make_bridge
-from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.calibrate import calibrate
+from softcal.core.unit.unit_problem import UnitProblem
 
 DAY_GAIN, DAY_ZERO_V = 1.08, 0.01
 

@@ -18,11 +18,12 @@ from softcal.core.unit.budget import (
     forecast_budget,
     measured_budget,
 )
-from softcal.core.unit.calibrate import UnitProblem, calibrate, input_sha256
+from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.knowledge import KnowledgeTable, LoadKnowledge
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.uncertainty import ErrorForecast
+from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import Decision, Judgement, Limit, Verdict, decide, decide_audited
 from softcal.core.words.reason import plain
 
@@ -206,6 +207,6 @@ def test_the_reference_reaches_interval_verdict_and_identity(
     levels = low + (loads * 63 + 0.5) / 64 * (high - low)
     added = 1.645 * np.sqrt([CELL.expanded(level) ** 2 / 4 for level in levels])
     assert wider == pytest.approx(np.hypot(width, added), rel=1e-6)
-    assert len({input_sha256(replace(plain_problem, reference=r), source_model.method) for r in (None, CELL)}) == 2
+    assert len({replace(plain_problem, reference=r).input_sha256 for r in (None, CELL)}) == 2
     kept = type(made["valid"]).from_record(made["valid"].to_record("0" * 64, "1" * 64))
     assert kept.reference == CELL and kept.decision == made["valid"].decision

@@ -12,7 +12,6 @@ from softcal.core.maps.config import MapConfig
 from softcal.core.metrics import rmse
 from softcal.core.recording import OutputRecording
 from softcal.core.simulated_lot import LotDesign, simulate_lot
-from softcal.core.unit.calibrate import UnitProblem
 from softcal.core.unit.calibrate import calibrate as calibrate_problem
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import estimate
@@ -20,6 +19,7 @@ from softcal.core.unit.explanation import contributions, explain
 from softcal.core.unit.findings import opening_findings
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import make_source_model
+from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import Limit
 
 AFFINE, AUTO = Method(map=MapConfig(family="affine")), Method()

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from softcal.core.unit.audit_reading import OutputLevel
-from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.common_misreading import CommonMisreading, LoadLine, common_misreading, corrected, without
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.method import ReleaseConfig
+from softcal.core.unit.unit_problem import UnitProblem
 
 UNITS = 10
 

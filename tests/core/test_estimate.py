@@ -8,10 +8,11 @@ import pytest
 from softcal.core.errors import InputError
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.interface import FitProblem
-from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.health import OutputLimits
+from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.windows import TAPS
 
 

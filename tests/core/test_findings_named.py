@@ -10,11 +10,12 @@ from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
 from softcal.core.recording import OutputRecording
 from softcal.core.simulated_lot import LotDesign, SimulatedLot, simulate_lot
-from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.findings import contradictions
 from softcal.core.unit.health import output_limits
 from softcal.core.unit.source_model import SourceModel, make_source_model
+from softcal.core.unit.unit_problem import UnitProblem
 from tests.layers import layered
 
 NETWORK = NetworkConfig(hidden=(24, 12), max_epochs=20, batch=128)

@@ -7,12 +7,13 @@ import pytest
 
 from softcal.core.maps import interface
 from softcal.core.maps.catalogue import OWN_FAMILIES
+from softcal.core.maps.choose import dwell_distance
 from softcal.core.maps.interface import FitProblem
-from softcal.core.maps.label_shift import dwell_distance
 from softcal.core.network.network import Network
-from softcal.core.unit import forecast
-from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit import evidence
+from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.method import Method
+from softcal.core.unit.unit_problem import UnitProblem
 from tests.layers import layered
 
 
@@ -49,9 +50,9 @@ def test_mapping_samples_is_mapping_windows_to_the_last_bit(source_model, unit, 
     gapped = replace(unit, t_s=unit.t_s[keep], output=unit.output[keep])
     rows = np.arange(len(gapped.windows))
     fitted = OWN_FAMILIES[name].fit(FitProblem(source_model.source, source_model.network, gapped))
-    mapped = forecast._mapped(fitted, gapped, rows)
+    mapped = evidence._mapped(fitted, gapped, rows)
     np.testing.assert_array_equal(mapped, fitted.apply(gapped.windows))
-    np.testing.assert_array_equal(forecast._mapped(fitted, gapped, rows[::7]), fitted.apply(gapped.windows[::7]))
+    np.testing.assert_array_equal(evidence._mapped(fitted, gapped, rows[::7]), fitted.apply(gapped.windows[::7]))
 
 
 def test_a_known_source_spends_its_time_as_its_windows_say(source_model, press):

@@ -9,10 +9,11 @@ from softcal.core.errors import InputError
 from softcal.core.maps.config import MapConfig
 from softcal.core.quality.acceptance import Promise, tolerance_factor
 from softcal.core.quality.release import AuditedUnit, release
-from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.explanation import contributions
 from softcal.core.unit.line_spread import LineSpread, seen_gains
 from softcal.core.unit.method import LineConfig, Method
+from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import Limit
 
 

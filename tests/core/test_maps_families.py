@@ -10,13 +10,13 @@ from scipy.stats import wasserstein_distance
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.catalogue import FAMILIES, family, map_from_arrays
+from softcal.core.maps.choose import dwell_distance
 from softcal.core.maps.config import MapConfig
 from softcal.core.maps.crossing import level_path, turning_points
 from softcal.core.maps.curve import CurveMap, continued
 from softcal.core.maps.ends import match_ends
 from softcal.core.maps.interface import FitProblem, UnitMap, map_sha256
-from softcal.core.maps.label_shift import dwell_distance
-from softcal.core.maps.phase import paired_by_stage
+from softcal.core.maps.paired import paired_by_stage
 from softcal.core.maps.plan import barycentric, solve_exact
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording

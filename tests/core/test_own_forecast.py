@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from softcal.core.maps.ends import output_noise
-from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.calibrate import calibrate
+from softcal.core.unit.forecast import noise_error
 from softcal.core.unit.knowledge import BlindConfig
-from softcal.core.unit.own_forecast import noise_error
+from softcal.core.unit.unit_problem import UnitProblem
 
 
 def own_forecast(model, network, unit):

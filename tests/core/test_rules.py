@@ -10,9 +10,10 @@ import pytest
 from softcal.core.errors import InputError
 from softcal.core.metrics import rmse
 from softcal.core.unit import rules
-from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.rule_conformance import faults
 from softcal.core.unit.rules import Objection, Rule, RuleFacts, identity
+from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import Limit
 
 Answer = Callable[[RuleFacts], Iterator[Objection]]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softcal.core.errors import InputError
-from softcal.core.maps.affine import AffineMap
+from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.anchors import AnchoredMap
 from softcal.core.maps.interface import Anchors, FitProblem
 from softcal.core.metrics import rmse

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from softcal.core.maps.affine_map import AffineMap
-from softcal.core.unit.forecast import forecast_error, gather_evidence, variance_table
+from softcal.core.unit.evidence import OtherMaps, gather_evidence
+from softcal.core.unit.forecast import forecast_error, variance_table
 from softcal.core.unit.health import output_limits
 from softcal.core.unit.knowledge import known_by
 from softcal.core.unit.method import Method
-from softcal.core.unit.support import fit_support
-from softcal.core.unit.uncertainty import Interval, conformal_quantile, source_residuals
+from softcal.core.unit.source_model import conformal_quantile, fit_support, source_residuals
+from softcal.core.unit.uncertainty import Interval
 from softcal.core.windows import TAPS, windows
 
 METHOD = Method()
@@ -46,10 +47,10 @@ def test_the_interval_follows_the_band_where_the_noise_is(linear_network, press,
     clean = press(4, seconds=120.0)
     reference = clean.reference + np.where(clean.reference > 1.5, rng.normal(0, 0.2, len(clean)), 0)
     noisy = replace(clean, reference=reference)
-    residuals = source_residuals(
+    interval, *_ = source_residuals(
         linear_network, noisy.windows, noisy.window_reference, np.arange(0, 5000, 3), METHOD.source
     )
-    low, high = (residuals.interval.half_width[1][residuals.interval.column(np.array([v]))] for v in (0.5, 2.5))
+    low, high = (interval.half_width[1][interval.column(np.array([v]))] for v in (0.5, 2.5))
     assert high > 4 * low
 
 
@@ -115,7 +116,7 @@ def test_a_gain_from_matched_levels_widens_with_the_square_of_the_load(source_mo
     # Rests as the source does and reaches beyond its loads: nothing of them is unseen.
     unit = press(3, gain=1.2, offset_V=-0.1, seconds=120.0).unlabelled
     limits = output_limits(unit, source_model.source.unlabelled, is_rising=True, config=METHOD.health)
-    evidence = gather_evidence(source_model, unit, AffineMap(1.0, 0.0, "identity"), (), (), limits, gain_error=0.1)
+    evidence = gather_evidence(source_model, unit, AffineMap(1.0, 0.0, "identity"), limits, OtherMaps(gain_error=0.1))
     row = variance_table(source_model, evidence)[1]
     even = variance_table(source_model, replace(evidence, budget={**evidence.budget, "gain": 0.0}))[1]
     level = source_model.interval.low + (np.arange(len(row)) + 0.5) * np.ptp(source_model.source.reference) / len(row)
@@ -130,7 +131,7 @@ def test_loads_the_unit_has_not_shown_are_uncertain_there_alone(source_model, li
     unit = press(3, seconds=120.0).unlabelled
     half = replace(unit, output=0.5 + 0.5 * (unit.output - 0.5))
     limits = output_limits(half, source_model.source.unlabelled, is_rising=True, config=METHOD.health)
-    evidence = gather_evidence(source_model, half, AffineMap(1.0, 0.0, "identity"), (), (), limits)
+    evidence = gather_evidence(source_model, half, AffineMap(1.0, 0.0, "identity"), limits)
     row, reach = variance_table(source_model, evidence)[1], np.quantile(evidence.estimate, 0.995)
     level = source_model.interval.low + (np.arange(len(row)) + 0.5) * np.ptp(source_model.source.reference) / len(row)
     shown = row[level < reach - 0.1]

@@ -60,17 +60,17 @@ EXPLAINED = {
         "12": "variance of a uniform variable over its squared width",
     },
     "core/use/activity.py": {"12": "one over the variance of a uniform index from -1/2 to 1/2"},
-    "core/maps/label_shift.py": {"5": "a third of a window"},
+    "core/maps/choose.py": {"5": "a third of a window"},
     "core/maps/paired.py": {"1.5": "exponent of the integral of a squared second difference"},
     "core/maps/synchrony.py": {"4": "bands of one recording in a cache"},
     "core/maps/plan.py": {"2000000": "iterations of the exact solver: it refuses beyond them, nothing else changes"},
     "core/unit/estimate.py": {"3": "columns: estimate and both limits", "12": "letters of a name in a message"},
-    "core/unit/forecast.py": {"12": "variance of a uniform variable over its squared width"},
+    "core/unit/evidence.py": {"12": "variance of a uniform variable over its squared width"},
     "core/unit/health.py": {
         "0.6745": "median of the magnitude of a standard normal variable",
         "6": "variance of a second difference over that of the samples",
     },
-    "core/unit/support.py": {"3": "terms of a parabola", "4": "features of a window"},
+    "core/unit/uncertainty.py": {"3": "terms of a parabola", "4": "features of a window"},
 }
 """Numbers inside functions that nobody chose, with what they are."""
 

@@ -1,0 +1,340 @@
+"""What the mapped windows of a unit show, and the uncertainty budget made of it (GUM, JCGM 100:2008).
+
+Each term of the budget is a standard uncertainty in the reference unit: how well f reads its own source, how much
+candidate maps disagree, what of the source's loads the unit has not shown, and so on.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softcal.core.maps.crossing import KEPT
+from softcal.core.maps.interface import UnitMap
+from softcal.core.metrics import rms
+from softcal.core.recording import Array, Indices, LabelledRecording, OutputRecording
+from softcal.core.unit.health import OutputLimits, clipped_share
+from softcal.core.unit.knowledge import LoadKnowledge, known_by
+from softcal.core.unit.line_spread import LineSpread
+from softcal.core.unit.method import ForecastConfig
+from softcal.core.unit.source_model import SourceModel, unit_difference
+from softcal.core.unit.uncertainty import WindowShape
+from softcal.core.windows import TAPS
+
+LINE, DAY = "line", "day"
+"""Terms of the budget for what line and day do to the load; they weigh 1 whatever is known of the loads."""
+
+
+@dataclass(frozen=True, eq=False)
+class MapEvidence:
+    """What the mapped windows of one unit show.
+
+    Args:
+        rows: (n,) indices of the windows looked at, among the recording's full windows.
+        estimate: (n,) f on the mapped windows, in the reference unit.
+        distance: (n,) of the mapped windows from the source's support.
+        disagreement: (n,) RMS difference of the other candidate maps' estimates from `estimate`.
+        unmapped: (n,) f on the raw windows: what doing nothing would say.
+        overlap, unmapped_overlap: of the unit's loads and speeds with the source's, 0 to 1, with and without
+            the map.
+        speed: how fast the unit's fast movements are, over the source's.
+        budget: standard uncertainties in the reference unit: `model` and the terms of every kind of knowledge
+            (`knowledge.py`). `stage` and `slow` are there where source and unit carry the stage position, `line` where
+            the spread of the line was stated, `day` where a golden run measured its day.
+        rest: level of the estimates at rest, in the reference unit.
+    """
+
+    rows: Indices
+    estimate: Array
+    shape: WindowShape
+    distance: Array
+    disagreement: Array
+    unmapped: Array
+    overlap: float
+    unmapped_overlap: float
+    speed: float
+    budget: Mapping[str, float]
+    knowledge: LoadKnowledge
+    rest: float
+
+    @cached_property
+    def load_rms(self) -> float:
+        """RMS load above rest: the sensitivity to a gain error, in the reference unit."""
+        return rms(self.estimate - self.rest)
+
+    @property
+    def correction_rms(self) -> float:
+        """RMS difference between doing something and doing nothing, in the reference unit."""
+        return rms(self.estimate - self.unmapped)
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A map, and paired windows of source and unit (equal load at equal time) that test it.
+
+    Args:
+        unit_map: the unit's map, or one fitted without these windows.
+        source: recording of the source unit that the unit was pressed together with.
+        source_rows, target_rows: full windows of both, equal lengths.
+        floor: RMS error that the reference of these windows does not hold: that of f, where f itself read it.
+    """
+
+    unit_map: UnitMap
+    source: LabelledRecording
+    source_rows: Indices
+    target_rows: Indices
+    floor: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class OtherMaps:
+    """Other maps that fit the unit's recording, or parts of it.
+
+    Args:
+        alternatives: other candidates for the whole recording.
+        resampled: the same kind of map fitted to parts of the recording.
+        trials: maps with paired windows to test them by, where source and unit were pressed together.
+        gain_error: standard error of the logarithm of the map's gain, where it rests on matched levels.
+        straight: a map that was not bent to spend the unit's time as the source's; by default the unit's map. How the
+            loads differ shows through it alone.
+    """
+
+    alternatives: Sequence[UnitMap] = ()
+    resampled: Sequence[UnitMap] = ()
+    trials: Sequence[Trial] = ()
+    gain_error: float = 0.0
+    straight: UnitMap | None = None
+
+
+def gather_evidence(
+    model: SourceModel,
+    target: OutputRecording,
+    unit_map: UnitMap,
+    limits: OutputLimits,
+    others: OtherMaps = OtherMaps(),  # noqa: B008 - frozen
+    is_anchored: bool = False,
+    line: LineSpread | None = None,
+    day_rmse: float = 0.0,
+) -> MapEvidence:
+    """Collect the budget of one unit from its map and from other maps that fit its recording too.
+
+    Args:
+        limits: rails of the raw output.
+        is_anchored: whether known loads of the unit entered its map.
+        line: the line's spread, where somebody stated it.
+        day_rmse: what the day of the recording changes, as a golden run showed it, in the reference unit.
+    """
+    config, network, interval, known = model.method.forecast, model.network, model.interval, _known_use(model)
+    # Evenly spaced rows: every statistic below costs the same however long the recording is.
+    rows = np.unique(np.linspace(0, len(target.windows) - 1, config.rows).astype(np.int64))
+    raw, mapped = target.windows[rows], _mapped(unit_map, target, rows)
+    estimate, shape = network.evaluate(mapped), interval.support.shape(mapped)
+    distance = interval.support.distance(shape)
+    by_others = {id(other): network.evaluate(_mapped(other, target, rows)) for other in others.alternatives}
+    disagreement = _spread(estimate, list(by_others.values()))
+    stability = _spread(estimate, [network.evaluate(_mapped(part, target, rows)) for part in others.resampled])
+    seen_load, seen_shape = estimate, shape
+    if (straight := others.straight) is not None:
+        unbent = _mapped(straight, target, rows)
+        seen_load = by_others[id(straight)] if id(straight) in by_others else network.evaluate(unbent)
+        seen_shape = interval.support.shape(unbent)
+    rest, span = _rest_level(estimate, config), interval.high - interval.low
+    load_rms = rms(estimate - rest)
+    overlap, speed = _use_overlap(known, seen_shape), _fast(shape, config) / known.fast
+    sharpness = _sharpness(shape, config)
+    # A map is only as good as the agreement of those that could have been chosen instead (disagreement), and of the
+    # same family on other parts of the recording (stability, a delete-a-group jackknife).
+    budget = {
+        "model": rms(model.rmse_table[interval.direction(shape), interval.column(estimate)]),
+        "disagreement": rms(disagreement),
+        "stability": rms(stability),
+        "support": interval.sensitivity * rms(distance),
+        "shift": rms(np.quantile(seen_load, _load_shares(config)) - known.loads),
+        # The scatter of estimates at rest beyond the source's own: drift, creep, a loose mount.
+        "rest": float(np.sqrt(max(_spread_at_rest(model, estimate, shape) ** 2 - known.rest_spread**2, 0.0))),
+        "resolution": _resolution(model, target, float(np.std(mapped) / np.std(raw))),
+        # The load of a clipped sample is uniform over the upper part of the range.
+        "clipping": float(np.sqrt(clipped_share(target.output, limits) / 12)) * span / config.clipped_part,
+        "extrapolation": rms(beyond(model.estimate, estimate, config.reach)),
+        "overlap": (1 - overlap) ** 2 * span,
+        "speed": float(np.log(speed)) ** 2 * span,
+        # A lagging sensor rounds the corners of its signal; one that turns more sharply than the source does not.
+        "corners": min(float(np.log(max(sharpness, 1e-9) / max(known.sharpness, 1e-9))), 0.0) ** 2 * span,
+        "gain": others.gain_error * load_rms,
+        **_stage_terms(model, target, unit_map, estimate if len(rows) == len(target.windows) else None),
+    }
+    if line is not None:
+        budget[LINE] = line.share * load_rms
+    if day_rmse:
+        budget[DAY] = day_rmse
+    if others.trials:
+        misread = rms(np.concatenate([_misread(model, target, trial) for trial in others.trials]))
+        budget["paired"] = float(np.hypot(misread, max(trial.floor for trial in others.trials)))
+    return MapEvidence(
+        rows,
+        estimate,
+        shape,
+        distance,
+        disagreement,
+        unmapped=network.evaluate(raw),
+        overlap=overlap,
+        unmapped_overlap=_use_overlap(known, interval.support.shape(raw)),
+        speed=speed,
+        budget=budget,
+        knowledge=known_by(budget, model.method.knowledge, is_anchored),
+        rest=rest,
+    )
+
+
+def _mapped(unit_map: UnitMap, target: OutputRecording, rows: Indices) -> Array:
+    """Return the windows of the given rows behind a map."""
+    if len(rows) < len(target.windows):
+        return unit_map.apply(target.windows[rows])
+    # Sample by sample: a window shares all its samples but one with the next.
+    parts = [unit_map.apply_signal(target.output[s]) for s in target.segments if s.stop - s.start >= TAPS]
+    return np.ascontiguousarray(parts[0]) if len(parts) == 1 else np.concatenate(parts)
+
+
+@dataclass(frozen=True, eq=False)
+class _KnownUse:
+    """How the source was pressed, as each of its units is compared with it.
+
+    Args:
+        loads: quantiles of f on the source, in the reference unit.
+        rest_spread: standard deviation of f at rest, in the reference unit.
+        rms_load: RMS load above rest, in the reference unit.
+        step: of its readout, in the output unit.
+        levels, slopes: edges of the grid that uses are compared on.
+        use: share of the source's windows in each cell of it.
+    """
+
+    loads: Array
+    rest_spread: float
+    rms_load: float
+    fast: float
+    sharpness: float
+    step: float
+    levels: Array
+    slopes: Array
+    use: Array
+
+
+@lru_cache(maxsize=KEPT)
+def _known_use(model: SourceModel) -> _KnownUse:
+    config, shape, estimate = model.method.forecast, model.shape, model.estimate
+    low, high = np.quantile(shape.level, config.reach)
+    # A coarse grid: with finer cells two short recordings of one programme would seem to differ.
+    levels = np.linspace(low, high, config.overlap_levels)
+    slopes = np.linspace(-1, 1, config.overlap_slopes) * np.quantile(np.abs(shape.slope), config.overlap_slope)
+    return _KnownUse(
+        loads=np.quantile(estimate, _load_shares(config)),
+        rest_spread=_spread_at_rest(model, estimate, shape),
+        rms_load=rms_load(estimate, config),
+        fast=_fast(shape, config),
+        sharpness=_sharpness(shape, config),
+        step=float(np.min(np.abs(np.diff(np.unique(model.source.unlabelled.output))))),
+        levels=levels,
+        slopes=slopes,
+        use=_use(shape, levels, slopes),
+    )
+
+
+def _load_shares(config: ForecastConfig) -> Array:
+    return np.linspace(*config.reach, config.quantiles)
+
+
+def _spread(estimate: Array, others: Sequence[Array]) -> Array:
+    if not others:
+        return np.zeros_like(estimate)
+    return np.asarray(np.sqrt(np.mean([(other - estimate) ** 2 for other in others], axis=0)))
+
+
+def rest_rows(model: SourceModel, estimate: Array, shape: WindowShape) -> NDArray[np.bool_]:
+    """Mark the windows at rest: output still, load among the unit's own lowest."""
+    config = model.method.forecast
+    low = _rest_level(estimate, config)
+    still = model.interval.direction(shape) == 1
+    return np.asarray(still & (estimate < low + config.rest_band * (model.interval.high - model.interval.low)))
+
+
+def _spread_at_rest(model: SourceModel, estimate: Array, shape: WindowShape) -> float:
+    rows = rest_rows(model, estimate, shape)
+    return float(np.std(estimate[rows])) if rows.any() else 0.0
+
+
+def _resolution(model: SourceModel, target: OutputRecording, gain: float) -> float:
+    """Return the quantisation uncertainty d / (2 sqrt 3) of the readout's step d, carried through map and network."""
+    quantum = float(np.min(np.abs(np.diff(np.unique(target.output))), initial=np.inf))
+    gain, source_quantum = gain / model.network.output_scale, _known_use(model).step
+    # f was trained on the source's steps: only a coarser readout adds error.
+    excess = max((quantum * gain) ** 2 - (source_quantum / model.network.output_scale) ** 2, 0.0)
+    return model.interval.sensitivity * float(np.sqrt(excess / 12))
+
+
+def rms_load(estimate: Array, config: ForecastConfig) -> float:
+    """Return the RMS load above rest: the sensitivity to a gain error."""
+    return rms(estimate - _rest_level(estimate, config))
+
+
+def _rest_level(estimate: Array, config: ForecastConfig) -> float:
+    return float(np.quantile(estimate, config.rest_level))
+
+
+def _stage_terms(
+    model: SourceModel, target: OutputRecording, unit_map: UnitMap, estimate: Array | None
+) -> dict[str, float]:
+    """Return how far the unit's load is from the source's at equal stage histories, beyond the source's own scatter.
+
+    The error of a map grows with the load. A unit pressed less hard than the source is therefore scaled up to the
+    source's loads.
+
+    Args:
+        estimate: f on all the unit's mapped windows, where it is known.
+    """
+    if model.stage_floor is None:
+        return {}
+    if estimate is None:
+        estimate = model.network.evaluate(unit_map.apply(target.windows))
+    difference = unit_difference(model.source, target, estimate, model.method)
+    if difference is None:
+        return {}
+    excess, config = difference.beyond(model.stage_floor), model.method.forecast
+    ratio = _known_use(model).rms_load / max(rms_load(estimate, config), 1e-12)
+    growth = float(np.clip(ratio, 1.0, config.most_growth))
+    return {"stage": growth * excess.rms, "slow": growth * excess.slow_rms}
+
+
+def _misread(model: SourceModel, target: OutputRecording, trial: Trial) -> Array:
+    """Return the differences of the unit's estimates from the source's reference at the same instants."""
+    count = min(model.method.forecast.rows, len(trial.source_rows))
+    spread = np.linspace(0, len(trial.source_rows) - 1, count).astype(np.int64)
+    estimate = model.network.evaluate(trial.unit_map.apply(target.windows[trial.target_rows[spread]]))
+    return np.asarray(estimate - trial.source.window_reference[trial.source_rows[spread]])
+
+
+def beyond(load: Array, estimate: Array, shares: tuple[float, float]) -> Array:
+    """Return how far loads lie outside the range that a unit's estimates reach."""
+    low, high = np.quantile(estimate, shares)
+    return np.asarray(np.maximum(np.maximum(low - load, load - high), 0.0))
+
+
+def _use_overlap(known: _KnownUse, shape: WindowShape) -> float:
+    """Return the overlap (1 - total variation distance) of the two distributions over level and slope, 0 to 1."""
+    return float(np.minimum(known.use, _use(shape, known.levels, known.slopes)).sum())
+
+
+def _fast(shape: WindowShape, config: ForecastConfig) -> float:
+    return max(float(np.quantile(np.abs(shape.slope), config.fast)), 1e-9)
+
+
+def _sharpness(shape: WindowShape, config: ForecastConfig) -> float:
+    """Return the extreme bend over the extreme slope: pressing faster raises both, so that speed changes little."""
+    return float(np.quantile(np.abs(shape.bend), config.sharp)) / _fast(shape, config)
+
+
+def _use(shape: WindowShape, levels: Array, slopes: Array) -> Array:
+    level, slope = np.clip(shape.level, levels[0], levels[-1]), np.clip(shape.slope, slopes[0], slopes[-1])
+    counts, *_ = np.histogram2d(level, slope, (levels, slopes))
+    return np.asarray(counts / len(level))

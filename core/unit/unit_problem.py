@@ -1,0 +1,143 @@
+"""All that the calibration of one unit starts from, and the identity it has by that."""
+
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from softcal.core.errors import InputError
+from softcal.core.identity import content_sha256
+from softcal.core.maps.interface import Anchors, FitProblem
+from softcal.core.metrics import rms
+from softcal.core.network.config import NetworkConfig
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.unit.bridge import Bridge
+from softcal.core.unit.budget import Reference
+from softcal.core.unit.judging import UNREADABLE
+from softcal.core.unit.line_spread import LineSpread
+from softcal.core.unit.rules import rules_in_force
+from softcal.core.unit.source_model import SourceModel
+from softcal.core.unit.verdict import Limit, default_limit
+from softcal.core.words.reason import Reason, reason
+
+
+@dataclass(frozen=True, eq=False)
+class UnitProblem:
+    """All that the calibration of one unit starts from.
+
+    Args:
+        source: what `make_source_model` made of the lot's source with the method in force.
+        limit: tolerance limit of the lot; None derives one from the source's own error and says so.
+        anchors: known loads of the unit, where someone took them.
+        audit: labelled recording of the unit, which decides and fits nothing; None where there is none.
+        own: how the unit's own calibration is trained on its audit, for comparison; None trains none.
+        line: how differently the line presses units, where somebody stated it.
+        reference: what the source was compared with; None where nobody said, and nothing is traced to it.
+        bridge: the source unit pressed again in the sitting of this unit, where somebody did.
+        beside: networks of the lot's other sources, which the unit was compared with (`sources.py`).
+        rules: identities of the rules of other packages that may hold the unit back; those installed here by default.
+        unread_audit: why a file that was brought as its audit cannot be read; "" where none was or it can.
+    """
+
+    source: SourceModel
+    recording: OutputRecording
+    limit: Limit | None = None
+    anchors: Anchors | None = None
+    audit: LabelledRecording | None = None
+    own: NetworkConfig | None = None
+    line: LineSpread | None = None
+    reference: Reference | None = None
+    bridge: Bridge | None = None
+    beside: tuple[str, ...] = ()
+    rules: tuple[str, ...] = field(default_factory=rules_in_force)
+    unread_audit: str = ""
+
+    @cached_property
+    def input_sha256(self) -> str:
+        """Content hash of everything the calibration depends on: equal input, equal result."""
+        anchors, audit = self.anchors, self.audit
+        settings: dict[str, object] = {
+            "recording": self.recording.sha256,
+            "network": self.source.network.id,
+            "method": self.source.method.id,
+            "limit": None if self.limit is None else self.limit.to_json(),
+            "anchors": None if anchors is None else [anchors.output.tolist(), anchors.reference.tolist()],
+            "audit": None if audit is None else audit.sha256,
+            # Without an audit no own calibration is trained, whatever was asked.
+            "own": None if audit is None or self.own is None else asdict(self.own),
+        }
+        # What came later stands there only where it is given: older results keep their identity.
+        later = {
+            "line": self.line and self.line.to_json(),
+            "golden": self.bridge and self.bridge.sha256,
+            "reference": self.reference and self.reference.to_json(),
+            "beside": sorted(self.beside),
+            "unread_audit": self.unread_audit,
+            "rules": sorted(self.rules),
+        }
+        return content_sha256({}, settings | {name: value for name, value in later.items() if value})
+
+    @cached_property
+    def fit(self) -> FitProblem:
+        """What the map is fitted to: the golden run where the unit shares its loads in time, else the source."""
+        if self._bridged is not None and self._bridged.synchrony.is_synchronous:
+            return self._bridged
+        return self._beside(self.source.source)
+
+    @cached_property
+    def _bridged(self) -> FitProblem | None:
+        return None if self.bridge is None else self._beside(self.bridge.golden)
+
+    def _beside(self, known: LabelledRecording) -> FitProblem:
+        return FitProblem(known, self.source.network, self.recording, self.anchors, self.source.method.map)
+
+    @property
+    def crossed(self) -> Bridge | None:
+        """The bridge that the map is fitted over; None where it is fitted to the source's recording."""
+        return self.bridge if self.bridge is not None and self.fit.source is self.bridge.golden else None
+
+    @cached_property
+    def limit_in_force(self) -> Limit:
+        """The lot's limit, or the one that follows from the source's own error; with U of the reference.
+
+        Raises:
+            InputError: the limit is stated in another unit than the reference.
+        """
+        unit, config = self.source.source.reference_unit, self.source.method.decision
+        limit = self.limit or default_limit(unit, self.source.held_out_rmse, config)
+        if limit.unit != unit:
+            raise InputError(f"limit is in {limit.unit}, the reference in {unit}; state it in that")
+        if self.reference is None:
+            return limit
+        load = rms(self.source.source.reference)
+        return replace(limit, reference_expanded=self.reference.expanded(load, config.coverage_factor))
+
+    def reference_variance(self) -> Array:
+        """Return the squared standard uncertainty of the reference at each load level; 0 where nobody stated it."""
+        loads = self.source.interval.levels
+        return np.zeros_like(loads) if self.reference is None else self.reference.variance(loads)
+
+    def bars(self) -> tuple[Reason, ...]:
+        """Return what keeps the unit from passing whatever is found."""
+        highest = float(self.source.source.reference.max())
+        barred = () if self.reference is None else self.reference.bars(highest)
+        unread = (reason(UNREADABLE, error=self.unread_audit),) if self.unread_audit else ()
+        return (*unread, *barred)
+
+    def line_reason(self, load_rms: float) -> Reason:
+        """Say what the line adds that no recording shows, at the RMS load above rest of the unit's recording."""
+        config = self.source.method.line
+        share = (self.line or LineSpread(config.load_spread, config.day_spread)).share
+        # A stated spread is in the forecast already; else it is the method's default, and said beside it.
+        code = "line.open" if self.line is None else "line.stated"
+        return reason(code, share=share, rmse=share * load_rms, unit=self.source.source.reference_unit)
+
+    def bridge_reasons(self) -> tuple[Reason, ...]:
+        """Say what the golden run is worth to the unit; nothing where there is none."""
+        if self.bridge is None or self._bridged is None:
+            return ()
+        if self.crossed is None:
+            return (reason("bridge.unused", correlation=self._bridged.synchrony.rank_correlation),)
+        if not self.bridge.is_measured:
+            return (reason("bridge.read"),)
+        return (reason("bridge.measured", day=self.bridge.day_rmse, unit=self.bridge.golden.reference_unit),)
