@@ -1,6 +1,6 @@
 """The chain of TWIN.md, written a second time: a fine time grid, and hooks where the causes act."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
@@ -37,26 +37,15 @@ RELAXED = 0.6
 NARROWEST = 0.05
 """Smallest 1 − κ·F a rig may reach; beyond it the channel is shut and the model has no answer."""
 
-HOOKS = (
-    "position",
-    "contact",
-    "yielding",
-    "landing",
-    "elastic",
-    "relaxed",
-    "channel",
-    "rest_resistance",
-    "resistance",
-    "lead",
-    "series",
-    "reference",
-    "voltage",
-    "instant",
-    "pickup",
-    "limit",
-    "cell",
-)
-"""Where an equation acts, in the order of the chain; what it is given and gives back has the quantity of that place."""
+HOOKS = {
+    "position": "motion",
+    **dict.fromkeys(("contact", "yielding", "landing", "elastic", "relaxed"), "mechanics"),
+    **dict.fromkeys(("channel", "rest_resistance", "resistance"), "transduction"),
+    **dict.fromkeys(("lead", "series", "reference", "voltage", "pickup", "limit"), "electronics"),
+    "instant": "acquisition",
+    "cell": "load_cell",
+}
+"""Where an equation acts, with its stage in TWIN.md; it is given and gives back the quantity of that place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,18 +67,22 @@ Apply: TypeAlias = Callable[..., Array]
 
 @dataclass(frozen=True)
 class Equation:
-    """One way an effect acts: its stage in TWIN.md, the hook, and value, moment, parameters → value."""
+    """One way an effect acts: where, and value, moment, parameters → value."""
 
     effect: str
     form: str
-    stage: str
     hook: str
     apply: Apply = field(compare=False)
 
+    @property
+    def stage(self) -> str:
+        """Its stage in TWIN.md."""
+        return HOOKS[self.hook]
 
-def equations(form: str, rows: Iterable[tuple[str, str, str, Apply]]) -> dict[str, Equation]:
-    """Return equations of one form by their effect, from rows of effect, stage, hook and what it does."""
-    return {effect: Equation(effect, form, stage, hook, apply) for effect, stage, hook, apply in rows}
+
+def equations(form: str, rows: Mapping[str, tuple[str, Apply]]) -> dict[str, Equation]:
+    """Return equations of one form by their effect, from where and what each does."""
+    return {effect: Equation(effect, form, hook, apply) for effect, (hook, apply) in rows.items()}
 
 
 class Rack:

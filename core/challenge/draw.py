@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -65,24 +66,21 @@ def printed_ohm(resistance_ohm: float) -> float:
     return float(f"{resistance_ohm:.1e}")
 
 
-def _named(rng: Rng, scope: Scope, effects: Sequence[str], scale: float = 1.0) -> tuple[Cause, ...]:
-    return tuple(Cause(effect, CATALOGUE_FORM, CATALOGUE_SIZES[effect](rng, scope, scale)) for effect in effects)
+Causes: TypeAlias = Callable[[Rng, Scope], tuple[Cause, ...]]
 
 
-def _some(rng: Rng, count: int, stages: Sequence[str] | None = None) -> list[str]:
+def _some(count: int = 1, scale: float = 1.0, stages: Sequence[str] | None = None) -> Causes:
+    """Return what draws causes of the catalogue, of these stages, at this share of their usual size."""
     pool = [effect for effect, equation in CATALOGUE.items() if stages is None or equation.stage in stages]
-    return [str(name) for name in rng.choice(pool, count, replace=False)]
+
+    def draw(rng: Rng, scope: Scope) -> tuple[Cause, ...]:
+        names = [str(name) for name in rng.choice(pool, count, replace=False)]
+        return tuple(Cause(name, CATALOGUE_FORM, CATALOGUE_SIZES[name](rng, scope, scale)) for name in names)
+
+    return draw
 
 
-def _single(scale: float, stages: Sequence[str] | None = None) -> Callable[[Rng, Scope], tuple[Cause, ...]]:
-    return lambda rng, scope: _named(rng, scope, _some(rng, 1, stages), scale)
-
-
-def _several(count: int) -> Callable[[Rng, Scope], tuple[Cause, ...]]:
-    return lambda rng, scope: _named(rng, scope, _some(rng, count))
-
-
-def _by(equations: Sequence[tuple[str, str]], sizes: Mapping[str, Draw]) -> Callable[[Rng, Scope], tuple[Cause, ...]]:
+def _by(equations: Sequence[tuple[str, str]], sizes: Mapping[str, Draw]) -> Causes:
     """Return what draws one of (effect, form) at its usual size."""
 
     def draw(rng: Rng, scope: Scope) -> tuple[Cause, ...]:
@@ -92,25 +90,26 @@ def _by(equations: Sequence[tuple[str, str]], sizes: Mapping[str, Draw]) -> Call
     return draw
 
 
-def _single_or_none(stages: Sequence[str] | None = None) -> Callable[[Rng, Scope], tuple[Cause, ...]]:
-    single = _single(1.0, stages)
+def _single_or_none(stages: Sequence[str] | None = None) -> Causes:
+    single = _some(stages=stages)
     return lambda rng, scope: () if rng.random() < 0.2 else single(rng, scope)
 
 
-def _perhaps_single(chance: float) -> Callable[[Rng, Scope], tuple[Cause, ...]]:
-    return lambda rng, scope: _single(1.0)(rng, scope) if rng.random() < chance else ()
+def _perhaps_single(chance: float) -> Causes:
+    single = _some()
+    return lambda rng, scope: single(rng, scope) if rng.random() < chance else ()
 
 
 _SEEN_WITHOUT_CELL = ("motion", "mechanics", "transduction", "electronics", "acquisition")
 _SEEN_WITHOUT_STAGE = ("transduction", "electronics", "load_cell", "acquisition")
 
-LINES: Mapping[str, Callable[[Rng, Scope], tuple[Cause, ...]]] = {
-    "usual": _single(1.0),
-    "third": _single(0.3),
-    "tenth": _single(0.1),
+LINES: Mapping[str, Causes] = {
+    "usual": _some(),
+    "third": _some(scale=0.3),
+    "tenth": _some(scale=0.1),
     "form": _by(list(OTHER_FORMS), CATALOGUE_SIZES),
-    "pair": _several(2),
-    "triple": _several(3),
+    "pair": _some(2),
+    "triple": _some(3),
     "none": lambda rng, scope: (),
     "outside": _by([(effect, OUTSIDE_FORM) for effect in OUTSIDE], OUTSIDE_SIZES),
     "one_run": _single_or_none(),
@@ -118,7 +117,7 @@ LINES: Mapping[str, Callable[[Rng, Scope], tuple[Cause, ...]]] = {
     "no_load_cell": _single_or_none(_SEEN_WITHOUT_CELL),
     "no_stage": _single_or_none(_SEEN_WITHOUT_STAGE),
     "ten_bit": _single_or_none(),
-    "turning": _single(1.0),
+    "turning": _some(),
     "published_form": _by(list(PUBLISHED_FORMS), CATALOGUE_SIZES),
     "published_outside": _by([(effect, OUTSIDE_FORM) for effect in PUBLISHED_OUTSIDE], PUBLISHED_SIZES),
     "mistakes": _perhaps_single(0.3),

@@ -63,11 +63,7 @@ class Mistake:
 
 @dataclass(frozen=True)
 class RunOnFile:
-    """A run as its files have it.
-
-    Args:
-        sample_rate_Hz: what the metadata say.
-    """
+    """A run as its files have it, with the sample rate that the metadata say."""
 
     measured: Measured
     sample_rate_Hz: float
@@ -111,7 +107,7 @@ def written(rig: Rig, runs: Sequence[Measured], of_other_unit: Sequence[Measured
     if not text:
         return [RunOnFile(measured, rig.sample_rate_Hz) for measured in runs]
     mistake = Mistake.of(text)
-    spoil = _SPOILERS[mistake.what]
+    _, spoil = _KINDS[mistake.what]
     sheet = _Sheet(rig, runs, of_other_unit, [rig.sample_rate_Hz] * len(runs))
     spoilt = [
         spoil(sheet, k, mistake) if mistake.concerns(k + 1) and measured.kind == PRESS else measured
@@ -143,10 +139,6 @@ def _swapped_divider(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
     return _with(sheet.runs[k], output_V=sheet.rig.vref_V - sheet.runs[k].columns["output_V"])
 
 
-def _other_unit(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
-    return sheet.of_other_unit[k]
-
-
 def _swapped_runs(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
     name = COLUMNS[mistake.channel]
     partner = next(run for run in mistake.runs if run != k + 1) - 1
@@ -164,107 +156,97 @@ def _out_of_range(values: Array, mistake: Mistake) -> Array:
     return spoilt
 
 
-_SPOILERS: Mapping[str, Callable[[_Sheet, int, Mistake], Measured]] = {
-    "unit_factor": _of_column(lambda values, mistake: values / mistake.factor),
-    "gain": _of_column(lambda values, mistake: values * mistake.factor),
-    "zero": _of_column(lambda values, mistake: values + mistake.factor),
-    "sign": _of_column(lambda values, mistake: -values),
-    "swapped_columns": _swapped_columns,
-    "swapped_divider": _swapped_divider,
-    "other_unit": _other_unit,
-    "swapped_runs": _swapped_runs,
-    "rate": _rate,
-    "out_of_range": _of_column(_out_of_range),
-}
-
 RAILS = {"output": (6.5535e4, 9.99, -1.0), "force": (999.0, -999.0, 8388.607), "stage": (999.0, -999.0)}
 """What a broken transmission leaves in a column."""
 
 
+@dataclass(frozen=True)
+class _Dice:
+    """What a mistake of a case is drawn with; lengths and names as in `draw_mistake`."""
+
+    rng: Rng
+    peak_N: float
+    span_V: float
+    runs: int
+
+    def pick(self, names: Sequence[str]) -> str:
+        return str(names[int(self.rng.integers(len(names)))])
+
+    def one(self) -> tuple[int, ...]:
+        return (int(self.rng.integers(1, self.runs + 1)),)
+
+    def all_or_one(self) -> tuple[int, ...]:
+        return () if self.rng.random() < 0.5 else self.one()
+
+    def seed(self) -> int:
+        return int(self.rng.integers(2**31))
+
+
+def _draw_unit(dice: _Dice) -> Mistake:
+    at = dice.all_or_one()
+    units = UNITS_OF_RUN if at else UNITS
+    channel = dice.pick(list(units))
+    return Mistake("unit_factor", channel, at, units[channel][dice.pick(list(units[channel]))])
+
+
+def _draw_gain(dice: _Dice) -> Mistake:
+    factor = 1.0 + float(dice.rng.choice([-1.0, 1.0]) * dice.rng.uniform(0.05, 0.25))
+    # An output above its reference would be another mistake.
+    channel = dice.pick(("force", "output"))
+    return Mistake("gain", channel, dice.one(), min(factor, 1.0 / factor) if channel == "output" else factor)
+
+
+def _draw_zero(dice: _Dice) -> Mistake:
+    channel, rng = dice.pick(("stage", "force", "output")), dice.rng
+    stage_mm, force_N = rng.uniform(0.3, 1.0), dice.peak_N * rng.uniform(0.05, 0.2)
+    size = {"stage": stage_mm, "force": force_N, "output": dice.span_V * 0.1}[channel]
+    return Mistake("zero", channel, dice.one(), float(rng.choice([-1.0, 1.0]) * size))
+
+
+def _draw_swapped_runs(dice: _Dice) -> Mistake:
+    one, other = (int(k) + 1 for k in dice.rng.choice(dice.runs, 2, replace=False))
+    return Mistake("swapped_runs", dice.pick(("force", "output")), tuple(sorted((one, other))))
+
+
+def _draw_rate(dice: _Dice) -> Mistake:
+    return Mistake("rate", "time", dice.all_or_one(), float(dice.rng.choice([0.5, 2.0, 0.9, 1.2, 10.0])))
+
+
+def _draw_out_of_range(dice: _Dice) -> Mistake:
+    channel = dice.pick(list(RAILS))
+    rail = float(RAILS[channel][int(dice.rng.integers(len(RAILS[channel])))])
+    return Mistake("out_of_range", channel, dice.one(), rail, dice.seed())
+
+
+PAIRS = ("stage+force", "force+output", "stage+output")
+
+_KINDS: Mapping[str, tuple[Callable[[_Dice], Mistake], Callable[[_Sheet, int, Mistake], Measured]]] = {
+    "unit_factor": (_draw_unit, _of_column(lambda values, mistake: values / mistake.factor)),
+    "gain": (_draw_gain, _of_column(lambda values, mistake: values * mistake.factor)),
+    "zero": (_draw_zero, _of_column(lambda values, mistake: values + mistake.factor)),
+    "sign": (
+        lambda dice: Mistake("sign", dice.pick(("stage", "force")), dice.all_or_one()),
+        _of_column(lambda values, mistake: -values),
+    ),
+    "swapped_columns": (lambda dice: Mistake("swapped_columns", dice.pick(PAIRS), dice.all_or_one()), _swapped_columns),
+    "swapped_divider": (lambda dice: Mistake("swapped_divider", "output"), _swapped_divider),
+    "other_unit": (
+        lambda dice: Mistake("other_unit", "", dice.one(), seed=dice.seed()),
+        lambda sheet, k, mistake: sheet.of_other_unit[k],
+    ),
+    "swapped_runs": (_draw_swapped_runs, _swapped_runs),
+    "rate": (_draw_rate, _rate),
+    "out_of_range": (_draw_out_of_range, _of_column(_out_of_range)),
+}
+"""By kind, how a mistake is drawn and what it does to a run."""
+
+
 def draw_mistake(rng: Rng, rig: Rig, peak_N: float, span_V: float, runs: int) -> str:
-    """Draw one mistake for a case of several runs, every kind alike; return it as a label has it.
+    """Draw one mistake for a case of two or more runs, every kind alike; return it as a label has it.
 
     Args:
         peak_N: force at full depth.
         span_V: range of the output between rest and peak.
-        runs: how many the case has, two or more.
     """
-    return list(_DRAWS.values())[rng.integers(len(_DRAWS))](rng, peak_N, span_V, runs).to_text()
-
-
-def _pick(rng: Rng, names: Sequence[str]) -> str:
-    return str(names[int(rng.integers(len(names)))])
-
-
-def _one(rng: Rng, runs: int) -> tuple[int, ...]:
-    return (int(rng.integers(1, runs + 1)),)
-
-
-def _all_or_one(rng: Rng, runs: int) -> tuple[int, ...]:
-    return () if rng.random() < 0.5 else _one(rng, runs)
-
-
-def _draw_unit(rng: Rng, peak_N: float, span_V: float, runs: int) -> Mistake:
-    at = _all_or_one(rng, runs)
-    units = UNITS_OF_RUN if at else UNITS
-    channel = _pick(rng, list(units))
-    return Mistake("unit_factor", channel, at, units[channel][_pick(rng, list(units[channel]))])
-
-
-def _draw_gain(rng: Rng, peak_N: float, span_V: float, runs: int) -> Mistake:
-    factor = 1.0 + float(rng.choice([-1.0, 1.0]) * rng.uniform(0.05, 0.25))
-    # An output above its reference would be another mistake.
-    channel = _pick(rng, ("force", "output"))
-    return Mistake("gain", channel, _one(rng, runs), min(factor, 1.0 / factor) if channel == "output" else factor)
-
-
-def _draw_zero(rng: Rng, peak_N: float, span_V: float, runs: int) -> Mistake:
-    channel = _pick(rng, ("stage", "force", "output"))
-    size = {"stage": rng.uniform(0.3, 1.0), "force": peak_N * rng.uniform(0.05, 0.2), "output": span_V * 0.1}[channel]
-    return Mistake("zero", channel, _one(rng, runs), float(rng.choice([-1.0, 1.0]) * size))
-
-
-def _draw_sign(rng: Rng, peak_N: float, span_V: float, runs: int) -> Mistake:
-    return Mistake("sign", _pick(rng, ("stage", "force")), _all_or_one(rng, runs))
-
-
-def _draw_columns(rng: Rng, peak_N: float, span_V: float, runs: int) -> Mistake:
-    pair = _pick(rng, ("stage+force", "force+output", "stage+output"))
-    return Mistake("swapped_columns", pair, _all_or_one(rng, runs))
-
-
-def _draw_divider(rng: Rng, peak_N: float, span_V: float, runs: int) -> Mistake:
-    return Mistake("swapped_divider", "output", ())
-
-
-def _draw_other_unit(rng: Rng, peak_N: float, span_V: float, runs: int) -> Mistake:
-    return Mistake("other_unit", "", _one(rng, runs), seed=int(rng.integers(2**31)))
-
-
-def _draw_swapped_runs(rng: Rng, peak_N: float, span_V: float, runs: int) -> Mistake:
-    one, other = (int(k) + 1 for k in rng.choice(runs, 2, replace=False))
-    return Mistake("swapped_runs", _pick(rng, ("force", "output")), tuple(sorted((one, other))))
-
-
-def _draw_rate(rng: Rng, peak_N: float, span_V: float, runs: int) -> Mistake:
-    return Mistake("rate", "time", _all_or_one(rng, runs), float(rng.choice([0.5, 2.0, 0.9, 1.2, 10.0])))
-
-
-def _draw_out_of_range(rng: Rng, peak_N: float, span_V: float, runs: int) -> Mistake:
-    channel = _pick(rng, list(RAILS))
-    rail = float(RAILS[channel][int(rng.integers(len(RAILS[channel])))])
-    return Mistake("out_of_range", channel, _one(rng, runs), rail, int(rng.integers(2**31)))
-
-
-_DRAWS: Mapping[str, Callable[[Rng, float, float, int], Mistake]] = {
-    "unit_factor": _draw_unit,
-    "gain": _draw_gain,
-    "zero": _draw_zero,
-    "sign": _draw_sign,
-    "swapped_columns": _draw_columns,
-    "swapped_divider": _draw_divider,
-    "other_unit": _draw_other_unit,
-    "swapped_runs": _draw_swapped_runs,
-    "rate": _draw_rate,
-    "out_of_range": _draw_out_of_range,
-}
+    draw, _ = list(_KINDS.values())[rng.integers(len(_KINDS))]
+    return draw(_Dice(rng, peak_N, span_V, runs)).to_text()

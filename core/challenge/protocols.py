@@ -28,6 +28,11 @@ class _Pen:
         self.times.append(self.times[-1] + duration_s)
         self.places.append(self.places[-1])
 
+    def press(self, depth_mm: float, speed_mm_s: float, rest_s: float) -> None:
+        self.go(depth_mm, speed_mm_s)
+        self.go(0.0, speed_mm_s)
+        self.stay(rest_s)
+
     def path(self, name: str, duration_s: float | None = None) -> Path:
         if duration_s is None:
             return Path(name, np.array(self.times), np.array(self.places))
@@ -41,47 +46,31 @@ class _Pen:
         return self.times[-1]
 
 
-def _ramps(name: str, rng: Rng, depth_mm: float, speeds_mm_s: Callable[[], float], duration_s: float = RUN_S) -> Path:
+def log_uniform(rng: Rng, low: float, high: float) -> float:
+    """Draw a number whose logarithm is uniform."""
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def _ramps(name: str, rng: Rng, depth_mm: float, speed: Callable[[Rng], float]) -> Path:
+    """Press and release, each ramp at a speed of its own, in mm/s."""
     pen = _Pen(rng.uniform(0.6, 2.0))
-    while pen.now_s < duration_s:
-        speed_mm_s = speeds_mm_s()
-        pen.go(depth_mm * rng.uniform(0.75, 1.0), speed_mm_s)
-        pen.go(0.0, speed_mm_s)
-        pen.stay(rng.uniform(0.2, 1.0))
-    return pen.path(name, duration_s)
+    while pen.now_s < RUN_S:
+        speed_mm_s = speed(rng)
+        pen.press(depth_mm * rng.uniform(0.75, 1.0), speed_mm_s, rng.uniform(0.2, 1.0))
+    return pen.path(name, RUN_S)
 
 
-def slow_ramps(rng: Rng, depth_mm: float) -> Path:
-    """Press and release at 0.25–0.5 mm/s."""
-    return _ramps("slow ramps", rng, depth_mm, lambda: rng.uniform(0.25, 0.5))
-
-
-def fast_ramps(rng: Rng, depth_mm: float) -> Path:
-    """Press and release at 2–5 mm/s."""
-    return _ramps("fast ramps", rng, depth_mm, lambda: rng.uniform(2.0, 5.0))
-
-
-def one_speed_ramps(rng: Rng, depth_mm: float) -> Path:
-    """Press and release at 1 mm/s only."""
-    return _ramps("ramps at 1 mm/s", rng, depth_mm, lambda: 1.0)
-
-
-def mixed_ramps(rng: Rng, depth_mm: float) -> Path:
-    """Press and release at 0.4–4 mm/s."""
-    return _ramps("ramps of mixed speed", rng, depth_mm, lambda: float(np.exp(rng.uniform(np.log(0.4), np.log(4.0)))))
-
-
-def steps_with_holds(rng: Rng, depth_mm: float, duration_s: float = RUN_S) -> Path:
+def steps_with_holds(rng: Rng, depth_mm: float) -> Path:
     """Step up and down a staircase and hold on every step."""
     pen = _Pen(rng.uniform(0.6, 2.0))
-    while pen.now_s < duration_s:
+    while pen.now_s < RUN_S:
         levels = np.sort(rng.uniform(0.2, 1.0, rng.integers(2, 5)))
         for level in [*levels, *levels[:-1][::-1]]:
             pen.go(depth_mm * float(level), 5.0)
             pen.stay(rng.uniform(1.5, 4.0))
         pen.go(0.0, 5.0)
         pen.stay(rng.uniform(1.5, 4.0))
-    return pen.path("steps with holds", duration_s)
+    return pen.path("steps with holds", RUN_S)
 
 
 def random_path(rng: Rng, depth_mm: float, duration_s: float = RUN_S) -> Path:
@@ -89,7 +78,7 @@ def random_path(rng: Rng, depth_mm: float, duration_s: float = RUN_S) -> Path:
     pen = _Pen(rng.uniform(0.6, 2.0))
     while pen.now_s < duration_s:
         place = 0.0 if rng.random() < 0.2 else depth_mm * rng.uniform(0.0, 1.0)
-        pen.go(place, float(np.exp(rng.uniform(np.log(0.4), np.log(5.0)))))
+        pen.go(place, log_uniform(rng, 0.4, 5.0))
         if rng.random() < 0.3:
             pen.stay(rng.uniform(0.2, 2.0))
     return pen.path("random", duration_s)
@@ -99,9 +88,7 @@ def one_rich_run(rng: Rng, depth_mm: float) -> Path:
     """A ramp of each speed, a few holds, a random stretch, rest at both ends, in one run."""
     pen = _Pen(1.0)
     for speed_mm_s in (0.4, 4.0, 1.5):
-        pen.go(depth_mm * rng.uniform(0.85, 1.0), speed_mm_s)
-        pen.go(0.0, speed_mm_s)
-        pen.stay(0.7)
+        pen.press(depth_mm * rng.uniform(0.85, 1.0), speed_mm_s, 0.7)
     for level in rng.uniform(0.2, 1.0, 3):
         pen.go(depth_mm * float(level), 5.0)
         pen.stay(2.5)
@@ -125,11 +112,6 @@ def kept_back(rng: Rng, depth_mm: float) -> Path:
     return pen.path("kept back", RUN_S)
 
 
-def rest(rng: Rng, depth_mm: float) -> Path:
-    """Touch nothing for two minutes."""
-    return _Pen(120.0).path("rest")
-
-
 def long_hold(rng: Rng, depth_mm: float) -> Path:
     """Hold for five minutes, then rest for half as long."""
     pen = _Pen(2.0)
@@ -144,9 +126,7 @@ def rate_sweep(rng: Rng, depth_mm: float) -> Path:
     """Press once at each speed from 0.2 to 5 mm/s."""
     pen = _Pen(2.0)
     for speed_mm_s in (0.2, 5.0, 0.5, 2.0, 1.0, 5.0):
-        pen.go(0.95 * depth_mm, speed_mm_s)
-        pen.go(0.0, speed_mm_s)
-        pen.stay(1.0)
+        pen.press(0.95 * depth_mm, speed_mm_s, 1.0)
     return pen.path("rate sweep")
 
 
@@ -154,9 +134,7 @@ def amplitude_ladder(rng: Rng, depth_mm: float) -> Path:
     """Press twice to each of four growing depths, then rest."""
     pen = _Pen(2.0)
     for share in (0.3, 0.3, 0.5, 0.5, 0.7, 0.7, 0.9, 0.9, 0.5):
-        pen.go(share * depth_mm, 1.0)
-        pen.go(0.0, 1.0)
-        pen.stay(1.0)
+        pen.press(share * depth_mm, 1.0, 1.0)
     pen.stay(20.0)
     return pen.path("amplitude ladder")
 
@@ -165,9 +143,7 @@ def slow_touch_down(rng: Rng, depth_mm: float) -> Path:
     """Touch down twice at 0.05 mm/s."""
     pen = _Pen(2.0)
     for _ in range(2):
-        pen.go(0.3 * depth_mm, 0.05)
-        pen.go(0.0, 0.05)
-        pen.stay(1.0)
+        pen.press(0.3 * depth_mm, 0.05, 1.0)
     return pen.path("slow touch-down")
 
 
@@ -184,35 +160,29 @@ def small_reversals(rng: Rng, depth_mm: float) -> Path:
     return pen.path("small reversals")
 
 
-def lot_source(rng: Rng, depth_mm: float) -> Path:
-    """The source unit of a lot: random presses for three minutes."""
-    return random_path(rng, depth_mm, 180.0)
-
-
-def lot_unit(rng: Rng, depth_mm: float) -> Path:
-    """A target unit of a lot, or its audit: random presses for a minute and a half."""
-    return random_path(rng, depth_mm, 90.0)
-
-
 PROTOCOLS: dict[str, Callable[[Rng, float], Path]] = {
-    "slow_ramps": slow_ramps,
-    "fast_ramps": fast_ramps,
-    "one_speed_ramps": one_speed_ramps,
-    "mixed_ramps": mixed_ramps,
+    "slow_ramps": lambda rng, mm: _ramps("slow ramps", rng, mm, lambda rng: rng.uniform(0.25, 0.5)),
+    "fast_ramps": lambda rng, mm: _ramps("fast ramps", rng, mm, lambda rng: rng.uniform(2.0, 5.0)),
+    "one_speed_ramps": lambda rng, mm: _ramps("ramps at 1 mm/s", rng, mm, lambda _: 1.0),
+    "mixed_ramps": lambda rng, mm: _ramps("ramps of mixed speed", rng, mm, lambda rng: log_uniform(rng, 0.4, 4.0)),
     "steps_with_holds": steps_with_holds,
     "random": random_path,
     "one_rich_run": one_rich_run,
     "kept_back": kept_back,
-    "lot_source": lot_source,
-    "lot_unit": lot_unit,
-    "rest": rest,
+    "lot_source": lambda rng, mm: random_path(rng, mm, 180.0),
+    "lot_unit": lambda rng, mm: random_path(rng, mm, 90.0),
+    "rest": lambda rng, mm: _Pen(120.0).path("rest"),
     "long_hold": long_hold,
     "rate_sweep": rate_sweep,
     "amplitude_ladder": amplitude_ladder,
     "slow_touch_down": slow_touch_down,
     "small_reversals": small_reversals,
 }
-"""Paths by name; each takes a generator and the depth in mm at which the force reaches the rig's peak."""
+"""Paths by name; each takes a generator and the depth in mm at which the force reaches the rig's peak.
+
+The unit that is the source of a lot is pressed at random for three minutes, each of the others, and in its audit, for
+half as long.
+"""
 
 
 def weights(rng: Rng, peak_N: float) -> tuple[Array, Array]:

@@ -3,8 +3,7 @@
 Each docstring cites the published model. None of them was chosen by looking at what the diagnosis can fit.
 """
 
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
+from collections.abc import Callable
 
 import numpy as np
 from numba import njit
@@ -12,8 +11,8 @@ from scipy.optimize import nnls
 from scipy.signal import butter, lfilter
 from scipy.special import erf
 
-from softcal.core.challenge.catalogue_equations import in_other_forms
-from softcal.core.challenge.chain import Apply, Equation, Moment, equations
+from softcal.core.challenge.catalogue_equations import hum, in_other_forms
+from softcal.core.challenge.chain import Moment, equations
 from softcal.core.challenge.operators import low_passes
 from softcal.core.challenge.outside_equations import OUTSIDE_FORM
 from softcal.core.challenge.sizes import Draw, Rng, Scope, near
@@ -100,12 +99,6 @@ def _film_contact(ohm: Array, at: Moment, film_ohm: float, load_N: float) -> Arr
     return np.asarray(ohm + film_ohm / np.sqrt(1.0 + np.maximum(0.0, at.force_N) / load_N))
 
 
-def _stray_tone(volts: Array, at: Moment, amplitude_V: float, frequency_Hz: float) -> Array:
-    """Narrow-band pick-up that is not the mains: Ott, Electromagnetic Compatibility Engineering (2009), chapter 2."""
-    phase = at.rng.uniform(0.0, 2.0 * np.pi)
-    return np.asarray(volts + amplitude_V * np.sin(2.0 * np.pi * frequency_Hz * at.t_s + phase))
-
-
 @njit(cache=True)
 def _ringing(signal: Array, step_s: float, omega: float, damping: float) -> Array:  # pragma: no cover - compiled
     out = np.empty_like(signal)
@@ -122,25 +115,28 @@ def _cell_ringing(force_N: Array, at: Moment, frequency_Hz: float, damping: floa
     return _ringing(np.ascontiguousarray(force_N), at.step_s, 2.0 * np.pi * frequency_Hz, damping)
 
 
-_FORMS: tuple[tuple[str, str, Apply], ...] = (
-    ("stress_relaxation", "kohlrausch", _kohlrausch_relaxation),
-    ("mullins_softening", "ogden_roxburgh", _ogden_roxburgh),
-    ("channel_hysteresis", "dahl", _dahl_channel),
-    ("readout_lag", "butterworth", _butterworth_lag),
-    ("loadcell_creep", "andrade", _andrade_creep),
+PUBLISHED_FORMS = in_other_forms(
+    {
+        ("stress_relaxation", "kohlrausch"): _kohlrausch_relaxation,
+        ("mullins_softening", "ogden_roxburgh"): _ogden_roxburgh,
+        ("channel_hysteresis", "dahl"): _dahl_channel,
+        ("readout_lag", "butterworth"): _butterworth_lag,
+        ("loadcell_creep", "andrade"): _andrade_creep,
+    }
 )
-_EFFECTS: tuple[tuple[str, str, str, Apply], ...] = (
-    ("screw_growth", "motion", "position", _screw_growth),
-    ("rate_stiffening", "mechanics", "elastic", _rate_stiffening),
-    ("film_contact", "transduction", "resistance", _film_contact),
-    ("stray_tone", "electronics", "pickup", _stray_tone),
-    ("cell_ringing", "load_cell", "cell", _cell_ringing),
-)
-
-PUBLISHED_FORMS: Mapping[tuple[str, str], Equation] = MappingProxyType(in_other_forms(_FORMS))
 """By (effect, form); each takes the parameters of the catalogue's equation and is of about the same size."""
 
-PUBLISHED_OUTSIDE: Mapping[str, Equation] = MappingProxyType(equations(OUTSIDE_FORM, _EFFECTS))
+PUBLISHED_OUTSIDE = equations(
+    OUTSIDE_FORM,
+    {
+        "screw_growth": ("position", _screw_growth),
+        "rate_stiffening": ("elastic", _rate_stiffening),
+        "film_contact": ("resistance", _film_contact),
+        # Narrow-band pick-up that is not the mains: Ott, Electromagnetic Compatibility Engineering (2009), chapter 2.
+        "stray_tone": ("pickup", hum),
+        "cell_ringing": ("cell", _cell_ringing),
+    },
+)
 """Published effects outside the catalogue by name."""
 
 
@@ -154,19 +150,14 @@ def _tone_Hz(rng: Rng, at: Scope) -> float:
             return frequency_Hz
 
 
-PUBLISHED_SIZES: Mapping[str, Draw] = MappingProxyType(
-    {
-        "screw_growth": lambda rng, at, scale: {"growth": scale * near(rng, 0.02), "tau_s": near(rng, 60.0)},
-        "rate_stiffening": lambda rng, at, scale: {"size": scale * near(rng, 0.05), "speed_mm_s": near(rng, 2.0)},
-        "film_contact": lambda rng, at, scale: {
-            "film_ohm": scale * at.rig.r0_ohm * near(rng, 0.08),
-            "load_N": near(rng, 0.3),
-        },
-        "stray_tone": lambda rng, at, scale: {
-            "amplitude_V": scale * near(rng, 4e-3),
-            "frequency_Hz": _tone_Hz(rng, at),
-        },
-        "cell_ringing": lambda rng, at, scale: {"frequency_Hz": near(rng, 5.0) / scale, "damping": near(rng, 0.08)},
-    }
-)
+PUBLISHED_SIZES: dict[str, Draw] = {
+    "screw_growth": lambda rng, at, scale: {"growth": scale * near(rng, 0.02), "tau_s": near(rng, 60.0)},
+    "rate_stiffening": lambda rng, at, scale: {"size": scale * near(rng, 0.05), "speed_mm_s": near(rng, 2.0)},
+    "film_contact": lambda rng, at, scale: {
+        "film_ohm": scale * at.rig.r0_ohm * near(rng, 0.08),
+        "load_N": near(rng, 0.3),
+    },
+    "stray_tone": lambda rng, at, scale: {"amplitude_V": scale * near(rng, 4e-3), "frequency_Hz": _tone_Hz(rng, at)},
+    "cell_ringing": lambda rng, at, scale: {"frequency_Hz": near(rng, 5.0) / scale, "damping": near(rng, 0.08)},
+}
 """Usual sizes of the published effects outside the catalogue."""

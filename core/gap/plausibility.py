@@ -5,14 +5,15 @@ run against the others, what the lot states. A pad of an unusual size is none: i
 effect of the catalogue is fitted before this has found nothing.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from softcal.core.gap.case import Case, Mask, Run
+from softcal.core.gap.case import Case, Run
 from softcal.core.recording import RATE_TOLERANCE, Array
+from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.words.reason import Reason, in_words, reason
 
 Kind = Literal[
@@ -36,6 +37,8 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "force": {"kgf": 9.80665, "gf": 9.80665e-3, "mN": 1e-3},
 }
 """What units that people write by mistake are in the unit of the column."""
+
+EVERY_UNIT = [(channel, unit, factor) for channel, units in UNITS.items() for unit, factor in units.items()]
 
 UNITS_OF_RUN: Mapping[str, Mapping[str, float]] = {
     "stage": {**UNITS["stage"], "2.54 mm": 2.54, "degree as rad": np.pi / 180, "rad as degree": 180 / np.pi},
@@ -96,8 +99,7 @@ class DataMistake:
     Args:
         channel: `stage`, `force`, `output`, `temperature` or `time`; two with a plus where columns are swapped.
         runs: numbers of the runs; empty for all.
-        factor: repaired values over recorded ones, or what was multiplied in or added; None where there is no such
-            number.
+        factor: repaired values over recorded ones; None where there is no such number.
     """
 
     what: Kind
@@ -139,7 +141,7 @@ def doubts(case: Case) -> tuple[DataMistake, ...]:
     if case.stiffness_N_mm is not None or not size.is_odd:
         return ()
     fitting = []
-    for channel, unit, factor in _every_unit():
+    for channel, unit, factor in EVERY_UNIT:
         repaired = size.with_unit(channel, factor)
         if not repaired.is_odd and repaired.oddness < np.log(NEAR_USUAL):
             # Stages are told to go at round speeds, which speaks for a unit of theirs.
@@ -149,28 +151,24 @@ def doubts(case: Case) -> tuple[DataMistake, ...]:
     if not fitting:
         return ()
     _, channel, unit, factor = min(fitting)
-    repair = reason("data.ask.unit", channel=channel, factor=factor, unit=unit)
-    return (DataMistake("unit_factor", channel, (), factor, _unusual(size, channel, *STIFFNESS_N_mm), repair),)
+    return (of_unit(channel, (), unit, factor, _unusual(size, channel, *STIFFNESS_N_mm), "data.ask.unit"),)
 
 
-def _joined(case: Case, seen: Iterable[DataMistake]) -> list[DataMistake]:
-    """Return one finding for the same mistake in several runs; in all that are pressed, of the whole case.
+def _in_runs(look: Callable[[Run], Iterable[DataMistake]]) -> Callable[[Case], Iterator[DataMistake]]:
+    """Look at every run of a case; one mistake in all runs that are pressed is one of the whole case."""
 
-    Args:
-        seen: mistakes of single runs, by their places from 0.
-    """
-    groups: dict[tuple[str, str, float | None], list[DataMistake]] = {}
-    for one in seen:
-        factor = None if one.factor is None else float(f"{one.factor:.2g}")
-        groups.setdefault((one.what, one.channel, factor), []).append(one)
-    number = numbers(case)
-    pressed = {k for k, run in enumerate(case.runs) if run.kind == "press"}
-    found = []
-    for members in groups.values():
-        at = {k for one in members for k in one.runs}
-        runs = () if at >= pressed else tuple(number[k] for k in sorted(at))
-        found.append(replace(members[0], runs=runs))
-    return found
+    def in_case(case: Case) -> Iterator[DataMistake]:
+        groups: dict[tuple[str, str, float | None], tuple[DataMistake, set[int]]] = {}
+        for k, run in enumerate(case.runs):
+            for one in look(run):
+                factor = None if one.factor is None else float(f"{one.factor:.2g}")
+                groups.setdefault((one.what, one.channel, factor), (one, set()))[1].add(k)
+        number = numbers(case)
+        pressed = {k for k, run in enumerate(case.runs) if run.kind == "press"}
+        for one, at in groups.values():
+            yield replace(one, runs=() if at >= pressed else tuple(number[k] for k in sorted(at)))
+
+    return in_case
 
 
 def _presses(case: Case) -> list[tuple[int, Run]]:
@@ -183,47 +181,36 @@ def _channels(run: Run) -> dict[str, Array]:
     return {short: values for short, values in every.items() if values is not None}
 
 
-def _rates(case: Case) -> list[DataMistake]:
-    seen = []
-    for k, run in enumerate(case.runs):
-        stated_Hz, ratio = run.readout.sample_rate_Hz, run.seen_Hz / run.readout.sample_rate_Hz
-        if abs(ratio - 1.0) <= RATE_TOLERANCE:
-            continue
-        evidence = reason("data.rate", seen=run.seen_Hz, stated=stated_Hz)
-        unit = next((u for u, s in TIME_UNITS.items() if abs(ratio / s - 1.0) <= RATE_TOLERANCE), None)
-        if unit is not None:
-            seen.append(of_unit("time", (k,), unit, TIME_UNITS[unit], evidence))
-        else:
-            repair = reason("data.repair.rate", seen=run.seen_Hz)
-            seen.append(DataMistake("rate", "time", (k,), ratio, evidence, repair))
-    return _joined(case, seen)
+@_in_runs
+def _rates(run: Run) -> Iterator[DataMistake]:
+    stated_Hz, ratio = run.readout.sample_rate_Hz, run.seen_Hz / run.readout.sample_rate_Hz
+    if abs(ratio - 1.0) <= RATE_TOLERANCE:
+        return
+    evidence = reason("data.rate", seen=run.seen_Hz, stated=stated_Hz)
+    unit = next((u for u, s in TIME_UNITS.items() if abs(ratio / s - 1.0) <= RATE_TOLERANCE), None)
+    if unit is not None:
+        yield of_unit("time", (), unit, TIME_UNITS[unit], evidence)
+    else:
+        yield DataMistake("rate", "time", (), ratio, evidence, reason("data.repair.rate", seen=run.seen_Hz))
 
 
-def _columns(case: Case) -> list[DataMistake]:
+@_in_runs
+def _columns(run: Run) -> Iterator[DataMistake]:
     """Which column is the output shows by the steps of the ADC, which is the stage by its smoothness."""
-    seen = []
-    for k, run in _presses(case):
-        channels = _channels(run)
-        if len(channels) < 2:
-            continue
-        output, stage = _output_by_steps(run, channels), None
-        rest = [name for name in channels if name != output]
-        if output is not None and len(rest) == 2:
-            rough = {name: _roughness(channels[name]) for name in rest}
-            first, second = sorted(rest, key=lambda name: rough[name])
-            stage = first if rough[first] < SMOOTH * rough[second] else None
-        moved = []
-        if output not in (None, "output"):
-            moved = ["output", str(output)]
-        elif stage == "force":
-            moved = ["stage", "force"]
-        if moved:
-            pair = "+".join(name for name in COLUMNS if name in moved)
-            one, other = pair.split("+")
-            evidence = reason("data.swapped_columns.steps" if "output" in moved else "data.swapped_columns.smooth")
-            repair = reason("data.repair.swap", one=COLUMNS[one], other=COLUMNS[other])
-            seen.append(DataMistake("swapped_columns", pair, (k,), None, evidence, repair))
-    return _joined(case, seen)
+    channels = _channels(run)
+    if run.kind != "press" or len(channels) < 2:
+        return
+    output, pair = _output_by_steps(run, channels), ""
+    if output not in (None, "output"):
+        pair = "+".join(name for name in COLUMNS if name in ("output", output))
+    elif output is not None and len(channels) == 3:
+        rough = {name: _roughness(channels[name]) for name in ("stage", "force")}
+        pair = "stage+force" if rough["force"] < rough["stage"] and rough["force"] < SMOOTH * rough["stage"] else ""
+    if pair:
+        one, other = pair.split("+")
+        evidence = reason("data.swapped_columns.steps" if "output" in pair else "data.swapped_columns.smooth")
+        repair = reason("data.repair.swap", one=COLUMNS[one], other=COLUMNS[other])
+        yield DataMistake("swapped_columns", pair, (), None, evidence, repair)
 
 
 def _output_by_steps(run: Run, channels: Mapping[str, Array]) -> str | None:
@@ -249,70 +236,51 @@ def _roughness(values: Array) -> float:
     return float(np.sqrt(np.mean(bends[: max(1, int(0.8 * len(bends)))] ** 2)) / max(high - low, 1e-12))
 
 
-def _ranges(case: Case) -> list[DataMistake]:
+@_in_runs
+def _ranges(run: Run) -> Iterator[DataMistake]:
     """An output cannot leave what its ADC can read."""
-    seen = []
-    for k, run in enumerate(case.runs):
-        if run.output_V is None:
-            continue
-        margin_V = max(2 * run.readout.step_V, 1e-3 * run.readout.vref_V)
-        beyond = _beyond(run.output_V, -margin_V, run.readout.vref_V + margin_V)
-        if not beyond.any():
-            continue
-        worst_V = float(run.output_V[np.argmax(np.abs(run.output_V))])
-        evidence = reason("data.out_of_range.output", worst=worst_V, vref=run.readout.vref_V, count=int(beyond.sum()))
-        if beyond.mean() > FEW:
-            repaired = _output_repaired(run, k, evidence)
-            if repaired is not None:
-                seen.append(repaired)
-                continue
-        repair = reason("data.repair.samples", count=int(beyond.sum()))
-        seen.append(DataMistake("out_of_range", "output", (k,), None, evidence, repair))
-    return _joined(case, seen)
+    output_V, vref_V = run.output_V, run.readout.vref_V
+    if output_V is None:
+        return
+    margin_V = max(2 * run.readout.step_V, 1e-3 * vref_V)
+    is_beyond = (output_V < -margin_V) | (output_V > vref_V + margin_V)
+    if not is_beyond.any():
+        return
+    worst_V, count = float(output_V[np.argmax(np.abs(output_V))]), int(is_beyond.sum())
+    evidence = reason("data.out_of_range.output", worst=worst_V, vref=vref_V, count=count)
+    repaired = _output_repaired(output_V, run.readout, evidence) if is_beyond.mean() > FEW else None
+    yield repaired or _of_samples("output", count, evidence)
 
 
-def _beyond(values: Array, low: float, high: float) -> Mask:
-    return np.asarray((values < low) | (values > high))
+def _of_samples(channel: str, count: int, evidence: Reason) -> DataMistake:
+    return DataMistake("out_of_range", channel, (), None, evidence, reason("data.repair.samples", count=count))
 
 
-def _output_repaired(run: Run, k: int, evidence: Reason) -> DataMistake | None:
+def _output_repaired(output_V: Array, readout: ReadoutMetadata, evidence: Reason) -> DataMistake | None:
     """Return the unit or sign that brings the output of a run back, None where none does."""
-    values, readout = np.asarray(run.output_V), run.readout
     factors = {"mV": 1e-3, "uV": 1e-6}
-    if np.all(values == np.round(values)):
+    if np.all(output_V == np.round(output_V)):
         factors = {"codes": readout.step_V, **factors}
+    low, high = np.quantile(output_V, (0.02, 0.98))
     for unit, factor in factors.items():
-        share = np.quantile(values, (0.02, 0.98)) * factor / readout.vref_V
-        if 0.01 < share[0] and share[1] < 1.0 and share[1] > 0.02:
-            return of_unit("output", (k,), unit, factor, evidence)
-    if np.quantile(values, 0.98) < 0 and -np.quantile(values, 0.02) <= readout.vref_V:
-        return of_sign("output", k, evidence)
-    return None
+        if 0.01 < low * factor / readout.vref_V and 0.02 < high * factor / readout.vref_V < 1.0:
+            return of_unit("output", (), unit, factor, evidence)
+    return of_sign("output", (), evidence) if high < 0 and -low <= readout.vref_V else None
 
 
-def _strays(case: Case) -> list[DataMistake]:
+@_in_runs
+def _strays(run: Run) -> Iterator[DataMistake]:
     """Single samples of a position or force far beyond all others."""
-    seen = []
-    for k, run in _presses(case):
-        for name, values in _channels(run).items():
-            low, high = np.quantile(values, (0.01, 0.99))
-            reach = FAR * (high - low)
-            beyond = _beyond(values, low - reach, high + reach)
-            if 0 < beyond.mean() <= FEW:
-                worst = float(values[np.argmax(np.abs(values - 0.5 * (low + high)))])
-                unit = COLUMNS[name].split("_")[1]
-                evidence = reason(
-                    "data.out_of_range.strays",
-                    count=int(beyond.sum()),
-                    channel=name,
-                    worst=worst,
-                    low=float(low),
-                    high=float(high),
-                    unit=unit,
-                )
-                repair = reason("data.repair.samples", count=int(beyond.sum()))
-                seen.append(DataMistake("out_of_range", name, (k,), None, evidence, repair))
-    return _joined(case, seen)
+    for name, values in _channels(run).items() if run.kind == "press" else ():
+        low, high = (float(end) for end in np.quantile(values, (0.01, 0.99)))
+        reach = FAR * (high - low)
+        is_beyond = (values < low - reach) | (values > high + reach)
+        if 0 < is_beyond.mean() <= FEW:
+            count, unit = int(is_beyond.sum()), COLUMNS[name].split("_")[1]
+            worst = float(values[np.argmax(np.abs(values - 0.5 * (low + high)))])
+            ends = {"worst": worst, "low": low, "high": high}
+            evidence = reason("data.out_of_range.strays", count=count, channel=name, **ends, unit=unit)
+            yield _of_samples(name, count, evidence)
 
 
 def _agreement(one: Array, other: Array) -> float:
@@ -341,34 +309,29 @@ def _runs_exchanged(case: Case) -> list[DataMistake]:
     return []
 
 
-def _directions(case: Case) -> list[DataMistake]:
-    seen = []
-    for k, run in _presses(case):
-        channels = _channels(run)
-        stage, force, output = (channels.get(name) for name in COLUMNS)
-        turned = set()
-        if force is not None:
-            low, high = np.quantile(force, (0.02, 0.98))
-            if low < 0 and -low > 3.0 * abs(high):
-                turned.add("force")
-                force = -force
-        if stage is not None:
-            pressed = force if force is not None else output
-            is_against = pressed is not None and _agreement(stage, pressed) < OPPOSED
-            if is_against and (force is not None or float(np.median(stage)) < 0):
-                turned.add("stage")
-                stage = -stage
-        for name in sorted(turned):
-            seen.append(of_sign(name, k, reason("data.sign", channel=name)))
-        pressing = force if force is not None else stage
-        if output is None or pressing is None or run.readout.sensor_type == "strain":
-            continue
-        correlation = _agreement(output, pressing)
-        if correlation < OPPOSED:
-            evidence = reason("data.swapped_divider", correlation=correlation)
-            repair = reason("data.repair.divider")
-            seen.append(DataMistake("swapped_divider", "output", (k,), None, evidence, repair))
-    return _joined(case, seen)
+@_in_runs
+def _directions(run: Run) -> Iterator[DataMistake]:
+    channels = _channels(run) if run.kind == "press" else {}
+    stage, force, output = (channels.get(name) for name in COLUMNS)
+    turned = []
+    if force is not None:
+        low, high = np.quantile(force, (0.02, 0.98))
+        if low < 0 and -low > 3.0 * abs(high):
+            turned, force = ["force"], -force
+    if stage is not None:
+        pressed = force if force is not None else output
+        is_against = pressed is not None and _agreement(stage, pressed) < OPPOSED
+        if is_against and (force is not None or float(np.median(stage)) < 0):
+            turned, stage = [*turned, "stage"], -stage
+    for name in turned:
+        yield of_sign(name, (), reason("data.sign", channel=name))
+    pressing = force if force is not None else stage
+    if output is None or pressing is None or run.readout.sensor_type == "strain":
+        return
+    correlation = _agreement(output, pressing)
+    if correlation < OPPOSED:
+        evidence, repair = reason("data.swapped_divider", correlation=correlation), reason("data.repair.divider")
+        yield DataMistake("swapped_divider", "output", (), None, evidence, repair)
 
 
 @dataclass(frozen=True)
@@ -384,10 +347,9 @@ class _Size:
         return None if self.depth_mm is None or self.force_N is None else self.force_N / self.depth_mm
 
     def with_unit(self, channel: str, factor: float) -> "_Size":
-        depth, force, speed = self.depth_mm, self.force_N, self.speed_mm_s
-        if channel == "stage":
-            return _Size(None if depth is None else depth * factor, force, None if speed is None else speed * factor)
-        return _Size(depth, None if force is None else force * factor, speed)
+        names = ("depth_mm", "speed_mm_s") if channel == "stage" else ("force_N",)
+        own = {name: getattr(self, name) for name in names}
+        return replace(self, **{name: None if value is None else value * factor for name, value in own.items()})
 
     @property
     def oddness(self) -> float:
@@ -407,7 +369,7 @@ class _Size:
 
 def _size(case: Case) -> _Size:
     depths, forces, speeds = [], [], []
-    for _, run in _presses(case):
+    for run in case.presses:
         channels = _channels(run)
         load = channels.get("force", channels.get("output"))
         if "force" in channels:
@@ -417,11 +379,8 @@ def _size(case: Case) -> _Size:
             contact = _contact_mm(channels["stage"], load)
             depths.append(float(np.quantile(channels["stage"], 0.995)) - contact)
             speeds.append(float(np.quantile(np.abs(np.gradient(channels["stage"], run.t_s)), 0.98)))
-    return _Size(
-        max(float(np.median(depths)), 1e-9) if depths else None,
-        max(float(np.median(forces)), 1e-9) if forces else None,
-        max(speeds) if speeds else None,
-    )
+    depth_mm, force_N = (max(float(np.median(v)), 1e-9) if v else None for v in (depths, forces))
+    return _Size(depth_mm, force_N, max(speeds, default=None))
 
 
 def _contact_mm(stage_mm: Array, load: Array) -> float:
@@ -433,10 +392,6 @@ def _contact_mm(stage_mm: Array, load: Array) -> float:
         return float(1.5 * np.median(twentieth) - 0.5 * np.median(three))
     touching = stage_mm[part > 0.03]
     return float(np.quantile(touching, 0.02)) if len(touching) else 0.0
-
-
-def _every_unit() -> list[tuple[str, str, float]]:
-    return [(channel, unit, factor) for channel, units in UNITS.items() for unit, factor in units.items()]
 
 
 def _unusual(size: _Size, channel: str, low: float, high: float) -> Reason:
@@ -454,11 +409,9 @@ def _against_stated(case: Case) -> list[DataMistake]:
     if stated is None or stiffness is None or stated[0] <= stiffness <= stated[1]:
         return []
     middle, evidence = float(np.sqrt(stated[0] * stated[1])), _unusual(size, "force", *stated)
-    turned = [
-        (abs(np.log(size.with_unit(c, f).stiffness_N_mm or 1e-9) - np.log(middle)), c, u, f)
-        for c, u, f in _every_unit()
-    ]
-    distance, channel, unit, factor = min(turned)
+    distance, channel, unit, factor = min(
+        (abs(np.log(size.with_unit(c, f).stiffness_N_mm or 1e-9) - np.log(middle)), c, u, f) for c, u, f in EVERY_UNIT
+    )
     if distance < abs(np.log(stated[1] / middle)) + np.log(NEAR_FACTOR):
         return [of_unit(channel, (), unit, factor, evidence)]
     return [of_gain("force", (), middle / stiffness, evidence)]
@@ -467,11 +420,10 @@ def _against_stated(case: Case) -> list[DataMistake]:
 def _runs_apart(case: Case) -> list[DataMistake]:
     """One run whose values are larger or smaller than those of all others by a factor that no effect has."""
     presses, number = _presses(case), numbers(case)
-    found: list[DataMistake] = []
     if len(presses) < FEWEST_RUNS:
-        return found
+        return []
     for name, reference in (("force", "output"), ("stage", "output"), ("force", "stage"), ("stage", "force")):
-        if not (case.has(COLUMNS[name]) and case.has(COLUMNS[reference])) or found:
+        if not (case.has(COLUMNS[name]) and case.has(COLUMNS[reference])):
             continue
         if reference != "output" and case.has("output_V"):
             continue
@@ -480,8 +432,8 @@ def _runs_apart(case: Case) -> list[DataMistake]:
             ratio = float(np.exp(np.median(np.delete(spans, at)) - spans[at]))
             others = np.ptp(np.delete(spans, at))
             if abs(np.log(ratio)) > np.log(APART) + others:
-                found.append(apart(name, number[k], ratio, UNITS_OF_RUN[name], others))
-    return found[:1]
+                return [apart(name, number[k], ratio, UNITS_OF_RUN[name], others)]
+    return []
 
 
 def _spread_at(reference: Array, values: Array) -> float:
@@ -518,19 +470,20 @@ def unit_of(factor: float, units: Mapping[str, float], others: float = 0.0) -> s
     return near if abs(np.log(units[near] / factor)) < np.log(SAME_FACTOR) + others else ""
 
 
-def of_unit(channel: str, runs: tuple[int, ...], unit: str, factor: float, evidence: Reason) -> DataMistake:
+def of_unit(
+    channel: str, runs: tuple[int, ...], unit: str, factor: float, evidence: Reason, repair: str = "data.repair.unit"
+) -> DataMistake:
     """Return the mistake of a channel that is in another unit."""
-    repair = reason("data.repair.unit", channel=channel, factor=factor, unit=unit)
-    return DataMistake("unit_factor", channel, runs, factor, evidence, repair)
+    mended = reason(repair, channel=channel, factor=factor, unit=unit)
+    return DataMistake("unit_factor", channel, runs, factor, evidence, mended)
 
 
 def of_gain(channel: str, runs: tuple[int, ...], factor: float, evidence: Reason) -> DataMistake:
     """Return the mistake of a channel with a wrong gain."""
-    return DataMistake(
-        "gain", channel, runs, factor, evidence, reason("data.repair.gain", channel=channel, factor=factor)
-    )
+    repair = reason("data.repair.gain", channel=channel, factor=factor)
+    return DataMistake("gain", channel, runs, factor, evidence, repair)
 
 
-def of_sign(channel: str, run: int, evidence: Reason) -> DataMistake:
-    """Return the mistake of a channel with the other sign in one run."""
-    return DataMistake("sign", channel, (run,), -1.0, evidence, reason("data.repair.sign", channel=channel))
+def of_sign(channel: str, runs: tuple[int, ...], evidence: Reason) -> DataMistake:
+    """Return the mistake of a channel with the other sign."""
+    return DataMistake("sign", channel, runs, -1.0, evidence, reason("data.repair.sign", channel=channel))

@@ -174,5 +174,5 @@ def _repaired(simulator: Simulator, others: Fit, run: SimulatorRun, number: int)
 
 def _of_factor(name: str, number: int, factor: float) -> DataMistake:
     if abs(np.log(abs(factor))) < np.log(SAME_FACTOR) and factor < 0.0:
-        return of_sign(name, number, reason("data.run.apart", channel=name, ratio=1.0 / factor))
+        return of_sign(name, (number,), reason("data.run.apart", channel=name, ratio=1.0 / factor))
     return apart(name, number, factor, FACTORS)
