@@ -1,7 +1,6 @@
 """Profiles, source recordings and golden units into Plotly figures."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -11,8 +10,10 @@ from softcal.app.charts.palette import Palette
 from softcal.app.charts.style import coloured, level_line, styled
 from softcal.app.texts.reasons import Words
 from softcal.app.views.profile import course
+from softcal.core.lot import Lot
 from softcal.core.profiles import Profile
 from softcal.core.quality.control_chart import ControlChart
+from softcal.core.recording import LabelledRecording
 from softcal.db.entries import GoldenRun
 
 
@@ -58,8 +59,9 @@ def golden_figure(runs: Sequence[GoldenRun], chart: ControlChart | None, colours
     return styled(figure, colours, words("column.made"), f"{words('chart.error')} [{runs[0].unit}]", 280)
 
 
-def source_curve(reference: Any, output: Any, units: tuple[str, str], colours: Palette, words: Words) -> go.Figure:
+def source_curve(source: LabelledRecording, lot: Lot, colours: Palette, words: Words) -> go.Figure:
     """Draw the output of a source over its reference, loading and unloading apart."""
+    reference, output = source.reference, source.unlabelled.output
     rising = np.gradient(reference) >= 0
     figure = go.Figure()
     for name, rows, colour in (("loading", rising, colours.mapped), ("unloading", ~rising, colours.raw)):
@@ -72,4 +74,5 @@ def source_curve(reference: Any, output: Any, units: tuple[str, str], colours: P
             marker=marker,
             name=words(f"chart.{name}"),
         )
-    return styled(figure, colours, f"{words('chart.reference')} [{units[0]}]", f"{words('chart.output')} [{units[1]}]")
+    titles = f"{words('chart.reference')} [{lot.reference_unit}]", f"{words('chart.output')} [{lot.output_unit}]"
+    return styled(figure, colours, *titles)

@@ -118,6 +118,11 @@ def sign_out() -> None:
         st.logout()
 
 
+def allows(action: str) -> bool:
+    """Whether the role of who is at the screen allows an action of `PERMISSIONS`."""
+    return may(person(), action)
+
+
 def permit(action: str) -> User:
     """Return who is at the screen if the role allows an action of `PERMISSIONS`; asked by every function that writes.
 

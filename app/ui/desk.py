@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from datetime import datetime, tzinfo
 from typing import Any
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
@@ -12,32 +13,12 @@ from softcal.app.charts.palette import Palette, palette
 from softcal.app.logs import log_crash
 from softcal.app.texts import catalogue
 from softcal.app.texts.catalogue import LANGUAGES, words_in
-from softcal.app.texts.reasons import all_said, said, told
-from softcal.app.ui.account import permit, person
+from softcal.app.texts.reasons import Words, all_said, said, told
+from softcal.app.ui.account import allows, permit, person
 from softcal.app.ui.browser_memory import recall, remember
-from softcal.app.ui.server_memory import registry
-from softcal.core.errors import SoftcalError, printable
+from softcal.app.ui.server_memory import registry as registry
+from softcal.core.errors import InputError, SoftcalError, printable
 from softcal.core.words.reason import Reason
-from softcal.db.access.people import may
-
-__all__ = [
-    "ask_reason",
-    "choose",
-    "choose_language",
-    "colours",
-    "empty",
-    "errors_in_words",
-    "in_full",
-    "in_words",
-    "instant",
-    "language",
-    "readable",
-    "registry",
-    "show_figure",
-    "verdict_badge",
-    "words",
-    "zone",
-]
 
 PLOT_CONFIG = {"displayModeBar": False, "displaylogo": False}
 SHORTEST_REASON = 5
@@ -66,18 +47,37 @@ def instant(at: datetime | None) -> str:
     return "–" if at is None else catalogue.instant(at.astimezone(zone()))
 
 
-def words() -> Callable[..., str]:
+_WORDS: ContextVar[Words | None] = ContextVar("words", default=None)
+"""The texts of the language of one drawing: to look the language up anew for each of them takes half a millisecond."""
+
+
+@contextmanager
+def in_one_language() -> Iterator[None]:
+    """Draw in the language that is chosen now."""
+    token = _WORDS.set(words_in(language(), zone()))
+    try:
+        yield
+    finally:
+        _WORDS.reset(token)
+
+
+def words() -> Words:
     """Return the texts of the chosen language; instants in them are said in the browser's time zone."""
-    return words_in(language(), zone())
+    return _WORDS.get() or words_in(language(), zone())
+
+
+def say(key: str, /, **values: object) -> str:
+    """Return one of these texts."""
+    return words()(key, **values)
 
 
 def in_words(message: SoftcalError | Reason | Iterable[Reason] | str) -> str:
     """Return an error, what a station says, or what a job kept as text, in the chosen language."""
     if isinstance(message, SoftcalError):
-        return printable(said(message.reason, words()))
+        return printable(said(message.reason, say))
     if isinstance(message, Reason):
-        return said(message, words())
-    return told(message, words()) if isinstance(message, str) else all_said(message, words())
+        return said(message, say)
+    return told(message, say) if isinstance(message, str) else all_said(message, say)
 
 
 def colours() -> Palette:
@@ -109,21 +109,19 @@ def readable() -> None:
 
 def _file_fields() -> str:
     """Return the style that has fields for files speak the page's language: Streamlit's own words are English."""
-    zone, say = "[data-testid=stFileUploaderDropzone]", words()
-    said = {
-        f"{zone} button [data-testid=stMarkdownContainer]": say("choose.files"),
-        f"{zone} [data-testid=stFileUploaderDropzoneInstructions]": say(
-            "choose.files.size", size=st.get_option("server.maxUploadSize")
-        ),
+    size = say("choose.files.size", size=st.get_option("server.maxUploadSize"))
+    texts = {
+        "[data-testid=stFileUploaderDropzone] button [data-testid=stMarkdownContainer]": say("choose.files"),
+        "[data-testid=stFileUploaderDropzone] [data-testid=stFileUploaderDropzoneInstructions]": size,
     }
-    return " ".join(f'{at} > * {{ display: none }} {at}::after {{ content: "{text}" }}' for at, text in said.items())
+    return " ".join(f'{at} > * {{ display: none }} {at}::after {{ content: "{text}" }}' for at, text in texts.items())
 
 
 def choose_language() -> None:
     """Let a person choose the language; the browser remembers it."""
     codes = list(LANGUAGES)
     chosen = st.selectbox(
-        words()("choose.language"),
+        say("choose.language"),
         codes,
         index=codes.index(language()),
         format_func=LANGUAGES.__getitem__,
@@ -139,12 +137,43 @@ def choose_language() -> None:
 @contextmanager
 def errors_in_words() -> Iterator[None]:
     """Show what a person can act on instead of a stack trace; what nobody foresaw goes to the log."""
+    with in_one_language():
+        try:
+            yield
+        except SoftcalError as error:
+            st.error(in_words(error), icon=":material/error:", title=say("error.refused"))
+        except Exception as error:
+            st.error(log_crash(error, "ui"), icon=":material/report:", title=say("error.defect"))
+
+
+@contextmanager
+def refusals_in_words(icon: str = "error") -> Iterator[None]:
+    """Say in one line why what a person asked for is refused; what else the page draws is drawn."""
     try:
         yield
-    except SoftcalError as error:
-        st.error(in_words(error), icon=":material/error:", title=words()("error.refused"))
-    except Exception as error:
-        st.error(log_crash(error, "ui"), icon=":material/report:", title=words()("error.defect"))
+    except InputError as error:
+        st.error(in_words(error), icon=f":material/{icon}:")
+
+
+def finish(change: str, told: str) -> None:
+    """Draw the page anew, where `say_finished` says what was done."""
+    st.session_state[f"{change}-done"] = told
+    st.rerun()
+
+
+def say_finished(change: str) -> bool:
+    """Say once what a change did, in the drawing after it; return whether there was one."""
+    done = st.session_state.pop(f"{change}-done", "")
+    if done:
+        st.success(done, icon=":material/check:")
+    return bool(done)
+
+
+def role_allows(action: str) -> bool:
+    """Whether the role of who is at the screen allows an action of `PERMISSIONS`; else say that it does not."""
+    if not allows(action):
+        st.caption(say("reason.not_allowed", role=say(f"role.{person().role}")))
+    return allows(action)
 
 
 def ask_reason(key: str, label: str, action: str, fields: Callable[[], None] = lambda: None) -> str | None:
@@ -163,9 +192,7 @@ def ask_reason(key: str, label: str, action: str, fields: Callable[[], None] = l
     Raises:
         InputError: the role lost the permission meanwhile.
     """
-    say = words()
-    if not may(person(), action):
-        st.caption(say("reason.not_allowed", role=say(f"role.{person().role}")))
+    if not role_allows(action):
         return None
     with st.form(f"reason-{key}", border=False):
         fields()
@@ -179,9 +206,9 @@ def ask_reason(key: str, label: str, action: str, fields: Callable[[], None] = l
     return reason.strip()
 
 
-def empty(title: str, how: str) -> None:
-    """Say that there is nothing yet, and how it comes to be."""
-    st.info(how, icon=":material/inbox:", title=title)
+def empty(key: str, how: str = "") -> None:
+    """Say that there is nothing yet, and how it comes to be: the texts KEY and KEY.how."""
+    st.info(how or say(f"{key}.how"), icon=":material/inbox:", title=say(key))
 
 
 def verdict_badge(verdict: str | None) -> None:
@@ -191,7 +218,7 @@ def verdict_badge(verdict: str | None) -> None:
     ground = colours().verdict[name]
     st.html(
         f'<span role="status" style="background:{ground};color:#fff;border-radius:8px;padding:6px 16px;'
-        f'font-size:22px;font-weight:700;white-space:nowrap">{mark} {words()(f"verdict.{name}")}</span>'
+        f'font-size:22px;font-weight:700;white-space:nowrap">{mark} {say(f"verdict.{name}")}</span>'
     )
 
 

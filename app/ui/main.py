@@ -9,7 +9,7 @@ from softcal.app.jobs.process import DEMO
 from softcal.app.ui.account import is_signed_in, person
 from softcal.app.ui.browser_memory import keep
 from softcal.app.ui.components.liveness import liveness
-from softcal.app.ui.desk import errors_in_words, readable, registry, words
+from softcal.app.ui.desk import errors_in_words, readable, registry, say
 from softcal.app.ui.line_memory import screen
 from softcal.app.ui.pages import pages_for
 
@@ -19,7 +19,6 @@ ICON = Path(__file__).with_name("icon.png")
 
 def run() -> None:
     """Draw the navigation and the chosen page."""
-    say = words()
     st.set_page_config(page_title=say("app.title"), page_icon=str(ICON), layout="wide")
     readable()
     liveness()
@@ -31,9 +30,7 @@ def run() -> None:
             sections.setdefault(title, []).append(
                 st.Page(
                     entry.render,
-                    title=(
-                        person().name if entry.name == "sign_in" and is_signed_in() else words()(f"page.{entry.name}")
-                    ),
+                    title=(person().name if entry.name == "sign_in" and is_signed_in() else say(f"page.{entry.name}")),
                     url_path=entry.name,
                     icon=f":material/{entry.icon}:",
                 )

@@ -1,13 +1,17 @@
 """Pieces of screen that several pages draw: a row of numbers, a figure under its heading, a way to another page."""
 
 import re
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial, wraps
+from typing import Any, Literal
 
 import pandas as pd
 import streamlit as st
 
-from softcal.app.ui.desk import choose, choose_language, empty, registry, show_figure, words
+from softcal.app.files.spreadsheet import csv_text
+from softcal.app.ui.account import actor
+from softcal.app.ui.callbacks import in_one_piece
+from softcal.app.ui.desk import choose, choose_language, empty, registry, say, show_figure
 from softcal.app.ui.pages import PAGES
 
 NARROWEST_NUMBER_PX = 150
@@ -16,6 +20,15 @@ MOST_IN_FULL = 40
 MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#$:~|!])")
 QUANTITY = re.compile(r"([-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?) ([^\s\d]\S*)")
 NO_BREAK = "\u00a0"
+MIMES = {
+    "csv": "text/csv",
+    "html": "text/html",
+    "json": "application/json",
+    "pdf": "application/pdf",
+    "xlsx": "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet",
+    "xml": "application/xml",
+    "zip": "application/zip",
+}
 CLOSER = "[data-testid=stMainBlockContainer] { padding-top: 4.5rem }"
 """The bar of pages needs less room above the title than Streamlit leaves."""
 
@@ -24,7 +37,7 @@ def heading(page: str) -> Any:
     """Draw the title of a page with the language at its right; return the place beside the title for a choice."""
     st.html(f"<style>{CLOSER}</style>")
     left, middle, right = st.columns([2, 4, 1.3], vertical_alignment="bottom")
-    left.title(words()(f"page.{page}"))
+    left.title(say(f"page.{page}"))
     with right:
         choose_language()
     return middle
@@ -36,14 +49,31 @@ def headline(said: str) -> None:
         st.markdown(said)
 
 
-def lot_heading(page: str, lots: Sequence[str]) -> str | None:
-    """Draw the title of a page with the choice of a lot beside it; return the lot, or say how to get one."""
-    beside = heading(page)
-    if not lots:
-        empty(words()("empty.lots"), words()("empty.lots.how"))
-        return None
-    with beside:
-        return choose(words()("choose.lot"), list(lots), "lot")
+def for_lot(page: str) -> Callable[[Callable[[str], None]], Callable[[], None]]:
+    """Make the drawing of a lot a page: its title with the choice of the lot beside it, or how to get a first one."""
+
+    def page_of(draw: Callable[[str], None]) -> Callable[[], None]:
+        @wraps(draw)
+        def render() -> None:
+            beside, lots = heading(page), registry().lots.ids()
+            if not lots:
+                empty("empty.lots")
+                return
+            with beside:
+                lot_id = choose(say("choose.lot"), lots, "lot")
+            if lot_id is not None:
+                draw(lot_id)
+
+        return render
+
+    return page_of
+
+
+def step(page: str, number: int) -> st.delta_generator.DeltaGenerator:
+    """Draw the frame of one step of a page that leads through several."""
+    box = st.container(border=True)
+    box.markdown(f"## {number} · {say(f'{page}.step.{number}')}")
+    return box
 
 
 def units_of(lot_id: str) -> dict[str, int]:
@@ -51,7 +81,7 @@ def units_of(lot_id: str) -> dict[str, int]:
     counts = registry().pages.verdict_counts(lot_id)
     if sum(counts.values()) > counts["none"]:
         return counts
-    empty(words()("empty.units"), words()("empty.units.how"))
+    empty("empty.units")
     return {}
 
 
@@ -64,8 +94,53 @@ def numbers(cells: Sequence[tuple[str, str, str | None]], narrowest_px: int = NA
 
 def figure_under(title: str, figure: Any, key: str) -> None:
     """Draw a static chart under its heading."""
-    st.header(words()(title))
+    st.header(say(title))
     show_figure(figure, key)
+
+
+def side_by_side(*drawn: Callable[[], object]) -> None:
+    """Draw as many columns as there are functions that draw one."""
+    for column, draw in zip(st.columns(len(drawn)), drawn, strict=True):
+        with column:
+            draw()
+
+
+def figures_beside(*shown: tuple[str, Any, str]) -> None:
+    """Draw static charts side by side: (title, figure, key) of each."""
+    side_by_side(*(partial(figure_under, *one) for one in shown))
+
+
+def download(
+    label: str,
+    name: str,
+    data: bytes | Callable[[], bytes | str],
+    key: str,
+    *,
+    exported: tuple[str, str, Mapping[str, object]] | None = None,
+    icon: str = "download",
+    kind: Literal["primary", "secondary"] = "secondary",
+) -> None:
+    """Offer a file; a function makes it when somebody takes it.
+
+    Args:
+        exported: (entity, key, facts) of the row that the audit trail gets when it is taken; None writes none.
+    """
+    mime = MIMES.get(name.rpartition(".")[2], "application/octet-stream")
+    draw = partial(st.download_button, label, data, name, mime, key, icon=f":material/{icon}:", type=kind)
+    if exported is None:
+        draw(on_click="ignore")
+    else:
+        draw(on_click=_tell_export, args=exported)
+
+
+def csv_of(rows: Sequence[Mapping[str, object]]) -> bytes:
+    """Return rows as CSV; the mark at its beginning tells Excel that these bytes are UTF-8."""
+    return csv_text(list(rows[0]) if rows else [], [tuple(row.values()) for row in rows]).encode("utf-8-sig")
+
+
+@in_one_piece
+def _tell_export(entity: str, key: str, facts: Mapping[str, object]) -> None:
+    registry().trail.add("export", entity, (key,), facts, actor=actor())
 
 
 def go_to(page: str, **query: str) -> None:

@@ -10,13 +10,21 @@ from softcal.app.charts import lot as charts_lot
 from softcal.app.line.load_readings import check_stated
 from softcal.app.registry.lot_recordings import source_recording
 from softcal.app.ui.account import actor
-from softcal.app.ui.desk import ask_reason, colours, in_words, instant, registry, words
+from softcal.app.ui.desk import (
+    ask_reason,
+    colours,
+    finish,
+    instant,
+    refusals_in_words,
+    registry,
+    say,
+    say_finished,
+)
 from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.panels import figure_under, headline, lot_heading, table
+from softcal.app.ui.panels import figure_under, for_lot, headline, table
 from softcal.app.ui.server_memory import remembered_lot_view
 from softcal.app.views.common import limit_said, number, percent
 from softcal.app.views.lot import LotView
-from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.quality.known_loads import MOST_LOADS
 from softcal.core.quality.line_rules import LETTERS, LineRules
@@ -25,13 +33,9 @@ from softcal.core.unit.verdict import VERDICTS
 from softcal.db.entries import LimitEntry, LineRulesEntry
 
 
-def render() -> None:
-    say = words()
-    lot_id = lot_heading("limits", registry().lots.ids())
-    if lot_id is None:
-        return
-    if done := st.session_state.pop("limit-done", ""):
-        st.success(done, icon=":material/check:")
+@for_lot("limits")
+def render(lot_id: str) -> None:
+    say_finished("limit")
     view, versions = remembered_lot_view(lot_id), registry().lots.limit_versions(lot_id)
     left, right = st.columns(2)
     with left, st.container(border=True):
@@ -49,7 +53,6 @@ def render() -> None:
 
 
 def _row(entry: LimitEntry, unit: str) -> dict[str, object]:
-    say = words()
     return {
         say("limits.version"): entry.version,
         say("lot.limit"): number(entry.rmse, unit) if entry.rmse else say("lot.limit.none"),
@@ -60,7 +63,7 @@ def _row(entry: LimitEntry, unit: str) -> dict[str, object]:
 
 
 def _change(view: LotView, versions: list[LimitEntry]) -> None:
-    say, unit = words(), view.lot.reference_unit
+    unit = view.lot.reference_unit
     newest = versions[-1].version if versions else 0
     # The version a person decides on is the one first drawn, not one that somebody else has written meanwhile.
     looked_at = f"limit-seen-{view.lot.id}"
@@ -84,18 +87,14 @@ def _change(view: LotView, versions: list[LimitEntry]) -> None:
         return
     rmse = None if is_automatic else wanted
     st.session_state.pop(looked_at)
-    try:
+    with refusals_in_words():
         registry().lots.set_limit(view.lot.id, rmse, reason=reason, actor=actor(), expected_version=version)
         judge_again(registry(), [view.lot.id], actor())
-    except InputError as error:
-        st.error(in_words(error), icon=":material/error:")
-        return
-    st.session_state["limit-done"] = say("limits.done", limit=say("lot.limit.none") if rmse is None else f"{rmse:g}")
-    st.rerun()
+        finish("limit", say("limits.done", limit=say("lot.limit.none") if rmse is None else f"{rmse:g}"))
 
 
 def _preview(view: LotView, wanted: float) -> None:
-    say, errors = words(), view.predicted()
+    errors = view.predicted()
     if len(errors):
         within = int((errors <= wanted).sum())
         share = percent(within / len(errors))
@@ -108,10 +107,8 @@ MOST_UNITS, MOST_RETESTS = 10_000_000, 99
 
 def rules_form(lot: Lot) -> None:
     """Draw the rules that hold, what to set instead, and every version."""
-    say = words()
     st.header(say("rules.title"))
-    if done := st.session_state.pop("rules-done", ""):
-        st.success(done, icon=":material/check:")
+    say_finished("rules")
     versions = registry().lots.line_rules_versions(lot.id)
     with st.container(border=True):
         _change_rules(lot, versions)
@@ -126,26 +123,21 @@ def _change_rules(lot: Lot, versions: Sequence[LineRulesEntry]) -> None:
     looked_at = f"rules-seen-{lot.id}"
     version = st.session_state.setdefault(looked_at, versions[-1].version if versions else 0)
     wanted = _asked(registry().lots.line_rules(lot), lot.reference_unit, f"{lot.id}-{version}")
-    reason = ask_reason(f"rules-{lot.id}-{version}", words()("rules.set"), "set_limit")
+    reason = ask_reason(f"rules-{lot.id}-{version}", say("rules.set"), "set_limit")
     if reason is None:
         return
     st.session_state.pop(looked_at)
-    try:
+    with refusals_in_words():
         rules = LineRules(**wanted)
         state = registry().networks.released(lot.id)
         if state is not None and rules.loads:
             check_stated(rules.loads, source_recording(registry(), state.network.id), Method().map.anchors)
         registry().lots.set_line_rules(lot.id, rules, reason=reason, actor=actor(), expected_version=version)
-    except InputError as error:
-        st.error(in_words(error), icon=":material/error:")
-        return
-    st.session_state["rules-done"] = words()("rules.done")
-    st.rerun()
+        finish("rules", say("rules.done"))
 
 
 def _asked(now: LineRules, unit: str, mark: str) -> dict[str, Any]:
     """Draw one field per rule with what holds now; return what stands in them."""
-    say = words()
     left, middle, right = st.columns([3, 2, 2])
     pattern = left.text_input(
         say("rules.pattern"), now.serial_pattern, key=f"rules-pattern-{mark}", help=say("rules.pattern.help")
@@ -175,7 +167,6 @@ def _asked(now: LineRules, unit: str, mark: str) -> dict[str, Any]:
 
 def _loads(now: LineRules, unit: str, mark: str) -> tuple[tuple[float, float], ...]:
     """Draw the known loads the line asks for; return those that are given, as (load, U) in the lot's unit."""
-    say = words()
     st.markdown(say("rules.loads"), help=say("rules.loads.help"))
     found = []
     cells = st.columns(2 * MOST_LOADS)
@@ -201,7 +192,7 @@ def _loads(now: LineRules, unit: str, mark: str) -> tuple[tuple[float, float], .
 
 
 def _rule_row(entry: LineRulesEntry) -> dict[str, object]:
-    say, rules = words(), entry.rules
+    rules = entry.rules
     retests = ", ".join(f"{say(f'verdict.{verdict}')} {times}" for verdict, times in rules.retests.items())
     return {
         say("limits.version"): entry.version,

@@ -7,17 +7,16 @@ import streamlit as st
 from softcal.app.charts.live import live_signal
 from softcal.app.line.facts import read_line
 from softcal.app.line.line import take_scan
-from softcal.app.ui.account import is_signed_in, person
+from softcal.app.ui.account import allows, is_signed_in, person
 from softcal.app.ui.browser_memory import remember
 from softcal.app.ui.callbacks import in_one_piece
 from softcal.app.ui.components import line_card
 from softcal.app.ui.components.scan_field import scan_field
-from softcal.app.ui.desk import choose_language, colours, in_words, registry, words
+from softcal.app.ui.desk import choose_language, colours, in_one_language, in_words, registry, say
 from softcal.app.ui.line_memory import kept_runs, lot_at_line, refusal, remember_refusal, screen
 from softcal.app.ui.panels import go_to
 from softcal.app.views.line import COMMAND_OF_KEY, KEYS, LineView, away_view, line_view, note_said
 from softcal.core.errors import InputError, RegistryError
-from softcal.db.access.people import may
 
 BUSY_S, IDLE_S = 0.5, 1.0
 """Between two looks: during a run, and else; an idle screen looks too, since another one may have started a run."""
@@ -30,15 +29,16 @@ def render() -> None:
     is_busy = bool(st.session_state.get(IS_BUSY))
     st.fragment(_screen, run_every=BUSY_S if is_busy else IDLE_S)()
     # Drawn last, though it stands at the top: the state is what a person looks for.
-    with st.container(key="line-setup"), st.popover("", icon=":material/tune:", help=words()("line.setup")):
+    with st.container(key="line-setup"), st.popover("", icon=":material/tune:", help=say("line.setup")):
         line_setup()
 
 
+@in_one_language()
 def _screen() -> None:
     view, note = _look()
     with st.container(key="line-screen"):
         st.html(line_card.cells_html(view))
-        st.html(line_card.card_html(view, words()("line.why")))
+        st.html(line_card.card_html(view, say("line.why")))
         with st.container(key="line-note"):
             if note is not None:
                 st.html(line_card.note_html(*note))
@@ -56,12 +56,12 @@ def _screen() -> None:
 def _look() -> tuple[LineView, tuple[str, bool] | None]:
     """Return what the screen shows and the sentence about the last scan."""
     why = refusal()
-    refused = (words()("note.refused", why=why), True) if why else None
+    refused = (say("note.refused", why=why), True) if why else None
     try:
         facts = read_line(registry(), screen(), lot_at_line)
     except RegistryError:
-        return away_view(kept_runs(), _signed_in(), words()), refused
-    return line_view(facts, _signed_in(), words()), refused or note_said(facts, words())
+        return away_view(kept_runs(), _signed_in(), say), refused
+    return line_view(facts, _signed_in(), say), refused or note_said(facts, say)
 
 
 def _signed_in() -> str:
@@ -73,7 +73,7 @@ def _on_scan(text: str, seen: int | None, until_s: float | None = None) -> None:
     try:
         take_scan(registry(), screen(seen, until_s), text, _signed_in())
     except RegistryError:
-        remember_refusal(words()("line.away"))
+        remember_refusal(say("line.away"))
     except InputError as error:
         remember_refusal(in_words(error))
     else:
@@ -81,14 +81,12 @@ def _on_scan(text: str, seen: int | None, until_s: float | None = None) -> None:
 
 
 def _field(view: LineView, note: str) -> None:
-    say = words()
     texts = {"label": say("line.scan"), "placeholder": say("line.scan.hint"), "late": say("line.scan.late")}
     scan_field(texts | {"spoken": note or view.spoken}, view.seen, COMMAND_OF_KEY, screen().station, _on_scan)
 
 
 def _actions(view: LineView) -> None:
-    say = words()
-    if view.state == "no_station" and may(person(), "set_up"):
+    if view.state == "no_station" and allows("set_up"):
         if st.button(say("start.station.do"), key="line-to-station", type="primary"):
             go_to("station")
     for number, command in enumerate(view.actions):
@@ -100,7 +98,6 @@ def _actions(view: LineView) -> None:
 
 
 def _below(view: LineView) -> None:
-    say = words()
     if view.signal.t_s:
         st.echarts_chart(live_signal(view.signal, colours(), say), height=220, key="live-signal")
     elif view.conditions:
@@ -110,7 +107,6 @@ def _below(view: LineView) -> None:
 
 def line_setup() -> None:
     """Draw the settings."""
-    say = words()
     choose_language()
     try:
         facts = read_line(registry(), screen())

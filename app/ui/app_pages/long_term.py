@@ -4,7 +4,7 @@ import streamlit as st
 
 from softcal.app.charts.long_term import course_figure
 from softcal.app.texts.reasons import phrase
-from softcal.app.ui.desk import choose, colours, empty, instant, registry, show_figure, words
+from softcal.app.ui.desk import choose, colours, empty, instant, registry, say, show_figure
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import heading, table
 from softcal.app.views.common import number
@@ -12,11 +12,10 @@ from softcal.app.views.long_term import UnitInUseView, course, units_in_use
 
 
 def render() -> None:
-    say = words()
     beside = heading("long_term")
     units = units_in_use(registry())
     if not units:
-        empty(say("long_term.none"), say("long_term.none.how"))
+        empty("long_term.none")
         return
     with beside:
         serial = choose(say("choose.unit"), [unit.serial for unit in units], "unit") or units[0].serial
@@ -37,7 +36,6 @@ def render() -> None:
 
 
 def _row(unit: UnitInUseView) -> dict[str, object]:
-    say = words()
     return {
         say("column.serial"): unit.serial,
         say("long_term.state"): say("event.alarm") if unit.alarm else say(f"event.{unit.verdict}"),

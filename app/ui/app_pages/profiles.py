@@ -8,7 +8,7 @@ import streamlit as st
 
 from softcal.app.charts.station import profile_figure
 from softcal.app.files.profile_file import profile_toml, read_profile
-from softcal.app.ui.desk import colours, show_figure, words
+from softcal.app.ui.desk import colours, say, show_figure
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import heading, numbers
 from softcal.app.views.profile import bounds
@@ -22,7 +22,6 @@ REACHED = {"depth": "reached", "speed": "speed"}
 
 
 def render() -> None:
-    say = words()
     with heading("profiles"):
         name = st.selectbox(say("profiles.profile"), [*BUILT_IN, FILE], format_func=lambda key: say(f"profile.{key}"))
     left, right = st.columns([1, 3])
@@ -43,13 +42,13 @@ def render() -> None:
 
 
 def _built_in(name: str) -> Profile:
-    depth_mm = st.number_input(f"{words()('profiles.depth')} [mm]", 0.1, 50.0, 3.5, 0.1)
-    seed = int(st.number_input(words()("networks.seed"), 0, 10**6, 0))
+    depth_mm = st.number_input(f"{say('profiles.depth')} [mm]", 0.1, 50.0, 3.5, 0.1)
+    seed = int(st.number_input(say("networks.seed"), 0, 10**6, 0))
     return BUILT_IN[name](np.random.default_rng(seed), depth_mm)
 
 
 def _from_file() -> Profile | None:
-    file = st.file_uploader(words()("profiles.file"), type=["toml"])
+    file = st.file_uploader(say("profiles.file"), type=["toml"])
     if file is None:
         return None
     with tempfile.TemporaryDirectory(prefix="softcal-profile-") as folder:
@@ -60,7 +59,6 @@ def _from_file() -> Profile | None:
 
 def _station() -> SafetyConfig:
     """Take the bounds of a station; they live in its file, at its machine."""
-    say = words()
     st.caption(say("profiles.bounds_typed"))
     deepest_mm = st.number_input(f"{say('profiles.deepest')} [mm]", 0.1, 500.0, SafetyConfig().deepest_mm)
     speed_mm_s = st.number_input(f"{say('profiles.fastest')} [mm/s]", 0.01, 500.0, SafetyConfig().speed_mm_s)
@@ -68,7 +66,6 @@ def _station() -> SafetyConfig:
 
 
 def _bounds(profile: Profile, safety: SafetyConfig) -> None:
-    say = words()
     found = bounds(profile, safety.deepest_mm, safety.speed_mm_s, FixtureConfig().approach_mm)
     numbers(
         (

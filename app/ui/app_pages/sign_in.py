@@ -7,6 +7,7 @@ import streamlit as st
 
 from softcal.app.ui.account import (
     account_without_role,
+    allows,
     first_code,
     has_company_accounts,
     is_signed_in,
@@ -17,15 +18,12 @@ from softcal.app.ui.account import (
     sign_out,
 )
 from softcal.app.ui.callbacks import in_one_piece
-from softcal.app.ui.desk import choose_language, in_words, registry, words
+from softcal.app.ui.desk import choose_language, refusals_in_words, registry, say
 from softcal.app.ui.panels import go_to
 from softcal.app.ui.pins import check_pin
-from softcal.core.errors import InputError
-from softcal.db.access.people import may
 
 
 def render() -> None:
-    say = words()
     _, middle, _ = st.columns([1, 2, 1])
     with middle:
         choose_language()
@@ -34,7 +32,7 @@ def render() -> None:
             st.markdown(say("sign_in.role", role=say(f"role.{person().role}")))
             st.caption(say("role.alone.may" if person().is_alone else f"role.{person().role}.may"))
             if st.button(say("sign_in.go_on"), key="sign-in-go-on", icon=":material/arrow_forward:", width="stretch"):
-                go_to("start" if may(person(), "set_up") else "lot")
+                go_to("start" if allows("set_up") else "lot")
             _leave()
         elif account := account_without_role():
             _who(account)
@@ -50,7 +48,7 @@ def _who(name: str) -> None:
 
 
 def _enter() -> None:
-    say, is_known = words(), bool(registry().people.all())
+    is_known = bool(registry().people.all())
     if not is_known and not has_company_accounts():
         _first_person()
         return
@@ -66,7 +64,7 @@ def _enter() -> None:
 def _leave() -> None:
     # A callback: a rerun after it would throw away the order to go to the provider.
     st.button(
-        words()("sign_in.leave"),
+        say("sign_in.leave"),
         on_click=in_one_piece(sign_out),
         icon=":material/logout:",
         type="primary",
@@ -75,22 +73,17 @@ def _leave() -> None:
 
 
 def _by_pin() -> None:
-    say = words()
     with st.form("sign-in"):
         name = st.text_input(say("sign_in.name"), key="sign-in-name", autocomplete="username")
         pin = st.text_input(say("sign_in.pin"), key="sign-in-pin", type="password", autocomplete="current-password")
         if not st.form_submit_button(say("sign_in.enter"), type="primary", width="stretch"):
             return
-    try:
+    with refusals_in_words(icon="lock"):
         sign_in(name, pin)
-    except InputError as error:
-        st.error(in_words(error), icon=":material/lock:")
-    else:
         st.rerun()
 
 
 def _first_person() -> None:
-    say = words()
     first_code()
     st.title(say("sign_in.first"))
     st.caption(say("sign_in.first.why"))
@@ -101,10 +94,7 @@ def _first_person() -> None:
         again = st.text_input(say("sign_in.pin_again"), key="first-again", type="password", autocomplete="new-password")
         if not st.form_submit_button(say("sign_in.first.enter"), type="primary", width="stretch"):
             return
-    try:
+    with refusals_in_words():
         check_pin(pin, again)
         make_first_account(name, pin, code)
-    except InputError as error:
-        st.error(in_words(error), icon=":material/error:")
-    else:
         st.rerun()

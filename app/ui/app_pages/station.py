@@ -6,27 +6,26 @@ from typing import Any
 
 import streamlit as st
 
-from softcal.app.jobs.process import start_job
 from softcal.app.line.facts import state_of
 from softcal.app.line.gate_facts import quarantine
 from softcal.app.line.place import is_alive
-from softcal.app.ui.account import actor, permit, person
-from softcal.app.ui.components.job_panel import job_panel, newest_job
+from softcal.app.ui.account import allows
+from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
 from softcal.app.ui.components.station_run import choose_station, newest_run, place, run_panel
-from softcal.app.ui.desk import ask_reason, errors_in_words, in_words, instant, registry, words
+from softcal.app.ui.desk import ask_reason, errors_in_words, in_words, instant, registry, say
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import heading, table
 from softcal.core.orders import OrderKind
 from softcal.core.words.reason import Reason
-from softcal.db.access.people import may
 from softcal.station.wire.link import available_ports
 
 RUNS = 25
 POLL_S = 2.0
+RIGS = ("ports", "file", "simulated")
+MARKS = {True: "✓", False: "✕"}
 
 
 def render() -> None:
-    say = words()
     with heading("station"):
         station = choose_station()
     if station is not None:
@@ -36,14 +35,18 @@ def render() -> None:
             return
         _runs(station)
     st.header(say("station.setup"))
-    rig_setup()
+    st.caption(say("setup.how"))
+    job = newest_job("station_check")
+    if allows("set_up"):
+        _ask(is_running(job))
+    if job is not None and job_panel(job):
+        _found(job.result)
 
 
 @st.fragment(run_every=POLL_S)
 @errors_in_words()
 def _state(station: str) -> None:
     """Draw what the station says of itself, as it says it."""
-    say = words()
     beat = registry().order_queue.heartbeat(station)
     if beat is None:
         return
@@ -53,23 +56,22 @@ def _state(station: str) -> None:
     for reason in beat.reasons:
         st.warning(in_words(reason), icon=":material/lock:")
     if beat.gate:
-        marks = {True: "✓", False: "✕"}
-        rows = [
-            (marks[condition.is_good], in_words(condition.name), in_words(condition.says)) for condition in beat.gate
-        ]
         table(
             [
-                {say("station.good"): mark, say("station.condition"): name, say("station.fact"): says}
-                for mark, name, says in rows
+                {
+                    say("station.good"): MARKS[condition.is_good],
+                    say("station.condition"): in_words(condition.name),
+                    say("station.fact"): in_words(condition.says),
+                }
+                for condition in beat.gate
             ]
         )
 
 
 def _actions(station: str) -> None:
-    say = words()
     if held := quarantine(registry(), station, datetime.now(UTC)):
         st.error(say("station.quarantine", count=len(held), first=held[0]), icon=":material/front_hand:")
-    if may(person(), "set_up"):
+    if allows("set_up"):
         _orders(station)
     with st.expander(say("station.override"), icon=":material/lock_open:"):
         why = ask_reason(f"override-{station}", say("station.override"), "override")
@@ -78,7 +80,6 @@ def _actions(station: str) -> None:
 
 
 def _orders(station: str) -> None:
-    say = words()
     with st.container(horizontal=True):
         if st.button(say("station.check"), icon=":material/fact_check:"):
             place(station, OrderKind.CHECK)
@@ -90,7 +91,6 @@ def _orders(station: str) -> None:
 
 
 def _runs(station: str) -> None:
-    say = words()
     rows = [
         {
             say("column.made"): instant(order.created),
@@ -110,22 +110,7 @@ def _runs(station: str) -> None:
         st.caption(say("station.runs.none"))
 
 
-RIGS = ("ports", "file", "simulated")
-
-
-def rig_setup() -> None:
-    """Draw the choice of the rig, the newest check and its station file."""
-    say = words()
-    st.caption(say("setup.how"))
-    job = newest_job("station_check")
-    if may(person(), "set_up"):
-        _ask(is_busy=job is not None and job.state.is_active)
-    if job is not None and job_panel(job):
-        _found(job.result)
-
-
 def _ask(is_busy: bool) -> None:
-    say = words()
     rig = st.segmented_control(
         say("setup.rig"), RIGS, default="ports", format_func=lambda name: say(f"setup.{name}"), key="rig"
     )
@@ -139,22 +124,19 @@ def _ask(is_busy: bool) -> None:
     may_move = st.checkbox(say("setup.move"), value=False)
     st.caption(say("setup.move.warning"))
     if st.button(say("setup.do"), disabled=is_busy or request["file"] == "", icon=":material/search:"):
-        permit("set_up")
-        start_job(registry(), "station_check", request | {"may_move": may_move}, actor())
+        begin_job("station_check", "set_up", **request, may_move=may_move)
         st.rerun()
 
 
 def _found(result: Mapping[str, Any]) -> None:
-    say = words()
     if result["is_good"]:
         st.success(say("setup.good", station=result["station"]), icon=":material/check:")
     if result.get("ports"):
         table([_port_row(*port) for port in result["ports"]])
-    marks = {True: "✓", False: "✕"}
     table(
         [
             {
-                say("station.good"): marks[not cure],
+                say("station.good"): MARKS[not cure],
                 say("setup.device"): in_words(Reason.of(device)),
                 say("setup.what"): in_words(Reason.of(what)),
                 say("setup.value"): in_words(Reason.of(value)),
@@ -169,7 +151,6 @@ def _found(result: Mapping[str, Any]) -> None:
 
 
 def _port_row(port: str, role: str, kind: str, says: object) -> dict[str, str]:
-    say = words()
     return {
         say("setup.port"): port,
         say("setup.is"): " ".join(filter(None, (say(f"setup.role.{role or 'none'}"), kind and f"({kind})"))),

@@ -9,8 +9,8 @@ import streamlit as st
 
 from softcal.app.ui.components import line_card
 from softcal.app.ui.components.line_card import chips_row
-from softcal.app.ui.desk import colours, errors_in_words, registry, words, zone
-from softcal.app.ui.panels import lot_heading, units_of
+from softcal.app.ui.desk import colours, errors_in_words, registry, say, zone
+from softcal.app.ui.panels import for_lot, units_of
 from softcal.app.ui.server_memory import remembered_lot_view
 from softcal.app.views.alerts import alerts
 from softcal.app.views.line import TONES
@@ -23,18 +23,19 @@ EVERY_S = 3.0
 
 def render() -> None:
     st.html(line_card.style() + line_card.theme(colours()) + board_style())
-    lot_id = lot_heading("wall", registry().lots.ids())
-    if lot_id is None:
-        return
-    if not units_of(lot_id):
-        return
-    _board(lot_id)
+    _of_lot()
+
+
+@for_lot("wall")
+def _of_lot(lot_id: str) -> None:
+    if units_of(lot_id):
+        _board(lot_id)
 
 
 @st.fragment(run_every=EVERY_S)
 @errors_in_words()
 def _board(lot_id: str) -> None:
-    say, view = words(), remembered_lot_view(lot_id, LotFilter(zone=zone()))
+    view = remembered_lot_view(lot_id, LotFilter(zone=zone()))
     now = datetime.now(UTC).astimezone(zone())
     found = alerts(registry(), view, now)
     with st.container(key="wall"):

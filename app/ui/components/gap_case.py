@@ -6,15 +6,13 @@ import streamlit as st
 
 from softcal.app.gap.desk import cases, cases_folder, practise, store_upload
 from softcal.app.ui.account import permit
-from softcal.app.ui.desk import in_words, words
-from softcal.core.errors import InputError
+from softcal.app.ui.desk import refusals_in_words, say
 
 METADATA = (("vref_V", 5.0), ("adc_bits", 16), ("r_series_ohm", 1000.0), ("sample_rate_Hz", 50.0))
 
 
 def choose_case() -> Path | None:
     """Draw the choice and return the case; None where there is none yet."""
-    say = words()
     wanted = str(st.query_params.get("case", ""))
     known = [str(case) for case in cases()]
     options = [wanted, *known] if wanted and wanted not in known else known
@@ -34,7 +32,6 @@ def _shown(path: str) -> str:
 
 def add_case() -> None:
     """Draw the three ways to a new case."""
-    say = words()
     with st.expander(say("gap.add"), icon=":material/add:", expanded=not cases()):
         folder, upload, rig = st.tabs([say("gap.add.folder"), say("gap.add.upload"), say("gap.add.rig")])
         with folder:
@@ -50,7 +47,6 @@ def add_case() -> None:
 
 
 def _folder() -> None:
-    say = words()
     with st.form("case-folder", border=False):
         path = str(st.text_input(say("gap.folder"), placeholder="/data/rig-7")).strip()
         st.caption(say("gap.folder.how"))
@@ -62,7 +58,6 @@ def _folder() -> None:
 
 
 def _upload() -> None:
-    say = words()
     with st.form("case-upload", border=False):
         left, right = st.columns(2)
         name = str(left.text_input(say("gap.name"), placeholder="rig-7"))
@@ -80,12 +75,8 @@ def _upload() -> None:
         if not st.form_submit_button(say("gap.upload.do")):
             return
     permit("set_up")
-    try:
-        target = store_upload(name.strip(), [file.getvalue() for file in files], {"serial": serial.strip(), **values})
-    except InputError as error:
-        st.error(in_words(error), icon=":material/error:")
-        return
-    _open(target)
+    with refusals_in_words():
+        _open(store_upload(name.strip(), [file.getvalue() for file in files], {"serial": serial.strip(), **values}))
 
 
 def _open(case: Path) -> None:

@@ -9,11 +9,11 @@ from softcal.app.charts import gap as gap_figures
 from softcal.app.charts.gap_page import chain_svg, gap_page
 from softcal.app.charts.style import coloured
 from softcal.app.gap.desk import has_sealed_rig, run_views_of, truth
-from softcal.app.jobs.process import start_job
-from softcal.app.ui.account import actor, permit, person
-from softcal.app.ui.desk import colours, registry, show_figure, words
+from softcal.app.ui.account import allows
+from softcal.app.ui.components.job_panel import begin_job
+from softcal.app.ui.desk import colours, registry, say, show_figure, words
 from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.panels import numbers, table
+from softcal.app.ui.panels import download, numbers, table
 from softcal.app.views.common import percent
 from softcal.app.views.gap import (
     Report,
@@ -35,7 +35,6 @@ from softcal.app.views.gap import (
     untold_lines,
     why_next,
 )
-from softcal.db.access.people import may
 from softcal.db.queues.job_board import Job
 
 ICONS = {
@@ -71,7 +70,6 @@ def gap_report(job: Job, case: Path) -> None:
 
 
 def _headline(report: Report) -> None:
-    say = words()
     st.header(f":material/{ICONS[report['verdict']]}: {say('gap.verdict.' + report['verdict'])}")
     for row in mistake_rows(report, say):
         told = st.error if report["verdict"] == "data" else st.warning
@@ -95,23 +93,16 @@ def _headline(report: Report) -> None:
 
 
 def _take_along(job: Job, case: Path) -> None:
-    """Offer the standalone page in the language of the screen; it is made when somebody takes it."""
-    say, views = words(), registry()
-    st.download_button(
-        say("gap.page.save"),
-        data=lambda: gap_page(
-            job.result, run_views_of(job.result, views.job_board.arrays(job)), job.result["serial"], say
-        ),
-        file_name=f"{case.name}-gap.html",
-        mime="text/html",
-        icon=":material/download:",
-        key="gap-page",
-        on_click="ignore",
-    )
+    """Offer the standalone page in the language of the screen."""
+    board, report, texts = registry().job_board, job.result, words()
+
+    def page() -> str:
+        return gap_page(report, run_views_of(report, board.arrays(job)), report["serial"], texts)
+
+    download(say("gap.page.save"), f"{case.name}-gap.html", page, "gap-page")
 
 
 def _where(report: Report, runs: list[gap_figures.RunView]) -> None:
-    say = words()
     st.header(say("gap.where"))
     # The picture has a light ground of its own: its shades of red would not be read on a dark one.
     picture = chain_svg(report, say).replace(
@@ -126,7 +117,6 @@ def _where(report: Report, runs: list[gap_figures.RunView]) -> None:
 
 
 def _why(report: Report) -> None:
-    say = words()
     st.header(say("gap.why"))
     _rows(cause_rows(report, say), no_cause_words(report, say))
     for group in ambiguous_groups(report, say):
@@ -135,7 +125,6 @@ def _why(report: Report) -> None:
 
 
 def _gain(report: Report) -> None:
-    say = words()
     left, right = st.columns(2)
     with left:
         st.header(say("gap.gain"))
@@ -150,14 +139,13 @@ def _gain(report: Report) -> None:
 
 
 def _untold(report: Report) -> None:
-    say = words()
     if lines := untold_lines(report, say):
         st.header(say("gap.told"))
         st.markdown("\n".join(f"- {begun(line)}" for line in lines))
 
 
 def _left(report: Report) -> None:
-    found, say = report.get("residual"), words()
+    found = report.get("residual")
     if not found:
         return
     st.header(say("gap.left"))
@@ -171,7 +159,7 @@ def _left(report: Report) -> None:
 
 
 def _next(report: Report, case: Path) -> None:
-    say, proposed = words(), next_experiment(report)
+    proposed = next_experiment(report)
     st.header(say("gap.next"))
     with st.container(border=True):
         if proposed is None:
@@ -186,17 +174,14 @@ def _next(report: Report, case: Path) -> None:
 
 
 def _press(case: Path, experiment: str) -> None:
-    say = words()
     if not has_sealed_rig(case):
         st.caption(say("gap.next.by_hand", experiment=pressed_name(experiment, say)))
-    elif may(person(), "set_up") and st.button(say("gap.next.do"), type="primary", icon=":material/play_arrow:"):
-        permit("set_up")
-        start_job(registry(), "diagnose", {"case": str(case), "experiment": experiment}, actor())
+    elif allows("set_up") and st.button(say("gap.next.do"), type="primary", icon=":material/play_arrow:"):
+        begin_job("diagnose", case=str(case), experiment=experiment)
         st.rerun()
 
 
 def _truth(case: Path) -> None:
-    say = words()
     if st.toggle(say("gap.truth"), key=f"truth-{case}"):
         found = truth(case)
         hidden = [effect_name(effect, say) for effect in found.effects]
@@ -209,7 +194,6 @@ def _truth(case: Path) -> None:
 
 
 def _runs(runs: list[gap_figures.RunView]) -> None:
-    say = words()
     with st.expander(say("gap.runs"), icon=":material/show_chart:"):
         for channel, name in gap_figures.CHANNELS.items():
             figure = gap_figures.trace_figure(runs, channel, say, colours())
@@ -219,7 +203,6 @@ def _runs(runs: list[gap_figures.RunView]) -> None:
 
 
 def _rows(rows: list[dict[str, str]], otherwise: str) -> None:
-    say = words()
     if rows:
         table([{say(f"gap.column.{name}"): value for name, value in row.items()} for row in rows])
     else:

@@ -5,8 +5,10 @@ from datetime import UTC, datetime
 
 import streamlit as st
 
+from softcal.app.jobs.process import start_job
 from softcal.app.texts.reasons import phrase
-from softcal.app.ui.desk import errors_in_words, in_words, registry, words
+from softcal.app.ui.account import actor, permit
+from softcal.app.ui.desk import errors_in_words, finish, in_words, registry, say
 from softcal.core.orders import RunState
 from softcal.db.queues.job_board import Job
 
@@ -23,13 +25,26 @@ def newest_job(kind: str, **request: object) -> Job | None:
     return None
 
 
+def is_running(job: Job | None) -> bool:
+    return job is not None and job.state.is_active
+
+
+def begin_job(kind: str, action: str = "set_up", **request: object) -> str:
+    """Start a job for who is at the screen and return its id.
+
+    Raises:
+        InputError: the role does not allow `action`.
+    """
+    permit(action)
+    return start_job(registry(), kind, request, actor())
+
+
 def job_panel(job: Job, live: Live | None = None) -> bool:
     """Draw a job; return whether it is done and its result can be shown.
 
     Args:
         live: draws the trace of a running job.
     """
-    say = words()
     if job.is_lost(datetime.now(UTC)):
         st.error(say("job.lost"), icon=":material/heart_broken:")
         registry().job_board.end(job.job_id, RunState.ERROR, say("job.lost"))
@@ -42,10 +57,25 @@ def job_panel(job: Job, live: Live | None = None) -> bool:
     return job.state is RunState.DONE
 
 
+def awaits_calibration(asked: str, lot_id: str) -> bool:
+    """Draw the calibration of a lot that was asked for on this page; return whether it is under way.
+
+    Args:
+        asked: under which the session keeps the id of its job; its end is said by the text ASKED.done.
+    """
+    job = newest_job("calibrate", lot=lot_id)
+    if job is None or st.session_state.get(asked) != job.job_id:
+        return False
+    if job_panel(job):
+        del st.session_state[asked]
+        finish(asked, say(f"{asked}.done"))
+    return job.state.is_active
+
+
 @st.fragment(run_every=POLL_S)
 @errors_in_words()
 def _running(job_id: str, live: Live | None) -> None:
-    say, board = words(), registry().job_board
+    board = registry().job_board
     job = board.job(job_id)
     if not job.state.is_active or job.is_lost(datetime.now(UTC)):
         st.rerun()
@@ -61,4 +91,4 @@ def _running(job_id: str, live: Live | None) -> None:
 def _step_said(job: Job) -> str:
     """Return the step of a job that names it by key, in the language of the screen; "" where it does not."""
     step = job.trace.get("step")
-    return words()(f"step.{step}", **job.trace["values"]) if step else ""
+    return say(f"step.{step}", **job.trace["values"]) if step else ""

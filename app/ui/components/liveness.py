@@ -5,14 +5,13 @@ from pathlib import Path
 
 import streamlit as st
 
-from softcal.app.ui.desk import words
+from softcal.app.ui.desk import say
 
 HEALTH = "/_stcore/health"
 
 
 def liveness() -> None:
     """Draw nothing, and watch; once per page."""
-    say = words()
     # Registered here because a component needs a running server; the same again changes nothing.
     draw = st.components.v2.component("softcal_liveness", html="<span hidden></span>", js=_script())
     draw(data={"server": say("gone.server"), "late": say("gone.late"), "health": HEALTH}, key="liveness")

@@ -8,7 +8,7 @@ from softcal.app.charts import lot as charts_lot
 from softcal.app.charts import unit as charts_unit
 from softcal.app.charts.lot import yield_figure
 from softcal.app.texts.reasons import said
-from softcal.app.ui.desk import colours, errors_in_words, in_words, registry, show_figure, words, zone
+from softcal.app.ui.desk import colours, errors_in_words, in_words, registry, say, show_figure, zone
 from softcal.app.ui.panels import figure_under, go_to, numbers, table_to_choose
 from softcal.app.ui.server_memory import remembered_lot_view
 from softcal.app.views.common import number
@@ -22,16 +22,16 @@ from softcal.db.entries import UnitEntry
 def control_panel(process: ProcessView, lot: Lot) -> None:
     """Draw the control chart, or why there is none."""
     if process.chart is None:
-        st.header(words()("lot.process"))
+        st.header(say("lot.process"))
         st.caption(in_words(process.refusal or ""))
         return
-    figure = charts_lot.control_chart_figure(process, lot.reference_unit, colours(), words())
+    figure = charts_lot.control_chart_figure(process, lot.reference_unit, colours(), say)
     figure_under("lot.process", figure, "control-chart")
 
 
 def capability_panel(view: LotView) -> None:
     """Draw capability against the limit, or why it is refused, and the rules that points break."""
-    say, process = words(), view.process
+    process = view.process
     found = process.capability
     if process.chart is None:
         return
@@ -50,12 +50,11 @@ def capability_panel(view: LotView) -> None:
 def reasons_panel(view: LotView) -> None:
     """Draw why units did not pass, the most frequent reason first."""
     if view.reasons:
-        figure_under("lot.reasons", charts_lot.reasons_pareto(view, colours(), words()), "reasons")
+        figure_under("lot.reasons", charts_lot.reasons_pareto(view, colours(), say), "reasons")
 
 
 def yield_panel(view: LotView) -> None:
     """Draw the first-pass yield over days beside that over stations, and over operators where there are several."""
-    say = words()
     places = [("days", view.days), ("stations", view.stations)]
     if len(view.operators) > 1:
         places.append(("operators", view.operators))
@@ -66,7 +65,6 @@ def yield_panel(view: LotView) -> None:
 
 
 def _rules(process: ProcessView) -> None:
-    say = words()
     st.markdown(f"**{say('lot.rules')}**")
     if not process.broken:
         st.caption(say("lot.rules.none"))
@@ -81,7 +79,6 @@ ARROW = ":material/arrow_forward:"
 
 def looks(view: LotView) -> None:
     """Draw the worst units and the plot of the one that is chosen, the worst at first."""
-    say = words()
     st.header(say("lot.look"))
     if not view.looks:
         st.caption(say("lot.look.none"))
@@ -105,7 +102,6 @@ def _chosen(view: LotView) -> None:
 
 
 def _row(unit: UnitEntry, reference_unit: str) -> dict[str, object]:
-    say = words()
     return {
         say("column.serial"): unit.serial,
         say("column.verdict"): say(f"verdict.{unit.verdict}"),
@@ -115,7 +111,6 @@ def _row(unit: UnitEntry, reference_unit: str) -> dict[str, object]:
 
 
 def _plot(unit: UnitEntry) -> None:
-    say = words()
     # What does not fit beside the name goes below it; a label is never cut.
     with st.container(horizontal=True, horizontal_alignment="distribute", vertical_alignment="center"):
         st.markdown(f"**{unit.serial}** · {say(f'verdict.{unit.verdict}')}", width="content")
@@ -134,7 +129,7 @@ def _plot(unit: UnitEntry) -> None:
 
 def chosen_lot_view(lot_id: str) -> LotView:
     """Draw the choice of days, stations and operators; return what it leaves of a lot."""
-    say, every = words(), remembered_lot_view(lot_id, LotFilter(zone=zone()))
+    every = remembered_lot_view(lot_id, LotFilter(zone=zone()))
     if not every.judged:
         return every
     with st.popover(say("lot.filter"), icon=":material/filter_alt:"):
@@ -156,7 +151,6 @@ def _day(chosen: object) -> date | None:
 
 
 def _names(kind: str, known: tuple[str, ...], lot_id: str) -> tuple[str, ...]:
-    say = words()
     return tuple(
         st.multiselect(
             say(f"lot.filter.{kind}"),

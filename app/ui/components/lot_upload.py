@@ -11,7 +11,7 @@ import streamlit as st
 
 from softcal.app.files.importing import Columns
 from softcal.app.files.recording_file import SUFFIXES, read_table
-from softcal.app.ui.desk import in_words, words
+from softcal.app.ui.desk import in_words, say
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,7 +32,6 @@ NAMES = {
 
 def dropped_files(field: str = NEW_LOT) -> list[Path]:
     """Draw the field for files and return where they lie now; the same name dropped twice is one file."""
-    say = words()
     kinds = sorted(suffix[1:] for suffix in SUFFIXES)
     # A field that was forgotten is another one afterwards, so that it is empty.
     key = f"{field}-files-{st.session_state.get(f'{field}-forgotten', 0)}"
@@ -80,7 +79,7 @@ def _table(path: str, written_ns: int) -> "pd.DataFrame":
 
 def choose_columns(table: "pd.DataFrame", wide: bool) -> Columns:
     """Draw the choice of columns with what the table's names suggest."""
-    say, names = words(), [str(name) for name in table.columns]
+    names = [str(name) for name in table.columns]
     left, second, third, right = st.columns(4)
     if wide:
         output = str(left.text_input(say("new_lot.pattern"), _pattern(names), key="new-lot-pattern")).strip()
