@@ -1,10 +1,13 @@
 """Drift, map, estimate and predicted error of a unit in use over time, as one figure that needs no network."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from softcal.app.charts.palette import FONTS, LIGHT
-from softcal.app.charts.trace import Trace
+from softcal.core.recording import Array
+from softcal.core.unit.estimate import Estimate
+from softcal.core.use.batches import MapUpdate
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -12,7 +15,38 @@ if TYPE_CHECKING:
 BLUE, ORANGE, GREY, RED = LIGHT.mapped, LIGHT.raw, LIGHT.source, LIGHT.limit
 BANDS = {BLUE: LIGHT.band, ORANGE: "rgba(180, 105, 14, 0.18)"}
 
+KEPT_ROWS = 6000
 Course = Sequence[Mapping[str, Any]]
+
+
+@dataclass
+class Trace:
+    """Columns of equal length, evenly thinned over the rows of a stream."""
+
+    t_s: list[float] = field(default_factory=list)
+    output: list[float] = field(default_factory=list)
+    estimate: list[float] = field(default_factory=list)
+    lower: list[float] = field(default_factory=list)
+    upper: list[float] = field(default_factory=list)
+    predicted_rmse: list[float] = field(default_factory=list)
+    stride: int = 1
+    rows: int = 0
+
+    def add(self, rows: Estimate, output: Array, update: MapUpdate) -> None:
+        """Add rows that were estimated up to the given map."""
+        places = slice(-self.rows % self.stride, None, self.stride)
+        self.rows += len(output)
+        self.t_s += rows.t_s[places].tolist()
+        self.output += output[places].tolist()
+        self.estimate += rows.estimate[places].tolist()
+        self.lower += rows.lower[places].tolist()
+        self.upper += rows.upper[places].tolist()
+        self.predicted_rmse += [update.predicted_rmse] * len(output[places])
+        while len(self.t_s) > KEPT_ROWS:
+            self.stride *= 2
+            for name, values in vars(self).items():
+                if isinstance(values, list):
+                    setattr(self, name, values[::2])
 
 
 def adaptation_figure(

@@ -9,12 +9,13 @@ from plotly.subplots import make_subplots
 from softcal.app.charts.palette import Palette
 from softcal.app.charts.style import coloured, level_line, styled
 from softcal.app.texts.reasons import Words
-from softcal.app.views.profile import course
 from softcal.core.lot import Lot
 from softcal.core.profiles import Profile
 from softcal.core.quality.control_chart import ControlChart
 from softcal.core.recording import LabelledRecording
 from softcal.db.entries import GoldenRun
+
+SHOWN_HZ = 20.0
 
 
 def profile_figure(
@@ -25,10 +26,10 @@ def profile_figure(
     Args:
         start_mm: stage position at which the profile begins; the bounds count from the stage's own zero.
     """
-    t_s, stage_mm, speed_mm_s = course(profile)
+    t_s, stage_mm = profile.sample(SHOWN_HZ)
     figure = make_subplots(rows=2, shared_xaxes=True, vertical_spacing=0.07, row_heights=[0.6, 0.4])
     figure.add_scatter(x=t_s, y=start_mm + stage_mm, line={"color": colours.mapped, "width": 1.6}, row=1, col=1)
-    figure.add_scatter(x=t_s, y=speed_mm_s, line={"color": colours.source, "width": 1.2}, row=2, col=1)
+    figure.add_scatter(x=t_s, y=np.gradient(stage_mm, t_s), line={"color": colours.source, "width": 1.2}, row=2, col=1)
     level_line(figure, deepest_mm, colours.limit, f"{deepest_mm:g} mm", row=1, dash="dash")
     for sign in (-1, 1):
         level_line(figure, sign * fastest_mm_s, colours.limit, f"{sign * fastest_mm_s:g} mm/s", row=2, dash="dash")

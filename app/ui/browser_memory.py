@@ -1,12 +1,10 @@
-"""What a browser remembers for this server across reloads and links: language, badge, sign-in. Kept in cookies."""
+"""What a browser remembers for this server across reloads and links, in cookies; and whether it has drawn the page."""
 
-from collections.abc import Mapping
 from urllib.parse import unquote
 
 import streamlit as st
 
 from softcal.app.ui.callbacks import in_one_piece
-from softcal.app.ui.first_paint import PLACE, has_drawn, is_awaited
 
 STATE = "browser-memory"
 HTML = "<span hidden></span>\n"
@@ -27,6 +25,8 @@ export default function ({ data, setTriggerValue }) {
   look()
 }
 """
+HAS_DRAWN, IS_AWAITED = "browser-has-drawn", "browser-is-awaited"
+PLACE = "rest-of-page"
 LONGEST_MS = 3000
 """Whatever stands as a skeleton, the rest of a page comes after this time."""
 
@@ -34,7 +34,7 @@ LONGEST_MS = 3000
 def recall(name: str) -> str:
     """Return what was remembered under a name in this tab or, after a reload, in this browser; "" without."""
     here = st.session_state.get(STATE, {})
-    return str(here[name]) if name in here else unquote(_cookies().get(_cookie(name), ""))
+    return str(here[name]) if name in here else unquote(st.context.cookies.get(_cookie(name), ""))
 
 
 def remember(name: str, value: str) -> None:
@@ -52,15 +52,16 @@ def keep() -> None:
     told = {_cookie(name): value for name, value in st.session_state.get(STATE, {}).items()}
     # Registered here because a component needs a running server; the same again changes nothing.
     draw = st.components.v2.component("softcal_memory", html=HTML, js=JS)
+    asks = bool(st.session_state.get(IS_AWAITED)) and not st.session_state.get(HAS_DRAWN)
     draw(
-        data={"told": told, "asks": is_awaited(), "place": PLACE, "longest_ms": LONGEST_MS},
+        data={"told": told, "asks": asks, "place": PLACE, "longest_ms": LONGEST_MS},
         key="browser-memory-component",
-        on_drawn_change=in_one_piece(has_drawn),
+        on_drawn_change=in_one_piece(_has_drawn),
     )
 
 
-def _cookies() -> Mapping[str, str]:
-    return st.context.cookies
+def _has_drawn() -> None:
+    st.session_state[HAS_DRAWN] = True
 
 
 def _cookie(name: str) -> str:

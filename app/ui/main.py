@@ -1,5 +1,6 @@
 """Entry of the Streamlit application: which pages there are for whom, nothing else."""
 
+from functools import cache
 from pathlib import Path
 
 import streamlit as st
@@ -8,8 +9,7 @@ from streamlit.navigation.page import Page as StreamlitPage
 from softcal.app.jobs.process import DEMO
 from softcal.app.ui.account import is_signed_in, person
 from softcal.app.ui.browser_memory import keep
-from softcal.app.ui.components.liveness import liveness
-from softcal.app.ui.desk import errors_in_words, readable, registry, say
+from softcal.app.ui.desk import errors_in_words, in_one_language, readable, registry, say
 from softcal.app.ui.line_memory import screen
 from softcal.app.ui.pages import pages_for
 
@@ -17,11 +17,17 @@ from softcal.app.ui.pages import pages_for
 ICON = Path(__file__).with_name("icon.png")
 
 
+HEALTH = "/_stcore/health"
+
+
+@in_one_language()
 def run() -> None:
     """Draw the navigation and the chosen page."""
     st.set_page_config(page_title=say("app.title"), page_icon=str(ICON), layout="wide")
     readable()
-    liveness()
+    # Registered here because a component needs a running server; the same again changes nothing.
+    watch = st.components.v2.component("softcal_liveness", html="<span hidden></span>", js=_liveness())
+    watch(data={"server": say("gone.server"), "late": say("gone.late"), "health": HEALTH}, key="liveness")
     with errors_in_words():
         sections: dict[str, list[StreamlitPage]] = {"": []}
         is_new = set(registry().lots.ids()) <= {DEMO}
@@ -47,6 +53,12 @@ def run() -> None:
         )
         st.navigation({**sections, "": [home, *sections[""]]}, position="top").run()
     keep()
+
+
+@cache
+def _liveness() -> str:
+    """Return the script by which every page says within two seconds that its server is gone, and when it is back."""
+    return Path(__file__).with_name("liveness.js").read_text(encoding="utf-8")
 
 
 def _first(bar: list[StreamlitPage], is_new: bool) -> StreamlitPage:

@@ -10,6 +10,7 @@ import streamlit as st
 
 from softcal.app.files.spreadsheet import csv_text
 from softcal.app.ui.account import actor
+from softcal.app.ui.browser_memory import HAS_DRAWN, IS_AWAITED, PLACE
 from softcal.app.ui.callbacks import in_one_piece
 from softcal.app.ui.desk import choose, choose_language, empty, registry, say, show_figure
 from softcal.app.ui.pages import PAGES
@@ -74,6 +75,21 @@ def step(page: str, number: int) -> st.delta_generator.DeltaGenerator:
     box = st.container(border=True)
     box.markdown(f"## {number} · {say(f'{page}.step.{number}')}")
     return box
+
+
+def rest_may_follow() -> bool:
+    """Whether to draw the rest of a page now; else its place is kept, and the page is drawn again in a moment.
+
+    Called by a page once what a person came for is drawn; on False the page returns. The parts of the browser that draw
+    figures and tables are megabytes of script: sent at once they would be read before the numbers above them are on the
+    screen, so that a page was empty for seconds. A tab that has read them gets everything at once.
+    """
+    if st.session_state.get(HAS_DRAWN):
+        return True
+    st.session_state[IS_AWAITED] = True
+    with st.container(key=PLACE):
+        st.skeleton(height=320)
+    return False
 
 
 def units_of(lot_id: str) -> dict[str, int]:

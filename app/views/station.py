@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import InputError
+from softcal.core.profiles import Profile
 from softcal.core.quality.control_chart import ControlChart, control_chart
 from softcal.core.recording import LabelledRecording
 from softcal.core.words.reason import Reason
@@ -53,3 +54,35 @@ def source_facts(source: LabelledRecording) -> Mapping[str, str]:
         "source.reach": f"{reference.min():.2g} … {reference.max():.2g} {source.reference_unit}",
         "source.swing": f"{output.min():.4g} … {output.max():.4g} {source.unlabelled.output_unit}",
     }
+
+
+@dataclass(frozen=True)
+class Bound:
+    """One bound a profile is held against.
+
+    Args:
+        name: depth or speed.
+        value, largest: in `unit`.
+    """
+
+    name: str
+    value: float
+    largest: float
+    unit: str
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether the profile stays within it."""
+        return self.value <= self.largest
+
+
+def bounds(profile: Profile, deepest_mm: float, fastest_mm_s: float, start_mm: float = 0.0) -> tuple[Bound, ...]:
+    """Return the bounds of a station beside what a profile asks of it.
+
+    Args:
+        start_mm: stage position at which the profile begins: the surface of the unit, less the clearance.
+    """
+    return (
+        Bound("depth", start_mm + profile.deepest_mm, deepest_mm, "mm"),
+        Bound("speed", profile.fastest_mm_s, fastest_mm_s, "mm/s"),
+    )

@@ -20,7 +20,7 @@ from softcal.app.ui import server_memory
 from softcal.app.ui.panels import told
 from softcal.app.views.line import line_view
 from softcal.app.views.lot import lot_view
-from softcal.app.views.profile import bounds
+from softcal.app.views.station import bounds
 from softcal.app.views.wall import wall_view
 from softcal.core.orders import Heartbeat, OrderKind, RunState, StationState
 from softcal.core.profiles import BUILT_IN

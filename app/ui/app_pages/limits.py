@@ -20,8 +20,7 @@ from softcal.app.ui.desk import (
     say,
     say_finished,
 )
-from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.panels import figure_under, for_lot, headline, table
+from softcal.app.ui.panels import figure_under, for_lot, headline, rest_may_follow, table
 from softcal.app.ui.server_memory import remembered_lot_view
 from softcal.app.views.common import limit_said, number, percent
 from softcal.app.views.lot import LotView

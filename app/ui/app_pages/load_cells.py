@@ -22,8 +22,7 @@ from softcal.app.ui.desk import (
     show_figure,
     zone,
 )
-from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.panels import heading, table
+from softcal.app.ui.panels import heading, rest_may_follow, table
 from softcal.app.views.common import number
 from softcal.app.views.station import golden_units
 from softcal.core.errors import InputError

@@ -5,8 +5,7 @@ import streamlit as st
 from softcal.app.charts.long_term import course_figure
 from softcal.app.texts.reasons import phrase
 from softcal.app.ui.desk import choose, colours, empty, instant, registry, say, show_figure
-from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.panels import heading, table
+from softcal.app.ui.panels import heading, rest_may_follow, table
 from softcal.app.views.common import number
 from softcal.app.views.long_term import UnitInUseView, course, units_in_use
 

@@ -20,8 +20,7 @@ from softcal.app.ui.desk import (
     say_finished,
     show_figure,
 )
-from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.panels import for_lot, headline, table, told
+from softcal.app.ui.panels import for_lot, headline, rest_may_follow, table, told
 from softcal.app.views.common import number
 from softcal.app.views.network import NetworkRow, hidden_widths, loss_spec, network_rows
 from softcal.core.lot import Lot

@@ -8,8 +8,7 @@ from softcal.app.jobs.jobs import newest_source
 from softcal.app.ui.account import actor, permit
 from softcal.app.ui.components.station_run import choose_station, newest_run, place, run_panel
 from softcal.app.ui.desk import choose, colours, in_words, instant, refusals_in_words, registry, say, show_figure
-from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.panels import go_to, heading, numbers, step
+from softcal.app.ui.panels import go_to, heading, numbers, rest_may_follow, step
 from softcal.app.views.network import network_rows
 from softcal.app.views.station import source_facts
 from softcal.core.lot import Lot

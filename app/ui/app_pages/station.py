@@ -13,8 +13,7 @@ from softcal.app.ui.account import allows
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
 from softcal.app.ui.components.station_run import choose_station, newest_run, place, run_panel
 from softcal.app.ui.desk import ask_reason, errors_in_words, in_words, instant, registry, say
-from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.panels import heading, table
+from softcal.app.ui.panels import heading, rest_may_follow, table
 from softcal.core.orders import OrderKind
 from softcal.core.words.reason import Reason
 from softcal.station.wire.link import available_ports

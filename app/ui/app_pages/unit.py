@@ -30,8 +30,7 @@ from softcal.app.ui.desk import (
     show_figure,
     verdict_badge,
 )
-from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.panels import download, figure_under, heading, numbers, table, table_to_choose
+from softcal.app.ui.panels import download, figure_under, heading, numbers, rest_may_follow, table, table_to_choose
 from softcal.app.views.common import number, percent
 from softcal.app.views.unit import UnitView, unit_view
 from softcal.core.errors import UnitRefused
