@@ -1,6 +1,6 @@
 """What every page of the Streamlit application shares: the language, the colours, reasons, and how errors look."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from datetime import datetime, tzinfo
@@ -14,14 +14,12 @@ from softcal.app.logs import log_crash
 from softcal.app.texts import catalogue
 from softcal.app.texts.catalogue import LANGUAGES, words_in
 from softcal.app.texts.reasons import Words, all_said, said, told
-from softcal.app.ui.account import allows, permit, person
 from softcal.app.ui.browser_memory import recall, remember
 from softcal.app.ui.server_memory import registry as registry
-from softcal.core.errors import InputError, SoftcalError, printable
+from softcal.core.errors import SoftcalError, printable
 from softcal.core.words.reason import Reason
 
 PLOT_CONFIG = {"displayModeBar": False, "displaylogo": False}
-SHORTEST_REASON = 5
 LONGEST_IN_FIELD = 24
 LANGUAGE = "lang"
 FIRST = "first-of-page"
@@ -144,66 +142,6 @@ def errors_in_words() -> Iterator[None]:
             st.error(in_words(error), icon=":material/error:", title=say("error.refused"))
         except Exception as error:
             st.error(log_crash(error, "ui"), icon=":material/report:", title=say("error.defect"))
-
-
-@contextmanager
-def refusals_in_words(icon: str = "error") -> Iterator[None]:
-    """Say in one line why what a person asked for is refused; what else the page draws is drawn."""
-    try:
-        yield
-    except InputError as error:
-        st.error(in_words(error), icon=f":material/{icon}:")
-
-
-def finish(change: str, told: str) -> None:
-    """Draw the page anew, where `say_finished` says what was done."""
-    st.session_state[f"{change}-done"] = told
-    st.rerun()
-
-
-def say_finished(change: str) -> bool:
-    """Say once what a change did, in the drawing after it; return whether there was one."""
-    done = st.session_state.pop(f"{change}-done", "")
-    if done:
-        st.success(done, icon=":material/check:")
-    return bool(done)
-
-
-def role_allows(action: str) -> bool:
-    """Whether the role of who is at the screen allows an action of `PERMISSIONS`; else say that it does not."""
-    if not allows(action):
-        st.caption(say("reason.not_allowed", role=say(f"role.{person().role}")))
-    return allows(action)
-
-
-def ask_reason(key: str, label: str, action: str, fields: Callable[[], None] = lambda: None) -> str | None:
-    """Ask for the reason of a change; return it in the run in which the button was pressed, else None.
-
-    The caller passes the reason and `account.actor()` on to the function of the registry that makes the change and
-    its row in the audit trail; `registry().trail.add` makes a row for what changes no table.
-
-    Args:
-        key: unique on the page.
-        label: of the button: what will be done.
-        action: of `PERMISSIONS`; a role without it sees why there is no button.
-        fields: draws what is sent with the reason. A PIN belongs there: outside a form the browser keeps it to itself
-            when a person leaves its field with the Tab key.
-
-    Raises:
-        InputError: the role lost the permission meanwhile.
-    """
-    if not role_allows(action):
-        return None
-    with st.form(f"reason-{key}", border=False):
-        fields()
-        reason = str(st.text_input(say("reason.label"), placeholder=say("reason.example"), key=f"reason-text-{key}"))
-        if not st.form_submit_button(label, type="primary"):
-            return None
-    if len(reason.strip()) < SHORTEST_REASON:
-        st.warning(say("reason.missing"), icon=":material/edit:")
-        return None
-    permit(action)
-    return reason.strip()
 
 
 def empty(key: str, how: str = "") -> None:

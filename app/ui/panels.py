@@ -2,16 +2,13 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial, wraps
-from typing import Any, Literal
+from functools import wraps
+from typing import Any
 
 import pandas as pd
 import streamlit as st
 
-from softcal.app.files.spreadsheet import csv_text
-from softcal.app.ui.account import actor
 from softcal.app.ui.browser_memory import HAS_DRAWN, IS_AWAITED, PLACE
-from softcal.app.ui.callbacks import in_one_piece
 from softcal.app.ui.desk import choose, choose_language, empty, registry, say, show_figure
 from softcal.app.ui.pages import PAGES
 
@@ -21,15 +18,6 @@ MOST_IN_FULL = 40
 MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#$:~|!])")
 QUANTITY = re.compile(r"([-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?) ([^\s\d]\S*)")
 NO_BREAK = "\u00a0"
-MIMES = {
-    "csv": "text/csv",
-    "html": "text/html",
-    "json": "application/json",
-    "pdf": "application/pdf",
-    "xlsx": "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet",
-    "xml": "application/xml",
-    "zip": "application/zip",
-}
 CLOSER = "[data-testid=stMainBlockContainer] { padding-top: 4.5rem }"
 """The bar of pages needs less room above the title than Streamlit leaves."""
 
@@ -92,13 +80,13 @@ def rest_may_follow() -> bool:
     return False
 
 
-def units_of(lot_id: str) -> dict[str, int]:
-    """Return how many units of a lot have which verdict; empty where none has one, and say how units come to be."""
+def has_units(lot_id: str) -> bool:
+    """Whether a unit of the lot has a verdict; else say how units come to be."""
     counts = registry().pages.verdict_counts(lot_id)
-    if sum(counts.values()) > counts["none"]:
-        return counts
-    empty("empty.units")
-    return {}
+    if sum(counts.values()) == counts["none"]:
+        empty("empty.units")
+        return False
+    return True
 
 
 def numbers(cells: Sequence[tuple[str, str, str | None]], narrowest_px: int = NARROWEST_NUMBER_PX) -> None:
@@ -114,49 +102,11 @@ def figure_under(title: str, figure: Any, key: str) -> None:
     show_figure(figure, key)
 
 
-def side_by_side(*drawn: Callable[[], object]) -> None:
-    """Draw as many columns as there are functions that draw one."""
-    for column, draw in zip(st.columns(len(drawn)), drawn, strict=True):
-        with column:
-            draw()
-
-
 def figures_beside(*shown: tuple[str, Any, str]) -> None:
     """Draw static charts side by side: (title, figure, key) of each."""
-    side_by_side(*(partial(figure_under, *one) for one in shown))
-
-
-def download(
-    label: str,
-    name: str,
-    data: bytes | Callable[[], bytes | str],
-    key: str,
-    *,
-    exported: tuple[str, str, Mapping[str, object]] | None = None,
-    icon: str = "download",
-    kind: Literal["primary", "secondary"] = "secondary",
-) -> None:
-    """Offer a file; a function makes it when somebody takes it.
-
-    Args:
-        exported: (entity, key, facts) of the row that the audit trail gets when it is taken; None writes none.
-    """
-    mime = MIMES.get(name.rpartition(".")[2], "application/octet-stream")
-    draw = partial(st.download_button, label, data, name, mime, key, icon=f":material/{icon}:", type=kind)
-    if exported is None:
-        draw(on_click="ignore")
-    else:
-        draw(on_click=_tell_export, args=exported)
-
-
-def csv_of(rows: Sequence[Mapping[str, object]]) -> bytes:
-    """Return rows as CSV; the mark at its beginning tells Excel that these bytes are UTF-8."""
-    return csv_text(list(rows[0]) if rows else [], [tuple(row.values()) for row in rows]).encode("utf-8-sig")
-
-
-@in_one_piece
-def _tell_export(entity: str, key: str, facts: Mapping[str, object]) -> None:
-    registry().trail.add("export", entity, (key,), facts, actor=actor())
+    for column, one in zip(st.columns(len(shown)), shown, strict=True):
+        with column:
+            figure_under(*one)
 
 
 def go_to(page: str, **query: str) -> None:

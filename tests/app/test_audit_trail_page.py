@@ -61,7 +61,7 @@ def stated_events() -> set[tuple[str, str]]:
             is_tuple = isinstance(call, ast.Assign) and isinstance(call.value, ast.Tuple)
             if is_tuple and ast.unparse(call.targets[0]) == "exported":
                 found |= {("export", entity) for entity in _words(call.value.elts[0], known)}
-            if path.name == "panels.py":
+            if path.name == "actions.py":
                 continue
             if isinstance(call, ast.Call) and ast.unparse(call.func).endswith("trail.add"):
                 actions, entities = (_words(part, known) for part in call.args[:2])

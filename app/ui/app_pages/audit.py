@@ -7,10 +7,11 @@ from softcal.app.batch.audit_files import AuditFile, look_at_audits, store_audit
 from softcal.app.batch.judging import confirm
 from softcal.app.batch.release import lot_standing
 from softcal.app.ui.account import actor, allows, permit
+from softcal.app.ui.actions import ask_reason, csv_of, download, role_allows, say_finished
 from softcal.app.ui.components.job_panel import awaits_calibration, begin_job
 from softcal.app.ui.components.lot_upload import choose_columns, dropped_files, first_readable, forget_files
-from softcal.app.ui.desk import ask_reason, in_words, instant, registry, role_allows, say, say_finished
-from softcal.app.ui.panels import csv_of, download, for_lot, go_to, numbers, table, units_of
+from softcal.app.ui.desk import in_words, instant, registry, say
+from softcal.app.ui.panels import for_lot, go_to, has_units, numbers, table
 from softcal.app.views.common import number
 from softcal.core.quality.audit_plan import AuditConfig
 from softcal.core.quality.lot_standing import UnitInLot
@@ -22,7 +23,7 @@ MOST_ROWS = 200
 
 @for_lot("audit")
 def render(lot_id: str) -> None:
-    if not units_of(lot_id):
+    if not has_units(lot_id):
         return
     st.markdown(say("audit.what"))
     audit = lot_audit(registry(), lot_id)

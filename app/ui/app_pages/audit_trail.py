@@ -5,8 +5,9 @@ from functools import partial
 
 import streamlit as st
 
+from softcal.app.ui.actions import csv_of, download
 from softcal.app.ui.desk import empty, in_one_language, instant, registry, say, zone
-from softcal.app.ui.panels import csv_of, download, heading, table_to_choose
+from softcal.app.ui.panels import heading, table_to_choose
 from softcal.app.views.audit_trail import HEADINGS, Entry, TrailFilter, trail
 
 NEWEST, PAGE = 5000, 200

@@ -6,9 +6,10 @@ import streamlit as st
 
 from softcal.app.gap.desk import cases, cases_folder, practise, store_upload
 from softcal.app.ui.account import permit
+from softcal.app.ui.actions import refusals_in_words
 from softcal.app.ui.components.gap_report import gap_report
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
-from softcal.app.ui.desk import empty, refusals_in_words, say
+from softcal.app.ui.desk import empty, say
 from softcal.app.ui.panels import heading
 
 

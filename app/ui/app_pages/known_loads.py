@@ -9,10 +9,11 @@ from softcal.app.files.anchors import read_anchors
 from softcal.app.registry.known_loads import UnitLoads, keep_loads, known_loads
 from softcal.app.registry.lot_recordings import source_recording
 from softcal.app.ui.account import actor, allows, permit
+from softcal.app.ui.actions import finish, say_finished
 from softcal.app.ui.components.job_panel import awaits_calibration, begin_job
 from softcal.app.ui.components.lot_upload import dropped_files, forget_files
-from softcal.app.ui.desk import finish, in_words, instant, registry, say, say_finished
-from softcal.app.ui.panels import for_lot, go_to, table, units_of
+from softcal.app.ui.desk import in_words, instant, registry, say
+from softcal.app.ui.panels import for_lot, go_to, has_units, table
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.maps.anchors import check_loads
@@ -27,7 +28,7 @@ def render(lot_id: str) -> None:
     lot = registry().lots.get(lot_id)
     newest = {entry.serial: entry.sha256 for entry in registry().recordings.of_lot(lot_id, kind="unit")}
     # A unit that was pressed has loads before it has a result.
-    if not newest and not units_of(lot_id):
+    if not newest and not has_units(lot_id):
         return
     st.markdown(say("known_loads.what"))
     found = list(known_loads(registry(), lot_id).values())

@@ -9,19 +9,9 @@ import streamlit as st
 from softcal.app.charts.station import golden_figure
 from softcal.app.line.cell_certificate import certificate_from
 from softcal.app.ui.account import actor, allows, permit
+from softcal.app.ui.actions import finish, refusals_in_words, say_finished
 from softcal.app.ui.components.station_run import choose_station, place
-from softcal.app.ui.desk import (
-    colours,
-    empty,
-    finish,
-    in_words,
-    refusals_in_words,
-    registry,
-    say,
-    say_finished,
-    show_figure,
-    zone,
-)
+from softcal.app.ui.desk import colours, empty, in_words, registry, say, show_figure, zone
 from softcal.app.ui.panels import heading, rest_may_follow, table
 from softcal.app.views.common import number
 from softcal.app.views.station import golden_units

@@ -1,6 +1,7 @@
 """The lot at a glance: yields, errors, the process behind them, the units that need a look, the table."""
 
-from datetime import UTC, date, datetime
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 
 import streamlit as st
 
@@ -10,11 +11,11 @@ from softcal.app.charts.audited import error_over_load, estimate_over_reference
 from softcal.app.charts.lot import yield_figure
 from softcal.app.texts.reasons import said
 from softcal.app.ui.account import allows
+from softcal.app.ui.actions import download
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
 from softcal.app.ui.components.unit_table import unit_table
 from softcal.app.ui.desk import colours, empty, errors_in_words, in_words, language, registry, say, show_figure, zone
 from softcal.app.ui.panels import (
-    download,
     figure_under,
     figures_beside,
     for_lot,
@@ -28,18 +29,17 @@ from softcal.app.ui.server_memory import remembered_lot_view
 from softcal.app.views.alerts import alerts
 from softcal.app.views.audited import AuditedView, audited_view
 from softcal.app.views.common import number, percent
-from softcal.app.views.lot import LotView, ProcessView
+from softcal.app.views.lot import LotView
 from softcal.app.views.lot_runs import DESK, LotFilter
 from softcal.app.views.unit import unit_view
-from softcal.core.lot import Lot
 from softcal.db.entries import UnitEntry
 
 
 @for_lot("lot")
 def render(lot_id: str) -> None:
     first = st.container()
-    calibrate_again(lot_id)
-    view = chosen_lot_view(lot_id)
+    _calibrate_again(lot_id)
+    view = _chosen_view(lot_id)
     if not view.judged:
         empty("empty.units")
         return
@@ -55,12 +55,24 @@ def render(lot_id: str) -> None:
     _figures(view)
     if view.audited:
         _audited(view)
-    looks(view)
+    st.header(say("lot.look"))
+    if view.looks:
+        _looks(view)
+    else:
+        st.caption(say("lot.look.none"))
+        if view.worst and st.button(say("lot.look.worst", serial=view.worst), key="open-worst", icon=ARROW):
+            go_to("unit", unit=view.worst)
     st.header(say("lot.table"))
     unit_table(view.lot, view.chosen)
+
+    def report() -> bytes:
+        from softcal.app.ui.lot_report_pdf import lot_report_pdf
+
+        return lot_report_pdf(registry(), view, language(), datetime.now(UTC).astimezone(zone()))
+
     exported = ("lots", lot_id, {"file": "report.pdf"})
     name, icon = f"{lot_id}-report.pdf", "picture_as_pdf"
-    download(say("lot.report"), name, lambda: _report_pdf(view), "lot-report", exported=exported, icon=icon)
+    download(say("lot.report"), name, report, "lot-report", exported=exported, icon=icon)
 
 
 def _numbers(view: LotView) -> None:
@@ -95,21 +107,24 @@ def _figures(view: LotView) -> None:
         if view.audited:
             figure_under("lot.scores", charts_lot.audit_scores(view, colours(), say), "scores")
         else:
-            reasons_panel(view)
-    yield_panel(view)
-    control_panel(view.process, view.lot)
+            _reasons(view)
+    places = [("days", view.days), ("stations", view.stations)]
+    if len(view.operators) > 1:
+        places.append(("operators", view.operators))
+    yields = ((name, yield_figure(found, say(f"lot.yield.{name}.axis"), colours(), say)) for name, found in places)
+    figures_beside(*((f"lot.yield.{name}", figure, f"yield-{name}") for name, figure in yields))
+    if view.process.chart is None:
+        st.header(say("lot.process"))
+        st.caption(in_words(view.process.refusal or ""))
+    else:
+        figure = charts_lot.control_chart_figure(view.process, view.lot.reference_unit, colours(), say)
+        figure_under("lot.process", figure, "control-chart")
     left, right = st.columns(2)
     with left:
-        capability_panel(view)
+        _capability(view)
     with right:
         if view.audited:
-            reasons_panel(view)
-
-
-def _report_pdf(view: LotView) -> bytes:
-    from softcal.app.ui.lot_report_pdf import lot_report_pdf
-
-    return lot_report_pdf(registry(), view, language(), datetime.now(UTC).astimezone(zone()))
+            _reasons(view)
 
 
 def _audited(view: LotView) -> None:
@@ -135,7 +150,7 @@ def _audited_view(
 SEEN = "calibrate-seen"
 
 
-def calibrate_again(lot_id: str) -> None:
+def _calibrate_again(lot_id: str) -> None:
     """Draw the button for whom the role allows it, and how far a calibration of the lot is for everybody."""
     job = newest_job("calibrate", lot=lot_id)
     has_source = bool(registry().recordings.of_lot(lot_id, kind="source"))
@@ -150,17 +165,7 @@ def calibrate_again(lot_id: str) -> None:
         st.success(say("lot.again.done", new=job.result["new"], known=job.result["known"]), icon=":material/check:")
 
 
-def control_panel(process: ProcessView, lot: Lot) -> None:
-    """Draw the control chart, or why there is none."""
-    if process.chart is None:
-        st.header(say("lot.process"))
-        st.caption(in_words(process.refusal or ""))
-        return
-    figure = charts_lot.control_chart_figure(process, lot.reference_unit, colours(), say)
-    figure_under("lot.process", figure, "control-chart")
-
-
-def capability_panel(view: LotView) -> None:
+def _capability(view: LotView) -> None:
     """Draw capability against the limit, or why it is refused, and the rules that points break."""
     process = view.process
     found = process.capability
@@ -175,27 +180,6 @@ def capability_panel(view: LotView) -> None:
         interval = say("lot.cpk.help", low=number(found.cpk_lower), high=number(found.cpk_upper))
         numbers((("Cpk", number(found.cpk), interval), ("Ppk", number(found.ppk), say("lot.ppk.help"))))
         st.caption(say("lot.cp.none"))
-    _rules(process)
-
-
-def reasons_panel(view: LotView) -> None:
-    """Draw why units did not pass, the most frequent reason first."""
-    if view.reasons:
-        figure_under("lot.reasons", charts_lot.reasons_pareto(view, colours(), say), "reasons")
-
-
-def yield_panel(view: LotView) -> None:
-    """Draw the first-pass yield over days beside that over stations, and over operators where there are several."""
-    places = [("days", view.days), ("stations", view.stations)]
-    if len(view.operators) > 1:
-        places.append(("operators", view.operators))
-    for column, (name, found) in zip(st.columns(len(places)), places, strict=True):
-        with column:
-            figure = yield_figure(found, say(f"lot.yield.{name}.axis"), colours(), say)
-            figure_under(f"lot.yield.{name}", figure, f"yield-{name}")
-
-
-def _rules(process: ProcessView) -> None:
     st.markdown(f"**{say('lot.rules')}**")
     if not process.broken:
         st.caption(say("lot.rules.none"))
@@ -205,40 +189,38 @@ def _rules(process: ProcessView) -> None:
         st.markdown(f"{mark} {say('lot.rules.line', rule=rule, count=broken.count, last=broken.last)}")
 
 
+def _reasons(view: LotView) -> None:
+    if view.reasons:
+        figure_under("lot.reasons", charts_lot.reasons_pareto(view, colours(), say), "reasons")
+
+
 ARROW = ":material/arrow_forward:"
 
 
-def looks(view: LotView) -> None:
+def _looks(view: LotView) -> None:
     """Draw the worst units and the plot of the one that is chosen, the worst at first."""
-    st.header(say("lot.look"))
-    if not view.looks:
-        st.caption(say("lot.look.none"))
-        if view.worst and st.button(say("lot.look.worst", serial=view.worst), key="open-worst", icon=ARROW):
-            go_to("unit", unit=view.worst)
-        return
     if view.needing_a_look > len(view.looks):
         st.caption(say("lot.look.count", shown=len(view.looks), count=view.needing_a_look))
-    _chosen(view)
+    rows = [
+        {
+            say("column.serial"): unit.serial,
+            say("column.verdict"): say(f"verdict.{unit.verdict}"),
+            say("column.reasons"): in_words(unit.reasons[:1]),
+            say("column.predicted"): number(unit.predicted_rmse, view.lot.reference_unit),
+        }
+        for unit in view.looks
+    ]
+    _chosen_look(view, rows)
 
 
 @st.fragment
 @errors_in_words()
-def _chosen(view: LotView) -> None:
+def _chosen_look(view: LotView, rows: Sequence[Mapping[str, object]]) -> None:
     left, right = st.columns([3, 2])
     with left:
-        rows = [_row(unit, view.lot.reference_unit) for unit in view.looks]
         chosen = table_to_choose(rows, f"looks-{view.lot.id}")
     with right:
         _plot(view.looks[chosen or 0])
-
-
-def _row(unit: UnitEntry, reference_unit: str) -> dict[str, object]:
-    return {
-        say("column.serial"): unit.serial,
-        say("column.verdict"): say(f"verdict.{unit.verdict}"),
-        say("column.reasons"): said(unit.reasons[0], say) if unit.reasons else "",
-        say("column.predicted"): number(unit.predicted_rmse, reference_unit),
-    }
 
 
 def _plot(unit: UnitEntry) -> None:
@@ -258,36 +240,28 @@ def _plot(unit: UnitEntry) -> None:
     show_figure(charts_unit.output_distributions(view, colours(), say), f"look-{unit.serial}")
 
 
-def chosen_lot_view(lot_id: str) -> LotView:
+def _chosen_view(lot_id: str) -> LotView:
     """Draw the choice of days, stations and operators; return what it leaves of a lot."""
     every = remembered_lot_view(lot_id, LotFilter(zone=zone()))
     if not every.judged:
         return every
     with st.popover(say("lot.filter"), icon=":material/filter_alt:"):
         first, second = st.columns(2)
-        since = _day(first.date_input(say("trail.since"), value=None, key=f"lot-since-{lot_id}"))
-        until = _day(second.date_input(say("trail.until"), value=None, key=f"lot-until-{lot_id}"))
-        stations = _names("station", every.every_station, lot_id)
-        operators = _names("operator", every.every_operator, lot_id)
-    wanted = LotFilter(since, until, stations, operators, zone())
+        since = first.date_input(say("trail.since"), value=None, key=f"lot-since-{lot_id}")
+        until = second.date_input(say("trail.until"), value=None, key=f"lot-until-{lot_id}")
+        stations, operators = (
+            st.multiselect(
+                say(f"lot.filter.{kind}"),
+                known,
+                format_func=lambda name: say("lot.yield.desk") if name == DESK else name,
+                key=f"lot-{kind}-{lot_id}",
+                placeholder=say("choose.all"),
+            )
+            for kind, known in (("station", every.every_station), ("operator", every.every_operator))
+        )
+    wanted = LotFilter(since, until, tuple(stations), tuple(operators), zone())
     if wanted.is_open:
         return every
     view = remembered_lot_view(lot_id, wanted)
     st.caption(f":material/filter_alt: {say('lot.filter.on', left=len(view.chosen or ()), of=every.judged)}")
     return view if view.judged else every
-
-
-def _day(chosen: object) -> date | None:
-    return chosen if isinstance(chosen, date) else None
-
-
-def _names(kind: str, known: tuple[str, ...], lot_id: str) -> tuple[str, ...]:
-    return tuple(
-        st.multiselect(
-            say(f"lot.filter.{kind}"),
-            known,
-            format_func=lambda name: say("lot.yield.desk") if name == DESK else name,
-            key=f"lot-{kind}-{lot_id}",
-            placeholder=say("choose.all"),
-        )
-    )

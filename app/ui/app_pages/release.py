@@ -24,18 +24,10 @@ from softcal.app.export.certificates.lot_statement import lot_statement_pdf
 from softcal.app.export.names import FORMATS
 from softcal.app.jobs.lot_jobs import archive_path
 from softcal.app.ui.account import actor, permit
+from softcal.app.ui.actions import download, finish, refusals_in_words, role_allows, say_finished
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
-from softcal.app.ui.desk import (
-    finish,
-    in_words,
-    refusals_in_words,
-    registry,
-    role_allows,
-    say,
-    say_finished,
-    words,
-)
-from softcal.app.ui.panels import download, for_lot, numbers, table, units_of
+from softcal.app.ui.desk import in_words, registry, say, words
+from softcal.app.ui.panels import for_lot, has_units, numbers, table
 from softcal.app.views.common import number
 from softcal.core.quality.lot_release import LotRelease
 from softcal.core.quality.lot_standing import LotStanding, UnitInLot, Way
@@ -48,7 +40,7 @@ MOST_ROWS = 200
 @for_lot("release")
 def render(lot_id: str) -> None:
     say_finished("release")
-    if not units_of(lot_id):
+    if not has_units(lot_id):
         return
     standing = lot_standing(registry(), lot_id)
     numbers([(say(f"verdict.{word}"), str(count), None) for word, count in standing.counts.items()])

@@ -17,8 +17,9 @@ from softcal.app.ui.account import (
     sign_in,
     sign_out,
 )
+from softcal.app.ui.actions import refusals_in_words
 from softcal.app.ui.callbacks import in_one_piece
-from softcal.app.ui.desk import choose_language, refusals_in_words, registry, say
+from softcal.app.ui.desk import choose_language, registry, say
 from softcal.app.ui.panels import go_to
 from softcal.app.ui.pins import check_pin
 

@@ -6,8 +6,9 @@ from softcal.app.charts import station as charts_station
 from softcal.app.charts import unit as charts_unit
 from softcal.app.jobs.jobs import newest_source
 from softcal.app.ui.account import actor, permit
+from softcal.app.ui.actions import refusals_in_words
 from softcal.app.ui.components.station_run import choose_station, newest_run, place, run_panel
-from softcal.app.ui.desk import choose, colours, in_words, instant, refusals_in_words, registry, say, show_figure
+from softcal.app.ui.desk import choose, colours, in_words, instant, registry, say, show_figure
 from softcal.app.ui.panels import go_to, heading, numbers, rest_may_follow, step
 from softcal.app.views.network import network_rows
 from softcal.app.views.station import source_facts

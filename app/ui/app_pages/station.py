@@ -10,9 +10,10 @@ from softcal.app.line.facts import state_of
 from softcal.app.line.gate_facts import quarantine
 from softcal.app.line.place import is_alive
 from softcal.app.ui.account import allows
+from softcal.app.ui.actions import ask_reason
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
 from softcal.app.ui.components.station_run import choose_station, newest_run, place, run_panel
-from softcal.app.ui.desk import ask_reason, errors_in_words, in_words, instant, registry, say
+from softcal.app.ui.desk import errors_in_words, in_words, instant, registry, say
 from softcal.app.ui.panels import heading, rest_may_follow, table
 from softcal.core.orders import OrderKind
 from softcal.core.words.reason import Reason

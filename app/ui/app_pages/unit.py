@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import streamlit as st
-from streamlit.delta_generator import DeltaGenerator
 
 from softcal.app.batch.judging import judge_again
 from softcal.app.charts import unit as charts_unit
@@ -14,36 +13,35 @@ from softcal.app.export.formats import writer_of
 from softcal.app.export.names import FORMATS
 from softcal.app.registry.standing import standing_of
 from softcal.app.ui.account import actor
+from softcal.app.ui.actions import ask_reason, download, finish, refusals_in_words, say_finished
 from softcal.app.ui.desk import (
-    ask_reason,
     choose,
     colours,
     empty,
-    finish,
     in_full,
     in_words,
     instant,
-    refusals_in_words,
     registry,
     say,
-    say_finished,
     show_figure,
     verdict_badge,
 )
-from softcal.app.ui.panels import download, figure_under, heading, numbers, rest_may_follow, table, table_to_choose
+from softcal.app.ui.panels import (
+    figure_under,
+    figures_beside,
+    heading,
+    numbers,
+    rest_may_follow,
+    table,
+    table_to_choose,
+)
 from softcal.app.views.common import number, percent
-from softcal.app.views.unit import UnitView, unit_view
+from softcal.app.views.unit import unit_view
 from softcal.core.errors import UnitRefused
 from softcal.core.lot import Lot
 from softcal.db.entries import StoredCalibration
 
 TABS = ("why", "map", "estimates", "recordings", "history", "files")
-TITLES = {
-    "output_distributions": "unit.outputs",
-    "map_curve": "unit.map",
-    "hysteresis": "unit.hysteresis",
-    "estimate_band": "unit.estimate",
-}
 
 
 def render() -> None:
@@ -77,7 +75,12 @@ def _revision(serial: str, history: list[StoredCalibration]) -> None:
         verdict_badge(standing.verdict if standing.made is None else stored.record.verdict)
     if standing.made is None:
         st.markdown(f"{say('unit.refused_since')} **{in_words(standing.reasons)}**")
-    _verdict(stored, registry().lots.get(lot_id).reference_unit)
+    record, unit = stored.record, registry().lots.get(lot_id).reference_unit
+    scores = [(say(f"column.{n}"), getattr(record, f"{n}_rmse"), None) for n in ("before", "after", "own")]
+    cells = [(say("lot.predicted"), record.predicted_rmse, say("unit.predicted.help")), *scores]
+    numbers([(label, number(value, unit), tip) for label, value, tip in cells if value is not None])
+    for reason in record.reasons:
+        st.markdown(f"- {in_words(reason)}")
     if not rest_may_follow():
         return
     view = unit_view(registry(), serial, revision, lot_id)
@@ -88,8 +91,16 @@ def _revision(serial: str, history: list[StoredCalibration]) -> None:
         # The head of the figure says what stands above it already.
         figure = why_figure(view, colours(), say).update_layout(title=None, margin_t=60, height=HEIGHT)
         figure_under("unit.why", figure, "why")
-    _figures(map_tab, view, ("output_distributions", "map_curve"))
-    _figures(estimates, view, ("hysteresis", "estimate_band"))
+    with map_tab:
+        figures_beside(
+            ("unit.outputs", charts_unit.output_distributions(view, colours(), say), "output_distributions"),
+            ("unit.map", charts_unit.map_curve(view, colours(), say), "map_curve"),
+        )
+    with estimates:
+        figures_beside(
+            ("unit.hysteresis", charts_unit.hysteresis(view, colours(), say), "hysteresis"),
+            ("unit.estimate", charts_unit.estimate_band(view, colours(), say), "estimate_band"),
+        )
     with recordings:
         _recordings(serial, view.lot)
     with changes:
@@ -99,22 +110,6 @@ def _revision(serial: str, history: list[StoredCalibration]) -> None:
     with files:
         # The calibration in use is asked for as such: whether it still is the answer is looked up with it.
         _files(serial, lot_id, revision, is_in_use=revision == current)
-
-
-def _verdict(stored: StoredCalibration, unit: str) -> None:
-    record = stored.record
-    scores = [(say(f"column.{n}"), getattr(record, f"{n}_rmse"), None) for n in ("before", "after", "own")]
-    cells = [(say("lot.predicted"), record.predicted_rmse, say("unit.predicted.help")), *scores]
-    numbers([(label, number(value, unit), tip) for label, value, tip in cells if value is not None])
-    for reason in record.reasons:
-        st.markdown(f"- {in_words(reason)}")
-
-
-def _figures(place: DeltaGenerator, view: UnitView, names: tuple[str, ...]) -> None:
-    with place:
-        for column, name in zip(st.columns(2), names, strict=True):
-            with column:
-                figure_under(TITLES[name], getattr(charts_unit, name)(view, colours(), say), name)
 
 
 def _choose_unit() -> str | None:

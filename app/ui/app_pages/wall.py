@@ -10,7 +10,7 @@ import streamlit as st
 from softcal.app.ui.components import line_card
 from softcal.app.ui.components.line_card import chips_row
 from softcal.app.ui.desk import colours, errors_in_words, registry, say, zone
-from softcal.app.ui.panels import for_lot, units_of
+from softcal.app.ui.panels import for_lot, has_units
 from softcal.app.ui.server_memory import remembered_lot_view
 from softcal.app.views.alerts import alerts
 from softcal.app.views.line import TONES
@@ -28,7 +28,7 @@ def render() -> None:
 
 @for_lot("wall")
 def _of_lot(lot_id: str) -> None:
-    if units_of(lot_id):
+    if has_units(lot_id):
         _board(lot_id)
 
 

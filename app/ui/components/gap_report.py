@@ -10,9 +10,10 @@ from softcal.app.charts.gap_page import chain_svg, gap_page
 from softcal.app.charts.style import coloured
 from softcal.app.gap.desk import has_sealed_rig, run_views_of, truth
 from softcal.app.ui.account import allows
+from softcal.app.ui.actions import download
 from softcal.app.ui.components.job_panel import begin_job
 from softcal.app.ui.desk import colours, registry, say, show_figure, words
-from softcal.app.ui.panels import download, numbers, rest_may_follow, table
+from softcal.app.ui.panels import numbers, rest_may_follow, table
 from softcal.app.views.common import percent
 from softcal.app.views.gap import (
     Report,

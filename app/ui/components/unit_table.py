@@ -6,8 +6,9 @@ import streamlit as st
 
 from softcal.app.files.spreadsheet import excel_bytes
 from softcal.app.texts.reasons import all_said
+from softcal.app.ui.actions import csv_of, download
 from softcal.app.ui.desk import errors_in_words, in_one_language, registry, say
-from softcal.app.ui.panels import csv_of, download, go_to, table_to_choose
+from softcal.app.ui.panels import go_to, table_to_choose
 from softcal.core.lot import Lot
 from softcal.core.unit.verdict import VERDICTS
 from softcal.db.entries import UnitEntry
