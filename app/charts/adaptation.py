@@ -61,6 +61,8 @@ def adaptation_figure(
     """
     from plotly.subplots import make_subplots
 
+    from softcal.app.charts.style import dots
+
     rows = (f"Output [{output_unit}]", "Drift, in scales of the calibrated use", "Map")
     figure = make_subplots(
         rows=5,
@@ -78,42 +80,21 @@ def adaptation_figure(
         _line(figure, 2, times, [step[name] for step in seen], shown, colour)
     for verdict, symbol in (("held", "x"), ("tried", "triangle-up"), ("jumped", "diamond")):
         if steps := [step for step in seen if step["verdict"] == verdict]:
-            figure.add_scatter(
-                x=[step["t_s"] for step in steps],
-                y=[step["shift"] for step in steps],
-                mode="markers",
-                marker={"symbol": symbol, "color": RED, "size": 8},
-                name=verdict,
-                text=[step["reason"] for step in steps],
-                row=2,
-                col=1,
-            )
+            x, y, why = ([step[name] for step in steps] for name in ("t_s", "shift", "reason"))
+            dots(figure, x, y, RED, verdict, 8, 2, symbol=symbol, text=why)
     _line(figure, 3, times, [step["gain"] for step in seen], "gain", BLUE, step=True)
     _line(figure, 3, times, [step["offset"] for step in seen], f"offset [{output_unit}]", ORANGE, step=True)
     _band(figure, 4, trace.t_s, trace.lower, trace.upper, "90 % interval", BLUE)
     _line(figure, 4, trace.t_s, trace.estimate, "estimate", BLUE)
     _line(figure, 5, trace.t_s, trace.predicted_rmse, "predicted error", BLUE, step=True)
-    _alarms(figure, seen)
+    if alarms := [step for step in seen if step["alarm"]]:
+        x, y, why = ([step[name] for step in alarms] for name in ("t_s", "predicted_rmse", "alarm"))
+        dots(figure, x, y, RED, "recalibration due", 9, 5, symbol="triangle-up", text=why)
     look = {"template": "plotly_white", "font_family": FONTS, "hovermode": "x unified"}
     figure.update_layout(title=title, height=1150, margin={"t": 90}, **look)
     figure.update_xaxes(title_text="time [s]", row=5, col=1)
     figure.update_yaxes(rangemode="tozero", row=5, col=1)
     return figure
-
-
-def _alarms(figure: "Figure", seen: Course) -> None:
-    alarms = [step for step in seen if step["alarm"]]
-    if alarms:
-        figure.add_scatter(
-            x=[step["t_s"] for step in alarms],
-            y=[step["predicted_rmse"] for step in alarms],
-            mode="markers",
-            marker={"symbol": "triangle-up", "color": RED, "size": 9},
-            name="recalibration due",
-            text=[step["alarm"] for step in alarms],
-            row=5,
-            col=1,
-        )
 
 
 def _line(

@@ -1,6 +1,6 @@
 """Figures of a diagnosis: arrays, report values and the words of a screen in, Plotly figures out."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,6 +47,7 @@ def span_of(runs: "Sequence[RunView]", column: str) -> float:
 
 DIRECTIONS = tuple(Reason(f"gap.regime.{name}") for name in ("loading", "hold", "unloading"))
 BANDS = 6
+RESIDUALS = ("rmse_before", "rmse_after", "noise_floor")
 SHOWN_POINTS = 1500
 """Most points of a trace that are drawn; more are thinned by keeping the largest of each stretch."""
 
@@ -86,6 +87,10 @@ class RunView:
     drive: Array
     load_N: Array
     channels: Mapping[str, ChannelView]
+
+
+_Line = tuple[str, Array, str, Indices]
+"""What a line is of, its values, its colour, and which of the values are drawn."""
 
 
 def _styled(figure: go.Figure, height: int, left: int = 60, **layout: Any) -> go.Figure:
@@ -178,13 +183,16 @@ def ranking_figure(report: Mapping[str, Any], shown: int, say: Words, colours: P
 
 def gain_figure(report: Mapping[str, Any], say: Words, colours: Palette = LIGHT) -> go.Figure:
     """Draw the residual of each channel before and after, with its noise floor."""
-    channels = [name for name in _in_order(report["gap"]) if _has_gap(report["gap"].get(name))]
+    every = report["gap"]
+    # JSON keeps no order.
+    names = [*(name for name in CHANNELS.values() if name in every), *(n for n in every if n not in CHANNELS.values())]
+    channels = [name for name in names if every[name] and None not in map(every[name].get, RESIDUALS)]
     # One above the other, with level bars: side by side, or below upright ones, names meet on half of a narrow page.
     titles = [say("gap.figure.residual", channel=channel_name(name, say)) for name in channels]
     figure = make_subplots(rows=max(1, len(channels)), subplot_titles=titles, vertical_spacing=0.24)
     for row, name in enumerate(channels, start=1):
         gap, (times, unit) = report["gap"][name], unit_of(name)
-        values = [times * gap[key] for key in ("rmse_before", "rmse_after", "noise_floor")]
+        values = [times * gap[key] for key in RESIDUALS]
         bars = go.Bar(
             x=values,
             y=[say(f"gap.figure.{of}") for of in ("base", "causes", "floor")],
@@ -198,16 +206,6 @@ def gain_figure(report: Mapping[str, Any], say: Words, colours: Palette = LIGHT)
         figure.update_xaxes(title=unit, title_standoff=4, range=[0.0, 1.3 * max(values)], row=row, col=1)
         figure.update_yaxes(autorange="reversed", automargin=True, row=row, col=1)
     return _styled(figure, 90 + 190 * max(1, len(channels)), showlegend=False)
-
-
-def _in_order(gap: Mapping[str, Any]) -> list[str]:
-    """Return the channels of a report, output and force first: JSON keeps no order."""
-    first = [name for name in CHANNELS.values() if name in gap]
-    return [*first, *(name for name in gap if name not in first)]
-
-
-def _has_gap(gap: Mapping[str, Any] | None) -> bool:
-    return bool(gap) and all((gap or {}).get(key) is not None for key in ("rmse_before", "rmse_after", "noise_floor"))
 
 
 def hidden_figure(report: Mapping[str, Any], say: Words, colours: Palette = LIGHT) -> go.Figure | None:
@@ -232,46 +230,39 @@ def hidden_figure(report: Mapping[str, Any], say: Words, colours: Palette = LIGH
 
 def trace_figure(runs: Sequence[RunView], channel: str, say: Words, colours: Palette = LIGHT) -> go.Figure | None:
     """Draw the residual of one channel over time, one row per run, before and after; None without the channel."""
-    shown = [run for run in runs if channel in run.channels]
-    if not shown:
-        return None
-    times, unit = unit_of(channel)
-    figure = _by_run(shown, say)
-    for row, run in enumerate(shown, start=1):
-        view = run.channels[channel]
+
+    def lines(view: ChannelView) -> Iterator[_Line]:
         for of, predicted, colour in (("base", view.base, colours.source), ("causes", view.explained, colours.mapped)):
-            name = say(f"gap.figure.{of}")
-            at = _thinned(view.measured - predicted)
-            line = go.Scattergl(
-                x=run.t_s[at],
-                y=times * (view.measured - predicted)[at],
-                name=name,
-                legendgroup=name,
-                showlegend=row == 1,
-                line={"color": colour, "width": 1},
-            )
-            figure.add_trace(line, row=row, col=1)
-        figure.update_yaxes(title=unit, row=row, col=1)
-    return _below(figure, shown, say)
+            residual = view.measured - predicted
+            yield of, residual, colour, _thinned(residual)
+
+    return _over_time(runs, channel, lines, say)
 
 
 def compared_figure(runs: Sequence[RunView], channel: str, say: Words, colours: Palette = LIGHT) -> go.Figure | None:
     """Draw what was measured and what is predicted before and after, one row per run; None without the channel."""
+
+    def lines(view: ChannelView) -> Iterator[_Line]:
+        # The same instants for all three: those at which the base is farthest off.
+        at = _thinned(view.measured - view.base, COMPARED_POINTS)
+        yield "measured", view.measured, colours.raw, at
+        yield "base", view.base, colours.source, at
+        yield "causes", view.explained, colours.mapped, at
+
+    return _over_time(runs, channel, lines, say)
+
+
+def _over_time(
+    runs: Sequence[RunView], channel: str, lines: Callable[[ChannelView], Iterator[_Line]], say: Words
+) -> go.Figure | None:
     shown = [run for run in runs if channel in run.channels]
     if not shown:
         return None
     times, unit = unit_of(channel)
-    figure = _by_run(shown, say)
+    titles = [f"{run.name}: {pressed_name(run.profile, say)}" if run.profile else run.name for run in shown]
+    figure = make_subplots(rows=len(shown), subplot_titles=titles, vertical_spacing=min(0.1, 0.3 / len(shown)))
     for row, run in enumerate(shown, start=1):
-        view = run.channels[channel]
-        lines = (
-            ("measured", view.measured, colours.raw),
-            ("base", view.base, colours.source),
-            ("causes", view.explained, colours.mapped),
-        )
-        # The same instants for all three: those at which the base is farthest off.
-        at = _thinned(view.measured - view.base, COMPARED_POINTS)
-        for of, values, colour in lines:
+        for of, values, colour, at in lines(run.channels[channel]):
             line = go.Scattergl(
                 x=run.t_s[at],
                 y=times * values[at],
@@ -282,20 +273,10 @@ def compared_figure(runs: Sequence[RunView], channel: str, say: Words, colours: 
             )
             figure.add_trace(line, row=row, col=1)
         figure.update_yaxes(title=unit, row=row, col=1)
-    return _below(figure, shown, say)
-
-
-def _by_run(shown: Sequence[RunView], say: Words) -> go.Figure:
-    titles = [f"{run.name}: {pressed_name(run.profile, say)}" if run.profile else run.name for run in shown]
-    return make_subplots(rows=len(shown), subplot_titles=titles, vertical_spacing=min(0.1, 0.3 / len(shown)))
-
-
-def _below(figure: go.Figure, shown: Sequence[RunView], say: Words) -> go.Figure:
     # The legend stands below: far from its axis, as the desk would draw it, the title would lie on it.
     figure.update_xaxes(title=say("gap.figure.time"), title_standoff=8, row=len(shown), col=1)
     place = {"x": 1.0, "xanchor": "right", "y": -0.35 / len(shown), "yanchor": "top", "yref": "paper"}
-    legend = {"orientation": "h", **place}
-    return _styled(figure, 110 + 150 * len(shown), legend=legend)
+    return _styled(figure, 110 + 150 * len(shown), legend={"orientation": "h", **place})
 
 
 def _thinned(values: Array, most: int = SHOWN_POINTS) -> Indices:

@@ -74,24 +74,27 @@ def gap_page(report: Mapping[str, Any], runs: Sequence[RunView], serial: str, sa
         say: the texts of one language.
     """
     say = words_for(report, say)
-    parts = [_headline(report, serial, say)]
+    parts, asked = [_headline(report, serial, say)], mistake_rows(report, say)
     if report["verdict"] == "data":
-        mistakes = _rows(mistake_rows(report, say), say("gap.data"), say)
+        mistakes = _rows(asked, say("gap.data"), say)
         parts += [section(say("gap.data"), mistakes), section(say("gap.runs.plain"), *_traces(runs, say))]
     else:
         places = _rows(place_rows(report, say), say("gap.where.none"), say)
         ranking = drawings(ranking_figure(report, SHOWN_CAUSES, say))
         causes = _rows(cause_rows(report, say)[:SHOWN_CAUSES], no_cause_words(report, say), say)
+        groups = "; ".join(_effects(group, say, "gap.or") for group in report["ambiguous_with"])
+        ambiguous = _note(_told(say, "gap.ambiguous", group=groups) + ".") if groups else ""
+        untold = "".join(f"<li>{escape(begun(line))}</li>" for line in untold_lines(report, say))
         gain = gain_figure(report, say)
         maps = drawings(*(map_figure(runs, channel, say) for channel in channels_of(runs)))
         parts += [
-            *_asked(report, say),
+            *([section(say("gap.data.asked"), _rows(asked, "", say))] if asked else []),
             section(say("gap.where"), "" if report.get("simulator") else chain_svg(report, say), places, maps),
-            section(say("gap.why"), ranking, causes, _ambiguity(report, say)),
+            section(say("gap.why"), ranking, causes, ambiguous),
             section(say("gap.gain"), _gain_words(report, say), _gain_rows(report, runs, say), drawings(gain)),
-            *_untold(report, say),
+            *([section(say("gap.told"), f"<ul>{untold}</ul>")] if untold else []),
             section(say("gap.sure"), _hidden_words(report, say), drawings(hidden_figure(report, say))),
-            *_left(report, say),
+            *([section(say("gap.left"), *_left(report["residual"], report, say))] if report.get("residual") else []),
             section(say("gap.next"), _next(report["next_experiment"], say)),
             section(say("gap.runs"), *_traces(runs, say)),
         ]
@@ -118,35 +121,16 @@ def _gain_rows(report: Mapping[str, Any], runs: Sequence[RunView], say: Words) -
     return _rows(rows, "", say)
 
 
-def _untold(report: Mapping[str, Any], say: Words) -> Iterable[str]:
-    """Show what these runs cannot tell, and which run would."""
-    found = untold_lines(report, say)
-    if not found:
-        return ()
-    return (section(say("gap.told"), f"<ul>{''.join(f'<li>{escape(begun(line))}</li>' for line in found)}</ul>"),)
-
-
-def _left(report: Mapping[str, Any], say: Words) -> Iterable[str]:
+def _left(found: Mapping[str, Any], report: Mapping[str, Any], say: Words) -> tuple[str, str]:
     """Describe what no cause explains by its empirical terms, where they hold on runs held back."""
-    found = report.get("residual")
-    if not found:
-        return ()
-    words = [
-        _told(say, "gap.left.is", **{name: _percent(found["shrink"][name]) for name in ("held_out", "low", "high")})
-    ]
+    shrink = {name: _percent(found["shrink"][name]) for name in ("held_out", "low", "high")}
+    words = [_told(say, "gap.left.is", **shrink)]
     if found["beside"]:
         causes = _effects(found["beside"], say)
         words.append(_told(say, "gap.left.beside", causes=causes, without=_percent(found["without"])))
     if "load_N" in found:
         words.append(_told(say, "gap.left.span", load_N=f"{found['load_N']:.3g}", depth_mm=f"{found['depth_mm']:.3g}"))
-    rows = _rows(residual_rows(report, say), say("gap.left"), say)
-    return (section(say("gap.left"), f"<p>{' '.join(words)}</p>", rows),)
-
-
-def _asked(report: Mapping[str, Any], say: Words) -> Iterable[str]:
-    """Show what is asked about the recordings beside a diagnosis."""
-    asked = mistake_rows(report, say)
-    return (section(say("gap.data.asked"), _rows(asked, "", say)),) if asked else ()
+    return f"<p>{' '.join(words)}</p>", _rows(residual_rows(report, say), say("gap.left"), say)
 
 
 def _rows(rows: Sequence[Mapping[str, str]], otherwise: str, say: Words) -> str:
@@ -292,11 +276,6 @@ def _box(stage: str, x: int, y: int, share: float, unseen: Sequence[str], say: W
         f"<text x='{x + 73}' y='{y + 26}' text-anchor='middle' fill='{ink}' font-weight='600'>{name}</text>"
         f"<text x='{x + 73}' y='{y + 46}' text-anchor='middle' fill='{ink}'>{escape(label)}</text></g>"
     )
-
-
-def _ambiguity(report: Mapping[str, Any], say: Words) -> str:
-    groups = [_effects(group, say, "gap.or") for group in report["ambiguous_with"]]
-    return _note(_told(say, "gap.ambiguous", group="; ".join(groups)) + ".") if groups else ""
 
 
 def _gain_words(report: Mapping[str, Any], say: Words) -> str:

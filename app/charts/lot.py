@@ -8,13 +8,22 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from softcal.app.charts.palette import Palette
-from softcal.app.charts.style import HEIGHT, coloured, level_line, limit_line, nice_step, styled, whole_numbers
+from softcal.app.charts.style import (
+    HEIGHT,
+    axis_titles,
+    coloured,
+    dots,
+    level_line,
+    limit_line,
+    nice_step,
+    styled,
+    whole_numbers,
+)
 from softcal.app.texts.reasons import Words, plainly
 from softcal.app.views.common import far_end
 from softcal.app.views.lot import LotView, ProcessView
 from softcal.app.views.lot_runs import DESK, YieldAt
 from softcal.core.quality.control_chart import FORBIDDING, ControlChart
-from softcal.core.recording import Array, Indices
 
 BINS = 48
 SHOWN_VALUES = 300
@@ -61,8 +70,7 @@ def audit_scores(view: LotView, colours: Palette, words: Words) -> go.Figure:
         if not any(value is not None for value in values):
             continue
         if _is_many(view):
-            dots = {"color": colour, "size": 4}
-            figure.add_scatter(y=values, mode="markers", marker=dots, name=words(f"chart.{name}"))
+            dots(figure, None, values, colour, words(f"chart.{name}"))
         else:
             bars = [row.serial for row in audited]
             figure.add_bar(x=bars, y=values, name=words(f"chart.{name}"), marker_color=colour)
@@ -84,34 +92,21 @@ def control_chart_figure(process: ProcessView, unit: str, colours: Palette, word
     at = np.arange(first, len(chart.values)) + 1
     figure = make_subplots(rows=2, shared_xaxes=True, vertical_spacing=0.06, row_heights=[0.66, 0.34])
     names = list(process.serials[first:])
-    _series(figure, 1, at, chart.values[first:], names, colours, f"%{{text}}: %{{y:.4g}} {unit}<extra></extra>")
-    ranges = np.concatenate([[np.nan], chart.moving_ranges])[first:]
-    _series(figure, 2, at, ranges, names, colours, f"%{{text}}: %{{y:.3g}} {unit}<extra></extra>")
+    line, marker = {"color": colours.source, "width": 1}, {"color": colours.source, "size": 5}
+    ranges = np.concatenate([[np.nan], chart.moving_ranges])
+    for row, (values, digits) in enumerate(((chart.values, 4), (ranges, 3)), 1):
+        hover = f"%{{text}}: %{{y:.{digits}g}} {unit}<extra></extra>"
+        shown = {"text": names, "mode": "lines+markers", "line": line, "marker": marker, "hovertemplate": hover}
+        figure.add_scatter(x=at, y=values[first:], **shown, row=row, col=1)
     _flagged(figure, chart, first, names, colours, words)
     level_line(figure, chart.centre, colours.text, f"{chart.centre:.3g}")
     for limit in (chart.lower, chart.upper):
         level_line(figure, limit, colours.limit, f"{limit:.3g}", dash="dash")
     level_line(figure, chart.range_upper, colours.limit, f"{chart.range_upper:.3g}", row=2, dash="dash")
-    figure.update_xaxes(title=words("chart.order"), row=2, col=1)
-    figure.update_yaxes(title=f"{words('column.predicted')} [{unit}]", automargin=True, row=1, col=1)
-    figure.update_yaxes(title=f"{words('chart.range')} [{unit}]", automargin=True, rangemode="tozero", row=2, col=1)
+    axis_titles(figure, 1, f"{words('column.predicted')} [{unit}]")
+    axis_titles(figure, 2, f"{words('chart.range')} [{unit}]", words("chart.order"))
+    figure.update_yaxes(rangemode="tozero", row=2, col=1)
     return coloured(figure, colours, 420).update_layout(showlegend=False, margin_t=20)
-
-
-def _series(
-    figure: go.Figure,
-    row: int,
-    at: Indices,
-    values: Array,
-    names: list[str],
-    colours: Palette,
-    hover: str,
-) -> None:
-    line = {"color": colours.source, "width": 1}
-    marker = {"color": colours.source, "size": 5}
-    figure.add_scatter(
-        x=at, y=values, text=names, mode="lines+markers", line=line, marker=marker, hovertemplate=hover, row=row, col=1
-    )
 
 
 def _flagged(
@@ -122,16 +117,8 @@ def _flagged(
         if signal.index >= first and signal.rule in FORBIDDING:
             rules.setdefault(signal.index, []).append(signal.rule)
     text = [f"{names[k - first]}: {', '.join(words(f'rule.{rule}') for rule in found)}" for k, found in rules.items()]
-    figure.add_scatter(
-        x=[k + 1 for k in rules],
-        y=[chart.values[k] for k in rules],
-        text=text,
-        mode="markers",
-        marker={"color": colours.limit, "size": 10, "symbol": "diamond"},
-        hovertemplate="%{text}<extra></extra>",
-        row=1,
-        col=1,
-    )
+    look = {"symbol": "diamond", "text": text, "hovertemplate": "%{text}<extra></extra>"}
+    dots(figure, [k + 1 for k in rules], [chart.values[k] for k in rules], colours.limit, None, 10, 1, **look)
 
 
 def reasons_pareto(view: LotView, colours: Palette, words: Words) -> go.Figure:
@@ -142,17 +129,8 @@ def reasons_pareto(view: LotView, colours: Palette, words: Words) -> go.Figure:
     running = np.cumsum(counts) / every
     names = [_wrapped(plainly(reason, words)) for reason, _ in shown]
     labels = [f"{count:.0f}  ({share:.0%})" for count, share in zip(counts, running, strict=True)]
-    figure = go.Figure(
-        go.Bar(
-            x=counts,
-            y=names,
-            orientation="h",
-            marker_color=colours.source,
-            text=labels,
-            textposition="outside",
-            cliponaxis=False,
-        )
-    )
+    look = {"orientation": "h", "marker_color": colours.source, "textposition": "outside", "cliponaxis": False}
+    figure = go.Figure(go.Bar(x=counts, y=names, text=labels, **look))
     figure.update_yaxes(autorange="reversed")
     figure.update_xaxes(range=[0, 2.2 * counts.max()], tickformat="d", dtick=max(1, nice_step(counts.max())))
     height = max(HEIGHT, 100 + sum(18 * (2 + name.count("<br>")) for name in names))

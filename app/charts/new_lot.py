@@ -7,7 +7,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from softcal.app.charts.palette import Palette
-from softcal.app.charts.style import styled
+from softcal.app.charts.style import dots, styled
 from softcal.app.files.importing import Columns
 from softcal.app.texts.reasons import Words
 from softcal.app.views.common import thinned
@@ -44,7 +44,7 @@ def reference_over_output(
     at = thinned(range(len(content)))
     figure = go.Figure()
     x, y = _numbers(content, columns.output)[at], _numbers(content, str(columns.reference))[at]
-    figure.add_scatter(x=x, y=y, mode="markers", marker={"size": 4, "color": colours.mapped}, showlegend=False)
+    dots(figure, x, y, colours.mapped, None, showlegend=False)
     return styled(figure, colours, words("chart.output"), str(columns.reference))
 
 

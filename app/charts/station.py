@@ -7,8 +7,9 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from softcal.app.charts.palette import Palette
-from softcal.app.charts.style import coloured, level_line, styled
+from softcal.app.charts.style import axis_titles, coloured, dots, level_line, styled
 from softcal.app.texts.reasons import Words
+from softcal.app.views.common import thinned
 from softcal.core.lot import Lot
 from softcal.core.profiles import Profile
 from softcal.core.quality.control_chart import ControlChart
@@ -33,9 +34,8 @@ def profile_figure(
     level_line(figure, deepest_mm, colours.limit, f"{deepest_mm:g} mm", row=1, dash="dash")
     for sign in (-1, 1):
         level_line(figure, sign * fastest_mm_s, colours.limit, f"{sign * fastest_mm_s:g} mm/s", row=2, dash="dash")
-    figure.update_yaxes(title=f"{words('chart.stage')} [mm]", automargin=True, row=1, col=1)
-    figure.update_yaxes(title=f"{words('chart.speed')} [mm/s]", automargin=True, row=2, col=1)
-    figure.update_xaxes(title=words("chart.time"), row=2, col=1)
+    axis_titles(figure, 1, f"{words('chart.stage')} [mm]")
+    axis_titles(figure, 2, f"{words('chart.speed')} [mm/s]", words("chart.time"))
     return coloured(figure, colours, 440).update_layout(showlegend=False, margin_t=20)
 
 
@@ -44,13 +44,8 @@ def golden_figure(runs: Sequence[GoldenRun], chart: ControlChart | None, colours
     figure = go.Figure()
     for passed, symbol, colour in ((True, "circle", colours.source), (False, "x", colours.limit)):
         mine = [run for run in runs if run.passed is passed]
-        figure.add_scatter(
-            x=[run.made_at for run in mine],
-            y=[run.value for run in mine],
-            mode="markers",
-            marker={"symbol": symbol, "color": colour, "size": 9},
-            name=words("golden.passed" if passed else "golden.failed"),
-        )
+        x, y = [run.made_at for run in mine], [run.value for run in mine]
+        dots(figure, x, y, colour, words("golden.passed" if passed else "golden.failed"), 9, symbol=symbol)
     if chart is not None:
         figure.add_hline(chart.centre, line={"color": colours.text, "width": 1})
         figure.add_hline(chart.upper, line={"color": colours.limit, "width": 1.5, "dash": "dash"})
@@ -66,14 +61,8 @@ def source_curve(source: LabelledRecording, lot: Lot, colours: Palette, words: W
     rising = np.gradient(reference) >= 0
     figure = go.Figure()
     for name, rows, colour in (("loading", rising, colours.mapped), ("unloading", ~rising, colours.raw)):
-        step = max(1, int(rows.sum()) // 2500)
-        marker = {"color": colour, "size": 3, "opacity": 0.6}
-        figure.add_scatter(
-            x=reference[rows][::step],
-            y=output[rows][::step],
-            mode="markers",
-            marker=marker,
-            name=words(f"chart.{name}"),
-        )
+        x, y = reference[rows], output[rows]
+        at = thinned(x, 2500)
+        dots(figure, x[at], y[at], colour, words(f"chart.{name}"), 3, opacity=0.6)
     titles = f"{words('chart.reference')} [{lot.reference_unit}]", f"{words('chart.output')} [{lot.output_unit}]"
     return styled(figure, colours, *titles)

@@ -5,6 +5,7 @@ version kept, or that was quoted from a file or a device, stays as it is.
 """
 
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from datetime import datetime
 
 from softcal.core.words.reason import PLAIN, Reason, Value, unpacked
@@ -56,10 +57,11 @@ def plainly(why: Reason, words: Words) -> str:
     # A forecast and a measurement are told apart, and how near to the limit they are.
     parts = (why.values.get("source"), why.values.get("relation"))
     ends = [part.code.removeprefix("part") for part in parts if isinstance(part, Reason)]
-    try:
-        return words(f"{PLAINLY}{why.code}{''.join(ends)}")
-    except KeyError:
-        return said(why, words)
+    # Reasons of one family may be one to them.
+    for code in (f"{why.code}{''.join(ends)}", why.code.rpartition(".")[0]):
+        with suppress(KeyError):
+            return words(f"{PLAINLY}{code}")
+    return said(why, words)
 
 
 def all_said(reasons: Iterable[Reason], words: Words) -> str:

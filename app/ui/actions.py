@@ -75,7 +75,7 @@ def ask_reason(key: str, label: str, action: str, fields: Callable[[], None] = l
         return None
     with st.form(f"reason-{key}", border=False):
         fields()
-        reason = str(st.text_input(say("reason.label"), placeholder=say("reason.example"), key=f"reason-text-{key}"))
+        reason = str(st.text_input(say("column.reason"), placeholder=say("reason.example"), key=f"reason-text-{key}"))
         if not st.form_submit_button(label, type="primary"):
             return None
     if len(reason.strip()) < SHORTEST_REASON:

@@ -1,5 +1,6 @@
 """What a browser remembers for this server across reloads and links, in cookies; and whether it has drawn the page."""
 
+from collections.abc import Mapping
 from urllib.parse import unquote
 
 import streamlit as st
@@ -34,7 +35,7 @@ LONGEST_MS = 3000
 def recall(name: str) -> str:
     """Return what was remembered under a name in this tab or, after a reload, in this browser; "" without."""
     here = st.session_state.get(STATE, {})
-    return str(here[name]) if name in here else unquote(st.context.cookies.get(_cookie(name), ""))
+    return str(here[name]) if name in here else unquote(_cookies().get(_cookie(name), ""))
 
 
 def remember(name: str, value: str) -> None:
@@ -58,6 +59,10 @@ def keep() -> None:
         key="browser-memory-component",
         on_drawn_change=in_one_piece(_has_drawn),
     )
+
+
+def _cookies() -> Mapping[str, str]:
+    return st.context.cookies
 
 
 def _has_drawn() -> None:

@@ -1,6 +1,6 @@
 """What several screens need to show numbers: rounding, units, and long series thinned for a chart. No Streamlit."""
 
-from collections.abc import Sequence
+from collections.abc import Sized
 
 import numpy as np
 
@@ -46,7 +46,7 @@ def phase_said(phase: str, words: Words) -> str:
     return phrase("phase", phase, words) if phase else words("phase.queued")
 
 
-def thinned(values: Sequence[object] | Array, most: int = POINTS) -> slice:
+def thinned(values: Sized, most: int = POINTS) -> slice:
     """Return the slice that leaves about so many points of a long series for a chart."""
     return slice(None, None, max(1, len(values) // most))
 

@@ -8,7 +8,7 @@ from softcal.app.line.facts import state_of
 from softcal.app.line.place import is_alive
 from softcal.app.views.alerts import Alert
 from softcal.app.views.common import number, percent
-from softcal.app.views.line import TONES, Chip
+from softcal.app.views.line import STATES, Chip
 from softcal.app.views.lot import LotView
 from softcal.core.orders import Heartbeat, StationState
 from softcal.core.quality.yields import Share
@@ -109,4 +109,4 @@ def _station(beat: Heartbeat, now: datetime, words: Words) -> StationTile | None
 
 
 def _chip(standing: UnitStanding, words: Words) -> Chip:
-    return Chip(standing.serial, TONES[standing.verdict], words(f"verdict.{standing.verdict}"))
+    return Chip(standing.serial, STATES[standing.verdict].tone, words(f"verdict.{standing.verdict}"))

@@ -74,7 +74,7 @@ def _stands(audit: LotAudit, lot_id: str) -> None:
             say("audit.why"): say(f"audit.why.{why}"),
             say("release.forecast"): number(forecast, unit),
             say("release.measured"): number(measured, unit),
-            say("audit.result"): say(f"audit.result.{result}"),
+            say("station.result"): say(f"audit.result.{result}"),
         }
         for serial, why, forecast, measured, result in audit.rows
     ]

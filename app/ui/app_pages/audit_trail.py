@@ -59,7 +59,7 @@ def _midnight(day: date | None, at: time) -> datetime | None:
 
 def _row(entry: Entry) -> dict[str, object]:
     return {
-        say("column.made"): instant(entry.at),
+        say("column.made"): instant(entry.row.at),
         say("column.actor"): entry.row.actor,
         say("trail.what"): entry.what,
         say("trail.changes"): entry.changed,

@@ -84,7 +84,7 @@ def _choose(place: str, column: st.delta_generator.DeltaGenerator) -> str | None
         return None
     usual = PLACES.index(place) % len(found)
     index = found.index(asked) if asked in found else usual
-    serial = str(column.selectbox(say("choose.unit"), found, index=index, key=f"compare-{place}-{text}-{asked}"))
+    serial = str(column.selectbox(say("column.serial"), found, index=index, key=f"compare-{place}-{text}-{asked}"))
     if serial != asked:
         st.query_params[place] = serial
     return serial
@@ -101,7 +101,7 @@ def _facts(view: UnitView) -> dict[str, str]:
     record, unit = view.stored.record, view.lot.reference_unit
     return {
         say("choose.lot"): view.lot.id,
-        say("choose.revision"): str(view.stored.revision),
+        say("column.revision"): str(view.stored.revision),
         say("column.made"): instant(view.stored.made_at),
         say("column.family"): record.family,
         say("lot.predicted"): number(record.predicted_rmse, unit),

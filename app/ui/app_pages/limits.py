@@ -191,7 +191,7 @@ def _rule_row(entry: LineRulesEntry) -> dict[str, object]:
         say("rules.letters"): say(f"rules.letters.{rules.letters.replace(' ', '_')}"),
         say("rules.target"): rules.target,
         say("rules.retests.column"): retests,
-        say("rules.loads.column"): ", ".join(f"{load.value:.5g} ± {load.expanded:.2g}" for load in rules.loads),
+        say("page.known_loads"): ", ".join(f"{load.value:.5g} ± {load.expanded:.2g}" for load in rules.loads),
         say("column.made"): instant(entry.made_at),
         say("column.actor"): entry.actor,
         say("column.reason"): entry.reason,

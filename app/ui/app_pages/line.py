@@ -15,7 +15,7 @@ from softcal.app.ui.components.scan_field import scan_field
 from softcal.app.ui.desk import choose_language, colours, in_one_language, in_words, registry, say
 from softcal.app.ui.line_memory import kept_runs, lot_at_line, refusal, remember_refusal, screen
 from softcal.app.ui.panels import go_to
-from softcal.app.views.line import COMMAND_OF_KEY, KEYS, LineView, away_view, line_view, note_said
+from softcal.app.views.line import COMMAND_OF_KEY, KEYS, LineView, action_said, away_view, line_view, note_said
 from softcal.core.errors import InputError, RegistryError
 
 BUSY_S, IDLE_S = 0.5, 1.0
@@ -90,10 +90,8 @@ def _actions(view: LineView) -> None:
         if st.button(say("start.station.do"), key="line-to-station", type="primary"):
             go_to("station")
     for number, command in enumerate(view.actions):
-        asks = command == "OK" and view.state in ("ask", "ask_new")
-        reads = command == "START" and view.state == "load"
-        label = say(f"line.action.{command}.{view.state}") if asks or reads else say(f"line.action.{command}")
-        draw = partial(st.button, f"{label} · {KEYS[command]}", key=f"line-{command}", on_click=in_one_piece(_on_scan))
+        label = f"{action_said(command, view.state, say)} · {KEYS[command]}"
+        draw = partial(st.button, label, key=f"line-{command}", on_click=in_one_piece(_on_scan))
         draw(args=(f"CMD:{command}", view.seen), type="primary" if number == 0 else "secondary")
 
 
@@ -110,11 +108,11 @@ def line_setup() -> None:
     choose_language()
     try:
         facts = read_line(registry(), screen())
-        station = _choose(say("line.setup.station"), "station", list(facts.stations), facts.station)
+        station = _choose(say("station.station"), "station", list(facts.stations), facts.station)
         if station:
             remember("station", station)
             st.rerun()
-        lot = _choose(say("line.setup.lot"), "lot", list(facts.lots), facts.lot.id if facts.lot else "")
+        lot = _choose(say("choose.lot"), "lot", list(facts.lots), facts.lot.id if facts.lot else "")
         if lot:
             take_scan(registry(), screen(), f"LOT:{lot}")
             st.rerun()

@@ -47,7 +47,7 @@ def _row(entry: CellCertificate) -> dict[str, object]:
         say("cells.due"): f"{entry.due_on}",
         say("cells.capacity"): number(entry.capacity_N, "N"),
         say("cells.uncertainty"): number(entry.uncertainty_N, "N"),
-        say("cells.state"): state,
+        say("column.state"): state,
     }
 
 

@@ -17,7 +17,7 @@ def render() -> None:
         empty("long_term.none")
         return
     with beside:
-        serial = choose(say("choose.unit"), [unit.serial for unit in units], "unit") or units[0].serial
+        serial = choose(say("column.serial"), [unit.serial for unit in units], "unit") or units[0].serial
     table([_row(unit) for unit in units])
     streams = registry().adaptations.streams(serial)
     stream = streams[0] if len(streams) == 1 else str(st.selectbox(say("long_term.stream"), streams))
@@ -37,7 +37,7 @@ def render() -> None:
 def _row(unit: UnitInUseView) -> dict[str, object]:
     return {
         say("column.serial"): unit.serial,
-        say("long_term.state"): say("event.alarm") if unit.alarm else say(f"event.{unit.verdict}"),
+        say("column.state"): say("event.alarm") if unit.alarm else say(f"event.{unit.verdict}"),
         say("lot.predicted"): number(unit.predicted_rmse, unit.reference_unit),
         say("chart.drift_scale"): number(unit.drift),
         say("long_term.steps"): unit.steps,

@@ -50,7 +50,7 @@ def _said(rows: list[NetworkRow], unit: str) -> str:
 def _row(row: NetworkRow, unit: str) -> dict[str, object]:
     return {
         say("column.network"): row.id[:12],
-        say("networks.state"): say("networks.in_use") if row.is_in_use else say(f"networks.state.{row.state}"),
+        say("column.state"): say("networks.in_use") if row.is_in_use else say(f"networks.state.{row.state}"),
         say("networks.decided"): row.decided,
         say("column.made"): instant(row.added_at),
         say("networks.hidden"): row.layers,
@@ -153,7 +153,7 @@ def _compare_form(lot: Lot, rows: Sequence[NetworkRow], is_busy: bool) -> None:
     with st.form("compare", border=True):
         left, middle, right = st.columns([3, 3, 1], vertical_alignment="bottom")
         networks = left.multiselect(
-            say("networks.networks"),
+            say("page.networks"),
             list(names),
             default=list(names)[:2],
             format_func=names.__getitem__,

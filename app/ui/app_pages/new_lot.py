@@ -99,7 +99,7 @@ def _facts(files: Sequence[Path], content: pd.DataFrame, columns: Columns) -> tu
         serials = [file.stem for file in files]
     first, second, third, fourth = st.columns(4)
     facts: dict[str, Any] = {
-        "id": first.text_input(say("source.lot_id"), placeholder="2026-48", key="new-lot-name"),
+        "id": first.text_input(say("choose.lot"), placeholder="2026-48", key="new-lot-name"),
         "sensor_model": third.text_input(say("source.model"), placeholder="eGaIn pad, 3 mm", key="new-lot-model"),
     }
     source = str(second.selectbox(say("new_lot.source"), serials, key="new-lot-source") or "")

@@ -33,7 +33,7 @@ def render() -> None:
 
 def _row(user: User) -> dict[str, str]:
     state = say("people.active") if user.is_active else say("people.inactive")
-    return {say("sign_in.name"): user.name, say("people.role"): say(f"role.{user.role}"), say("people.state"): state}
+    return {say("sign_in.name"): user.name, say("people.role"): say(f"role.{user.role}"), say("column.state"): state}
 
 
 def _change(people: list[User]) -> None:

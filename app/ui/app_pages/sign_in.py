@@ -53,7 +53,7 @@ def _enter() -> None:
     if not is_known and not has_company_accounts():
         _first_person()
         return
-    st.title(say("sign_in.title"))
+    st.title(say("page.sign_in"))
     st.caption(say("sign_in.why" if is_known else "sign_in.why.company"))
     if is_known:
         _by_pin()
@@ -77,7 +77,7 @@ def _by_pin() -> None:
     with st.form("sign-in"):
         name = st.text_input(say("sign_in.name"), key="sign-in-name", autocomplete="username")
         pin = st.text_input(say("sign_in.pin"), key="sign-in-pin", type="password", autocomplete="current-password")
-        if not st.form_submit_button(say("sign_in.enter"), type="primary", width="stretch"):
+        if not st.form_submit_button(say("page.sign_in"), type="primary", width="stretch"):
             return
     with refusals_in_words(icon="lock"):
         sign_in(name, pin)

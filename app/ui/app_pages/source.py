@@ -23,7 +23,7 @@ def render() -> None:
         known = registry().lots.ids()
         lot_id = choose(say("choose.lot"), known, "lot")
         lot = None if lot_id is None else registry().lots.get(lot_id)
-        with st.expander(say("source.new_lot"), icon=":material/add:", expanded=not known):
+        with st.expander(say("page.new_lot"), icon=":material/add:", expanded=not known):
             _new_lot()
     if lot is None:
         return
@@ -47,7 +47,7 @@ def _press(lot: Lot) -> None:
     st.caption(say("source.press.how", serial=lot.source))
     run = newest_run(station, (OrderKind.SOURCE,), lot.id)
     is_busy = registry().order_queue.active(station) is not None
-    if st.button(say("source.press"), type="primary", icon=":material/play_arrow:", disabled=is_busy):
+    if st.button(say("source.step.2"), type="primary", icon=":material/play_arrow:", disabled=is_busy):
         if place(station, OrderKind.SOURCE, lot.source, lot.id):
             st.rerun()
     if run is not None and run_panel(run):
@@ -81,7 +81,7 @@ def _network(lot: Lot) -> None:
 def _new_lot() -> None:
     with st.form("lot", border=False):
         left, middle, right = st.columns(3)
-        name = str(left.text_input(say("source.lot_id"), placeholder="2026-48")).strip()
+        name = str(left.text_input(say("choose.lot"), placeholder="2026-48")).strip()
         source = str(middle.text_input(say("source.serial"), placeholder="S1")).strip()
         model = str(right.text_input(say("source.model"), placeholder="eGaIn pad, 3 mm")).strip()
         left, middle, right = st.columns(3)

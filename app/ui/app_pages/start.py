@@ -37,7 +37,7 @@ def _demo() -> None:
         if st.button(say("start.demo.open"), type="primary", width="stretch", key="demo-open"):
             go_to("lot", lot=DEMO)
         return
-    if st.button(say("start.demo.do"), type="primary", width="stretch", disabled=is_running(job), key="demo"):
+    if st.button(say("start.demo"), type="primary", width="stretch", disabled=is_running(job), key="demo"):
         st.session_state["demo-asked"] = begin_job("demo", "calibrate", units=UNITS)
         st.rerun()
     if job is not None:
@@ -53,5 +53,5 @@ def _way(name: str, page: str, icon: str) -> None:
             go_to(page)
     else:
         st.caption(say("start.sign_in" if registry().people.all() else "start.first"))
-        if st.button(say("sign_in.title"), width="stretch", key=f"start-{name}-sign-in"):
+        if st.button(say("page.sign_in"), width="stretch", key=f"start-{name}-sign-in"):
             go_to("sign_in")

@@ -51,7 +51,7 @@ def _state(station: str) -> None:
     if beat is None:
         return
     state = say(f"station.state.{state_of(beat, datetime.now(UTC), is_alive(beat.process))}")
-    cells = (("station.state", state), ("station.seen", instant(beat.at)), ("station.by", beat.process))
+    cells = (("column.state", state), ("station.seen", instant(beat.at)), ("station.by", beat.process))
     st.markdown(" · ".join(f"{say(label)}: **{value}**" for label, value in cells))
     for reason in beat.reasons:
         st.warning(in_words(reason), icon=":material/lock:")
@@ -145,7 +145,7 @@ def _found(result: Mapping[str, Any]) -> None:
             for device, what, value, cure in result["found"]
         ]
     )
-    with st.expander(say("setup.file_of"), icon=":material/description:"):
+    with st.expander(say("setup.file"), icon=":material/description:"):
         st.code(result["toml"], language="toml")
         st.download_button(say("setup.save"), result["toml"], "station.toml", "application/toml", on_click="ignore")
 

@@ -68,7 +68,7 @@ def _revision(serial: str, history: list[StoredCalibration]) -> None:
     current = registry().calibrations.get(serial, lot_id=lot_id).revision
     revisions = [entry.revision for entry in reversed(history)]
     left, right = st.columns([1, 4], vertical_alignment="bottom")
-    revision = right.selectbox(say("choose.revision"), revisions, index=revisions.index(current)) or current
+    revision = right.selectbox(say("column.revision"), revisions, index=revisions.index(current)) or current
     stored = next(entry for entry in history if entry.revision == revision)
     standing = standing_of(registry(), stored)
     with left:
@@ -129,7 +129,7 @@ def _choose_unit() -> str | None:
     if not found:
         return None
     index = found.index(asked) if asked in found else 0
-    chosen = str(right.selectbox(say("choose.unit"), found, index=index, key=f"unit-choice-{text}-{asked}"))
+    chosen = str(right.selectbox(say("column.serial"), found, index=index, key=f"unit-choice-{text}-{asked}"))
     if chosen != asked:
         st.query_params["unit"] = chosen
     in_full(chosen)
@@ -177,7 +177,7 @@ def _row(entry: StoredCalibration, unit: str) -> dict[str, object]:
 def _rollback(serial: str, lot_id: str, older: Sequence[int]) -> None:
     with st.container(border=True):
         st.markdown(f"**{say('unit.rollback')}**")
-        revision = st.selectbox(say("unit.rollback.to"), older, key=f"rollback-{serial}-{len(older)}")
+        revision = st.selectbox(say("column.revision"), older, key=f"rollback-{serial}-{len(older)}")
         reason = ask_reason(f"rollback-{serial}-{len(older)}", say("unit.rollback.do"), "rollback")
         if reason is None:
             return

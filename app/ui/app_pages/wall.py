@@ -13,7 +13,7 @@ from softcal.app.ui.desk import colours, errors_in_words, registry, say, zone
 from softcal.app.ui.panels import for_lot, has_units
 from softcal.app.ui.server_memory import remembered_lot_view
 from softcal.app.views.alerts import alerts
-from softcal.app.views.line import TONES
+from softcal.app.views.line import STATES
 from softcal.app.views.lot_runs import LotFilter
 from softcal.app.views.wall import StationTile, WallView, wall_view
 
@@ -62,7 +62,7 @@ def board_html(view: WallView, last: str, well: str, no_station: str) -> str:
         for label, value, below in view.tiles
     )
     counts = "".join(
-        f'<div class="sw-count sc-{TONES[verdict]}"><b>{count}</b><span>{escape(word)}</span></div>'
+        f'<div class="sw-count sc-{STATES[verdict].tone}"><b>{count}</b><span>{escape(word)}</span></div>'
         for verdict, word, count in view.verdicts
     )
     stations = "".join(map(_station, view.stations)) or f"<span>{escape(no_station)}</span>"

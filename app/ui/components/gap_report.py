@@ -61,12 +61,23 @@ def gap_report(job: Job, case: Path) -> None:
         return
     runs = run_views_of(report, registry().job_board.arrays(job))
     _where(report, runs)
-    _why(report)
+    st.header(say("gap.why"))
+    _rows(cause_rows(report, say), no_cause_words(report, say))
+    for group in ambiguous_groups(report, say):
+        st.warning(say("gap.ambiguous", group=group), icon=":material/call_split:")
+    _figure(gap_figures.ranking_figure(report, SHOWN_CAUSES, say, colours()), "ranking")
     _gain(report)
-    _untold(report)
-    _left(report)
+    if lines := untold_lines(report, say):
+        st.header(say("gap.told"))
+        st.markdown("\n".join(f"- {begun(line)}" for line in lines))
+    if report.get("residual"):
+        _left(report["residual"], report)
     _next(report, case)
-    _runs(runs)
+    with st.expander(say("gap.runs"), icon=":material/show_chart:"):
+        for channel, name in gap_figures.CHANNELS.items():
+            if figure := gap_figures.trace_figure(runs, channel, say, colours()):
+                st.subheader(begun(say("gap.figure.trace", channel=channel_name(name, say))))
+                _figure(figure, f"trace-{channel}")
 
 
 def _headline(report: Report) -> None:
@@ -105,23 +116,14 @@ def _take_along(job: Job, case: Path) -> None:
 def _where(report: Report, runs: list[gap_figures.RunView]) -> None:
     st.header(say("gap.where"))
     # The picture has a light ground of its own: its shades of red would not be read on a dark one.
-    picture = chain_svg(report, say).replace(
-        "<svg ", '<svg xmlns="http://www.w3.org/2000/svg" style="background:#fff" ', 1
-    )
+    drawn = '<svg xmlns="http://www.w3.org/2000/svg" style="background:#fff" '
+    picture = chain_svg(report, say).replace("<svg ", drawn, 1)
     st.image(picture, width="stretch", alt=say("gap.chain"))
     _rows(place_rows(report, say), say("gap.where.none"))
     for channel in gap_figures.CHANNELS:
         figure = gap_figures.map_figure(runs, channel, say)
         if figure is not None:
             _figure(figure, f"map-{channel}")
-
-
-def _why(report: Report) -> None:
-    st.header(say("gap.why"))
-    _rows(cause_rows(report, say), no_cause_words(report, say))
-    for group in ambiguous_groups(report, say):
-        st.warning(say("gap.ambiguous", group=group), icon=":material/call_split:")
-    _figure(gap_figures.ranking_figure(report, SHOWN_CAUSES, say, colours()), "ranking")
 
 
 def _gain(report: Report) -> None:
@@ -138,16 +140,7 @@ def _gain(report: Report) -> None:
             _figure(figure, "hidden")
 
 
-def _untold(report: Report) -> None:
-    if lines := untold_lines(report, say):
-        st.header(say("gap.told"))
-        st.markdown("\n".join(f"- {begun(line)}" for line in lines))
-
-
-def _left(report: Report) -> None:
-    found = report.get("residual")
-    if not found:
-        return
+def _left(found: Report, report: Report) -> None:
     st.header(say("gap.left"))
     shrink = {name: percent(found["shrink"][name]) for name in ("held_out", "low", "high")}
     st.markdown(say("gap.left.is", **shrink))
@@ -168,17 +161,13 @@ def _next(report: Report, case: Path) -> None:
             minutes = f" · {proposed['minutes']:.0f} min" if proposed.get("minutes") else ""
             name = pressed_name(str(proposed["profile"]), say)
             st.markdown(f"**{name}**{minutes}  \n{why_next(proposed, say)}")
-            _press(case, str(proposed["profile"]))
+            if not has_sealed_rig(case):
+                st.caption(say("gap.next.by_hand", experiment=name))
+            elif allows("set_up") and st.button(say("gap.next.do"), type="primary", icon=":material/play_arrow:"):
+                begin_job("diagnose", case=str(case), experiment=str(proposed["profile"]))
+                st.rerun()
         if has_sealed_rig(case):
             _truth(case)
-
-
-def _press(case: Path, experiment: str) -> None:
-    if not has_sealed_rig(case):
-        st.caption(say("gap.next.by_hand", experiment=pressed_name(experiment, say)))
-    elif allows("set_up") and st.button(say("gap.next.do"), type="primary", icon=":material/play_arrow:"):
-        begin_job("diagnose", case=str(case), experiment=experiment)
-        st.rerun()
 
 
 def _truth(case: Path) -> None:
@@ -190,16 +179,7 @@ def _truth(case: Path) -> None:
             told |= {"channel": channel_name(found.channel, say) if found.channel else "–"}
             key = "gap.truth.mistake" if found.runs else "gap.truth.mistake.all"
             hidden.append(say(key, **told))
-        st.markdown(say("gap.truth.is", causes=", ".join(hidden) or say("gap.truth.none")))
-
-
-def _runs(runs: list[gap_figures.RunView]) -> None:
-    with st.expander(say("gap.runs"), icon=":material/show_chart:"):
-        for channel, name in gap_figures.CHANNELS.items():
-            figure = gap_figures.trace_figure(runs, channel, say, colours())
-            if figure is not None:
-                st.subheader(begun(say("gap.figure.trace", channel=channel_name(name, say))))
-                _figure(figure, f"trace-{channel}")
+        st.markdown(say("gap.truth.is", causes=", ".join(hidden) or say("trail.nothing")))
 
 
 def _rows(rows: list[dict[str, str]], otherwise: str) -> None:

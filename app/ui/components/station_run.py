@@ -83,7 +83,7 @@ def _running(order_id: str, station: str) -> None:
         progress.fraction,
         text=say("station.left", phase=phase_said(progress.phase, say), seconds=round(progress.remaining_s)),
     )
-    if right.button(say("station.stop"), type="primary", key=f"stop-{order_id}", width="stretch"):
+    if right.button(say("line.action.STOP"), type="primary", key=f"stop-{order_id}", width="stretch"):
         place(station, OrderKind.STOP)
     if not queue.is_answering(station):
         st.warning(say("station.silent", station=station), icon=":material/heart_broken:")

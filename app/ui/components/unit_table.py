@@ -78,7 +78,7 @@ def _filter(lot_id: str) -> UnitFilter:
         key=f"units-verdicts-{lot_id}",
     )
     middle, right = st.columns([3, 2], vertical_alignment="bottom")
-    text = middle.text_input(say("lot.table.find"), key=f"units-find-{lot_id}", icon=":material/search:")
+    text = middle.text_input(say("unit.find"), key=f"units-find-{lot_id}", icon=":material/search:")
     sort = right.selectbox(
         say("lot.table.sort"), SORTS, format_func=lambda name: say(f"sort.{name}"), key=f"units-sort-{lot_id}"
     )
