@@ -1,4 +1,4 @@
-"""What commands say: tables and JSON on standard output or in a named file, progress on standard error."""
+"""What commands say: tables and JSON on standard output or in a file, and progress."""
 
 import json
 import sys
@@ -26,7 +26,7 @@ def say(line: str) -> None:
 
 
 def shown(text: str) -> str:
-    """Return text whose control characters are shown by their codes: what a file said must not steer a terminal."""
+    """Return text whose control characters show as codes: a file must not steer a terminal."""
     return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
 
 
@@ -129,7 +129,7 @@ def _cell(value: object) -> str:
 
 
 def print_reasons(subject: str, reasons: Iterable[object]) -> None:
-    """Print what is said of something: its name, then a reason a line, wrapped to the width of a page."""
+    """Print what is said of something: its name, then a reason a line."""
     print(shown(subject))
     for reason in reasons:
         print(textwrap.fill(shown(str(reason)), WIDTH, initial_indent="  - ", subsequent_indent="    "))
@@ -152,7 +152,7 @@ def write_json(target: str | None, value: Mapping[str, object]) -> None:
 
 
 class ProgressLine:
-    """Lines like `3/40 units, 12 s, 4.1 units/s, about 9 s left` on standard error: rewritten on a terminal.
+    """Lines like `3/40 units, 12 s, 4.1 units/s, about 9 s left` on standard error.
 
     Args:
         what: what is counted, in the plural.

@@ -1,4 +1,4 @@
-"""Drift, map, estimate and predicted error of a unit in use over time, as one figure that needs no network."""
+"""Drift, map, estimate and predicted error of a unit in use, as one figure."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""Audited units into Plotly figures: estimate against reference, and the error over the load with its limit."""
+"""Audited units into figures: estimate against reference, and the error over the load."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ POINTS = 400
 
 
 def estimate_over_reference(view: AuditedView, colours: Palette, words: Words) -> go.Figure:
-    """Draw every unit's estimates over the reference, the line of equality, and the limit to both sides of it."""
+    """Draw every unit's estimates over the reference, with the limit to both sides."""
     figure, unit = go.Figure(), view.lot.reference_unit
     ends = np.array([view.edges[0], view.edges[-1]])
     for k, one in enumerate(view.units):
@@ -38,7 +38,7 @@ def estimate_over_reference(view: AuditedView, colours: Palette, words: Words) -
 
 
 def error_over_load(view: AuditedView, colours: Palette, words: Words) -> go.Figure:
-    """Draw the RMSE of every unit in each load band, the largest unit by name, and the limit of the lot."""
+    """Draw the RMSE of every unit by load, the largest by name, and the lot's limit."""
     figure, unit = make_subplots(), view.lot.reference_unit
     for k, one in enumerate(view.units):
         is_worst = k == 0

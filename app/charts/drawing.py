@@ -23,7 +23,7 @@ LETTER = 7.2
 
 @dataclass(frozen=True)
 class _Axis:
-    """Where the values of one axis lie on the drawing: from `low` at pixel `start` to `high` at pixel `end`."""
+    """Where an axis lies on the drawing: `low` at pixel `start`, `high` at pixel `end`."""
 
     low: float
     high: float

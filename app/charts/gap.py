@@ -1,4 +1,4 @@
-"""Figures of a diagnosis: arrays, report values and the words of a screen in, Plotly figures out."""
+"""Figures of a diagnosis: arrays, report values and words in, Plotly figures out."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,12 +21,12 @@ CHANNEL_UNITS = {"output_V": "mV", "force_N": "mN"}
 
 
 def reported(column: str) -> str:
-    """Return the name a report has for a column; a simulator's channels are called as their columns."""
+    """Return a report's name for a column; a simulator's are the same."""
     return CHANNELS.get(column, column)
 
 
 def unit_of(column: str) -> tuple[float, str]:
-    """Return by what values of a column are multiplied where they are shown, and their unit then."""
+    """Return the factor of a column's values where they are shown, and their unit then."""
     column = next((c for c, name in CHANNELS.items() if name == column), column)
     if column in CHANNEL_UNITS:
         return 1e3, CHANNEL_UNITS[column]
@@ -49,7 +49,7 @@ DIRECTIONS = tuple(Reason(f"gap.regime.{name}") for name in ("loading", "hold", 
 BANDS = 6
 RESIDUALS = ("rmse_before", "rmse_after", "noise_floor")
 SHOWN_POINTS = 1500
-"""Most points of a trace that are drawn; more are thinned by keeping the largest of each stretch."""
+"""Most points of a trace that are drawn: the largest of each stretch."""
 
 COMPARED_POINTS = 500
 """ ... and of each of three that lie on one another."""
@@ -57,7 +57,7 @@ COMPARED_POINTS = 500
 
 @dataclass(frozen=True, eq=False)
 class ChannelView:
-    """One channel of one run: measured, predicted by the refitted base, and by the base with the causes.
+    """One channel of one run: measured, of the refitted base, and of the base with the causes.
 
     Args:
         measured, base, explained: (n,) in the channel's unit.
@@ -105,7 +105,7 @@ def _styled(figure: go.Figure, height: int, left: int = 60, **layout: Any) -> go
 
 
 def direction(drive: Array, t_s: Array) -> Array:
-    """Return per sample 0 loading, 1 hold, 2 unloading, from the slope of the drive over five samples."""
+    """Return per sample 0 loading, 1 hold, 2 unloading, from the drive's slope."""
     if len(drive) < 5:
         return np.ones(len(drive))
     slope = np.gradient(np.convolve(np.pad(drive, 2, mode="edge"), np.full(5, 0.2), mode="valid"), t_s)
@@ -114,7 +114,7 @@ def direction(drive: Array, t_s: Array) -> Array:
 
 
 def residual_map(runs: Sequence[RunView], channel: str, is_after: bool) -> tuple[Array, Array]:
-    """Return the RMS residual in units of the noise by force band and direction, and the edges of the bands.
+    """Return the RMS residual in units of the noise by force band and direction.
 
     Returns:
         (BANDS, 3) with NaN where fewer than five samples fall, and (BANDS + 1,) edges in N.
@@ -134,7 +134,7 @@ def residual_map(runs: Sequence[RunView], channel: str, is_after: bool) -> tuple
 
 
 def map_figure(runs: Sequence[RunView], channel: str, say: Words) -> go.Figure | None:
-    """Draw the residual of one channel by force band and direction, before and after; None without the channel."""
+    """Draw the residual of a channel by force band and direction, before and after."""
     if channel not in CHANNELS or not any(channel in run.channels for run in runs):
         return None
     before, edges = residual_map(runs, channel, is_after=False)
@@ -159,7 +159,7 @@ def map_figure(runs: Sequence[RunView], channel: str, say: Words) -> go.Figure |
 
 
 def ranking_figure(report: Mapping[str, Any], shown: int, say: Words, colours: Palette = LIGHT) -> go.Figure:
-    """Draw the effects by probability of being present, the likeliest on top; at least three, however unlikely."""
+    """Draw the effects by probability, the likeliest on top; at least three."""
     every = ranked(report)
     likely = sum(cause["probability"] >= 0.005 for cause in every)
     drawn = every[: min(shown, max(3, likely))][::-1]
@@ -209,7 +209,7 @@ def gain_figure(report: Mapping[str, Any], say: Words, colours: Palette = LIGHT)
 
 
 def hidden_figure(report: Mapping[str, Any], say: Words, colours: Palette = LIGHT) -> go.Figure | None:
-    """Draw how much of each effect the refitted base would swallow on these runs; None where it is not known."""
+    """Draw how much of each effect the refitted base would swallow on these runs."""
     hidden = {name: share for name, share in report["hidden_fraction"].items() if share is not None}
     if not hidden:
         return None
@@ -229,7 +229,7 @@ def hidden_figure(report: Mapping[str, Any], say: Words, colours: Palette = LIGH
 
 
 def trace_figure(runs: Sequence[RunView], channel: str, say: Words, colours: Palette = LIGHT) -> go.Figure | None:
-    """Draw the residual of one channel over time, one row per run, before and after; None without the channel."""
+    """Draw the residual of a channel over time, one row per run, before and after."""
 
     def lines(view: ChannelView) -> Iterator[_Line]:
         for of, predicted, colour in (("base", view.base, colours.source), ("causes", view.explained, colours.mapped)):
@@ -240,7 +240,7 @@ def trace_figure(runs: Sequence[RunView], channel: str, say: Words, colours: Pal
 
 
 def compared_figure(runs: Sequence[RunView], channel: str, say: Words, colours: Palette = LIGHT) -> go.Figure | None:
-    """Draw what was measured and what is predicted before and after, one row per run; None without the channel."""
+    """Draw what was measured and predicted over time, one row per run, before and after."""
 
     def lines(view: ChannelView) -> Iterator[_Line]:
         # The same instants for all three: those at which the base is farthest off.

@@ -1,4 +1,4 @@
-"""One page per diagnosis: where the twin is wrong and why, what it gains to fix it, how sure that is, what to press."""
+"""One page per diagnosis: where the twin is wrong, why, what fixing gains, what is next."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -149,7 +149,7 @@ def _cell(name: str, told: str) -> str:
 
 
 def _told(say: Words, key: str, **values: str) -> str:
-    """Return a text as HTML, with nothing in it or in its values taken for markup but what stands out."""
+    """Return a text as HTML in which only what stands out is markup."""
     return BOLD.sub(r"<b>\1</b>", escape(say(key, **values)))
 
 
@@ -194,7 +194,7 @@ def _partly(report: Mapping[str, Any], say: Words) -> str:
 
 
 def _offsets(report: Mapping[str, Any], say: Words) -> str:
-    """Say what was taken off every run before anything was compared, at most in size; nothing of what shows as 0."""
+    """Say what was taken off every run before it was compared, at most; nothing shows as 0."""
     told = (_own_offsets if report.get("simulator") else _rig_offsets)(report.get("offsets", ()), say)
     return _note(_told(say, "gap.own", offsets="; ".join(told))) if told else ""
 
@@ -246,7 +246,7 @@ def _percent(share: float | None) -> str:
 
 
 def chain_svg(report: Mapping[str, Any], say: Words) -> str:
-    """Return the chain from motion to acquisition as SVG; the darker a stage, the more of the gap sits there."""
+    """Return the chain as SVG; the darker a stage, the more of the gap sits there."""
     shares: dict[str, float] = {}
     for place in report["where"]:
         # Stages come first; the rows after them tell the regime, whose share is one of energy.

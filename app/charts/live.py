@@ -1,4 +1,4 @@
-"""The live signal of a run as an ECharts option: it is drawn into the same chart again and again, without a flicker."""
+"""The live signal of a run as an ECharts option, drawn again and again without a flicker."""
 
 from typing import Any
 

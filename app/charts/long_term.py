@@ -16,7 +16,7 @@ EVENTS = (("held", "x"), ("jumped", "diamond"))
 
 
 def course_figure(course: Course, colours: Palette, words: Words) -> go.Figure:
-    """Draw drift with its uncertainty, gain, offset and predicted error; what was held and alarms stand out."""
+    """Draw drift, gain, offset and predicted error; what was held and alarms stand out."""
     at = thinned(course.steps)
     t_h = [t_s / 3600 for t_s in course.column("t_s")][at]
     figure = make_subplots(rows=4, shared_xaxes=True, vertical_spacing=0.05)

@@ -1,4 +1,4 @@
-"""A lot into Plotly figures: predicted errors, audited scores, the control chart, why units did not pass."""
+"""A lot into figures: predicted errors, audited scores, control chart, reasons, yields."""
 
 from collections.abc import Sequence
 from unicodedata import east_asian_width
@@ -27,7 +27,7 @@ from softcal.core.quality.control_chart import FORBIDDING, ControlChart
 
 BINS = 48
 SHOWN_VALUES = 300
-"""The control chart shows this many of the newest values; its limits and rules come from all of them."""
+"""So many of the newest values are shown; limits and rules come from all."""
 
 MOST_BARS = 24
 """Up to so many audited units have bars with their serials; more are ranked."""
@@ -36,7 +36,7 @@ MOST_REASONS = 8
 
 
 def predicted_errors(view: LotView, colours: Palette, words: Words) -> go.Figure:
-    """Draw how many units have which predicted error, by verdict, with the limit; the last bar holds all beyond."""
+    """Draw the predicted errors by verdict, with the limit; the last bar holds all beyond."""
     every = view.predicted()
     figure = go.Figure()
     top = far_end(every, view.limit_rmse)
@@ -61,7 +61,7 @@ def predicted_errors(view: LotView, colours: Palette, words: Words) -> go.Figure
 
 
 def audit_scores(view: LotView, colours: Palette, words: Words) -> go.Figure:
-    """Draw before, after and own of every audited unit; many units in the order of their error with the map."""
+    """Draw before, after and own of every audited unit; of many in the order of their error."""
     audited = sorted(view.audited, key=lambda row: row.after_rmse or 0.0) if _is_many(view) else view.audited
     figure = go.Figure()
     series = (("before", colours.raw), ("after", colours.mapped), ("own", colours.source))
@@ -84,7 +84,7 @@ def _is_many(view: LotView) -> bool:
 
 
 def control_chart_figure(process: ProcessView, unit: str, colours: Palette, words: Words) -> go.Figure:
-    """Draw single values and moving ranges of the newest units with their control limits; broken rules stand out."""
+    """Draw values and moving ranges of the newest units; broken rules stand out."""
     chart = process.chart
     if chart is None:
         raise ValueError("no control chart without values")
@@ -122,7 +122,7 @@ def _flagged(
 
 
 def reasons_pareto(view: LotView, colours: Palette, words: Words) -> go.Figure:
-    """Draw why units did not pass, the most frequent reason on top, with the running share of all."""
+    """Draw why units did not pass, the most frequent on top, with the running share."""
     shown = view.reasons[:MOST_REASONS]
     counts = np.array([count for _, count in shown], dtype=float)
     every = sum(count for _, count in view.reasons)

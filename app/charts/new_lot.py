@@ -1,4 +1,4 @@
-"""A table that somebody dropped, before it is a lot: its columns over time, and the reference over the output."""
+"""A table that was dropped: its columns over time, and the reference over the output."""
 
 import fnmatch
 from typing import TYPE_CHECKING
@@ -49,7 +49,7 @@ def reference_over_output(
 
 
 def _numbers(content: "pd.DataFrame", name: str) -> Array:
-    """Return a column as numbers; what is none is left out of the picture, and named in words below it."""
+    """Return a column as numbers; what is none is left out of the picture."""
     import pandas as pd
 
     return np.asarray(pd.to_numeric(content[name], errors="coerce"), dtype=float)

@@ -1,4 +1,4 @@
-"""Letters and colours of the screens, light and dark. Every text colour has a contrast of 4.5:1 on its ground."""
+"""Letters and colours of the screens. Every text has a contrast of 4.5:1 on its ground."""
 
 from dataclasses import dataclass
 

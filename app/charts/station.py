@@ -40,7 +40,7 @@ def profile_figure(
 
 
 def golden_figure(runs: Sequence[GoldenRun], chart: ControlChart | None, colours: Palette, words: Words) -> go.Figure:
-    """Draw the checks with one golden unit over time, with control limits where there are enough of them."""
+    """Draw the checks with a golden unit over time, with control limits where there are any."""
     figure = go.Figure()
     for passed, symbol, colour in ((True, "circle", colours.source), (False, "x", colours.limit)):
         mine = [run for run in runs if run.passed is passed]

@@ -1,4 +1,4 @@
-"""How every Plotly figure of the screens looks. Colours come from the palette: limit lines are seen in the dark too."""
+"""How every Plotly figure of the screens looks; its colours come from the palette."""
 
 import math
 from typing import Any
@@ -74,7 +74,7 @@ def whole_numbers(figure: go.Figure, most: float) -> None:
 
 
 def steps(heights: Array) -> Array:
-    """Return the heights of bins for a line of shape `hv` over their edges: the last bin ends at the last edge."""
+    """Return heights of bins for a line of shape `hv` over their edges, to the last edge."""
     return np.append(heights, heights[-1])
 
 

@@ -1,4 +1,4 @@
-"""One unit into Plotly figures: its outputs, its map, its estimates, and what its predicted error is made of."""
+"""One unit into figures: its outputs, its map, its estimates, its recordings."""
 
 import numpy as np
 import plotly.graph_objects as go

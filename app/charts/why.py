@@ -1,4 +1,4 @@
-"""Why a unit's verdict is what it is, in one figure of four panels that the screens and the command line share."""
+"""Why a unit's verdict is what it is: one figure of four panels, on a screen or a page."""
 
 import textwrap
 from collections.abc import Mapping
@@ -162,7 +162,7 @@ def explain_units(registry: Registry, serials: list[str], folder: Path, lot_id: 
 
 
 def why_page(view: UnitView, script: bool | str) -> str:
-    """Return the figure as a page; `script` True puts the drawing script into it, a name refers to a file beside it."""
+    """Return the figure as a page; `script` True holds the drawing script, a name refers to it."""
     figure = why_figure(view, palette("light"), partial(text, "en"))
     return str(figure.to_html(include_plotlyjs=script, config={"displaylogo": False}))
 

@@ -1,4 +1,4 @@
-"""Who sits at the screen and what the role allows: the line's operator without login, people by PIN or company account.
+"""Who sits at the screen and what the role allows: nobody signed in, a PIN, or a company account.
 
 A sign-in by PIN lives in this server's memory under a random token that the browser keeps in a cookie, so that it
 survives a reload and a link, and ends with the shift, the browser or the server.
@@ -20,11 +20,11 @@ from softcal.db.access.people import PERMISSIONS, ROLES, may
 from softcal.db.entries import User
 
 SHIFT = timedelta(hours=10)
-"""A sign-in ends after this time, whatever the browser keeps; Streamlit's cookie of a company account lives 30 days."""
+"""A sign-in ends after this time, though Streamlit's cookie of a company account lives 30 days."""
 
 SESSION = "session"
 ROLE_CLAIM_VARIABLE = "SOFTCAL_ROLE_CLAIM"
-"""Environment variable: which claim of a company account names the role; `roles` where it is not set."""
+"""Environment variable: which claim of a company account names the role; usually `roles`."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def _sign_ins() -> dict[str, SignIn]:
 
 
 def person() -> User:
-    """Return who is at the screen; without sign-in the operator of the line, whose badge stands there."""
+    """Return who is at the screen; without a sign-in the operator of the line."""
     return _by_company_account() or _by_pin() or User("", "operator", True, 0)
 
 
@@ -124,7 +124,7 @@ def allows(action: str) -> bool:
 
 
 def permit(action: str) -> User:
-    """Return who is at the screen if the role allows an action of `PERMISSIONS`; asked by every function that writes.
+    """Return who is at the screen, asked by every function that writes.
 
     Raises:
         InputError: the role does not allow it.
@@ -150,7 +150,7 @@ def has_company_accounts() -> bool:
 
 
 def account_without_role() -> str:
-    """Return the company account that is signed in at this browser and names no role here; "" without."""
+    """Return the company account at this browser that names no role here; "" without."""
     claims = _claims()
     return _name_of(claims) if claims and role_of(claims, role_claim()) is None else ""
 
@@ -174,7 +174,7 @@ def role_of(claims: dict[str, object], claim: str) -> str | None:
 
 
 def is_of_this_shift(claims: dict[str, object], now: datetime) -> bool:
-    """Whether an identity token was issued less than a shift ago (`iat`; OpenID Connect Core 1.0, section 2)."""
+    """Whether an identity token is less than a shift old (`iat`; OpenID Connect Core 1.0, 2)."""
     issued_s = claims.get("iat")
     return isinstance(issued_s, int | float) and now.timestamp() - issued_s < SHIFT.total_seconds()
 
@@ -186,7 +186,7 @@ def _by_company_account() -> User | None:
 
 
 def _claims() -> dict[str, object]:
-    """Return the claims of the company account at this browser; none once its sign-in is older than a shift."""
+    """Return the claims of the company account at this browser; none after a shift."""
     if not st.user.get("is_logged_in"):
         return {}
     claims: dict[str, object] = {**st.user}

@@ -1,4 +1,4 @@
-"""What a person does on a page: a change with its reason, what came of it or why it is refused, and files to take."""
+"""What a person does on a page: changes with a reason, what came of them, and files to take."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -49,14 +49,14 @@ def say_finished(change: str) -> bool:
 
 
 def role_allows(action: str) -> bool:
-    """Whether the role of who is at the screen allows an action of `PERMISSIONS`; else say that it does not."""
+    """Whether the role allows an action of `PERMISSIONS`; else say that it does not."""
     if not allows(action):
         st.caption(say("reason.not_allowed", role=say(f"role.{person().role}")))
     return allows(action)
 
 
 def ask_reason(key: str, label: str, action: str, fields: Callable[[], None] = lambda: None) -> str | None:
-    """Ask for the reason of a change; return it in the run in which the button was pressed, else None.
+    """Ask for the reason of a change; return it in the run in which the button was pressed.
 
     The caller passes the reason and `account.actor()` on to the function of the registry that makes the change and
     its row in the audit trail; `registry().trail.add` makes a row for what changes no table.

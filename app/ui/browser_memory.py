@@ -1,4 +1,4 @@
-"""What a browser remembers for this server across reloads and links, in cookies; and whether it has drawn the page."""
+"""What a browser remembers for this server, in cookies; and whether it has drawn the page."""
 
 from collections.abc import Mapping
 from urllib.parse import unquote
@@ -33,7 +33,7 @@ LONGEST_MS = 3000
 
 
 def recall(name: str) -> str:
-    """Return what was remembered under a name in this tab or, after a reload, in this browser; "" without."""
+    """Return what was remembered in this tab or, after a reload, this browser; "" without."""
     here = st.session_state.get(STATE, {})
     return str(here[name]) if name in here else unquote(_cookies().get(_cookie(name), ""))
 
@@ -49,7 +49,7 @@ def forget(name: str) -> None:
 
 
 def keep() -> None:
-    """Tell the browser what to remember, and ask whether it has drawn the page; drawn once at the end of every run."""
+    """Tell the browser what to remember, and ask what it has drawn; once at the end of a run."""
     told = {_cookie(name): value for name, value in st.session_state.get(STATE, {}).items()}
     # Registered here because a component needs a running server; the same again changes nothing.
     draw = st.components.v2.component("softcal_memory", html=HTML, js=JS)

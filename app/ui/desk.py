@@ -1,4 +1,4 @@
-"""What every page of the Streamlit application shares: the language, the colours, reasons, and how errors look."""
+"""What every page shares: the language, the colours, reasons, and how errors look."""
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -27,13 +27,13 @@ UNSEEN = f".st-key-{FIRST} {{ display: none }}"
 
 
 def language() -> str:
-    """Return the language of the address, else the one chosen last at this browser, else its own, else English."""
+    """Return the language of the address, else this browser's last or own, else English."""
     chosen = str(st.query_params.get(LANGUAGE) or recall(LANGUAGE) or (st.context.locale or "").partition("-")[0])
     return chosen if chosen in LANGUAGES else "en"
 
 
 def zone() -> tzinfo | None:
-    """Return the time zone of the browser; None, that of this machine, where it says none that is known here."""
+    """Return the time zone of the browser; None, that of this machine, where it says none."""
     try:
         return ZoneInfo(st.context.timezone or "")
     except (ValueError, ZoneInfoNotFoundError):
@@ -46,7 +46,7 @@ def instant(at: datetime | None) -> str:
 
 
 _WORDS: ContextVar[Words | None] = ContextVar("words", default=None)
-"""The texts of the language of one drawing: to look the language up anew for each of them takes half a millisecond."""
+"""The texts of one drawing: to look the language up for each of them takes half a millisecond."""
 
 
 @contextmanager
@@ -60,7 +60,7 @@ def in_one_language() -> Iterator[None]:
 
 
 def words() -> Words:
-    """Return the texts of the chosen language; instants in them are said in the browser's time zone."""
+    """Return the texts of the chosen language, with instants in the browser's time zone."""
     return _WORDS.get() or words_in(language(), zone())
 
 
@@ -106,7 +106,7 @@ def readable() -> None:
 
 
 def _file_fields() -> str:
-    """Return the style that has fields for files speak the page's language: Streamlit's own words are English."""
+    """Return the style of fields for files: Streamlit's own words in them are English."""
     size = say("choose.files.size", size=st.get_option("server.maxUploadSize"))
     texts = {
         "[data-testid=stFileUploaderDropzone] button [data-testid=stMarkdownContainer]": say("choose.files"),
@@ -134,7 +134,7 @@ def choose_language() -> None:
 
 @contextmanager
 def errors_in_words() -> Iterator[None]:
-    """Show what a person can act on instead of a stack trace; what nobody foresaw goes to the log."""
+    """Show what a person can act on, not a stack trace; the unforeseen goes to the log."""
     with in_one_language():
         try:
             yield
@@ -166,7 +166,7 @@ def show_figure(figure: Any, key: str) -> None:
 
 
 def choose(label: str, options: list[str], parameter: str) -> str | None:
-    """Let a person choose one of some names; the choice stays in the address, so that a link leads back to it."""
+    """Let a person choose a name; the choice stays in the address, so that a link keeps it."""
     if not options:
         return None
     wanted = st.query_params.get(parameter)

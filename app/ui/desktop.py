@@ -1,4 +1,4 @@
-"""Serve the Streamlit application as a process of its own and show it in a browser or an application window."""
+"""Serve the application as a process of its own, shown in a browser or a window."""
 
 import os
 import shutil

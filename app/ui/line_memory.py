@@ -1,4 +1,4 @@
-"""What the operator's screen remembers by itself: its station, its name among the screens, a lot for a moment."""
+"""What the operator's screen remembers by itself: its station, its tab, a lot for a moment."""
 
 import os
 import secrets
@@ -29,7 +29,7 @@ def screen(seen: int | None = None, until_s: float | None = None) -> Screen:
 
 
 def remember_refusal(why: str) -> None:
-    """Keep why a scan was not taken where the registry cannot: it is away, or there is no station. "" forgets it."""
+    """Keep why a scan was not taken where the registry cannot; "" forgets it."""
     st.session_state[REFUSED] = why
 
 
@@ -39,7 +39,7 @@ def refusal() -> str:
 
 
 def lot_at_line(of: Registry, lot_id: str) -> LotAtLine:
-    """Read a lot, or remember it as long as nothing of it changed; whether it did is asked once a second."""
+    """Read a lot, or remember it while nothing of it changes; asked once a second."""
     name = str(of.database.name)
     return _remembered_lot(name, lot_id, _marker(name, lot_id))
 

@@ -57,7 +57,7 @@ def run() -> None:
 
 @cache
 def _liveness() -> str:
-    """Return the script by which every page says within two seconds that its server is gone, and when it is back."""
+    """Return the script by which a page says within two seconds that its server is gone."""
     return Path(__file__).with_name("liveness.js").read_text(encoding="utf-8")
 
 

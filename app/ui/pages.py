@@ -41,7 +41,7 @@ class PageEntry:
 
     @property
     def render(self) -> Callable[[], None]:
-        """The function that draws it; its module is read when it is opened first, so that a screen starts quickly."""
+        """The function that draws it; its module is read when it is opened first."""
 
         def draw() -> None:
             importlib.import_module(f"softcal.app.ui.app_pages.{self.name}").render()
@@ -75,5 +75,5 @@ PAGES = (
 
 
 def pages_for(user: User, is_new: bool = False) -> tuple[PageEntry, ...]:
-    """Return the pages a person may open, in the order of the navigation; `is_new` as in `PageEntry.is_open_to`."""
+    """Return the pages a person may open, in the order of the navigation."""
     return tuple(page for page in PAGES if page.is_open_to(user, is_new))

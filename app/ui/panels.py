@@ -1,4 +1,4 @@
-"""Pieces of screen that several pages draw: a row of numbers, a figure under its heading, a way to another page."""
+"""Pieces of screen that several pages draw: titles, numbers, figures, tables, ways to a page."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -23,7 +23,7 @@ CLOSER = "[data-testid=stMainBlockContainer] { padding-top: 4.5rem }"
 
 
 def heading(page: str) -> Any:
-    """Draw the title of a page with the language at its right; return the place beside the title for a choice."""
+    """Draw title and language; return the place between them for a choice."""
     st.html(f"<style>{CLOSER}</style>")
     left, middle, right = st.columns([2, 4, 1.3], vertical_alignment="bottom")
     left.title(say(f"page.{page}"))
@@ -33,13 +33,13 @@ def heading(page: str) -> Any:
 
 
 def headline(said: str) -> None:
-    """Draw what a person came for in one sentence, above everything that needs scripts of its own to be drawn."""
+    """Draw what a person came for in one sentence, above what needs scripts to be drawn."""
     with st.container(key="headline"):
         st.markdown(said)
 
 
 def for_lot(page: str) -> Callable[[Callable[[str], None]], Callable[[], None]]:
-    """Make the drawing of a lot a page: its title with the choice of the lot beside it, or how to get a first one."""
+    """Make the drawing of a lot a page: title and choice of the lot, or how to get a first one."""
 
     def page_of(draw: Callable[[str], None]) -> Callable[[], None]:
         @wraps(draw)
@@ -90,7 +90,7 @@ def has_units(lot_id: str) -> bool:
 
 
 def numbers(cells: Sequence[tuple[str, str, str | None]], narrowest_px: int = NARROWEST_NUMBER_PX) -> None:
-    """Draw (label, value, explanation) side by side; what does not fit goes to a second row, nothing is cut off."""
+    """Draw (label, value, explanation) side by side, in as many rows as they need."""
     grid = st.grid(min_column_width=narrowest_px)
     for label, value, explanation in cells:
         grid.metric(label, value, help=explanation, border=True, height="stretch")
@@ -116,7 +116,7 @@ def go_to(page: str, **query: str) -> None:
 
 
 def table(rows: Sequence[Mapping[str, object]]) -> None:
-    """Draw a table to read: a short one in full, so that no sentence is cut off; a long one to scroll in."""
+    """Draw a table to read: a short one in full, a long one to scroll in."""
     if len(rows) > MOST_IN_FULL:
         st.dataframe(pd.DataFrame(rows), width="stretch", hide_index=True, placeholder=NOTHING)
         return
@@ -125,13 +125,13 @@ def table(rows: Sequence[Mapping[str, object]]) -> None:
 
 
 def told(rows: Sequence[Mapping[str, object]]) -> list[dict[str, object]]:
-    """Return the rows without the columns in which none says anything: a table of many has no room for them."""
+    """Return the rows without the columns in which none says anything."""
     names = [name for name in rows[0] if any(row[name] not in ("", None) for row in rows)] if rows else []
     return [{name: row[name] for name in names} for row in rows]
 
 
 def _as_it_is(value: object) -> object:
-    """Return a text that is no Markdown, as cells of a table would be read; a number keeps its unit on its line."""
+    """Return a text for a cell, which is read as Markdown; a number keeps its unit on its line."""
     if isinstance(value, str) and (quantity := QUANTITY.fullmatch(value)):
         value = NO_BREAK.join(quantity.groups())
     return MARKDOWN.sub(r"\\\1", value) if isinstance(value, str) else NOTHING if value is None else value
@@ -140,7 +140,7 @@ def _as_it_is(value: object) -> object:
 def table_to_choose(
     rows: Sequence[Mapping[str, object]], key: str, columns: dict[str, Any] | None = None
 ) -> int | None:
-    """Draw a table of which a person can select one row; return its number, None while none is selected."""
+    """Draw a table to select a row of; return its number, None while none is selected."""
     event = st.dataframe(
         pd.DataFrame(rows),
         width="stretch",

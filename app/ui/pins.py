@@ -20,7 +20,7 @@ CODE_DIGITS = 8
 
 
 def check_pin(pin: str, again: str) -> None:
-    """Refuse a PIN that was typed differently twice, or that is among the first anybody would guess.
+    """Refuse a PIN that was typed differently twice, or that anybody would guess first.
 
     Raises:
         InputError: not equal, all digits equal, a run such as 1234 or 9876, or one pair repeated.
@@ -41,7 +41,7 @@ class _Failures:
 
 
 class Pauses:
-    """Wrong tries of each name at this server, and how long the next one waits: 2 s, then twice as long each time."""
+    """Wrong tries of each name at this server; the next one waits 2 s, then twice as long each."""
 
     def __init__(self, clock: Callable[[], datetime] = lambda: datetime.now(UTC)) -> None:
         self._clock = clock

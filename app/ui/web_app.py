@@ -1,4 +1,4 @@
-"""The application as `streamlit run` serves it: the pages behind the guard, and the short way of the stop key."""
+"""The application as `streamlit run` serves it: the pages, the guard, the stop key's way."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What somebody should look at now, beside the units themselves: said on the page of the lot and sent. No Streamlit."""
+"""What somebody should look at now beside the units: said on the lot's page and sent."""
 
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta

@@ -22,7 +22,7 @@ _ENTITIES = {
     "registry": "",
 }
 SECTIONS = {entity: heading for heading, entities in _ENTITIES.items() for entity in entities.split()}
-"""What a row is about → the heading an auditor looks under; files that were taken stand under `papers`."""
+"""What a row is about → its heading; files that were taken stand under `papers`."""
 
 HEADINGS = tuple(_ENTITIES)
 FIELDS = (

@@ -1,4 +1,4 @@
-"""The audited units of a lot: estimate against reference, and the error over the load. No Streamlit."""
+"""The audited units of a lot: estimate against reference, and the error over the load."""
 
 from dataclasses import dataclass
 
@@ -79,7 +79,7 @@ class AuditedView:
 def audited_view(
     registry: Registry, lot: Lot, audited: tuple[UnitErrors, ...], limit_rmse: float | None = None
 ) -> AuditedView | None:
-    """Estimate the newest audits of a lot's units with the maps in use; None where no audit was kept."""
+    """Estimate the newest audits of a lot with the maps in use; None where there are none."""
     worst = sorted(audited, key=lambda row: -(row.after_rmse or 0.0))[:MOST_UNITS]
     units = tuple(unit for row in worst if (unit := _unit(registry, lot.id, row.serial)) is not None)
     if not units:

@@ -1,4 +1,4 @@
-"""What the operator's screen shows, computed without Streamlit: one state, one word, one instruction."""
+"""What the operator's screen shows: one state, one word, one instruction. No Streamlit."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,10 +14,10 @@ from softcal.db.entries import RunEntry, UnitStanding
 
 MOST_SENTENCES = 3
 KEYS = {"START": "F2", "OK": "F4", "CANCEL": "F6", "STOP": "F8"}
-"""Command → function key; a command is also a bar code, `CMD:START`. START alone moves anything, in every state."""
+"""Command → function key, also a bar code, `CMD:START`. START alone moves anything."""
 
 COMMAND_OF_KEY = {key: command for command, key in KEYS.items()}
-"""Function key → command, in every state the same, so that no key is lost while a screen is drawn."""
+"""Function key → command, the same in every state: none is lost while a screen is drawn."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class LineView:
 
     @property
     def seen(self) -> int:
-        """What a key says that was pressed at this card: the version of what it offered to start, -1 where nothing."""
+        """What a key of this card says: the version of what it offered to start, -1 for nothing."""
         return self.version if "START" in self.actions else -1
 
     @property
@@ -126,7 +126,7 @@ def action_said(command: str, state: str, words: Words) -> str:
 
 
 def note_said(facts: LineFacts, words: Words) -> tuple[str, bool] | None:
-    """Return the sentence about the last scan and whether it was a refusal; None where there is none."""
+    """Return the sentence about the last scan, and whether it was a refusal."""
     note = facts.note
     return None if note is None else (words(f"note.{note.key}", **note.values), note.is_refusal)
 
@@ -162,7 +162,7 @@ def _state(facts: LineFacts) -> tuple[str, LineRun | None]:
 
 
 def _idle(facts: LineFacts) -> str:
-    """Return the state where nobody knows which unit is in the hand; before the first run there is none yet."""
+    """Return the state where nobody knows which unit is in the hand, or none was pressed yet."""
     if not facts.may_press:
         return "closed"
     if facts.lot is None:
@@ -195,7 +195,7 @@ def verdict_of(facts: LineFacts, run: LineRun) -> str:
 
 @dataclass(frozen=True)
 class _Card:
-    """What the sentences of a state are made of: where the line stands, the state, and the run it is about."""
+    """What the sentences of a state are made of: the line, the state and its run."""
 
     facts: LineFacts
     name: str
@@ -329,7 +329,7 @@ def _say_what_will_lack(card: _Card) -> tuple[str, ...]:
 
 
 def _say_error(card: _Card) -> tuple[str, ...]:
-    """Say what a good unit got: its own error beside the lot's limit, and nothing of how either was found."""
+    """Say what a good unit got: its error beside the lot's limit."""
     facts, made = card.facts, card.standing.made if card.standing else None
     kind, rmse = "", facts.results[-1].predicted_rmse if facts.results else None
     if made is not None:

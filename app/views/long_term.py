@@ -1,4 +1,4 @@
-"""Units in use: who needs a calibration, and the course of one unit's drift, map and predicted error. No Streamlit."""
+"""Units in use: who needs a calibration, and the course of one over time."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

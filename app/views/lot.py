@@ -1,4 +1,4 @@
-"""A lot at a glance: yields, errors, the process behind them and the units that need a look. No Streamlit."""
+"""A lot at a glance: yields, errors, the process and the units that need a look."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -28,7 +28,7 @@ NEWEST_OF_YIELD = 20
 """So many of the newest units are compared with all before them; set, not fitted."""
 
 DROP_CHANCE = 0.005
-"""A drop that chance alone shows more often is none; set, not fitted: looked at after every unit."""
+"""A drop that chance shows more often is none; set, not fitted: looked at after every unit."""
 
 EVERY_RUN = LotFilter()
 NEEDS_A_LOOK = ("fail", "retest", "conditional")
@@ -213,7 +213,7 @@ def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> 
 
 
 def _withdrawn(registry: Registry, lot_id: str, passing: int) -> tuple[str, ...]:
-    """Return what `LotStanding.withdrawn` has: read unit by unit only where more passed once than pass now."""
+    """Return `LotStanding.withdrawn`; unit by unit only where more passed once than now."""
     passed = registry.calibrations.passed_once(lot_id)
     if len(passed) == passing:
         return ()
@@ -223,7 +223,7 @@ def _withdrawn(registry: Registry, lot_id: str, passing: int) -> tuple[str, ...]
 
 
 def _counts(errors: Sequence[UnitErrors], runs: Sequence[RunEntry]) -> dict[str, int]:
-    """Count the units of some runs by the verdict of their map in use, of those without one by their newest run."""
+    """Count units by the verdict of their map in use, without one by their newest run."""
     standing = {run.serial: run.verdict for run in runs} | {row.serial: row.verdict for row in errors}
     found = Counter(standing.values())
     return {word: found[word] for word in (*reversed(VERDICTS), "none")}
@@ -248,7 +248,7 @@ def yield_drop(runs: Sequence[RunEntry]) -> YieldDrop | None:
 
 
 def process_view(runs: Sequence[RunEntry], limit_rmse: float | None) -> ProcessView:
-    """Return the control chart of the predicted errors of runs in time order, and the capability against a limit."""
+    """Return control chart and capability of the predicted errors of runs in time order."""
     known = [(run.serial, run.predicted_rmse) for run in runs if run.predicted_rmse is not None]
     serials = tuple(serial for serial, _ in known)
     try:

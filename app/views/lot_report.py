@@ -1,4 +1,4 @@
-"""What is told of a lot: its report, of which page and PDF are two forms, and lots side by side. No Streamlit."""
+"""What is told of a lot: its report, as a page and as a PDF, and lots side by side."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

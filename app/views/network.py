@@ -1,4 +1,4 @@
-"""Networks of a lot: what each was trained with and reached, and how they compare on its units. No Streamlit."""
+"""Networks of a lot: what each was trained with and reached, and how they compare."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What the pages of the rig show: the checks with each golden unit, the recording of a source. No Streamlit."""
+"""What the pages of the rig show: checks with golden units, sources, profiles."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -46,7 +46,7 @@ def _golden_unit(station: str, serial: str, runs: list[GoldenRun]) -> GoldenUnit
 
 
 def source_facts(source: LabelledRecording) -> Mapping[str, str]:
-    """Return what a person checks in a source recording before f is trained on it, by key of its label."""
+    """Return what a person checks in a source recording, by key of its label."""
     output, reference = source.unlabelled.output, source.reference
     return {
         "column.duration": f"{len(output) / source.unlabelled.sample_rate_Hz:.0f} s",

@@ -1,4 +1,4 @@
-"""One unit in full: a revision of its map, its estimates, and why its verdict is what it is. No Streamlit."""
+"""One unit in full: a revision of its map, its estimates, and why its verdict is so."""
 
 from dataclasses import dataclass
 
@@ -44,7 +44,7 @@ class UnitView:
         return self.calibration.unit_map.apply(self.recording.windows)[:, -1]
 
     def map_curve(self) -> tuple[Array, Array]:
-        """Return (levels, levels as the source would show them) of a unit at rest, over the unit's own range."""
+        """Return levels of a unit at rest, and as the source would show them."""
         low, high = float(self.recording.output.min()), float(self.recording.output.max())
         level = np.linspace(low, high, CURVE_POINTS)
         return level, self.calibration.unit_map.apply(resting(level))[:, -1]

@@ -1,4 +1,4 @@
-"""The audit of a lot: draw the units to check with the load cell, bring their recordings, see what they say."""
+"""The audit of a lot: draw units for the load cell, bring their recordings, see the result."""
 
 import streamlit as st
 
@@ -90,7 +90,7 @@ def _stands(audit: LotAudit, lot_id: str) -> None:
 
 
 def _upload(lot_id: str) -> None:
-    """Draw the field for labelled recordings, what would become of each, and how far their scoring is."""
+    """Draw the field for labelled recordings, what would become of each, and their scoring."""
     st.markdown(f"## {say('audit.bring')}")
     if awaits_calibration(ASKED, lot_id):
         return

@@ -1,4 +1,4 @@
-"""The audit trail: who did what, before and after, and why; filtered, searched, taken along. Newest first."""
+"""The audit trail: who did what and why, filtered, searched, taken along. Newest first."""
 
 from datetime import UTC, date, datetime, time
 from functools import partial

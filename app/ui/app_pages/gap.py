@@ -1,4 +1,4 @@
-"""The gap between the twin and a rig: choose a case, run the diagnosis, read it, press what it proposes."""
+"""The gap between the twin and a rig: choose a case, run the diagnosis, press what it proposes."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The known loads of a lot: what was read under which load on which unit, and a way to bring more."""
+"""The known loads of a lot: what was read under which load, and a way to bring more."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -59,7 +59,7 @@ def _row(one: UnitLoads, lot: Lot, newest: Mapping[str, str]) -> dict[str, objec
 
 
 def _bring(lot: Lot, newest: Mapping[str, str]) -> None:
-    """Draw the field for a table, what would become of each unit, and how far the calibration is."""
+    """Draw the field for a table, what would become of each unit, and the calibration."""
     st.markdown(f"## {say('known_loads.bring')}")
     if awaits_calibration(ASKED, lot.id):
         return

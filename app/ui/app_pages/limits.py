@@ -1,4 +1,4 @@
-"""The limit and the rules of a lot in versions: what holds, who set it and why, and what another limit would do."""
+"""The limit and the rules of a lot in versions, and what another limit would do."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -157,7 +157,7 @@ def _asked(now: LineRules, unit: str, mark: str) -> dict[str, Any]:
 
 
 def _loads(now: LineRules, unit: str, mark: str) -> tuple[tuple[float, float], ...]:
-    """Draw the known loads the line asks for; return those that are given, as (load, U) in the lot's unit."""
+    """Draw the known loads the line asks for; return each as (load, U) in the lot's unit."""
     st.markdown(say("rules.loads"), help=say("rules.loads.help"))
     found = []
     cells = st.columns(2 * MOST_LOADS)

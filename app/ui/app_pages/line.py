@@ -1,4 +1,4 @@
-"""The operator's screen: one state, one instruction, and a field that always listens. It only reads rows and orders."""
+"""The operator's screen: one state, one instruction, and a field that always listens."""
 
 from functools import partial
 
@@ -19,7 +19,7 @@ from softcal.app.views.line import COMMAND_OF_KEY, KEYS, LineView, action_said, 
 from softcal.core.errors import InputError, RegistryError
 
 BUSY_S, IDLE_S = 0.5, 1.0
-"""Between two looks: during a run, and else; an idle screen looks too, since another one may have started a run."""
+"""Between two looks, during a run and else: another screen may start a run."""
 
 IS_BUSY = "line-is-busy"
 
@@ -65,7 +65,7 @@ def _look() -> tuple[LineView, tuple[str, bool] | None]:
 
 
 def _signed_in() -> str:
-    """Return who has shown who they are at this screen; a badge is no proof and stands at the line."""
+    """Return who signed in at this screen; a badge is no proof and stands at the line."""
     return person().name if is_signed_in() else ""
 
 

@@ -1,4 +1,4 @@
-"""What makes a station's references trustworthy: the load cells' certificates and the checks with golden units."""
+"""Why a station's references can be trusted: certificates and checks with golden units."""
 
 import tempfile
 from datetime import UTC, date, datetime

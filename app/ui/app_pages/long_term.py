@@ -1,4 +1,4 @@
-"""Units in use: which need a calibration, and the drift, map and predicted error of one over time."""
+"""Units in use: which need a calibration, and the course of one over time."""
 
 import streamlit as st
 

@@ -1,4 +1,4 @@
-"""The lot at a glance: yields, errors, the process behind them, the units that need a look, the table."""
+"""The lot at a glance: yields, errors, the process, the units that need a look, the table."""
 
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -99,7 +99,7 @@ def _numbers(view: LotView) -> None:
 
 
 def _figures(view: LotView) -> None:
-    """Draw errors and scores side by side, the control chart below, then why units failed beside the capability."""
+    """Draw errors beside scores, the control chart, and why units failed beside the capability."""
     left, right = st.columns(2)
     with left:
         figure_under("lot.distribution", charts_lot.predicted_errors(view, colours(), say), "predicted")
@@ -151,7 +151,7 @@ SEEN = "calibrate-seen"
 
 
 def _calibrate_again(lot_id: str) -> None:
-    """Draw the button for whom the role allows it, and how far a calibration of the lot is for everybody."""
+    """Draw the button where the role allows it, and for everybody how far a calibration is."""
     job = newest_job("calibrate", lot=lot_id)
     has_source = bool(registry().recordings.of_lot(lot_id, kind="source"))
     if allows("set_up") and has_source and not is_running(job):

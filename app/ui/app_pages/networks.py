@@ -1,4 +1,4 @@
-"""The shared networks of a lot: train one with the loss live, and compare networks and map families on its units."""
+"""The shared networks of a lot: train one, release one, compare them and the map families."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""A new lot out of files: drop them, map the columns, name the source, see what would be refused, calibrate."""
+"""A new lot out of files: drop them, map columns, name the source, see refusals, calibrate."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -60,7 +60,7 @@ def render() -> None:
 
 
 def _columns(path: Path, content: pd.DataFrame) -> tuple[Columns, float]:
-    """Draw preview, choice and plots; return the columns and the sample rate in Hz, 0 while nobody knows it."""
+    """Draw preview, choice and plots; return columns and sample rate in Hz, 0 while unknown."""
     st.caption(say("new_lot.preview", file=path.name, rows=len(content), columns=len(content.columns)))
     st.dataframe(content.head(ROWS), width="stretch", hide_index=True)
     shapes = {"files": say("new_lot.shape.files"), "wide": say("new_lot.shape.wide")}
@@ -90,7 +90,7 @@ def _rate_Hz(path: Path, time_column: str | None) -> float:
 
 
 def _facts(files: Sequence[Path], content: pd.DataFrame, columns: Columns) -> tuple[dict[str, Any], bool]:
-    """Draw the form of the lot; return its facts by name, and whether references of target units are audits."""
+    """Draw the form; return the lot's facts by name, and whether references are audits."""
     if columns.is_wide:
         others = {columns.reference, columns.time, columns.stage}
         names = (str(name) for name in content.columns if name not in others)
@@ -116,7 +116,7 @@ def _facts(files: Sequence[Path], content: pd.DataFrame, columns: Columns) -> tu
 
 
 def _expected(plan: ImportPlan) -> ImportPlan | None:
-    """Draw what would become of every unit; return the plan without what is refused, None where no lot is left."""
+    """Draw what would become of every unit; return the plan without what is refused."""
     expected = expect(plan)
     refused = [one for one in expected if one.problem]
     doubtful = [one for one in expected if one.findings]

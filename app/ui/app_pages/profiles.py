@@ -1,4 +1,4 @@
-"""The profiles a station presses with: their course, their time, and whether they keep the bounds of the station."""
+"""The profiles a station presses with, and whether they keep its bounds."""
 
 import tempfile
 from pathlib import Path
@@ -17,7 +17,7 @@ from softcal.station.devices.config import FixtureConfig, SafetyConfig
 FILE = "file"
 
 REACHED = {"depth": "reached", "speed": "speed"}
-"""How what a profile asks for is called: its depth counts from where it begins, what it reaches from the stage."""
+"""How a profile's reach is called: its depth counts from its beginning, the bound from the stage."""
 
 
 def render() -> None:

@@ -1,4 +1,4 @@
-"""What leaves the house for a lot: the statement on its units, their files and certificates as one archive."""
+"""What leaves the house for a lot: the statement on its units, their files and certificates."""
 
 from collections.abc import Sequence
 from dataclasses import fields, replace
@@ -146,7 +146,7 @@ PARTS = {"laboratory": Party, "customer": Party, "person": Person}
 
 
 def _laboratory() -> None:
-    """Draw the form, filled with what is kept; what it says stands on every certificate from then on."""
+    """Draw the form, filled with what is kept, of what every later certificate says."""
     st.caption(say("laboratory.how"))
     kept = read_laboratory(kept_laboratory())
     if not role_allows("set_up"):
@@ -201,7 +201,7 @@ def _cell(kept: LoadCell, known: list[str]) -> str:
 
 
 def _of_certificate(entry: CellCertificate) -> LoadCell:
-    """Return what certificates say of a load cell whose certificate the registry has; its due date with it."""
+    """Return what certificates say of a load cell whose certificate the registry has."""
     return LoadCell(
         serial=entry.cell_serial,
         certificate=entry.number,

@@ -1,4 +1,4 @@
-"""Sign in by PIN or company account; the first person of a registry; the language; and the way out."""
+"""Sign in by PIN or company account; the first person of a registry; the way out."""
 
 from html import escape
 from typing import Literal

@@ -1,4 +1,4 @@
-"""Calibrate a source, step by step: the lot, the press with the load cell, a look at the recording, the network."""
+"""Calibrate a source step by step: the lot, the press, a look at the recording, the network."""
 
 import streamlit as st
 

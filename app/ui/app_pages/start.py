@@ -1,4 +1,4 @@
-"""The front door: the demo, a lot out of files, a station; while there is no other lot everybody comes here."""
+"""The front door: the demo, a lot out of files, a station."""
 
 import streamlit as st
 

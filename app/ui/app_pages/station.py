@@ -1,4 +1,4 @@
-"""The stations: what each does, why its gate is closed, its runs, its self-test, and the set-up of a new rig."""
+"""The stations: what each does, why its gate is closed, its runs, and the set-up of a rig."""
 
 from collections.abc import Mapping
 from datetime import UTC, datetime

@@ -1,4 +1,4 @@
-"""One unit by serial: why its verdict is what it is, its map, its estimates, its history and its files."""
+"""One unit by serial: why its verdict is so, its map, estimates, history and files."""
 
 from collections.abc import Sequence
 

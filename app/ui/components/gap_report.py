@@ -1,4 +1,4 @@
-"""A diagnosis on the screen: where the twin is wrong, why, what fixing it gains, how sure, what to press next."""
+"""A diagnosis on the screen: where the twin is wrong, why, what fixing gains, what is next."""
 
 from pathlib import Path
 

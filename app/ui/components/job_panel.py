@@ -59,7 +59,7 @@ def job_panel(job: Job, live: Live | None = None) -> bool:
 
 
 def awaits_calibration(asked: str, lot_id: str) -> bool:
-    """Draw the calibration of a lot that was asked for on this page; return whether it is under way.
+    """Draw the calibration that was asked for on this page; return whether it is under way.
 
     Args:
         asked: under which the session keeps the id of its job; its end is said by the text ASKED.done.
@@ -90,6 +90,6 @@ def _running(job_id: str, live: Live | None) -> None:
 
 
 def _step_said(job: Job) -> str:
-    """Return the step of a job that names it by key, in the language of the screen; "" where it does not."""
+    """Return the step of a job that names it by key; "" where it does not."""
     step = job.trace.get("step")
     return say(f"step.{step}", **job.trace["values"]) if step else ""

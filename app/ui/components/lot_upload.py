@@ -1,4 +1,4 @@
-"""Files that a browser drops for a new lot: kept for this tab, read once, looked at, mapped to columns."""
+"""Files that a browser drops: kept for this tab, read once, mapped to columns."""
 
 import re
 import shutil
@@ -31,7 +31,7 @@ NAMES = {
 
 
 def dropped_files(field: str = NEW_LOT) -> list[Path]:
-    """Draw the field for files and return where they lie now; the same name dropped twice is one file."""
+    """Draw the field for files; return where they lie. A name dropped twice is one file."""
     kinds = sorted(suffix[1:] for suffix in SUFFIXES)
     # A field that was forgotten is another one afterwards, so that it is empty.
     key = f"{field}-files-{st.session_state.get(f'{field}-forgotten', 0)}"

@@ -1,4 +1,4 @@
-"""The field every scan goes into: focus is always there, F-keys are commands, and it tells screen readers the state."""
+"""The field every scan goes into: always in focus, with F-keys, heard by screen readers."""
 
 import time
 from collections.abc import Callable, Mapping

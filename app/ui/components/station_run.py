@@ -18,7 +18,7 @@ SIMULATED, AWAITED = "simulated-1", "station-awaited"
 
 
 def choose_station() -> str | None:
-    """Let a person choose a station; None, with how to start one, where none has ever served this registry."""
+    """Let a person choose a station; None, with how to start one, where there is none."""
     names = [beat.station for beat in registry().order_queue.stations()]
     if not names:
         st.info(say("station.none.how"), icon=":material/inbox:", title=say("station.none"))
