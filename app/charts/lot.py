@@ -1,6 +1,7 @@
 """A lot into figures: predicted errors, audited scores, control chart, reasons, yields."""
 
 from collections.abc import Sequence
+from typing import Any
 from unicodedata import east_asian_width
 
 import numpy as np
@@ -117,7 +118,7 @@ def _flagged(
         if signal.index >= first and signal.rule in FORBIDDING:
             rules.setdefault(signal.index, []).append(signal.rule)
     text = [f"{names[k - first]}: {', '.join(words(f'rule.{rule}') for rule in found)}" for k, found in rules.items()]
-    look = {"symbol": "diamond", "text": text, "hovertemplate": "%{text}<extra></extra>"}
+    look: dict[str, Any] = {"symbol": "diamond", "text": text, "hovertemplate": "%{text}<extra></extra>"}
     dots(figure, [k + 1 for k in rules], [chart.values[k] for k in rules], colours.limit, None, 10, 1, **look)
 
 

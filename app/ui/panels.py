@@ -109,14 +109,42 @@ def figures_beside(*shown: tuple[str, Any, str]) -> None:
             figure_under(*one)
 
 
+def find_unit(
+    parameter: str, key: str, columns: Sequence[Any], known: Callable[[str], list[str]], usual: int = 0
+) -> str | None:
+    """Draw a field to search serials and the choice of one, which stays in the address; None where none is known.
+
+    Args:
+        columns: of the field and of the choice.
+        known: serials that hold what was typed.
+        usual: number of the one that is chosen at first.
+    """
+    asked = str(st.query_params.get(parameter, ""))
+    find, choice = columns
+    text = str(find.text_input(say("unit.find"), key=f"{key}-find", icon=":material/search:") or "").strip()
+    found = known(text)
+    if asked and not text and asked not in found:
+        found = [asked, *found]
+    if not found:
+        return None
+    index = found.index(asked) if asked in found else usual % len(found)
+    serial = str(choice.selectbox(say("column.serial"), found, index=index, key=f"{key}-choice-{text}-{asked}"))
+    if serial != asked:
+        st.query_params[parameter] = serial
+    return serial
+
+
 def go_to(page: str, **query: str) -> None:
     """Open another page of the application in this tab."""
     entry = next(entry for entry in PAGES if entry.name == page)
     st.switch_page(st.Page(entry.render, url_path=entry.name), query_params=query)
 
 
-def table(rows: Sequence[Mapping[str, object]]) -> None:
-    """Draw a table to read: a short one in full, a long one to scroll in."""
+def table(rows: Sequence[Mapping[str, object]], otherwise: str = "") -> None:
+    """Draw a table to read: a short one in full, a long one to scroll in; of no rows the sentence instead."""
+    if not rows and otherwise:
+        st.caption(otherwise)
+        return
     if len(rows) > MOST_IN_FULL:
         st.dataframe(pd.DataFrame(rows), width="stretch", hide_index=True, placeholder=NOTHING)
         return

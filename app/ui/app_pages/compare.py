@@ -5,7 +5,7 @@ import streamlit as st
 from softcal.app.charts.compare import errors_of_lots, maps_together, predicted_over_load
 from softcal.app.texts.reasons import all_said
 from softcal.app.ui.desk import colours, empty, instant, registry, say, verdict_badge
-from softcal.app.ui.panels import figure_under, figures_beside, heading, rest_may_follow, table
+from softcal.app.ui.panels import figure_under, figures_beside, find_unit, heading, rest_may_follow, table
 from softcal.app.ui.server_memory import remembered_lot_view
 from softcal.app.views.common import number
 from softcal.app.views.lot_report import MOST_LOTS, lot_rows
@@ -34,7 +34,10 @@ def render() -> None:
 
 
 def _units() -> None:
-    chosen = [_choose(place, column) for place, column in zip(PLACES, st.columns(2), strict=True)]
+    chosen = [
+        find_unit(place, f"compare-{place}", (column, column), _calibrated, usual)
+        for usual, (place, column) in enumerate(zip(PLACES, st.columns(2), strict=True))
+    ]
     if not all(chosen):
         empty("empty.units")
         return
@@ -73,21 +76,8 @@ def _lots() -> None:
         figure_under("lot.distribution", errors_of_lots(views, colours(), say), "compare-errors")
 
 
-def _choose(place: str, column: st.delta_generator.DeltaGenerator) -> str | None:
-    """Draw the choice of one unit; it stays in the address, so that a link leads back to it."""
-    asked = str(st.query_params.get(place, ""))
-    text = str(column.text_input(say("unit.find"), key=f"compare-find-{place}", icon=":material/search:") or "").strip()
-    found = [one for one in registry().pages.find_serials(text) if registry().calibrations.history(one)]
-    if asked and asked not in found and not text:
-        found = [asked, *found]
-    if not found:
-        return None
-    usual = PLACES.index(place) % len(found)
-    index = found.index(asked) if asked in found else usual
-    serial = str(column.selectbox(say("column.serial"), found, index=index, key=f"compare-{place}-{text}-{asked}"))
-    if serial != asked:
-        st.query_params[place] = serial
-    return serial
+def _calibrated(text: str) -> list[str]:
+    return [one for one in registry().pages.find_serials(text) if registry().calibrations.history(one)]
 
 
 def _rows(left: UnitView, right: UnitView) -> list[dict[str, object]]:

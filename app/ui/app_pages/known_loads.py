@@ -32,10 +32,7 @@ def render(lot_id: str) -> None:
         return
     st.markdown(say("known_loads.what"))
     found = list(known_loads(registry(), lot_id).values())
-    if found:
-        table([_row(one, lot, newest) for one in reversed(found)])
-    else:
-        st.caption(say("known_loads.none"))
+    table([_row(one, lot, newest) for one in reversed(found)], say("known_loads.none"))
     st.caption(say("known_loads.line"))
     if allows("set_limit"):
         if st.button(say("known_loads.to_rules"), icon=":material/arrow_forward:", key="known-loads-rules"):

@@ -23,6 +23,8 @@ from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import VERDICTS
 from softcal.db.entries import LimitEntry, LineRulesEntry
 
+MOST_UNITS, MOST_RETESTS = 10_000_000, 99
+
 
 @for_lot("limits")
 def render(lot_id: str) -> None:
@@ -36,11 +38,13 @@ def render(lot_id: str) -> None:
     with right:
         figure_under("lot.distribution", charts_lot.predicted_errors(view, colours(), say), "limit-distribution")
     st.header(say("limits.versions"))
-    if versions:
-        table([_row(entry, view.lot.reference_unit) for entry in reversed(versions)])
-    else:
-        st.caption(say("limits.none"))
-    rules_form(view.lot)
+    table([_row(entry, view.lot.reference_unit) for entry in reversed(versions)], say("limits.none"))
+    st.header(say("rules.title"))
+    say_finished("rules")
+    rules = registry().lots.line_rules_versions(lot_id)
+    with st.container(border=True):
+        _change_rules(view.lot, rules)
+    table([_rule_row(entry) for entry in reversed(rules)], say("rules.none"))
 
 
 def _row(entry: LimitEntry, unit: str) -> dict[str, object]:
@@ -72,7 +76,11 @@ def _change(view: LotView, versions: list[LimitEntry]) -> None:
         key=f"limit-{view.lot.id}-{version}",
     )
     if not is_automatic:
-        _preview(view, wanted)
+        errors = view.predicted()
+        if count := len(errors):
+            within = int((errors <= wanted).sum())
+            st.markdown(say("limits.within", within=within, count=count, share=percent(within / count)))
+        st.caption(say("limits.note"))
     reason = ask_reason(f"limit-{view.lot.id}-{version}", say("limits.set"), "set_limit")
     if reason is None:
         return
@@ -82,31 +90,6 @@ def _change(view: LotView, versions: list[LimitEntry]) -> None:
         registry().lots.set_limit(view.lot.id, rmse, reason=reason, actor=actor(), expected_version=version)
         judge_again(registry(), [view.lot.id], actor())
         finish("limit", say("limits.done", limit=say("lot.limit.none") if rmse is None else f"{rmse:g}"))
-
-
-def _preview(view: LotView, wanted: float) -> None:
-    errors = view.predicted()
-    if len(errors):
-        within = int((errors <= wanted).sum())
-        share = percent(within / len(errors))
-        st.markdown(say("limits.within", within=within, count=len(errors), share=share))
-    st.caption(say("limits.note"))
-
-
-MOST_UNITS, MOST_RETESTS = 10_000_000, 99
-
-
-def rules_form(lot: Lot) -> None:
-    """Draw the rules that hold, what to set instead, and every version."""
-    st.header(say("rules.title"))
-    say_finished("rules")
-    versions = registry().lots.line_rules_versions(lot.id)
-    with st.container(border=True):
-        _change_rules(lot, versions)
-    if versions:
-        table([_rule_row(entry) for entry in reversed(versions)])
-    else:
-        st.caption(say("rules.none"))
 
 
 def _change_rules(lot: Lot, versions: Sequence[LineRulesEntry]) -> None:

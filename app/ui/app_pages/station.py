@@ -104,10 +104,7 @@ def _runs(station: str) -> None:
         for order, progress in registry().order_queue.runs(station, RUNS)
     ]
     st.header(say("station.runs"))
-    if rows:
-        table(rows)
-    else:
-        st.caption(say("station.runs.none"))
+    table(rows, say("station.runs.none"))
 
 
 def _ask(is_busy: bool) -> None:

@@ -29,6 +29,7 @@ from softcal.app.ui.desk import (
 from softcal.app.ui.panels import (
     figure_under,
     figures_beside,
+    find_unit,
     heading,
     numbers,
     rest_may_follow,
@@ -46,7 +47,9 @@ TABS = ("why", "map", "estimates", "recordings", "history", "files")
 
 def render() -> None:
     with heading("unit"):
-        serial = _choose_unit()
+        serial = find_unit("unit", "unit", st.columns(2, vertical_alignment="bottom"), _known)
+        if serial is not None:
+            in_full(serial)
     if serial is None:
         empty("empty.units")
         return
@@ -112,28 +115,12 @@ def _revision(serial: str, history: list[StoredCalibration]) -> None:
         _files(serial, lot_id, revision, is_in_use=revision == current)
 
 
-def _choose_unit() -> str | None:
-    """Return the serial of the address or of the field; None where no unit has a result yet.
-
-    The serial stays in the address, so that a link leads back to it.
-    """
-    asked = str(st.query_params.get("unit", ""))
-    left, right = st.columns(2, vertical_alignment="bottom")
-    text = str(left.text_input(say("unit.find"), key="unit-find", icon=":material/search:") or "").strip()
+def _known(text: str) -> list[str]:
     found = registry().pages.find_serials(text)
     if not found and text:
         st.caption(say("unit.find.none", text=text))
-        found = registry().pages.find_serials("")
-    if asked and not text and asked not in found:
-        found = [asked, *found]
-    if not found:
-        return None
-    index = found.index(asked) if asked in found else 0
-    chosen = str(right.selectbox(say("column.serial"), found, index=index, key=f"unit-choice-{text}-{asked}"))
-    if chosen != asked:
-        st.query_params["unit"] = chosen
-    in_full(chosen)
-    return chosen
+        return registry().pages.find_serials("")
+    return found
 
 
 def _files(serial: str, lot_id: str, revision: int, is_in_use: bool) -> None:

@@ -15,7 +15,7 @@ from softcal.app.ui.server_memory import remembered_lot_view
 from softcal.app.views.alerts import alerts
 from softcal.app.views.line import STATES
 from softcal.app.views.lot_runs import LotFilter
-from softcal.app.views.wall import StationTile, WallView, wall_view
+from softcal.app.views.wall import WallView, wall_view
 
 EVERY_S = 3.0
 """Between two looks; a lot that did not change costs one query."""
@@ -37,10 +37,8 @@ def _of_lot(lot_id: str) -> None:
 def _board(lot_id: str) -> None:
     view = remembered_lot_view(lot_id, LotFilter(zone=zone()))
     now = datetime.now(UTC).astimezone(zone())
-    found = alerts(registry(), view, now)
     with st.container(key="wall"):
-        board = wall_view(registry(), view, found, say, now)
-        st.html(board_html(board, say("line.last"), say("wall.well"), say("wall.stations.none")))
+        st.html(board_html(wall_view(registry(), view, alerts(registry(), view, now), say, now)))
 
 
 @cache
@@ -49,14 +47,8 @@ def board_style() -> str:
     return f"<style>{Path(__file__).with_suffix('.css').read_text(encoding='utf-8')}</style>"
 
 
-def board_html(view: WallView, last: str, well: str, no_station: str) -> str:
-    """Return the board.
-
-    Args:
-        last: heading of the last units.
-        well: what stands there while nothing needs a look.
-        no_station: what stands there while no station has given a sign of life.
-    """
+def board_html(view: WallView) -> str:
+    """Return the board."""
     tiles = "".join(
         f'<div class="sw-tile"><span>{escape(label)}</span><b>{escape(value)}</b><small>{escape(below)}</small></div>'
         for label, value, below in view.tiles
@@ -65,21 +57,17 @@ def board_html(view: WallView, last: str, well: str, no_station: str) -> str:
         f'<div class="sw-count sc-{STATES[verdict].tone}"><b>{count}</b><span>{escape(word)}</span></div>'
         for verdict, word, count in view.verdicts
     )
-    stations = "".join(map(_station, view.stations)) or f"<span>{escape(no_station)}</span>"
+    looks = "".join(f'<li class="{"sw-urgent" if urgent else ""}">{escape(text)}</li>' for text, urgent in view.alerts)
+    stations = "".join(
+        f'<span><b>{escape(name)}</b> <span class="{"sw-well" if is_well else "sw-ill"}">{escape(word)}</span></span>'
+        for name, word, is_well in view.stations
+    )
+    no_station = f"<span>{escape(say('wall.stations.none'))}</span>"
+    well = f'<li class="sw-well">{escape(say("wall.well"))}</li>'
     return (
         f'<div class="sw-tiles">{tiles}</div><div class="sw-counts">{counts}</div>'
-        f'<div role="status"><ul class="sw-alerts">{_alerts(view, well)}</ul></div>'
-        f'<div class="sw-stations">{stations}</div>'
-        f'<div class="sc-chips"><h2>{escape(last)}</h2>{chips_row(view.chips)}</div>'
+        f'<div role="status"><ul class="sw-alerts">{looks or well}</ul></div>'
+        f'<div class="sw-stations">{stations or no_station}</div>'
+        f'<div class="sc-chips"><h2>{escape(say("line.last"))}</h2>{chips_row(view.chips)}</div>'
         f'<p class="sw-drawn">{escape(view.drawn)}</p>'
     )
-
-
-def _alerts(view: WallView, well: str) -> str:
-    said = "".join(f'<li class="{"sw-urgent" if urgent else ""}">{escape(text)}</li>' for text, urgent in view.alerts)
-    return said or f'<li class="sw-well">{escape(well)}</li>'
-
-
-def _station(tile: StationTile) -> str:
-    look = "sw-well" if tile.is_well else "sw-ill"
-    return f'<span><b>{escape(tile.name)}</b> <span class="{look}">{escape(tile.word)}</span></span>'

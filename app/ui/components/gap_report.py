@@ -183,10 +183,7 @@ def _truth(case: Path) -> None:
 
 
 def _rows(rows: list[dict[str, str]], otherwise: str) -> None:
-    if rows:
-        table([{say(f"gap.column.{name}"): value for name, value in row.items()} for row in rows])
-    else:
-        st.caption(otherwise)
+    table([{say(f"gap.column.{name}"): value for name, value in row.items()} for row in rows], otherwise)
 
 
 def _figure(figure: go.Figure, key: str) -> None:
