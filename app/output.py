@@ -32,12 +32,7 @@ def shown(text: str) -> str:
 
 @dataclass
 class _Answer:
-    """Where the one machine-readable answer of a command goes.
-
-    Args:
-        stdout: standard output where the answer alone goes there; None where people read it.
-        csv: file of the table as CSV, `-` for standard output, None for none.
-    """
+    """Where the one machine-readable answer goes: alone to `stdout`, a table to `csv`."""
 
     stdout: TextIO | None = None
     csv: str | None = None
@@ -48,7 +43,7 @@ _ANSWER: ContextVar[_Answer] = ContextVar("answer", default=_Answer())  # noqa: 
 
 @contextmanager
 def answering(json_target: str | None, csv_target: str | None) -> Iterator[None]:
-    """Keep standard output for the one answer that was asked for with `-`: what people read goes to standard error.
+    """Keep standard output for the answer that was asked for with `-`, all else on standard error.
 
     Raises:
         InputError: JSON and CSV are both to go to standard output.
@@ -154,9 +149,7 @@ def write_json(target: str | None, value: Mapping[str, object]) -> None:
 class ProgressLine:
     """Lines like `3/40 units, 12 s, 4.1 units/s, about 9 s left` on standard error.
 
-    Args:
-        what: what is counted, in the plural.
-        done: how many were done before; they count for the share and not for the speed.
+    What was done before counts for the share and not for the speed.
     """
 
     def __init__(self, what: str, total: int, done: int = 0) -> None:

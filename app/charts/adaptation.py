@@ -52,13 +52,7 @@ class Trace:
 def adaptation_figure(
     title: str, trace: Trace, maps: Course, output_unit: str = "V", reference_unit: str = "N"
 ) -> "Figure":
-    """Return the figure.
-
-    Args:
-        title: unit and stream.
-        trace: the course of output, estimate and predicted error.
-        maps: the steps of the stream, oldest first, as `app.use.adapt.maps_of` reads them from the registry.
-    """
+    """Return the figure of a unit's stream; `maps` are its steps in the registry, oldest first."""
     from plotly.subplots import make_subplots
 
     from softcal.app.charts.style import dots

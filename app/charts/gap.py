@@ -57,11 +57,9 @@ COMPARED_POINTS = 500
 
 @dataclass(frozen=True, eq=False)
 class ChannelView:
-    """One channel of one run: measured, of the refitted base, and of the base with the causes.
+    """One channel of one run: (n,) measured, of the refitted base, and of the base with the causes.
 
-    Args:
-        measured, base, explained: (n,) in the channel's unit.
-        noise: standard deviation of the noise in the same unit.
+    `noise` is the standard deviation of the noise, in the channel's unit as all of them.
     """
 
     measured: Array
@@ -76,9 +74,8 @@ class RunView:
 
     Args:
         t_s: (n,) time since the start of the run.
-        drive: (n,) stage position in mm, or the force in N where there is none; its slope tells the direction.
-        load_N: (n,) force for the bands; measured where there is a load cell, predicted otherwise.
-        channels: by column name.
+        drive: (n,) stage position in mm, else the force in N; its slope tells the direction.
+        load_N: (n,) force for the bands; measured where there is a load cell, else predicted.
     """
 
     name: str
@@ -114,10 +111,9 @@ def direction(drive: Array, t_s: Array) -> Array:
 
 
 def residual_map(runs: Sequence[RunView], channel: str, is_after: bool) -> tuple[Array, Array]:
-    """Return the RMS residual in units of the noise by force band and direction.
+    """Return the RMS residual in units of the noise by force band and direction, and the bands.
 
-    Returns:
-        (BANDS, 3) with NaN where fewer than five samples fall, and (BANDS + 1,) edges in N.
+    (BANDS, 3) with NaN where fewer than five samples fall, and (BANDS + 1,) edges in N.
     """
     shown = [run for run in runs if channel in run.channels]
     edges = np.linspace(0.0, max(float(np.max(run.load_N)) for run in shown), BANDS + 1)

@@ -65,14 +65,7 @@ h1.ambiguous { border-color: #b06f00; } h1.unknown { border-color: #b3261e; }
 
 
 def gap_page(report: Mapping[str, Any], runs: Sequence[RunView], serial: str, say: Words) -> str:
-    """Return the page of a diagnosis as HTML.
-
-    Args:
-        report: the record of a diagnosis, schema `softcal.gap/1`.
-        runs: measured and predicted channels of every run, before and after.
-        serial: unit of the case.
-        say: the texts of one language.
-    """
+    """Return the page of a diagnosis of a unit as HTML; `report` has schema `softcal.gap/1`."""
     say = words_for(report, say)
     parts, asked = [_headline(report, serial, say)], mistake_rows(report, say)
     if report["verdict"] == "data":

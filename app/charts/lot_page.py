@@ -18,13 +18,7 @@ dt { color: #55606c; font-size: 13px; } dd { margin: 0; font-size: 20px; }
 
 
 def lot_page(view: LotView, units: Sequence[UnitEntry], words: Words, made: str) -> str:
-    """Return the page of a lot as HTML.
-
-    Args:
-        units: every target unit.
-        words: the texts of one language.
-        made: when and with what it was made, in words.
-    """
+    """Return the page of a lot as HTML; `units` are all targets, `made` says when and with what."""
     facts = report_facts(view, words)
     told = "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in facts.items())
     head = f"<header><h1>{escape(view.lot.id)}</h1><dl>{told}</dl><p>{escape(made)}</p></header>"

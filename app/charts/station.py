@@ -22,11 +22,7 @@ SHOWN_HZ = 20.0
 def profile_figure(
     profile: Profile, start_mm: float, deepest_mm: float, fastest_mm_s: float, colours: Palette, words: Words
 ) -> go.Figure:
-    """Draw position and speed over time with the bounds of the station.
-
-    Args:
-        start_mm: stage position at which the profile begins; the bounds count from the stage's own zero.
-    """
+    """Draw position and speed over time with the bounds of the station, which has its own zero."""
     t_s, stage_mm = profile.sample(SHOWN_HZ)
     figure = make_subplots(rows=2, shared_xaxes=True, vertical_spacing=0.07, row_heights=[0.6, 0.4])
     figure.add_scatter(x=t_s, y=start_mm + stage_mm, line={"color": colours.mapped, "width": 1.6}, row=1, col=1)

@@ -34,13 +34,10 @@ PARTS, LOADS, INTERVAL, TIME = ({"row": row, "col": column} for row in (1, 2) fo
 def why_figure(view: UnitView, colours: Palette, words: Words) -> go.Figure:
     """Draw verdict and reasons above four panels.
 
-    The first shows what the predicted error is made of, with its 95 % interval and the limit. The second shows how the
-    unit's loads are distributed with and without its map, beside the source's. The third is the half width of the 90 %
-    interval by load and direction over the source's. The last is the estimate over time, where windows unlike any of
-    the source are marked.
-
-    Args:
-        colours, words: of the screen; `palette("light")` and a text function on the command line.
+    The first shows what the predicted error is made of, with its 95 % interval and the limit; the
+    second how the unit's loads are distributed with and without its map, beside the source's; the
+    third the half width of the 90 % interval by load and direction over the source's; the last the
+    estimate over time, where windows unlike any of the source are marked.
     """
     named = [words(f"why.{name}") for name in ("parts", "loads", "interval", "time")]
     titles = ["<br>".join(textwrap.wrap(title, TITLE)) for title in named]
@@ -142,11 +139,7 @@ SCRIPT = "plotly.min.js"
 def explain_unit(
     registry: Registry, serial: str, out: Path, revision: int | None = None, lot_id: str | None = None
 ) -> UnitView:
-    """Write the page of one unit, whole in itself.
-
-    Raises:
-        InputError: the registry has no calibration of the serial, or the file is not to end in .html.
-    """
+    """Write the page of one unit, whole in itself; InputError unless `out` ends in .html."""
     if out.suffix.lower() != ".html":
         raise InputError(f"{out}: the figure is written as a page; name a file that ends in .html")
     view = unit_view(registry, serial, revision, lot_id)

@@ -13,11 +13,7 @@ LANGUAGES = {"en": "English", "ko": "한국어"}
 
 @cache
 def catalogue() -> dict[str, dict[str, str]]:
-    """Return every text by language and key; what softcal's reasons say is English in `core.words.reason`.
-
-    Raises:
-        ValueError: a text stands in two files.
-    """
+    """Return every text by language and key; ValueError where one stands in two files."""
     texts: dict[str, dict[str, str]] = {language: {} for language in LANGUAGES}
     for file in sorted(Path(__file__).parent.glob("*.toml")):
         said = tomllib.loads(file.read_text(encoding="utf-8"))

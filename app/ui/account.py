@@ -60,11 +60,7 @@ def is_signed_in() -> bool:
 
 
 def sign_in(name: str, pin: str) -> User:
-    """Sign a person in at this browser.
-
-    Raises:
-        InputError: wrong name or PIN, not active, or a pause after wrong ones.
-    """
+    """Sign a person in; InputError for a wrong name or PIN, or too early after one."""
     pauses = _pauses()
     pauses.check(name)
     try:
@@ -86,11 +82,8 @@ def sign_in(name: str, pin: str) -> User:
 def make_first_account(name: str, pin: str, code: str) -> User:
     """Make the first account of a registry, which decides about all others, and sign it in.
 
-    Args:
-        code: that this server printed where only who runs it can read.
-
     Raises:
-        InputError: wrong code, a pause after wrong ones, a senseless name or PIN, or somebody was first.
+        InputError: the code is not what this server printed, a pause, or somebody was first.
     """
     _pauses().check(FIRST_ACCOUNT)
     if not is_code(code, first_code()):
@@ -124,11 +117,7 @@ def allows(action: str) -> bool:
 
 
 def permit(action: str) -> User:
-    """Return who is at the screen, asked by every function that writes.
-
-    Raises:
-        InputError: the role does not allow it.
-    """
+    """Return who is at the screen, or raise InputError; asked by every function that writes."""
     user = person()
     if not may(user, action):
         allowed = [role for role in ROLES if action in PERMISSIONS[role]]
@@ -163,9 +152,7 @@ def role_claim() -> str:
 def role_of(claims: dict[str, object], claim: str) -> str | None:
     """Return the highest role that the claims of a company account name, None where they name none.
 
-    Args:
-        claims: of the identity token.
-        claim: which of them holds the role, or a list of roles or groups; a group may end in `/engineer`.
+    The claim holds it, or a list of roles or groups; a group may end in `/engineer`.
     """
     value = claims.get(claim)
     named = value if isinstance(value, list) else [value]

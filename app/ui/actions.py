@@ -58,18 +58,15 @@ def role_allows(action: str) -> bool:
 def ask_reason(key: str, label: str, action: str, fields: Callable[[], None] = lambda: None) -> str | None:
     """Ask for the reason of a change; return it in the run in which the button was pressed.
 
-    The caller passes the reason and `account.actor()` on to the function of the registry that makes the change and
-    its row in the audit trail; `registry().trail.add` makes a row for what changes no table.
+    The caller passes it with `account.actor()` to the function that makes the change and its row in
+    the audit trail.
 
     Args:
         key: unique on the page.
         label: of the button: what will be done.
         action: of `PERMISSIONS`; a role without it sees why there is no button.
-        fields: draws what is sent with the reason. A PIN belongs there: outside a form the browser keeps it to itself
-            when a person leaves its field with the Tab key.
-
-    Raises:
-        InputError: the role lost the permission meanwhile.
+        fields: draws what is sent with the reason. A PIN belongs there: outside a form the browser
+            keeps it to itself when a person leaves its field with the Tab key.
     """
     if not role_allows(action):
         return None
@@ -97,8 +94,7 @@ def download(
 ) -> None:
     """Offer a file; a function makes it when somebody takes it.
 
-    Args:
-        exported: (entity, key, facts) of the row that the audit trail gets when it is taken; None writes none.
+    `exported` is (entity, key, facts) of its row of the audit trail; None has none.
     """
     mime = MIMES.get(name.rpartition(".")[2], "application/octet-stream")
     draw = partial(st.download_button, label, data, name, mime, key, icon=f":material/{icon}:", type=kind)

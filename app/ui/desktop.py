@@ -32,8 +32,6 @@ class UiOptions:
         registry: URL of the registry; None takes the default.
         port: TCP port; 0 takes the first free one from 8501.
         is_window, is_kiosk: open as an application window, full screen.
-        opens_browser: otherwise open the default browser.
-        station: name of the station at this screen.
         accounts: TOML file that names the identity provider for sign-in by company account.
         hosts: other names under which browsers reach this server.
     """
@@ -50,10 +48,10 @@ class UiOptions:
 
 
 def serve(options: UiOptions) -> int:
-    """Serve until the application window is closed, or for good without one; return the server's exit code.
+    """Serve until the window is closed, or for good without one; return the server's exit code.
 
     Raises:
-        InputError: no port is free, the server did not start, or there is no browser for a window.
+        InputError: no port is free, the server did not start, or there is no browser.
     """
     window = _window_browser() if options.is_window else None
     port = options.port or _free_port(options.address)

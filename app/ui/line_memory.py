@@ -18,12 +18,7 @@ TAB, REFUSED = "line-tab", "line-refused"
 
 
 def screen(seen: int | None = None, until_s: float | None = None) -> Screen:
-    """Return which screen of which line this is.
-
-    Args:
-        seen: version of the place that its person looked at.
-        until_s: `time.monotonic()` after which it says that the key was not taken.
-    """
+    """Return which screen this is, what its person has seen, and until when a key waits."""
     tab = str(st.session_state.setdefault(TAB, secrets.token_hex(8)))
     return Screen(recall("station") or os.environ.get(STATION_VARIABLE, ""), tab, seen, until_s)
 

@@ -32,10 +32,7 @@ BINS = 32
 
 
 def lot_report_pdf(registry: Registry, view: LotView, language: str = "en", made: datetime | None = None) -> bytes:
-    """Return the report of a lot, or of what a filter leaves of it; of its units those that did not pass are listed.
-
-    Args:
-        made: when it is made, in the reader's time zone; now without.
+    """Return the report of a lot, or of what a filter leaves; units that did not pass are listed.
 
     Raises:
         InputError: no font at hand can write the language.

@@ -112,12 +112,9 @@ def figures_beside(*shown: tuple[str, Any, str]) -> None:
 def find_unit(
     parameter: str, key: str, columns: Sequence[Any], known: Callable[[str], list[str]], usual: int = 0
 ) -> str | None:
-    """Draw a field to search serials and the choice of one, which stays in the address; None where none is known.
+    """Draw a field to search serials in and the choice of one, which stays in the address.
 
-    Args:
-        columns: of the field and of the choice.
-        known: serials that hold what was typed.
-        usual: number of the one that is chosen at first.
+    `known` gives the serials that hold a text; the one numbered `usual` is chosen at first.
     """
     asked = str(st.query_params.get(parameter, ""))
     find, choice = columns

@@ -20,11 +20,7 @@ CODE_DIGITS = 8
 
 
 def check_pin(pin: str, again: str) -> None:
-    """Refuse a PIN that was typed differently twice, or that anybody would guess first.
-
-    Raises:
-        InputError: not equal, all digits equal, a run such as 1234 or 9876, or one pair repeated.
-    """
+    """Refuse a PIN typed differently twice, or guessed first: one digit, a run, a pair repeated."""
     if pin != again:
         raise InputError(Reason("account.pins_differ"))
     steps = {(int(b) - int(a)) % 10 for a, b in zip(pin, pin[1:], strict=False) if a.isdecimal() and b.isdecimal()}

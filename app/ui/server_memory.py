@@ -18,11 +18,7 @@ LOTS = 16
 
 
 def remembered_lot_view(lot_id: str, wanted: LotFilter = EVERY_RUN) -> LotView:
-    """Return a lot at a glance, read once per change; every page gets the same, to read only.
-
-    Raises:
-        InputError: the lot is not in the registry.
-    """
+    """Return a lot at a glance, read once per change; every page gets the same, to read only."""
     return _view(str(registry().database.name), lot_id, registry().pages.change_marker(lot_id), wanted)
 
 

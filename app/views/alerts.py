@@ -17,12 +17,7 @@ FORGOTTEN_AFTER = timedelta(days=7)
 
 @dataclass(frozen=True)
 class Alert:
-    """One thing to look at.
-
-    Args:
-        kind: of the text `alert.KIND`.
-        is_urgent: whether what is made meanwhile may be wrong.
-    """
+    """One thing to look at: the text `alert.KIND`; urgent where what is made may be wrong."""
 
     kind: str
     values: dict[str, object] = field(default_factory=dict)

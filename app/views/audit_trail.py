@@ -35,13 +35,7 @@ FIELDS = (
 
 @dataclass(frozen=True)
 class Entry:
-    """One line of the trail.
-
-    Args:
-        section: of `HEADINGS`.
-        what: a sentence: what was done to what.
-        changes: (name, before, after) of what changed; before is "" where there was nothing.
-    """
+    """One line of the trail: what was done to what, and (name, before, after) of what changed."""
 
     row: AuditRow
     section: str
@@ -59,12 +53,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class TrailFilter:
-    """Which lines are wanted; empty takes all.
-
-    Args:
-        text: words that all stand in a line, in any order.
-        since, until: instants, both included.
-    """
+    """Which lines: with all words of a text in any order, from and to an instant; empty takes all."""
 
     text: str = ""
     actors: tuple[str, ...] = ()

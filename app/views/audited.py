@@ -25,11 +25,7 @@ LEAST_IN_BAND = 10
 
 @dataclass(frozen=True, eq=False)
 class AuditTrace:
-    """The stretch of one audit that no fit has seen.
-
-    Args:
-        reference, estimate: (n,) in the reference unit.
-    """
+    """The stretch of one audit that no fit has seen: (n,) each, in the reference unit."""
 
     serial: str
     reference: Array
@@ -43,12 +39,9 @@ class AuditTrace:
 
 @dataclass(frozen=True, eq=False)
 class AuditedView:
-    """Audited units of a lot.
+    """Audited units of a lot, the largest errors first, `of` so many.
 
     Args:
-        lot: its facts.
-        units: the largest errors first.
-        of: how many audited units the lot has.
         edges: (BANDS + 1,) of the load bands, in the reference unit.
         limit_rmse: in force, in the reference unit; None where there is none.
     """

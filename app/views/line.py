@@ -38,9 +38,7 @@ class LineView:
         serial: the unit that is meant, "" without.
         details: plain sentences: why it is so, what the station says, its code.
         why: the same reasons with their numbers; shown when somebody asks.
-        conditions: what the gate looked at.
         cells: (label, value) that are always visible.
-        chips: the last units, newest first.
         version: of what stands at the line, so that a key names what its person has seen.
     """
 
@@ -81,12 +79,7 @@ class LineView:
 
 
 def line_view(facts: LineFacts, operator: str, words: Words) -> LineView:
-    """Return what the screen shows.
-
-    Args:
-        operator: name of who has signed in at this screen; "" leaves it to the badge.
-        words: texts of the language.
-    """
+    """Return what the screen shows to the person who signed in at it, "" to the badge's."""
     name, run = _state(facts)
     card, state = _Card(facts, name, run, words), STATES[name]
     progress = run[1] if run and state.is_busy else None
@@ -132,11 +125,7 @@ def note_said(facts: LineFacts, words: Words) -> tuple[str, bool] | None:
 
 
 def away_view(kept: int, operator: str, words: Words) -> LineView:
-    """Return what the screen shows while the registry does not answer.
-
-    Args:
-        kept: runs that the station has on its disk and the registry does not have yet.
-    """
+    """Return what the screen shows without a registry, `kept` runs being on the station's disk."""
     details = (words("line.kept", count=kept),) if kept else ()
     cells = ((words("role.operator"), operator or "–"),)
     return LineView("away", words("line.away"), "", words("line.away.do"), details, cells=cells)
@@ -350,16 +339,14 @@ class LineState:
     Args:
         tone: colour and mark. FAIL (the unit is bad) never looks like STOPPED (the station is).
         actions: commands that make sense.
-        verdict: whose word it shows: the desk's word in capitals, so that both say the same of a unit; "" has its own.
+        verdict: whose word it shows, in capitals: the desk's word of the same unit; "" has its own.
         is_before_run: it is about the unit that was scanned, not about the one pressed last.
         has_earlier: that unit was pressed before, and is as it was judged then.
         asks_load: a known load is to be put on.
-        is_busy: the station is at work.
         shows_gate: what the gate looked at stands below.
         has_news: another network is told of.
         has_why: its reasons open with their numbers.
         instruction: the one thing to do now.
-        details: the sentences below it.
     """
 
     tone: str

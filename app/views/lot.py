@@ -36,13 +36,9 @@ NEEDS_A_LOOK = ("fail", "retest", "conditional")
 
 @dataclass(frozen=True)
 class RuleBroken:
-    """One rule of the control chart that points break.
+    """One rule of the chart (Nelson 1984) that `count` points break, `last` the newest of them.
 
-    Args:
-        rule: its number (Nelson 1984).
-        count: how many points complete the pattern.
-        last: serial of the newest of them.
-        forbids: whether it forbids to state a capability.
+    It may forbid to state a capability.
     """
 
     rule: int
@@ -57,10 +53,9 @@ class ProcessView:
 
     Args:
         serials: (n,) one per value of the chart.
-        chart: None where there are too few values; `refusal` says so.
         broken: rules that points break, the forbidding ones first.
-        capability: against the lot's limit; None where it is refused, with the reason in `refusal`.
-        refusal: one line.
+        capability: against the lot's limit.
+        refusal: why there is no chart or no capability.
     """
 
     serials: tuple[str, ...]
@@ -72,12 +67,7 @@ class ProcessView:
 
 @dataclass(frozen=True)
 class YieldDrop:
-    """The newest units pass less often than those before, beyond chance.
-
-    Args:
-        newest, before: shares of units that passed in their first run.
-        count: how many the newest are.
-    """
+    """The newest `count` units pass less often in their first run, beyond chance."""
 
     newest: float
     before: float
@@ -89,19 +79,15 @@ class LotView:
     """A lot at a glance.
 
     Args:
-        lot: its facts.
         counts: target units by verdict; `none` has no result yet.
         errors: of the units with a map.
-        yields: first pass and total.
-        reasons: why units did not pass, one reason of each kind and how many units have that kind, most frequent first.
+        reasons: one of each kind with how many units have it, the most frequent first.
         process: the errors in time order.
         looks: the worst units.
-        drop: of the first-pass yield; None where there is none beyond chance.
         days, stations, operators: first-pass yield over each of them.
         chosen: serials that a filter leaves; None without a filter.
-        every_station, every_operator: what a filter can choose from.
-        limit: in force for its units, stated or derived; None where none is stated and no unit is calibrated yet.
-        withdrawn: units of the lot that were released once and are no more, whatever a filter leaves.
+        limit: stated or derived; None where none is stated and no unit is calibrated yet.
+        withdrawn: units that were released once and are no more, whatever a filter leaves.
     """
 
     lot: Lot
@@ -171,11 +157,7 @@ class LotView:
 
 
 def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> LotView:
-    """Read a lot at a glance, or what a filter leaves of it.
-
-    Raises:
-        InputError: the lot is not in the registry.
-    """
+    """Read a lot at a glance, or what a filter leaves of it."""
     lot, every = registry.lots.get(lot_id), lot_runs(registry, lot_id)
     placed_runs = [run for run in every if wanted.takes(run)]
     runs = [one.run for one in placed_runs]

@@ -20,11 +20,10 @@ MOST_LOTS = 6
 
 @dataclass(frozen=True)
 class ReportPart:
-    """A section of the report.
+    """A section of the report: a table, and the picture that says the same or alone.
 
     Args:
-        picture: the picture that says the same: errors, process, reasons or scores; "" for none.
-        header, rows: its table; empty where a picture alone says it.
+        picture: errors, process, reasons or scores; "" for none.
         shares: of the page's width, by column.
     """
 
@@ -65,11 +64,7 @@ def lot_rows(views: Sequence[LotView], words: Words) -> list[dict[str, str]]:
 
 
 def report_parts(view: LotView, units: Sequence[UnitEntry], title: str, words: Words) -> Iterator[ReportPart]:
-    """Give the sections from top to bottom.
-
-    Args:
-        units: those to list one by one, under `title`.
-    """
+    """Give the sections from top to bottom; `units` are listed one by one under `title`."""
     count, unit = words("chart.count"), view.lot.reference_unit
     named = [words("column.serial"), words("column.verdict")]
     errors = [f"{words(f'column.{name}')}, {unit}" for name in ("predicted", "before", "after", "own")]

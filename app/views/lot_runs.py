@@ -29,10 +29,9 @@ class PlacedRun:
 
 @dataclass(frozen=True)
 class LotFilter:
-    """Which runs of a lot; what is empty takes all.
+    """Which runs of a lot; days are both included, and what is empty takes all.
 
     Args:
-        since, until: days, both included.
         stations, operators: names; `DESK` for results of files.
         zone: time zone of the days; None is that of this machine.
     """
@@ -58,11 +57,7 @@ class LotFilter:
 
 
 def lot_runs(registry: Registry, lot_id: str) -> tuple[PlacedRun, ...]:
-    """Return every result of a lot in time order with where its recording was pressed.
-
-    Raises:
-        InputError: the lot is not in the registry.
-    """
+    """Return every result of a lot in time order with where its recording was pressed."""
     return placed(registry.lots.runs(lot_id), registry.order_queue.pressed(lot_id))
 
 

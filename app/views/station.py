@@ -16,11 +16,7 @@ from softcal.db.registry import Registry
 
 @dataclass(frozen=True, eq=False)
 class GoldenUnit:
-    """The checks of one station with one golden unit, oldest first.
-
-    Args:
-        chart: of the checks that passed; None while there are too few, and `note` says so.
-    """
+    """The checks of a station with a golden unit, oldest first, and the chart of those passed."""
 
     station: str
     serial: str
@@ -58,12 +54,7 @@ def source_facts(source: LabelledRecording) -> Mapping[str, str]:
 
 @dataclass(frozen=True)
 class Bound:
-    """One bound a profile is held against.
-
-    Args:
-        name: depth or speed.
-        value, largest: in `unit`.
-    """
+    """One bound, depth or speed, a profile is held against."""
 
     name: str
     value: float
@@ -77,11 +68,7 @@ class Bound:
 
 
 def bounds(profile: Profile, deepest_mm: float, fastest_mm_s: float, start_mm: float = 0.0) -> tuple[Bound, ...]:
-    """Return the bounds of a station beside what a profile asks of it.
-
-    Args:
-        start_mm: stage position at which the profile begins: the surface of the unit, less the clearance.
-    """
+    """Return the bounds of a station beside what a profile asks of it that begins at `start_mm`."""
     return (
         Bound("depth", start_mm + profile.deepest_mm, deepest_mm, "mm"),
         Bound("speed", profile.fastest_mm_s, fastest_mm_s, "mm/s"),

@@ -29,9 +29,7 @@ class WallView:
         tiles: (label, value, what stands below it), the largest first.
         verdicts: (verdict, word, number of units).
         stations: (name, what it does, whether that is well) of each that did not say goodbye.
-        chips: the last units, newest first.
         alerts: sentences with whether each is urgent.
-        drawn: when it was read.
     """
 
     lot: str
@@ -46,12 +44,7 @@ class WallView:
 def wall_view(
     registry: Registry, view: LotView, found: Sequence[Alert], words: Words, now: datetime | None = None
 ) -> WallView:
-    """Read what the wall board shows of a lot.
-
-    Args:
-        found: what somebody should look at, the urgent first.
-        now: with the time zone of the reader, as the days of `view` are.
-    """
+    """Read what the wall board shows of a lot, the urgent first, in the time zone of `now`."""
     now = now or datetime.now(UTC).astimezone()
     target = registry.lots.line_rules(view.lot).target or view.total
     today = next((day.share for day in view.days if day.name == now.date().isoformat()), Share(0, 0))

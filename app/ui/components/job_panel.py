@@ -31,21 +31,13 @@ def is_running(job: Job | None) -> bool:
 
 
 def begin_job(kind: str, action: str = "set_up", **request: object) -> str:
-    """Start a job for who is at the screen and return its id.
-
-    Raises:
-        InputError: the role does not allow `action`.
-    """
+    """Start a job for who is at the screen and return its id; the role must allow `action`."""
     permit(action)
     return start_job(registry(), kind, request, actor())
 
 
 def job_panel(job: Job, live: Live | None = None) -> bool:
-    """Draw a job; return whether it is done and its result can be shown.
-
-    Args:
-        live: draws the trace of a running job.
-    """
+    """Draw a job, its trace by `live`; return whether it is done and its result can be shown."""
     if job.is_lost(datetime.now(UTC)):
         st.error(say("job.lost"), icon=":material/heart_broken:")
         registry().job_board.end(job.job_id, RunState.ERROR, say("job.lost"))
@@ -61,8 +53,7 @@ def job_panel(job: Job, live: Live | None = None) -> bool:
 def awaits_calibration(asked: str, lot_id: str) -> bool:
     """Draw the calibration that was asked for on this page; return whether it is under way.
 
-    Args:
-        asked: under which the session keeps the id of its job; its end is said by the text ASKED.done.
+    The session keeps its job as `asked`; the text ASKED.done says that it is over.
     """
     job = newest_job("calibrate", lot=lot_id)
     if job is None or st.session_state.get(asked) != job.job_id:

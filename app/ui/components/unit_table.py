@@ -26,11 +26,7 @@ Serials = tuple[str, ...] | None
 @st.fragment
 @errors_in_words()
 def unit_table(lot: Lot, serials: Serials = None) -> None:
-    """Draw the table of a lot; a fragment of its own, so that filtering draws nothing else again.
-
-    Args:
-        serials: of these units only; None takes all.
-    """
+    """Draw the table of a lot, or of some serials, so that filters draw nothing else."""
     wanted = replace(_filter(lot.id), serials=serials)
     place = f"units-page-{lot.id}"
     found = registry().pages.unit_page(lot.id, wanted, int(st.session_state.get(place, 1)), SIZE)
