@@ -81,19 +81,14 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None
 
 
 def _print_aligned(cells: list[list[str]]) -> None:
-    widths = _fitting([max(map(len, column)) for column in zip(*cells, strict=True)])
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    # The widest columns give way until a row fits.
+    while sum(widths) > WIDTH - 2 * (len(widths) - 1) and max(widths) > NARROWEST:
+        widths[widths.index(max(widths))] -= 1
     rows = [[_folded(cell, width) for cell, width in zip(row, widths, strict=True)] for row in cells]
     for row in (rows[0], [["-" * width] for width in widths], *rows[1:]):
         for line in zip_longest(*row, fillvalue=""):
             print("  ".join(part.ljust(width) for part, width in zip(line, widths, strict=True)).rstrip())
-
-
-def _fitting(widths: list[int]) -> list[int]:
-    """Take from the widest columns until a row fits."""
-    fitting, room = list(widths), WIDTH - 2 * (len(widths) - 1)
-    while sum(fitting) > room and max(fitting) > NARROWEST:
-        fitting[fitting.index(max(fitting))] -= 1
-    return fitting
 
 
 def _folded(cell: str, width: int) -> list[str]:

@@ -142,16 +142,12 @@ def _wrapped(reason: str, width: int = 30) -> str:
     """Break a sentence into lines of so many Latin letters; a Korean one is as wide as two."""
     lines, line = [], ""
     for word in reason.split():
-        if line and _wide(f"{line} {word}") > width:
+        if line and sum(2 if east_asian_width(letter) in "WF" else 1 for letter in f"{line} {word}") > width:
             lines.append(line)
             line = word
         else:
             line = f"{line} {word}".strip()
     return "<br>".join([*lines, line])
-
-
-def _wide(said: str) -> int:
-    return sum(2 if east_asian_width(letter) in "WF" else 1 for letter in said)
 
 
 WITH_COUNTS = 8

@@ -23,13 +23,12 @@ def lot_page(view: LotView, units: Sequence[UnitEntry], words: Words, made: str)
     told = "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in facts.items())
     head = f"<header><h1>{escape(view.lot.id)}</h1><dl>{told}</dl><p>{escape(made)}</p></header>"
     parts = [
-        section(part.title, _picture(part, view, words) or _table(part))
-        for part in report_parts(view, units, words("lot.table"), words)
+        section(part.title, _drawn(part, view, words)) for part in report_parts(view, units, words("lot.table"), words)
     ]
     return document(f"softcal: {view.lot.id}", [head, *parts], STYLE)
 
 
-def _picture(part: ReportPart, view: LotView, words: Words) -> str:
+def _drawn(part: ReportPart, view: LotView, words: Words) -> str:
     colours = palette(None)
     match part.picture:
         case "errors":
@@ -40,8 +39,4 @@ def _picture(part: ReportPart, view: LotView, words: Words) -> str:
             return figures(reasons_pareto(view, colours, words))
         case "scores":
             return figures(audit_scores(view, colours, words))
-    return ""
-
-
-def _table(part: ReportPart) -> str:
     return table(part.header, ([escape(cell) for cell in row] for row in part.rows))

@@ -51,7 +51,10 @@ def _sign_ins() -> dict[str, SignIn]:
 
 def person() -> User:
     """Return who is at the screen; without a sign-in the operator of the line."""
-    return _by_company_account() or _by_pin() or User("", "operator", True, 0)
+    claims = _claims()
+    if role := role_of(claims, role_claim()):
+        return User(_name_of(claims), role, True, 1)
+    return _by_pin() or User("", "operator", True, 0)
 
 
 def is_signed_in() -> bool:
@@ -164,12 +167,6 @@ def is_of_this_shift(claims: dict[str, object], now: datetime) -> bool:
     """Whether an identity token is less than a shift old (`iat`; OpenID Connect Core 1.0, 2)."""
     issued_s = claims.get("iat")
     return isinstance(issued_s, int | float) and now.timestamp() - issued_s < SHIFT.total_seconds()
-
-
-def _by_company_account() -> User | None:
-    claims = _claims()
-    role = role_of(claims, role_claim())
-    return None if role is None else User(_name_of(claims), role, True, 1)
 
 
 def _claims() -> dict[str, object]:

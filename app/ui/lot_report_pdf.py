@@ -56,11 +56,11 @@ def lot_report_pdf(registry: Registry, view: LotView, language: str = "en", made
     ]
     listed = say("report.bad", shown=len(bad.units), of=bad.total)
     for part in report_parts(view, bad.units, listed, say):
-        story += section(part.title, _picture(part, view, say) or _table(part))
+        story += section(part.title, _drawn(part, view, say))
     return document_pdf(story, page)
 
 
-def _picture(part: ReportPart, view: LotView, say: Words) -> Flowable | None:
+def _drawn(part: ReportPart, view: LotView, say: Words) -> Flowable:
     unit, chart = view.lot.reference_unit, view.process.chart
     predicted = f"{say('column.predicted')}, {unit}"
     if part.picture == "errors":
@@ -74,9 +74,5 @@ def _picture(part: ReportPart, view: LotView, say: Words) -> Flowable | None:
     if part.picture == "process" and chart is not None:
         levels = [Level(limit, number(limit)) for limit in (chart.upper, chart.lower)]
         return course_plot(chart.values, levels, (say("chart.order"), predicted), WIDTH)
-    return None
-
-
-def _table(part: ReportPart) -> Flowable:
     cells = [[paragraph(cell, 7) for cell in row] for row in (part.header, *part.rows)]
     return Table(cells, colWidths=[WIDTH * share for share in part.shares], style=grid(7), repeatRows=1)

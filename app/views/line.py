@@ -301,13 +301,10 @@ def _say_why(card: _Card) -> tuple[str, ...]:
     return (*card.in_short, *card.changed, *card.code)
 
 
-def _say_what_is_missing(card: _Card) -> tuple[str, ...]:
+def _say_what_stands(card: _Card) -> tuple[str, ...]:
+    """Say why the station stands still, where its gate does not say it below."""
     beat = card.facts.heartbeat
-    return () if beat is None or beat.gate else tuple(said(why, card.words) for why in beat.reasons)
-
-
-def _say_what_stopped(card: _Card) -> tuple[str, ...]:
-    reasons = card.facts.heartbeat.reasons if card.facts.heartbeat else ()
+    reasons = () if beat is None or (card.state.shows_gate and beat.gate) else beat.reasons
     return (*(said(why, card.words) for why in reasons), *card.code)
 
 
@@ -371,10 +368,10 @@ STATES = {
     "silent": LineState("stopped", has_news=False),
     "away": LineState("stopped"),
     "stopped": LineState(
-        "stopped", ("OK",), has_news=False, has_why=False, instruction=_do_mend, details=_say_what_stopped
+        "stopped", ("OK",), has_news=False, has_why=False, instruction=_do_mend, details=_say_what_stands
     ),
     "broken": LineState("stopped", ("OK",), has_why=False, instruction=_do_mend),
-    "closed": _SCANNED("closed", ("CANCEL",), shows_gate=True, has_why=False, details=_say_what_is_missing),
+    "closed": _SCANNED("closed", ("CANCEL",), shows_gate=True, has_why=False, details=_say_what_stands),
     "no_lot": LineState("ready"),
     "ready": LineState("ready", shows_gate=True),
     "hand": LineState("ready", shows_gate=True),

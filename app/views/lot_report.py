@@ -95,13 +95,12 @@ def report_parts(view: LotView, units: Sequence[UnitEntry], title: str, words: W
     if units:
         header = [*named, *errors, words("column.family"), words("column.reasons")]
         shares = (0.12, 0.12, *[0.08] * 4, 0.1, 0.34)
-        yield ReportPart(title, "", header, [_unit_row(one, words) for one in units], shares)
-
-
-def _unit_row(one: UnitEntry, words: Words) -> list[str]:
-    errors = (one.predicted_rmse, one.before_rmse, one.after_rmse, one.own_rmse)
-    verdict, why = words(f"verdict.{one.verdict or 'none'}"), all_said(one.reasons, words)
-    return [one.serial, verdict, *map(number, errors), one.family or "–", why]
+        listed = []
+        for one in units:
+            measured = map(number, (one.predicted_rmse, one.before_rmse, one.after_rmse, one.own_rmse))
+            verdict = words(f"verdict.{one.verdict or 'none'}")
+            listed.append([one.serial, verdict, *measured, one.family or "–", all_said(one.reasons, words)])
+        yield ReportPart(title, "", header, listed, shares)
 
 
 def _said(share: Share) -> str:

@@ -30,15 +30,15 @@ def golden_units(registry: Registry) -> list[GoldenUnit]:
     by_unit: dict[tuple[str, str], list[GoldenRun]] = {}
     for run in registry.stations.golden_runs():
         by_unit.setdefault((run.station, run.serial), []).append(run)
-    return [_golden_unit(station, serial, runs) for (station, serial), runs in sorted(by_unit.items())]
-
-
-def _golden_unit(station: str, serial: str, runs: list[GoldenRun]) -> GoldenUnit:
-    try:
-        chart, note = control_chart(np.array([run.value for run in runs if run.passed])), None
-    except InputError as error:
-        chart, note = None, error.reason
-    return GoldenUnit(station, serial, tuple(runs), chart, note)
+    found = []
+    for (station, serial), runs in sorted(by_unit.items()):
+        chart, note = None, None
+        try:
+            chart = control_chart(np.array([run.value for run in runs if run.passed]))
+        except InputError as error:
+            note = error.reason
+        found.append(GoldenUnit(station, serial, tuple(runs), chart, note))
+    return found
 
 
 def source_facts(source: LabelledRecording) -> Mapping[str, str]:

@@ -45,7 +45,10 @@ def _units() -> None:
     for column, view in zip(st.columns(2), (left, right), strict=True):
         with column:
             verdict_badge(view.stored.record.verdict)
-    table(_rows(left, right))
+    one, other = _facts(left), _facts(right)
+    first, second = left.stored.serial, right.stored.serial
+    second = second if second != first else f"{second} "
+    table([{say("compare.fact"): name, first: one[name], second: other[name]} for name in one])
     if not rest_may_follow():
         return
     figures_beside(
@@ -78,13 +81,6 @@ def _lots() -> None:
 
 def _calibrated(text: str) -> list[str]:
     return [one for one in registry().pages.find_serials(text) if registry().calibrations.history(one)]
-
-
-def _rows(left: UnitView, right: UnitView) -> list[dict[str, object]]:
-    one, other = _facts(left), _facts(right)
-    first, second = left.stored.serial, right.stored.serial
-    second = second if second != first else f"{second} "
-    return [{say("compare.fact"): name, first: one[name], second: other[name]} for name in one]
 
 
 def _facts(view: UnitView) -> dict[str, str]:

@@ -46,8 +46,14 @@ def _screen() -> None:
         with st.container(key="line-actions", horizontal=True):
             with st.container(key="line-buttons", horizontal=True, width="content"):
                 _actions(view)
-            _field(view, note[0] if note else "")
-        _below(view)
+            texts = {"label": say("line.scan"), "placeholder": say("line.scan.hint"), "late": say("line.scan.late")}
+            texts["spoken"] = note[0] if note else view.spoken
+            scan_field(texts, view.seen, COMMAND_OF_KEY, screen().station, _on_scan)
+        if view.signal.t_s:
+            st.echarts_chart(live_signal(view.signal, colours(), say), height=220, key="live-signal")
+        elif view.conditions:
+            st.html(line_card.conditions_html(view, say("line.gate")))
+        st.html(line_card.chips_html(view, say("line.last"), say("line.last.none")))
     if view.is_busy != bool(st.session_state.get(IS_BUSY)):
         st.session_state[IS_BUSY] = view.is_busy
         st.rerun()
@@ -80,11 +86,6 @@ def _on_scan(text: str, seen: int | None, until_s: float | None = None) -> None:
         remember_refusal("")
 
 
-def _field(view: LineView, note: str) -> None:
-    texts = {"label": say("line.scan"), "placeholder": say("line.scan.hint"), "late": say("line.scan.late")}
-    scan_field(texts | {"spoken": note or view.spoken}, view.seen, COMMAND_OF_KEY, screen().station, _on_scan)
-
-
 def _actions(view: LineView) -> None:
     if view.state == "no_station" and allows("set_up"):
         if st.button(say("start.station.do"), key="line-to-station", type="primary"):
@@ -93,14 +94,6 @@ def _actions(view: LineView) -> None:
         label = f"{action_said(command, view.state, say)} · {KEYS[command]}"
         draw = partial(st.button, label, key=f"line-{command}", on_click=in_one_piece(_on_scan))
         draw(args=(f"CMD:{command}", view.seen), type="primary" if number == 0 else "secondary")
-
-
-def _below(view: LineView) -> None:
-    if view.signal.t_s:
-        st.echarts_chart(live_signal(view.signal, colours(), say), height=220, key="live-signal")
-    elif view.conditions:
-        st.html(line_card.conditions_html(view, say("line.gate")))
-    st.html(line_card.chips_html(view, say("line.last"), say("line.last.none")))
 
 
 def line_setup() -> None:

@@ -25,7 +25,10 @@ def render(lot_id: str) -> None:
     lot = registry().lots.get(lot_id)
     rows = network_rows(registry(), lot.id)
     if rows:
-        headline(_said(rows, lot.reference_unit))
+        # Which network is in use and how well it was trained, in one sentence.
+        used = next((row for row in rows if row.is_in_use), None)
+        facts = {"network": used.id[:12], "error": number(used.validation_rmse, lot.reference_unit)} if used else {}
+        headline(say("networks.headline" if used else "networks.none_in_use", count=len(rows), **facts))
     else:
         empty("networks.none")
     if not rest_may_follow():
@@ -36,15 +39,6 @@ def render(lot_id: str) -> None:
     training(lot)
     if rows:
         comparison(lot, rows)
-
-
-def _said(rows: list[NetworkRow], unit: str) -> str:
-    """Return which network is in use and how well it was trained, in one sentence."""
-    used = next((row for row in rows if row.is_in_use), None)
-    if used is None:
-        return say("networks.none_in_use", count=len(rows))
-    error = number(used.validation_rmse, unit)
-    return say("networks.headline", network=used.id[:12], error=error, count=len(rows))
 
 
 def _row(row: NetworkRow, unit: str) -> dict[str, object]:

@@ -25,8 +25,17 @@ def render() -> None:
         name = st.selectbox(say("profiles.profile"), [*BUILT_IN, FILE], format_func=lambda key: say(f"profile.{key}"))
     left, right = st.columns([1, 3])
     with left:
-        profile = _from_file() if name == FILE else _built_in(name)
-        safety = _station()
+        if name == FILE:
+            profile = _from_file()
+        else:
+            depth_mm = st.number_input(f"{say('profiles.depth')} [mm]", 0.1, 50.0, 3.5, 0.1)
+            seed = int(st.number_input(say("networks.seed"), 0, 10**6, 0))
+            profile = BUILT_IN[name](np.random.default_rng(seed), depth_mm)
+        # The bounds of a station live in its file, at its machine.
+        st.caption(say("profiles.bounds_typed"))
+        deepest_mm = st.number_input(f"{say('profiles.deepest')} [mm]", 0.1, 500.0, SafetyConfig().deepest_mm)
+        speed_mm_s = st.number_input(f"{say('profiles.fastest')} [mm/s]", 0.01, 500.0, SafetyConfig().speed_mm_s)
+        safety = SafetyConfig(deepest_mm=deepest_mm, speed_mm_s=speed_mm_s)
     if profile is None:
         return
     with right:
@@ -40,12 +49,6 @@ def render() -> None:
         st.download_button(say("profiles.save"), profile_toml(profile), file_name, on_click="ignore")
 
 
-def _built_in(name: str) -> Profile:
-    depth_mm = st.number_input(f"{say('profiles.depth')} [mm]", 0.1, 50.0, 3.5, 0.1)
-    seed = int(st.number_input(say("networks.seed"), 0, 10**6, 0))
-    return BUILT_IN[name](np.random.default_rng(seed), depth_mm)
-
-
 def _from_file() -> Profile | None:
     file = st.file_uploader(say("profiles.file"), type=["toml"])
     if file is None:
@@ -54,14 +57,6 @@ def _from_file() -> Profile | None:
         path = Path(folder) / "profile.toml"
         path.write_bytes(file.getvalue())
         return read_profile(path)
-
-
-def _station() -> SafetyConfig:
-    """Take the bounds of a station; they live in its file, at its machine."""
-    st.caption(say("profiles.bounds_typed"))
-    deepest_mm = st.number_input(f"{say('profiles.deepest')} [mm]", 0.1, 500.0, SafetyConfig().deepest_mm)
-    speed_mm_s = st.number_input(f"{say('profiles.fastest')} [mm/s]", 0.01, 500.0, SafetyConfig().speed_mm_s)
-    return SafetyConfig(deepest_mm=deepest_mm, speed_mm_s=speed_mm_s)
 
 
 def _bounds(profile: Profile, safety: SafetyConfig) -> None:

@@ -34,7 +34,13 @@ def render() -> None:
     with step("source", 3):
         _look(lot)
     with step("source", 4):
-        _network(lot)
+        fresh = [row for row in network_rows(registry(), lot.id) if not row.is_stale]
+        if fresh:
+            st.markdown(say("source.trained", network=fresh[0].id[:12], layers=fresh[0].layers))
+        else:
+            st.markdown(say("source.untrained"))
+        if st.button(say("source.to_networks"), icon=":material/arrow_forward:"):
+            go_to("networks", lot=lot.id)
 
 
 def _press(lot: Lot) -> None:
@@ -66,16 +72,6 @@ def _look(lot: Lot) -> None:
         show_figure(charts_unit.recording(source, lot, colours(), say), "source-recording")
     with right:
         show_figure(charts_station.source_curve(source, lot, colours(), say), "source-curve")
-
-
-def _network(lot: Lot) -> None:
-    fresh = [row for row in network_rows(registry(), lot.id) if not row.is_stale]
-    if fresh:
-        st.markdown(say("source.trained", network=fresh[0].id[:12], layers=fresh[0].layers))
-    else:
-        st.markdown(say("source.untrained"))
-    if st.button(say("source.to_networks"), icon=":material/arrow_forward:"):
-        go_to("networks", lot=lot.id)
 
 
 def _new_lot() -> None:

@@ -71,16 +71,12 @@ def _running(job_id: str, live: Live | None) -> None:
     job = board.job(job_id)
     if not job.state.is_active or job.is_lost(datetime.now(UTC)):
         st.rerun()
-    text = _step_said(job) or phrase("step", job.message, say) or say("job.starting")
+    step = job.trace.get("step")
+    text = say(f"step.{step}", **job.trace["values"]) if step else phrase("step", job.message, say)
+    text = text or say("job.starting")
     # One below the other: beside each other they do not fit a narrow place.
     st.progress(job.fraction, text=say("job.stopping") if job.is_cancel_wanted else text)
     if st.button(say("job.cancel"), key=f"cancel-{job_id}", disabled=job.is_cancel_wanted, icon=":material/cancel:"):
         board.cancel(job_id)
     if live is not None and job.trace and "step" not in job.trace:
         live(job)
-
-
-def _step_said(job: Job) -> str:
-    """Return the step of a job that names it by key; "" where it does not."""
-    step = job.trace.get("step")
-    return say(f"step.{step}", **job.trace["values"]) if step else ""

@@ -8,7 +8,6 @@ from urllib.parse import quote
 from softcal.app.charts.palette import Palette
 from softcal.app.views.common import shortened
 from softcal.app.views.line import Chip, LineView
-from softcal.core.orders import Condition
 
 MARKS = {
     "pass": '<circle cx="32" cy="32" r="29"/><path d="M18 33l10 10 19-21"/>',
@@ -77,7 +76,11 @@ def card_html(view: LineView, why: str) -> str:
 def conditions_html(view: LineView, title: str) -> str:
     """Return what the gate looked at, good and bad, in words."""
     worst_first = sorted(view.conditions, key=lambda condition: condition.is_good)
-    rows = "".join(_condition(condition) for condition in worst_first)
+    rows = "".join(
+        f'<li class="{"sc-good" if c.is_good else "sc-bad"}">{_mark("yes" if c.is_good else "no")}'
+        f"<b>{escape(str(c.name))}</b> <span>{escape(str(c.says))}</span></li>"
+        for c in worst_first
+    )
     return f'<div class="sc-gate"><h3>{escape(title)}</h3><ul>{rows}</ul></div>'
 
 
@@ -95,12 +98,6 @@ def chips_row(chips: Sequence[Chip]) -> str:
         for c in chips
     )
     return f"<ul>{drawn}</ul>"
-
-
-def _condition(condition: Condition) -> str:
-    look, name = ("sc-good", "yes") if condition.is_good else ("sc-bad", "no")
-    said = f"<b>{escape(str(condition.name))}</b> <span>{escape(str(condition.says))}</span>"
-    return f'<li class="{look}">{_mark(name)}{said}</li>'
 
 
 def _mark(name: str) -> str:
