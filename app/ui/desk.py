@@ -4,7 +4,6 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from datetime import datetime, tzinfo
-from typing import Any
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import streamlit as st
@@ -19,7 +18,6 @@ from softcal.app.ui.server_memory import registry as registry
 from softcal.core.errors import SoftcalError, printable
 from softcal.core.words.reason import Reason
 
-PLOT_CONFIG = {"displayModeBar": False, "displaylogo": False}
 LONGEST_IN_FIELD = 24
 LANGUAGE = "lang"
 FIRST = "first-of-page"
@@ -158,11 +156,6 @@ def verdict_badge(verdict: str | None) -> None:
         f'<span role="status" style="background:{ground};color:#fff;border-radius:8px;padding:6px 16px;'
         f'font-size:22px;font-weight:700;white-space:nowrap">{mark} {say(f"verdict.{name}")}</span>'
     )
-
-
-def show_figure(figure: Any, key: str) -> None:
-    """Show a static chart."""
-    st.plotly_chart(figure, width="stretch", config=PLOT_CONFIG, key=key, theme=None)
 
 
 def choose(label: str, options: list[str], parameter: str) -> str | None:

@@ -9,7 +9,7 @@ import pandas as pd
 import streamlit as st
 
 from softcal.app.ui.browser_memory import HAS_DRAWN, IS_AWAITED, PLACE
-from softcal.app.ui.desk import choose, choose_language, empty, registry, say, show_figure
+from softcal.app.ui.desk import choose, choose_language, empty, registry, say
 from softcal.app.ui.pages import PAGES
 
 NARROWEST_NUMBER_PX = 150
@@ -94,6 +94,13 @@ def numbers(cells: Sequence[tuple[str, str, str | None]], narrowest_px: int = NA
     grid = st.grid(min_column_width=narrowest_px)
     for label, value, explanation in cells:
         grid.metric(label, value, help=explanation, border=True, height="stretch")
+
+
+def show_figure(figure: Any, key: str) -> None:
+    """Show a static chart."""
+    st.plotly_chart(
+        figure, width="stretch", config={"displayModeBar": False, "displaylogo": False}, key=key, theme=None
+    )
 
 
 def figure_under(title: str, figure: Any, key: str) -> None:

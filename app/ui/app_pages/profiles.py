@@ -8,8 +8,8 @@ import streamlit as st
 
 from softcal.app.charts.station import profile_figure
 from softcal.app.files.profile_file import profile_toml, read_profile
-from softcal.app.ui.desk import colours, say, show_figure
-from softcal.app.ui.panels import heading, numbers, rest_may_follow
+from softcal.app.ui.desk import colours, say
+from softcal.app.ui.panels import heading, numbers, rest_may_follow, show_figure
 from softcal.app.views.station import bounds
 from softcal.core.profiles import BUILT_IN, Profile
 from softcal.station.devices.config import FixtureConfig, SafetyConfig

@@ -8,17 +8,7 @@ from typing import Any
 import streamlit as st
 
 from softcal.app.batch.release import judge_lot, lot_standing
-from softcal.app.export.certificates.laboratory import (
-    NO_COUNTRY,
-    NOT_STATED,
-    Conditions,
-    LoadCell,
-    Party,
-    Person,
-    keep_laboratory,
-    kept_laboratory,
-    read_laboratory,
-)
+from softcal.app.export.certificates import laboratory
 from softcal.app.export.certificates.lot_facts import lot_statement_facts
 from softcal.app.export.certificates.lot_statement import lot_statement_pdf
 from softcal.app.export.names import FORMATS
@@ -142,13 +132,13 @@ def _archive(lot_id: str) -> None:
                 table([{say("column.serial"): serial} for serial, _ in refused])
 
 
-PARTS = {"laboratory": Party, "customer": Party, "person": Person}
+PARTS = {"laboratory": laboratory.Party, "customer": laboratory.Party, "person": laboratory.Person}
 
 
 def _laboratory() -> None:
     """Draw the form, filled with what is kept, of what every later certificate says."""
     st.caption(say("laboratory.how"))
-    kept = read_laboratory(kept_laboratory())
+    kept = laboratory.read_laboratory(laboratory.kept_laboratory())
     if not role_allows("set_up"):
         return
     cells = {entry.cell_serial: entry for entry in registry().stations.certificates()}
@@ -162,24 +152,24 @@ def _laboratory() -> None:
     with refusals_in_words():
         parts: dict[str, Any] = {name: PARTS[name](**values) for name, values in given.items()}
         load_cell = _of_certificate(cells[cell]) if cell in cells else kept.load_cell
-        keep_laboratory(replace(kept, **parts, conditions=conditions, load_cell=load_cell))
+        laboratory.keep_laboratory(replace(kept, **parts, conditions=conditions, load_cell=load_cell))
         registry().trail.add("change", "laboratory", ("certificates",), {**given, "load_cell": cell}, actor=actor())
         finish("release", say("laboratory.saved"))
 
 
-def _section(name: str, kept: Party | Person) -> dict[str, str]:
+def _section(name: str, kept: laboratory.Party | laboratory.Person) -> dict[str, str]:
     st.markdown(f"**{say(f'laboratory.{name}')}**")
     names = [field.name for field in fields(kept)]
     given = {}
     for column, field in zip(st.columns(len(names)), names, strict=True):
         value = str(getattr(kept, field))
-        shown = "" if value in (NOT_STATED, NO_COUNTRY) else value
+        shown = "" if value in (laboratory.NOT_STATED, laboratory.NO_COUNTRY) else value
         text = str(column.text_input(say(f"laboratory.{field}"), shown, key=f"laboratory-{name}-{field}")).strip()
-        given[field] = text or (NO_COUNTRY if field == "country" else NOT_STATED)
+        given[field] = text or (laboratory.NO_COUNTRY if field == "country" else laboratory.NOT_STATED)
     return given
 
 
-def _conditions(kept: Conditions) -> Conditions:
+def _conditions(kept: laboratory.Conditions) -> laboratory.Conditions:
     st.markdown(f"**{say('laboratory.conditions')}**")
     left, right, _, _ = st.columns(4)
     label = f"{say('laboratory.temperature')} [°C]"
@@ -189,10 +179,10 @@ def _conditions(kept: Conditions) -> Conditions:
     return replace(kept, temperature_C=temperature_C, humidity_pct=humidity_pct)
 
 
-def _cell(kept: LoadCell, known: list[str]) -> str:
+def _cell(kept: laboratory.LoadCell, known: list[str]) -> str:
     st.markdown(f"**{say('laboratory.load_cell')}**")
     options = [kept.serial, *(serial for serial in known if serial != kept.serial)]
-    shown = {NOT_STATED: say("laboratory.not_stated")}
+    shown = {laboratory.NOT_STATED: say("laboratory.not_stated")}
     left, _ = st.columns(2)
     chosen = left.selectbox(say("cells.serial"), options, 0, lambda one: shown.get(one, one), "laboratory-cell")
     if chosen == kept.serial and kept.due_on is not None:
@@ -200,9 +190,9 @@ def _cell(kept: LoadCell, known: list[str]) -> str:
     return str(chosen)
 
 
-def _of_certificate(entry: CellCertificate) -> LoadCell:
+def _of_certificate(entry: CellCertificate) -> laboratory.LoadCell:
     """Return what certificates say of a load cell whose certificate the registry has."""
-    return LoadCell(
+    return laboratory.LoadCell(
         serial=entry.cell_serial,
         certificate=entry.number,
         laboratory=entry.laboratory,

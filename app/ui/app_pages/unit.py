@@ -14,18 +14,7 @@ from softcal.app.export.names import FORMATS
 from softcal.app.registry.standing import standing_of
 from softcal.app.ui.account import actor
 from softcal.app.ui.actions import ask_reason, download, finish, refusals_in_words, say_finished
-from softcal.app.ui.desk import (
-    choose,
-    colours,
-    empty,
-    in_full,
-    in_words,
-    instant,
-    registry,
-    say,
-    show_figure,
-    verdict_badge,
-)
+from softcal.app.ui.desk import choose, colours, empty, in_full, in_words, instant, registry, say, verdict_badge
 from softcal.app.ui.panels import (
     figure_under,
     figures_beside,
@@ -33,6 +22,7 @@ from softcal.app.ui.panels import (
     heading,
     numbers,
     rest_may_follow,
+    show_figure,
     table,
     table_to_choose,
 )

@@ -12,29 +12,11 @@ from softcal.app.gap.desk import has_sealed_rig, run_views_of, truth
 from softcal.app.ui.account import allows
 from softcal.app.ui.actions import download
 from softcal.app.ui.components.job_panel import begin_job
-from softcal.app.ui.desk import colours, registry, say, show_figure, words
-from softcal.app.ui.panels import numbers, rest_may_follow, table
+from softcal.app.ui.desk import colours, registry, say, words
+from softcal.app.ui.panels import numbers, rest_may_follow, show_figure, table
+from softcal.app.views import gap
 from softcal.app.views.common import percent
-from softcal.app.views.gap import (
-    Report,
-    ambiguous_groups,
-    begun,
-    cause_rows,
-    channel_name,
-    effect_name,
-    hidden_effects,
-    listed,
-    mistake_name,
-    mistake_rows,
-    named_causes,
-    next_experiment,
-    no_cause_words,
-    place_rows,
-    pressed_name,
-    residual_rows,
-    untold_lines,
-    why_next,
-)
+from softcal.app.views.gap import Report
 from softcal.db.queues.job_board import Job
 
 ICONS = {
@@ -62,32 +44,32 @@ def gap_report(job: Job, case: Path) -> None:
     runs = run_views_of(report, registry().job_board.arrays(job))
     _where(report, runs)
     st.header(say("gap.why"))
-    _rows(cause_rows(report, say), no_cause_words(report, say))
-    for group in ambiguous_groups(report, say):
+    _rows(gap.cause_rows(report, say), gap.no_cause_words(report, say))
+    for group in gap.ambiguous_groups(report, say):
         st.warning(say("gap.ambiguous", group=group), icon=":material/call_split:")
     _figure(gap_figures.ranking_figure(report, SHOWN_CAUSES, say, colours()), "ranking")
     _gain(report)
-    if lines := untold_lines(report, say):
+    if lines := gap.untold_lines(report, say):
         st.header(say("gap.told"))
-        st.markdown("\n".join(f"- {begun(line)}" for line in lines))
+        st.markdown("\n".join(f"- {gap.begun(line)}" for line in lines))
     if report.get("residual"):
         _left(report["residual"], report)
     _next(report, case)
     with st.expander(say("gap.runs"), icon=":material/show_chart:"):
         for channel, name in gap_figures.CHANNELS.items():
             if figure := gap_figures.trace_figure(runs, channel, say, colours()):
-                st.subheader(begun(say("gap.figure.trace", channel=channel_name(name, say))))
+                st.subheader(gap.begun(say("gap.figure.trace", channel=gap.channel_name(name, say))))
                 _figure(figure, f"trace-{channel}")
 
 
 def _headline(report: Report) -> None:
     st.header(f":material/{ICONS[report['verdict']]}: {say('gap.verdict.' + report['verdict'])}")
-    for row in mistake_rows(report, say):
+    for row in gap.mistake_rows(report, say):
         told = st.error if report["verdict"] == "data" else st.warning
         told(say("gap.data.found", **row), icon=":material/report:")
     if report["verdict"] == "data":
         return
-    if causes := named_causes(report, say):
+    if causes := gap.named_causes(report, say):
         st.markdown(say("gap.causes", causes=", ".join(causes)))
     if report["missing_channels"]:
         st.caption(say("gap.missing", channels=", ".join(report["missing_channels"])))
@@ -119,7 +101,7 @@ def _where(report: Report, runs: list[gap_figures.RunView]) -> None:
     drawn = '<svg xmlns="http://www.w3.org/2000/svg" style="background:#fff" '
     picture = chain_svg(report, say).replace("<svg ", drawn, 1)
     st.image(picture, width="stretch", alt=say("gap.chain"))
-    _rows(place_rows(report, say), say("gap.where.none"))
+    _rows(gap.place_rows(report, say), say("gap.where.none"))
     for channel in gap_figures.CHANNELS:
         figure = gap_figures.map_figure(runs, channel, say)
         if figure is not None:
@@ -134,7 +116,7 @@ def _gain(report: Report) -> None:
     figure = gap_figures.hidden_figure(report, say, colours())
     with right:
         st.header(say("gap.sure"))
-        if hidden := hidden_effects(report, say):
+        if hidden := gap.hidden_effects(report, say):
             st.caption(say("gap.hidden", effects=", ".join(hidden)))
         if figure is not None:
             _figure(figure, "hidden")
@@ -144,23 +126,23 @@ def _left(found: Report, report: Report) -> None:
     st.header(say("gap.left"))
     shrink = {name: percent(found["shrink"][name]) for name in ("held_out", "low", "high")}
     st.markdown(say("gap.left.is", **shrink))
-    _rows(residual_rows(report, say), say("gap.left"))
+    _rows(gap.residual_rows(report, say), say("gap.left"))
     if found["beside"]:
-        causes = listed([effect_name(effect, say) for effect in found["beside"]], "gap.and", say)
+        causes = gap.listed([gap.effect_name(effect, say) for effect in found["beside"]], "gap.and", say)
         st.caption(say("gap.left.beside", causes=causes, without=percent(found["without"])))
     st.caption(say("gap.left.span", load_N=f"{found['load_N']:.3g}", depth_mm=f"{found['depth_mm']:.3g}"))
 
 
 def _next(report: Report, case: Path) -> None:
-    proposed = next_experiment(report)
+    proposed = gap.next_experiment(report)
     st.header(say("gap.next"))
     with st.container(border=True):
         if proposed is None:
             st.markdown(say("gap.next.none"))
         else:
             minutes = f" · {proposed['minutes']:.0f} min" if proposed.get("minutes") else ""
-            name = pressed_name(str(proposed["profile"]), say)
-            st.markdown(f"**{name}**{minutes}  \n{why_next(proposed, say)}")
+            name = gap.pressed_name(str(proposed["profile"]), say)
+            st.markdown(f"**{name}**{minutes}  \n{gap.why_next(proposed, say)}")
             if not has_sealed_rig(case):
                 st.caption(say("gap.next.by_hand", experiment=name))
             elif allows("set_up") and st.button(say("gap.next.do"), type="primary", icon=":material/play_arrow:"):
@@ -173,10 +155,10 @@ def _next(report: Report, case: Path) -> None:
 def _truth(case: Path) -> None:
     if st.toggle(say("gap.truth"), key=f"truth-{case}"):
         found = truth(case)
-        hidden = [effect_name(effect, say) for effect in found.effects]
+        hidden = [gap.effect_name(effect, say) for effect in found.effects]
         if found.mistake:
-            told = {"mistake": mistake_name(found.mistake, say), "runs": ", ".join(map(str, found.runs))}
-            told |= {"channel": channel_name(found.channel, say) if found.channel else "–"}
+            told = {"mistake": gap.mistake_name(found.mistake, say), "runs": ", ".join(map(str, found.runs))}
+            told |= {"channel": gap.channel_name(found.channel, say) if found.channel else "–"}
             key = "gap.truth.mistake" if found.runs else "gap.truth.mistake.all"
             hidden.append(say(key, **told))
         st.markdown(say("gap.truth.is", causes=", ".join(hidden) or say("trail.nothing")))
