@@ -1,13 +1,19 @@
 """What a browser remembers for this server, in cookies; and whether it has drawn the page."""
 
+import os
+import secrets
 from collections.abc import Mapping
 from urllib.parse import unquote
 
 import streamlit as st
 
+from softcal.app.line.facts import Screen
 from softcal.app.ui.callbacks import in_one_piece
 
-STATE = "browser-memory"
+STATION_VARIABLE = "SOFTCAL_STATION"
+"""Environment variable: name of the station at this screen."""
+
+STATE, TAB = "browser-memory", "line-tab"
 HTML = "<span hidden></span>\n"
 JS = """
 export default function ({ data, setTriggerValue }) {
@@ -46,6 +52,12 @@ def remember(name: str, value: str) -> None:
 def forget(name: str) -> None:
     """Forget what was remembered under a name."""
     remember(name, "")
+
+
+def screen(seen: int | None = None, until_s: float | None = None) -> Screen:
+    """Return which screen of a line this is, what its person has seen, and until when a key waits."""
+    tab = str(st.session_state.setdefault(TAB, secrets.token_hex(8)))
+    return Screen(recall("station") or os.environ.get(STATION_VARIABLE, ""), tab, seen, until_s)
 
 
 def keep() -> None:

@@ -5,23 +5,24 @@ from functools import partial
 import streamlit as st
 
 from softcal.app.charts.live import live_signal
-from softcal.app.line.facts import read_line
+from softcal.app.line.facts import LotAtLine, read_line, read_lot
 from softcal.app.line.line import take_scan
+from softcal.app.line.rig import spool_folder
 from softcal.app.ui.account import allows, is_signed_in, person
-from softcal.app.ui.browser_memory import remember
+from softcal.app.ui.browser_memory import remember, screen
 from softcal.app.ui.callbacks import in_one_piece
 from softcal.app.ui.components import line_card
 from softcal.app.ui.components.scan_field import scan_field
 from softcal.app.ui.desk import choose_language, colours, in_one_language, in_words, registry, say
-from softcal.app.ui.line_memory import kept_runs, lot_at_line, refusal, remember_refusal, screen
 from softcal.app.ui.panels import go_to
 from softcal.app.views.line import COMMAND_OF_KEY, KEYS, LineView, action_said, away_view, line_view, note_said
 from softcal.core.errors import InputError, RegistryError
+from softcal.db.registry import Registry
 
 BUSY_S, IDLE_S = 0.5, 1.0
 """Between two looks, during a run and else: another screen may start a run."""
 
-IS_BUSY = "line-is-busy"
+IS_BUSY, REFUSED = "line-is-busy", "line-refused"
 
 
 def render() -> None:
@@ -61,13 +62,33 @@ def _screen() -> None:
 
 def _look() -> tuple[LineView, tuple[str, bool] | None]:
     """Return what the screen shows and the sentence about the last scan."""
-    why = refusal()
+    # Why the last scan was not taken, where the registry cannot keep it: it is away, or there is no station.
+    why = st.session_state.get(REFUSED)
     refused = (say("note.refused", why=why), True) if why else None
     try:
-        facts = read_line(registry(), screen(), lot_at_line)
+        facts = read_line(registry(), screen(), _lot_at_line)
     except RegistryError:
-        return away_view(kept_runs(), _signed_in(), say), refused
+        # Runs that lie on this machine's disk and not in the registry.
+        folder = spool_folder(None)
+        kept = sum(1 for _ in folder.glob("*.spool")) if folder.is_dir() else 0
+        return away_view(kept, _signed_in(), say), refused
     return line_view(facts, _signed_in(), say), refused or note_said(facts, say)
+
+
+def _lot_at_line(of: Registry, lot_id: str) -> LotAtLine:
+    """Read a lot, or remember it while nothing of it changes; asked once a second."""
+    name = str(of.database.name)
+    return _remembered_lot(name, lot_id, _marker(name, lot_id))
+
+
+@st.cache_resource(ttl="1s", max_entries=16, show_spinner=False)
+def _marker(registry_name: str, lot_id: str) -> str:
+    return registry().pages.change_marker(lot_id)
+
+
+@st.cache_resource(max_entries=16, show_spinner=False)
+def _remembered_lot(registry_name: str, lot_id: str, marker: str) -> LotAtLine:
+    return read_lot(registry(), lot_id)
 
 
 def _signed_in() -> str:
@@ -76,14 +97,14 @@ def _signed_in() -> str:
 
 
 def _on_scan(text: str, seen: int | None, until_s: float | None = None) -> None:
+    why = ""
     try:
         take_scan(registry(), screen(seen, until_s), text, _signed_in())
     except RegistryError:
-        remember_refusal(say("line.away"))
+        why = say("line.away")
     except InputError as error:
-        remember_refusal(in_words(error))
-    else:
-        remember_refusal("")
+        why = in_words(error)
+    st.session_state[REFUSED] = why
 
 
 def _actions(view: LineView) -> None:
