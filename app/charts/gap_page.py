@@ -101,9 +101,8 @@ def _left(found: Mapping[str, Any], report: Mapping[str, Any], say: Words) -> tu
 def _rows(rows: Sequence[Mapping[str, str]], otherwise: str, say: Words) -> str:
     if not rows:
         return f"<p>{escape(otherwise)}</p>"
-    return table(
-        [say(f"gap.column.{name}") for name in rows[0]], [[_cell(*cell) for cell in row.items()] for row in rows]
-    )
+    header = [say(f"gap.column.{name}") for name in rows[0]]
+    return table(header, [[_cell(*cell) for cell in row.items()] for row in rows])
 
 
 def _cell(name: str, told: str) -> str:

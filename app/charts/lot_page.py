@@ -22,10 +22,9 @@ def lot_page(view: LotView, units: Sequence[UnitEntry], words: Words, made: str)
     facts = report_facts(view, words)
     told = "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in facts.items())
     head = f"<header><h1>{escape(view.lot.id)}</h1><dl>{told}</dl><p>{escape(made)}</p></header>"
-    parts = [
-        section(part.title, _drawn(part, view, words)) for part in report_parts(view, units, words("lot.table"), words)
-    ]
-    return document(f"softcal: {view.lot.id}", [head, *parts], STYLE)
+    parts = report_parts(view, units, words("lot.table"), words)
+    sections = [section(part.title, _drawn(part, view, words)) for part in parts]
+    return document(f"softcal: {view.lot.id}", [head, *sections], STYLE)
 
 
 def _drawn(part: ReportPart, view: LotView, words: Words) -> str:

@@ -1,6 +1,6 @@
 """What every page shares: the language, the colours, reasons, and how errors look."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from datetime import datetime, tzinfo
@@ -65,6 +65,11 @@ def words() -> Words:
 def say(key: str, /, **values: object) -> str:
     """Return one of these texts."""
     return words()(key, **values)
+
+
+def named(kind: str) -> Callable[[str], str]:
+    """Return how one of several names is said: the text KIND.NAME."""
+    return lambda name: say(f"{kind}.{name}")
 
 
 def in_words(message: SoftcalError | Reason | Iterable[Reason] | str) -> str:

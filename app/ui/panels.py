@@ -98,9 +98,8 @@ def numbers(cells: Sequence[tuple[str, str, str | None]], narrowest_px: int = NA
 
 def show_figure(figure: Any, key: str) -> None:
     """Show a static chart."""
-    st.plotly_chart(
-        figure, width="stretch", config={"displayModeBar": False, "displaylogo": False}, key=key, theme=None
-    )
+    config = {"displayModeBar": False, "displaylogo": False}
+    st.plotly_chart(figure, width="stretch", config=config, key=key, theme=None)
 
 
 def figure_under(title: str, figure: Any, key: str) -> None:

@@ -199,9 +199,8 @@ def _withdrawn(registry: Registry, lot_id: str, passing: int) -> tuple[str, ...]
     passed = registry.calibrations.passed_once(lot_id)
     if len(passed) == passing:
         return ()
-    return tuple(
-        sorted(s for s, one in registry.pages.standings(lot_id, sorted(passed)).items() if one.verdict != "pass")
-    )
+    standings = registry.pages.standings(lot_id, sorted(passed))
+    return tuple(sorted(serial for serial, one in standings.items() if one.verdict != "pass"))
 
 
 def _counts(errors: Sequence[UnitErrors], runs: Sequence[RunEntry]) -> dict[str, int]:
@@ -241,9 +240,7 @@ def process_view(runs: Sequence[RunEntry], limit_rmse: float | None) -> ProcessV
     by_rule: dict[int, list[int]] = {}
     for signal in chart.signals:
         by_rule.setdefault(signal.rule, []).append(signal.index)
-    rules = [
-        RuleBroken(rule, len(indices), serials[max(indices)], rule in forbidding) for rule, indices in by_rule.items()
-    ]
+    rules = [RuleBroken(rule, len(at), serials[max(at)], rule in forbidding) for rule, at in by_rule.items()]
     broken = tuple(sorted(rules, key=lambda broken: (not broken.forbids, broken.rule)))
     try:
         return ProcessView(serials, chart, broken, capability(chart, None, limit_rmse), None)

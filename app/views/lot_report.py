@@ -80,9 +80,8 @@ def report_parts(view: LotView, units: Sequence[UnitEntry], title: str, words: W
             for kind, found in (("days", view.days), ("stations", view.stations), ("operators", view.operators))
             for one in found[-MOST_ROWS:]
         ]
-        yield ReportPart(
-            words("report.yields"), "", ("", "", words("lot.first_pass"), count), rows, (0.34, *[0.22] * 3)
-        )
+        header = ("", "", words("lot.first_pass"), count)
+        yield ReportPart(words("report.yields"), "", header, rows, (0.34, *[0.22] * 3))
     if view.process.chart is not None:
         yield ReportPart(words("lot.process"), "process")
     if view.reasons:
@@ -93,14 +92,14 @@ def report_parts(view: LotView, units: Sequence[UnitEntry], title: str, words: W
         scored = [(row.serial, words(f"verdict.{row.verdict}"), *(number(value) for value in row[2:])) for row in worst]
         yield ReportPart(words("lot.scores"), "scores", [*named, *errors], scored, (0.2, *[0.16] * 5))
     if units:
-        header = [*named, *errors, words("column.family"), words("column.reasons")]
+        titles = [*named, *errors, words("column.family"), words("column.reasons")]
         shares = (0.12, 0.12, *[0.08] * 4, 0.1, 0.34)
         listed = []
         for one in units:
             measured = map(number, (one.predicted_rmse, one.before_rmse, one.after_rmse, one.own_rmse))
             verdict = words(f"verdict.{one.verdict or 'none'}")
             listed.append([one.serial, verdict, *measured, one.family or "–", all_said(one.reasons, words)])
-        yield ReportPart(title, "", header, listed, shares)
+        yield ReportPart(title, "", titles, listed, shares)
 
 
 def _said(share: Share) -> str:

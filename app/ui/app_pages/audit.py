@@ -41,9 +41,9 @@ def _draw(lot_id: str) -> None:
     with st.container(border=True):
         st.markdown(f"## {say('audit.draw')}")
         config = _config()
-        if role_allows(ACTION) and st.button(
-            say("audit.draw.do"), type="primary", icon=":material/casino:", key="audit-draw"
-        ):
+        if not role_allows(ACTION):
+            return
+        if st.button(say("audit.draw.do"), type="primary", icon=":material/casino:", key="audit-draw"):
             permit(ACTION)
             draw_plan(registry(), lot_id, config, actor=actor())
             st.rerun()

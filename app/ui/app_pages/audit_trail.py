@@ -6,7 +6,7 @@ from functools import partial
 import streamlit as st
 
 from softcal.app.ui.actions import csv_of, download
-from softcal.app.ui.desk import empty, in_one_language, instant, registry, say, zone
+from softcal.app.ui.desk import empty, in_one_language, instant, named, registry, say, zone
 from softcal.app.ui.panels import heading, table_to_choose
 from softcal.app.views.audit_trail import HEADINGS, Entry, TrailFilter, trail
 
@@ -44,7 +44,7 @@ def _filter(entries: list[Entry]) -> TrailFilter:
     sections = third.multiselect(
         say("trail.section"),
         HEADINGS,
-        format_func=lambda name: say(f"trail.section.{name}"),
+        format_func=named("trail.section"),
         key="trail-section",
         placeholder=unset,
     )

@@ -9,7 +9,7 @@ from softcal.app.ui.account import permit
 from softcal.app.ui.actions import refusals_in_words
 from softcal.app.ui.components.gap_report import gap_report
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
-from softcal.app.ui.desk import empty, say
+from softcal.app.ui.desk import empty, named, say
 from softcal.app.ui.panels import heading
 
 
@@ -88,9 +88,7 @@ def _upload() -> None:
             key: column.number_input(key, value=usual, min_value=type(usual)(1e-3) if key != "adc_bits" else 1)
             for column, (key, usual) in fields
         }
-        values["sensor_type"] = st.selectbox(
-            say("gap.sensor"), ("pressure", "strain"), format_func=lambda kind: say(f"gap.sensor.{kind}")
-        )
+        values["sensor_type"] = st.selectbox(say("gap.sensor"), ("pressure", "strain"), format_func=named("gap.sensor"))
         files = st.file_uploader(say("gap.files"), type=["csv"], accept_multiple_files=True)
         st.caption(say("gap.files.how"))
         if not st.form_submit_button(say("gap.upload.do")):

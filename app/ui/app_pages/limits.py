@@ -66,15 +66,8 @@ def _change(view: LotView, versions: list[LimitEntry]) -> None:
     headline(say("limits.now", limit=limit_said(view.limit, say), version=newest))
     is_automatic = st.toggle(say("limits.auto"), view.lot.limit_rmse is None, key=f"auto-{view.lot.id}-{version}")
     usual = view.limit_rmse or view.median_predicted or 1.0
-    wanted = st.number_input(
-        f"{say('limits.new')} [{unit}]",
-        min_value=0.0,
-        value=float(usual),
-        step=float(f"{usual / 10:.1g}"),
-        format="%.4g",
-        disabled=is_automatic,
-        key=f"limit-{view.lot.id}-{version}",
-    )
+    label, step, key = f"{say('limits.new')} [{unit}]", float(f"{usual / 10:.1g}"), f"limit-{view.lot.id}-{version}"
+    wanted = st.number_input(label, 0.0, None, float(usual), step, "%.4g", key, disabled=is_automatic)
     if not is_automatic:
         errors = view.predicted()
         if count := len(errors):
@@ -113,9 +106,8 @@ def _change_rules(lot: Lot, versions: Sequence[LineRulesEntry]) -> None:
 def _asked(now: LineRules, unit: str, mark: str) -> dict[str, Any]:
     """Draw one field per rule with what holds now; return what stands in them."""
     left, middle, right = st.columns([3, 2, 2])
-    pattern = left.text_input(
-        say("rules.pattern"), now.serial_pattern, key=f"rules-pattern-{mark}", help=say("rules.pattern.help")
-    )
+    key, help_ = f"rules-pattern-{mark}", say("rules.pattern.help")
+    pattern = left.text_input(say("rules.pattern"), now.serial_pattern, key=key, help=help_)
     letters = middle.selectbox(
         say("rules.letters"),
         LETTERS,
@@ -123,18 +115,13 @@ def _asked(now: LineRules, unit: str, mark: str) -> dict[str, Any]:
         format_func=lambda name: say(f"rules.letters.{name.replace(' ', '_')}"),
         key=f"rules-letters-{mark}",
     )
-    target = right.number_input(
-        say("rules.target"), 1, MOST_UNITS, now.target, key=f"rules-target-{mark}", placeholder=say("rules.target.none")
-    )
+    key, none = f"rules-target-{mark}", say("rules.target.none")
+    target = right.number_input(say("rules.target"), 1, MOST_UNITS, now.target, key=key, placeholder=none)
     st.markdown(say("rules.retests"))
-    retests = {
-        verdict: int(
-            column.number_input(
-                say(f"verdict.{verdict}"), 0, MOST_RETESTS, now.retests.get(verdict, 0), key=f"rules-{verdict}-{mark}"
-            )
-        )
-        for verdict, column in zip(VERDICTS, st.columns(len(VERDICTS)), strict=True)
-    }
+    retests = {}
+    for verdict, column in zip(VERDICTS, st.columns(len(VERDICTS)), strict=True):
+        label, usual = say(f"verdict.{verdict}"), now.retests.get(verdict, 0)
+        retests[verdict] = int(column.number_input(label, 0, MOST_RETESTS, usual, key=f"rules-{verdict}-{mark}"))
     fixed = {"serial_pattern": str(pattern).strip(), "letters": letters, "target": target, "retests": retests}
     return fixed | {"loads": _loads(now, unit, mark)}
 
@@ -146,20 +133,12 @@ def _loads(now: LineRules, unit: str, mark: str) -> tuple[tuple[float, float], .
     cells = st.columns(2 * MOST_LOADS)
     for place, columns in enumerate(zip(cells[::2], cells[1::2], strict=True), 1):
         load = now.loads[place - 1] if place <= len(now.loads) else None
-        value = columns[0].number_input(
-            f"{say('rules.load', number=place)} [{unit}]",
-            0.0,
-            value=load.value if load else None,
-            format="%.5g",
-            key=f"rules-load-{place}-{mark}",
-        )
-        expanded = columns[1].number_input(
-            f"{say('rules.load_uncertainty')} [{unit}]",
-            0.0,
-            value=load.expanded if load else 0.0,
-            format="%.5g",
-            key=f"rules-load-u-{place}-{mark}",
-        )
+        label, usual = f"{say('rules.load', number=place)} [{unit}]", load.value if load else None
+        key = f"rules-load-{place}-{mark}"
+        value = columns[0].number_input(label, 0.0, value=usual, format="%.5g", key=key)
+        label, usual = f"{say('rules.load_uncertainty')} [{unit}]", load.expanded if load else 0.0
+        key = f"rules-load-u-{place}-{mark}"
+        expanded = columns[1].number_input(label, 0.0, value=usual, format="%.5g", key=key)
         if value is not None:
             found.append((float(value), float(expanded or 0.0)))
     return tuple(found)

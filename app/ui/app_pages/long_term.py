@@ -25,9 +25,8 @@ def render() -> None:
     found = course(registry(), serial, stream)
     st.header(say("long_term.course", serial=serial))
     if found.alarm:
-        st.warning(
-            phrase("adapt", found.alarm, say), icon=":material/notification_important:", title=say("long_term.due")
-        )
+        why = phrase("adapt", found.alarm, say)
+        st.warning(why, icon=":material/notification_important:", title=say("long_term.due"))
     if not found.steps:
         st.caption(say("long_term.no_steps"))
         return

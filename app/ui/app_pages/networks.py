@@ -63,9 +63,8 @@ def release(lot: Lot, rows: Sequence[NetworkRow]) -> None:
     used = next((row for row in rows if row.is_in_use), None)
     st.caption(say("networks.release.how", network=used.id[:12]) if used else say("networks.release.none"))
     say_finished("network")
-    names = {
-        row.id: f"{row.id[:12]} · {row.layers} · {number(row.validation_rmse, lot.reference_unit)}" for row in rows
-    }
+    unit = lot.reference_unit
+    names = {row.id: f"{row.id[:12]} · {row.layers} · {number(row.validation_rmse, unit)}" for row in rows}
     chosen = st.selectbox(say("column.network"), list(names), format_func=names.__getitem__, key=f"release-{lot.id}")
     row = next(row for row in rows if row.id == chosen)
     with refusals_in_words():

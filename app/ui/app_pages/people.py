@@ -4,7 +4,7 @@ import streamlit as st
 
 from softcal.app.ui.account import actor, person
 from softcal.app.ui.actions import ask_reason, finish, refusals_in_words, say_finished
-from softcal.app.ui.desk import registry, say
+from softcal.app.ui.desk import named, registry, say
 from softcal.app.ui.panels import heading, rest_may_follow, table
 from softcal.app.ui.pins import check_pin
 from softcal.db.access.people import ROLES
@@ -43,9 +43,7 @@ def _change(people: list[User]) -> None:
     # Keys carry the version, so that the fields show what is stored after each change.
     mark = f"{user.name}-{user.version}"
     name = user.name or str(st.text_input(say("sign_in.name"), key=f"people-name-{mark}")).strip()
-    role = st.selectbox(
-        say("people.role"), ROLES, ROLES.index(user.role), lambda role: say(f"role.{role}"), key=f"people-role-{mark}"
-    )
+    role = st.selectbox(say("people.role"), ROLES, ROLES.index(user.role), named("role"), key=f"people-role-{mark}")
     is_active = st.checkbox(say("people.may_sign_in"), user.is_active, key=f"people-active-{mark}")
     pin = again = ""
 

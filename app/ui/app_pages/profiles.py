@@ -8,7 +8,7 @@ import streamlit as st
 
 from softcal.app.charts.station import profile_figure
 from softcal.app.files.profile_file import profile_toml, read_profile
-from softcal.app.ui.desk import colours, say
+from softcal.app.ui.desk import colours, named, say
 from softcal.app.ui.panels import heading, numbers, rest_may_follow, show_figure
 from softcal.app.views.station import bounds
 from softcal.core.profiles import BUILT_IN, Profile
@@ -22,7 +22,7 @@ REACHED = {"depth": "reached", "speed": "speed"}
 
 def render() -> None:
     with heading("profiles"):
-        name = st.selectbox(say("profiles.profile"), [*BUILT_IN, FILE], format_func=lambda key: say(f"profile.{key}"))
+        name = st.selectbox(say("profiles.profile"), [*BUILT_IN, FILE], format_func=named("profile"))
     left, right = st.columns([1, 3])
     with left:
         if name == FILE:

@@ -16,7 +16,7 @@ from softcal.app.jobs.lot_jobs import archive_path
 from softcal.app.ui.account import actor, permit
 from softcal.app.ui.actions import download, finish, refusals_in_words, role_allows, say_finished
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
-from softcal.app.ui.desk import in_words, registry, say, words
+from softcal.app.ui.desk import in_words, named, registry, say, words
 from softcal.app.ui.panels import for_lot, has_units, numbers, table
 from softcal.app.views.common import number
 from softcal.core.quality.lot_release import LotRelease
@@ -107,7 +107,7 @@ def _archive(lot_id: str) -> None:
         say("unit.files.format"),
         FORMATS,
         USUAL_FORMATS,
-        format_func=lambda name: say(f"format.{name}"),
+        format_func=named("format"),
         placeholder=say("choose.some"),
     )
     conditional = st.toggle(say("release.conditional"), help=say("release.conditional.help"))

@@ -13,7 +13,7 @@ from softcal.app.ui.account import allows
 from softcal.app.ui.actions import ask_reason
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
 from softcal.app.ui.components.station_run import choose_station, newest_run, place, run_panel
-from softcal.app.ui.desk import errors_in_words, in_words, instant, registry, say
+from softcal.app.ui.desk import errors_in_words, in_words, instant, named, registry, say
 from softcal.app.ui.panels import heading, rest_may_follow, table
 from softcal.core.orders import OrderKind
 from softcal.core.words.reason import Reason
@@ -108,9 +108,7 @@ def _runs(station: str) -> None:
 
 
 def _ask(is_busy: bool) -> None:
-    rig = st.segmented_control(
-        say("setup.rig"), RIGS, default="ports", format_func=lambda name: say(f"setup.{name}"), key="rig"
-    )
+    rig = st.segmented_control(say("setup.rig"), RIGS, default="ports", format_func=named("setup"), key="rig")
     request: dict[str, object] = {"ports": [], "file": None, "simulated": None}
     if rig == "ports":
         request["ports"] = st.multiselect(say("setup.at"), available_ports(), placeholder=say("setup.every"))

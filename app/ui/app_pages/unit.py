@@ -14,7 +14,7 @@ from softcal.app.export.names import FORMATS
 from softcal.app.registry.standing import standing_of
 from softcal.app.ui.account import actor
 from softcal.app.ui.actions import ask_reason, download, finish, refusals_in_words, say_finished
-from softcal.app.ui.desk import choose, colours, empty, in_full, in_words, instant, registry, say, verdict_badge
+from softcal.app.ui.desk import choose, colours, empty, in_full, in_words, instant, named, registry, say, verdict_badge
 from softcal.app.ui.panels import (
     figure_under,
     figures_beside,
@@ -116,7 +116,7 @@ def _known(text: str) -> list[str]:
 def _files(serial: str, lot_id: str, revision: int, is_in_use: bool) -> None:
     """Draw the choice of a format and a button per file."""
     chosen = st.segmented_control(
-        say("unit.files.format"), FORMATS, format_func=lambda name: say(f"format.{name}"), key=f"format-{serial}"
+        say("unit.files.format"), FORMATS, format_func=named("format"), key=f"format-{serial}"
     )
     if chosen is None:
         st.caption(say("unit.files.how"))

@@ -79,15 +79,12 @@ def _running(order_id: str, station: str) -> None:
     if not progress.state.is_active:
         st.rerun()
     left, right = st.columns([5, 1], vertical_alignment="bottom")
-    left.progress(
-        progress.fraction,
-        text=say("station.left", phase=phase_said(progress.phase, say), seconds=round(progress.remaining_s)),
-    )
+    phase = phase_said(progress.phase, say)
+    left.progress(progress.fraction, text=say("station.left", phase=phase, seconds=round(progress.remaining_s)))
     if right.button(say("line.action.STOP"), type="primary", key=f"stop-{order_id}", width="stretch"):
         place(station, OrderKind.STOP)
     if not queue.is_answering(station):
         st.warning(say("station.silent", station=station), icon=":material/heart_broken:")
     if progress.signal.t_s:
-        st.echarts_chart(
-            live_signal(progress.signal, colours(), say, has_force=True), height=320, key=f"signal-{order_id}"
-        )
+        drawn = live_signal(progress.signal, colours(), say, has_force=True)
+        st.echarts_chart(drawn, height=320, key=f"signal-{order_id}")

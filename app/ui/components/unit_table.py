@@ -7,7 +7,7 @@ import streamlit as st
 from softcal.app.files.spreadsheet import excel_bytes
 from softcal.app.texts.reasons import all_said
 from softcal.app.ui.actions import csv_of, download
-from softcal.app.ui.desk import errors_in_words, in_one_language, registry, say
+from softcal.app.ui.desk import errors_in_words, in_one_language, named, registry, say
 from softcal.app.ui.panels import go_to, table_to_choose
 from softcal.core.lot import Lot
 from softcal.core.unit.verdict import VERDICTS
@@ -70,14 +70,12 @@ def _filter(lot_id: str) -> UnitFilter:
         say("column.verdict"),
         WORDS,
         selection_mode="multi",
-        format_func=lambda word: say(f"verdict.{word}"),
+        format_func=named("verdict"),
         key=f"units-verdicts-{lot_id}",
     )
     middle, right = st.columns([3, 2], vertical_alignment="bottom")
     text = middle.text_input(say("unit.find"), key=f"units-find-{lot_id}", icon=":material/search:")
-    sort = right.selectbox(
-        say("lot.table.sort"), SORTS, format_func=lambda name: say(f"sort.{name}"), key=f"units-sort-{lot_id}"
-    )
+    sort = right.selectbox(say("lot.table.sort"), SORTS, format_func=named("sort"), key=f"units-sort-{lot_id}")
     is_falling = sort in ("predicted_rmse", "after_rmse", "made_at")
     return UnitFilter(tuple(verdicts), str(text or "").strip(), sort, is_falling)
 
