@@ -57,14 +57,9 @@ def adaptation_figure(
 
     from softcal.app.charts.style import dots
 
-    rows = (f"Output [{output_unit}]", "Drift, in scales of the calibrated use", "Map")
-    figure = make_subplots(
-        rows=5,
-        cols=1,
-        shared_xaxes=True,
-        vertical_spacing=0.04,
-        subplot_titles=(*rows, f"Estimate [{reference_unit}]", f"Predicted error [{reference_unit}]"),
-    )
+    titles = [f"Output [{output_unit}]", "Drift, in scales of the calibrated use", "Map"]
+    titles += [f"Estimate [{reference_unit}]", f"Predicted error [{reference_unit}]"]
+    figure = make_subplots(rows=5, cols=1, shared_xaxes=True, vertical_spacing=0.04, subplot_titles=titles)
     _line(figure, 1, trace.t_s, trace.output, "output", GREY)
     seen = [step for step in maps if step["t_s"] is not None]
     times = [step["t_s"] for step in seen]

@@ -9,6 +9,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from softcal.app.charts.palette import FONTS, LIGHT, Palette
+from softcal.app.charts.style import LEVEL_BARS
 from softcal.app.texts.reasons import Words, said
 from softcal.app.views.gap import channel_name, effect_name, pressed_name, ranked
 from softcal.core.recording import Array, Indices
@@ -47,6 +48,7 @@ def span_of(runs: "Sequence[RunView]", column: str) -> float:
 
 DIRECTIONS = tuple(Reason(f"gap.regime.{name}") for name in ("loading", "hold", "unloading"))
 BANDS = 6
+PREDICTIONS = ("base", "causes", "floor")
 RESIDUALS = ("rmse_before", "rmse_after", "noise_floor")
 SHOWN_POINTS = 1500
 """Most points of a trace that are drawn: the largest of each stretch."""
@@ -162,17 +164,9 @@ def ranking_figure(report: Mapping[str, Any], shown: int, say: Words, colours: P
     names = [effect_name(cause["effect"], say) for cause in drawn]
     chances = [cause["probability"] for cause in drawn]
     shades = [colours.mapped if chance >= 0.5 else colours.source for chance in chances]
-    bars = go.Bar(
-        x=chances,
-        y=names,
-        orientation="h",
-        marker_color=shades,
-        text=[f"{100 * chance:.0f} %" for chance in chances],
-        textposition="outside",
-        cliponaxis=False,
-        hovertemplate="%{y}: %{x:.3f}<extra></extra>",
-    )
-    figure = go.Figure(bars)
+    shown_chances = [f"{100 * chance:.0f} %" for chance in chances]
+    look = {"marker_color": shades, "hovertemplate": "%{y}: %{x:.3f}<extra></extra>"} | LEVEL_BARS
+    figure = go.Figure(go.Bar(x=chances, y=names, text=shown_chances, **look))
     figure.update_xaxes(range=[0.0, 1.08], tickformat=".0%", title=say("gap.figure.probability"))
     return _styled(figure, 120 + 26 * max(1, len(drawn)), left=190, showlegend=False)
 
@@ -189,16 +183,9 @@ def gain_figure(report: Mapping[str, Any], say: Words, colours: Palette = LIGHT)
     for row, name in enumerate(channels, start=1):
         gap, (times, unit) = report["gap"][name], unit_of(name)
         values = [times * gap[key] for key in RESIDUALS]
-        bars = go.Bar(
-            x=values,
-            y=[say(f"gap.figure.{of}") for of in ("base", "causes", "floor")],
-            orientation="h",
-            marker_color=[colours.source, colours.mapped, colours.line],
-            text=[f"{value:.3g} {unit}" for value in values],
-            textposition="outside",
-            cliponaxis=False,
-        )
-        figure.add_trace(bars, row=row, col=1)
+        names, shown = [say(f"gap.figure.{of}") for of in PREDICTIONS], [f"{value:.3g} {unit}" for value in values]
+        shades = [colours.source, colours.mapped, colours.line]
+        figure.add_bar(x=values, y=names, text=shown, marker_color=shades, **LEVEL_BARS, row=row, col=1)
         figure.update_xaxes(title=unit, title_standoff=4, range=[0.0, 1.3 * max(values)], row=row, col=1)
         figure.update_yaxes(autorange="reversed", automargin=True, row=row, col=1)
     return _styled(figure, 90 + 190 * max(1, len(channels)), showlegend=False)
@@ -211,14 +198,10 @@ def hidden_figure(report: Mapping[str, Any], say: Words, colours: Palette = LIGH
         return None
     names = sorted(hidden, key=lambda name: hidden[name])
     shares = [hidden[name] for name in names]
-    bars = go.Bar(
-        x=shares,
-        y=[effect_name(name, say) for name in names],
-        orientation="h",
-        marker_color=[colours.limit if share >= 0.8 else colours.source for share in shares],
-        hovertemplate=f"%{{y}}: {say('gap.figure.hidden.one', share='%{x:.0%}')}<extra></extra>",
-    )
-    figure = go.Figure(bars)
+    shades = [colours.limit if share >= 0.8 else colours.source for share in shares]
+    hover = f"%{{y}}: {say('gap.figure.hidden.one', share='%{x:.0%}')}<extra></extra>"
+    effects = [effect_name(name, say) for name in names]
+    figure = go.Figure(go.Bar(x=shares, y=effects, orientation="h", marker_color=shades, hovertemplate=hover))
     title = say("gap.figure.hidden")
     figure.update_xaxes(range=[0.0, 1.0], tickformat=".0%", title=title, title_standoff=12, automargin=True)
     return _styled(figure, 140 + 18 * len(names), left=150, showlegend=False)
@@ -259,15 +242,9 @@ def _over_time(
     figure = make_subplots(rows=len(shown), subplot_titles=titles, vertical_spacing=min(0.1, 0.3 / len(shown)))
     for row, run in enumerate(shown, start=1):
         for of, values, colour, at in lines(run.channels[channel]):
-            line = go.Scattergl(
-                x=run.t_s[at],
-                y=times * values[at],
-                name=say(f"gap.figure.{of}"),
-                legendgroup=of,
-                showlegend=row == 1,
-                line={"color": colour, "width": 1},
-            )
-            figure.add_trace(line, row=row, col=1)
+            look = {"legendgroup": of, "showlegend": row == 1, "line": {"color": colour, "width": 1}}
+            name = say(f"gap.figure.{of}")
+            figure.add_scattergl(x=run.t_s[at], y=times * values[at], name=name, **look, row=row, col=1)
         figure.update_yaxes(title=unit, row=row, col=1)
     # The legend stands below: far from its axis, as the desk would draw it, the title would lie on it.
     figure.update_xaxes(title=say("gap.figure.time"), title_standoff=8, row=len(shown), col=1)

@@ -8,18 +8,8 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from softcal.app.charts import style
 from softcal.app.charts.palette import Palette
-from softcal.app.charts.style import (
-    HEIGHT,
-    axis_titles,
-    coloured,
-    dots,
-    level_line,
-    limit_line,
-    nice_step,
-    styled,
-    whole_numbers,
-)
 from softcal.app.texts.reasons import Words, plainly
 from softcal.app.views.common import far_end
 from softcal.app.views.lot import LotView, ProcessView
@@ -48,17 +38,17 @@ def predicted_errors(view: LotView, colours: Palette, words: Words) -> go.Figure
             name = words(f"verdict.{verdict}")
             figure.add_bar(x=edges[:-1], y=counts, width=edges[1], offset=0, name=name, marker_color=colour)
     figure.update_layout(barmode="stack")
-    whole_numbers(figure, float(np.histogram(np.minimum(every, top), edges)[0].max(initial=0)))
+    style.whole_numbers(figure, float(np.histogram(np.minimum(every, top), edges)[0].max(initial=0)))
     # Without a step of their own the ticks would follow the bars, at odd numbers.
-    figure.update_xaxes(range=[0.0, top + edges[1]], dtick=nice_step(top), tick0=0)
+    figure.update_xaxes(range=[0.0, top + edges[1]], dtick=style.nice_step(top), tick0=0)
     if view.limit_rmse is not None:
-        limit_line(figure, view.limit_rmse, colours, words("chart.limit"))
+        style.limit_line(figure, view.limit_rmse, colours, words("chart.limit"))
     title, beyond = f"{words('column.predicted')} [{view.lot.reference_unit}]", int(np.sum(every > top))
     if beyond:
         # Over the bars it would meet the line of the limit where the figure is narrow.
         text = words("chart.beyond", count=beyond, value=f"{top:.3g} {view.lot.reference_unit}")
         title = f"{title} · {text}"
-    return styled(figure, colours, title, words("chart.count"))
+    return style.styled(figure, colours, title, words("chart.count"))
 
 
 def audit_scores(view: LotView, colours: Palette, words: Words) -> go.Figure:
@@ -71,13 +61,13 @@ def audit_scores(view: LotView, colours: Palette, words: Words) -> go.Figure:
         if not any(value is not None for value in values):
             continue
         if _is_many(view):
-            dots(figure, None, values, colour, words(f"chart.{name}"))
+            style.dots(figure, None, values, colour, words(f"chart.{name}"))
         else:
             bars = [row.serial for row in audited]
             figure.add_bar(x=bars, y=values, name=words(f"chart.{name}"), marker_color=colour)
     title = words("chart.rank") if _is_many(view) else words("column.serial")
     figure.update_xaxes(type="linear" if _is_many(view) else "category").update_yaxes(rangemode="tozero")
-    return styled(figure, colours, title, f"RMSE [{view.lot.reference_unit}]")
+    return style.styled(figure, colours, title, f"RMSE [{view.lot.reference_unit}]")
 
 
 def _is_many(view: LotView) -> bool:
@@ -100,14 +90,14 @@ def control_chart_figure(process: ProcessView, unit: str, colours: Palette, word
         shown = {"text": names, "mode": "lines+markers", "line": line, "marker": marker, "hovertemplate": hover}
         figure.add_scatter(x=at, y=values[first:], **shown, row=row, col=1)
     _flagged(figure, chart, first, names, colours, words)
-    level_line(figure, chart.centre, colours.text, f"{chart.centre:.3g}")
+    style.level_line(figure, chart.centre, colours.text, f"{chart.centre:.3g}")
     for limit in (chart.lower, chart.upper):
-        level_line(figure, limit, colours.limit, f"{limit:.3g}", dash="dash")
-    level_line(figure, chart.range_upper, colours.limit, f"{chart.range_upper:.3g}", row=2, dash="dash")
-    axis_titles(figure, 1, f"{words('column.predicted')} [{unit}]")
-    axis_titles(figure, 2, f"{words('chart.range')} [{unit}]", words("chart.order"))
+        style.level_line(figure, limit, colours.limit, f"{limit:.3g}", dash="dash")
+    style.level_line(figure, chart.range_upper, colours.limit, f"{chart.range_upper:.3g}", row=2, dash="dash")
+    style.axis_titles(figure, 1, f"{words('column.predicted')} [{unit}]")
+    style.axis_titles(figure, 2, f"{words('chart.range')} [{unit}]", words("chart.order"))
     figure.update_yaxes(rangemode="tozero", row=2, col=1)
-    return coloured(figure, colours, 420).update_layout(showlegend=False, margin_t=20)
+    return style.coloured(figure, colours, 420).update_layout(showlegend=False, margin_t=20)
 
 
 def _flagged(
@@ -119,7 +109,7 @@ def _flagged(
             rules.setdefault(signal.index, []).append(signal.rule)
     text = [f"{names[k - first]}: {', '.join(words(f'rule.{rule}') for rule in found)}" for k, found in rules.items()]
     look: dict[str, Any] = {"symbol": "diamond", "text": text, "hovertemplate": "%{text}<extra></extra>"}
-    dots(figure, [k + 1 for k in rules], [chart.values[k] for k in rules], colours.limit, None, 10, 1, **look)
+    style.dots(figure, [k + 1 for k in rules], [chart.values[k] for k in rules], colours.limit, None, 10, 1, **look)
 
 
 def reasons_pareto(view: LotView, colours: Palette, words: Words) -> go.Figure:
@@ -130,12 +120,11 @@ def reasons_pareto(view: LotView, colours: Palette, words: Words) -> go.Figure:
     running = np.cumsum(counts) / every
     names = [_wrapped(plainly(reason, words)) for reason, _ in shown]
     labels = [f"{count:.0f}  ({share:.0%})" for count, share in zip(counts, running, strict=True)]
-    look = {"orientation": "h", "marker_color": colours.source, "textposition": "outside", "cliponaxis": False}
-    figure = go.Figure(go.Bar(x=counts, y=names, text=labels, **look))
+    figure = go.Figure(go.Bar(x=counts, y=names, text=labels, marker_color=colours.source, **style.LEVEL_BARS))
     figure.update_yaxes(autorange="reversed")
-    figure.update_xaxes(range=[0, 2.2 * counts.max()], tickformat="d", dtick=max(1, nice_step(counts.max())))
-    height = max(HEIGHT, 100 + sum(18 * (2 + name.count("<br>")) for name in names))
-    return styled(figure, colours, words("chart.count_running"), "", height).update_layout(showlegend=False)
+    figure.update_xaxes(range=[0, 2.2 * counts.max()], tickformat="d", dtick=max(1, style.nice_step(counts.max())))
+    height = max(style.HEIGHT, 100 + sum(18 * (2 + name.count("<br>")) for name in names))
+    return style.styled(figure, colours, words("chart.count_running"), "", height).update_layout(showlegend=False)
 
 
 def _wrapped(reason: str, width: int = 30) -> str:
@@ -161,19 +150,14 @@ def yield_figure(found: Sequence[YieldAt], title: str, colours: Palette, words: 
     value = [100 * (one.share.value or 0.0) for one in found]
     up = [100 * one.share.interval[1] - at for one, at in zip(found, value, strict=True)]
     down = [at - 100 * one.share.interval[0] for one, at in zip(found, value, strict=True)]
-    figure = go.Figure(
-        go.Bar(
-            x=names,
-            y=value,
-            customdata=counts,
-            hovertemplate="%{x}: %{y:.1f} % (%{customdata})<extra></extra>",
-            width=0.6 if len(found) > 2 else 0.25,
-            marker_color=colours.verdict["none"],
-            error_y={"array": up, "arrayminus": down, "color": colours.text, "thickness": 1.5, "width": 5},
-        )
-    )
+    spread = {"array": up, "arrayminus": down, "color": colours.text, "thickness": 1.5, "width": 5}
+    hover = "%{x}: %{y:.1f} % (%{customdata})<extra></extra>"
+    look = {"width": 0.6 if len(found) > 2 else 0.25, "marker_color": colours.verdict["none"], "error_y": spread}
+    figure = go.Figure(go.Bar(x=names, y=value, customdata=counts, hovertemplate=hover, **look))
     if len(found) <= WITH_COUNTS:
         said = [f"{name}<br>{count}" for name, count in zip(names, counts, strict=True)]
         figure.update_xaxes(tickmode="array", tickvals=names, ticktext=said)
     figure.update_xaxes(type="category").update_yaxes(range=[0, 104], dtick=20)
-    return styled(figure, colours, title, f"{words('lot.first_pass')} [%]").update_layout(showlegend=False, margin_t=20)
+    return style.styled(figure, colours, title, f"{words('lot.first_pass')} [%]").update_layout(
+        showlegend=False, margin_t=20
+    )

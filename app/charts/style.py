@@ -11,6 +11,8 @@ from softcal.core.recording import Array
 
 HEIGHT = 320
 CLEAR = "rgba(0,0,0,0)"
+LEVEL_BARS = {"orientation": "h", "textposition": "outside", "cliponaxis": False}
+"""Level bars whose values stand behind them."""
 
 
 def styled(figure: go.Figure, colours: Palette, x_title: str, y_title: str, height: int = HEIGHT) -> go.Figure:

@@ -121,14 +121,9 @@ def _file_fields() -> str:
 def choose_language() -> None:
     """Let a person choose the language; the browser remembers it."""
     codes = list(LANGUAGES)
-    chosen = st.selectbox(
-        say("choose.language"),
-        codes,
-        index=codes.index(language()),
-        format_func=LANGUAGES.__getitem__,
-        key="language",
-        label_visibility="collapsed",
-    )
+    label, now = say("choose.language"), codes.index(language())
+    names = LANGUAGES.__getitem__
+    chosen = st.selectbox(label, codes, now, names, key="language", label_visibility="collapsed")
     if chosen != language():
         remember(LANGUAGE, chosen)
         st.query_params.pop(LANGUAGE, None)

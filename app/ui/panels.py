@@ -14,6 +14,9 @@ from softcal.app.ui.pages import PAGES
 
 NARROWEST_NUMBER_PX = 150
 NOTHING = "–"
+LONG: Any = {"width": "stretch", "hide_index": True, "placeholder": NOTHING}
+"""How a table is drawn that is scrolled in."""
+
 MOST_IN_FULL = 40
 MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#$:~|!])")
 QUANTITY = re.compile(r"([-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?) ([^\s\d]\S*)")
@@ -149,7 +152,7 @@ def table(rows: Sequence[Mapping[str, object]], otherwise: str = "") -> None:
         st.caption(otherwise)
         return
     if len(rows) > MOST_IN_FULL:
-        st.dataframe(pd.DataFrame(rows), width="stretch", hide_index=True, placeholder=NOTHING)
+        st.dataframe(pd.DataFrame(rows), **LONG)
         return
     plain = [{_as_it_is(name): _as_it_is(value) for name, value in row.items()} for row in rows]
     st.table(pd.DataFrame(plain), border="horizontal", hide_index=True)
@@ -172,16 +175,8 @@ def table_to_choose(
     rows: Sequence[Mapping[str, object]], key: str, columns: dict[str, Any] | None = None
 ) -> int | None:
     """Draw a table to select a row of; return its number, None while none is selected."""
-    event = st.dataframe(
-        pd.DataFrame(rows),
-        width="stretch",
-        hide_index=True,
-        on_select="rerun",
-        selection_mode="single-row",
-        key=key,
-        column_config=columns,
-        placeholder=NOTHING,
-    )
+    frame, shown = pd.DataFrame(rows), {"column_config": columns, **LONG}
+    event = st.dataframe(frame, key=key, on_select="rerun", selection_mode="single-row", **shown)
     chosen = event.selection.rows
     # A selection outlives a filter that leaves fewer rows.
     return int(chosen[0]) if chosen and chosen[0] < len(rows) else None

@@ -42,11 +42,7 @@ def _filter(entries: list[Entry]) -> TrailFilter:
     everybody, unset = sorted({entry.row.actor for entry in entries}), say("choose.all")
     actors = second.multiselect(say("column.actor"), everybody, key="trail-actor", placeholder=unset)
     sections = third.multiselect(
-        say("trail.section"),
-        HEADINGS,
-        format_func=named("trail.section"),
-        key="trail-section",
-        placeholder=unset,
+        say("trail.section"), HEADINGS, format_func=named("trail.section"), key="trail-section", placeholder=unset
     )
     since = _midnight(fourth.date_input(say("trail.since"), value=None, key="trail-since"), time.min)
     until = _midnight(fifth.date_input(say("trail.until"), value=None, key="trail-until"), time.max)

@@ -153,10 +153,7 @@ def _compare_form(lot: Lot, rows: Sequence[NetworkRow], is_busy: bool) -> None:
             placeholder=say("choose.some"),
         )
         families = middle.multiselect(
-            say("column.family"),
-            [DEFAULT, *FAMILIES],
-            default=[DEFAULT, "affine"],
-            placeholder=say("choose.some"),
+            say("column.family"), [DEFAULT, *FAMILIES], default=[DEFAULT, "affine"], placeholder=say("choose.some")
         )
         units = right.number_input(say("lot.units"), 1, MOST_UNITS, 12)
         is_asked = st.form_submit_button(say("networks.compare.do"), disabled=is_busy)

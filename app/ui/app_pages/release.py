@@ -104,11 +104,7 @@ def _said(decided: LotRelease, lot_id: str) -> None:
 def _archive(lot_id: str) -> None:
     st.markdown(f"## {say('release.archive')}")
     formats = st.multiselect(
-        say("unit.files.format"),
-        FORMATS,
-        USUAL_FORMATS,
-        format_func=named("format"),
-        placeholder=say("choose.some"),
+        say("unit.files.format"), FORMATS, USUAL_FORMATS, format_func=named("format"), placeholder=say("choose.some")
     )
     conditional = st.toggle(say("release.conditional"), help=say("release.conditional.help"))
     job = newest_job("archive", lot=lot_id)

@@ -53,13 +53,8 @@ def _enter() -> None:
 
 def _leave() -> None:
     # A callback: a rerun after it would throw away the order to go to the provider.
-    st.button(
-        say("sign_in.leave"),
-        on_click=in_one_piece(account.sign_out),
-        icon=":material/logout:",
-        type="primary",
-        width="stretch",
-    )
+    leave = in_one_piece(account.sign_out)
+    st.button(say("sign_in.leave"), on_click=leave, icon=":material/logout:", type="primary", width="stretch")
 
 
 def _by_pin() -> None:

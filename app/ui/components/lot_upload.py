@@ -85,19 +85,12 @@ def choose_columns(table: "pd.DataFrame", wide: bool) -> Columns:
         output = str(left.text_input(say("new_lot.pattern"), _pattern(names), key="new-lot-pattern")).strip()
     else:
         output = str(left.selectbox(say("new_lot.output"), names, index=_guess("output", names) or 0))
-    optional = [None, *names]
-    chosen = []
+    optional, unset, chosen = [None, *names], say("new_lot.no_column"), []
     for place, name in ((second, "reference"), (third, "time"), (right, "stage")):
         index = _guess(name, names)
-        chosen.append(
-            place.selectbox(
-                say(f"new_lot.{name}"),
-                optional,
-                index=0 if index is None else index + 1,
-                format_func=lambda column: say("new_lot.no_column") if column is None else column,
-                key=f"new-lot-{name}",
-            )
-        )
+        index = 0 if index is None else index + 1
+        label, key = say(f"new_lot.{name}"), f"new-lot-{name}"
+        chosen.append(place.selectbox(label, optional, index, lambda one: unset if one is None else one, key))
     return Columns(output or "*", *chosen)
 
 
