@@ -158,6 +158,5 @@ def yield_figure(found: Sequence[YieldAt], title: str, colours: Palette, words: 
         said = [f"{name}<br>{count}" for name, count in zip(names, counts, strict=True)]
         figure.update_xaxes(tickmode="array", tickvals=names, ticktext=said)
     figure.update_xaxes(type="category").update_yaxes(range=[0, 104], dtick=20)
-    return style.styled(figure, colours, title, f"{words('lot.first_pass')} [%]").update_layout(
-        showlegend=False, margin_t=20
-    )
+    style.styled(figure, colours, title, f"{words('lot.first_pass')} [%]")
+    return figure.update_layout(showlegend=False, margin_t=20)
