@@ -50,9 +50,10 @@ def say_finished(change: str) -> bool:
 
 def role_allows(action: str) -> bool:
     """Whether the role allows an action of `PERMISSIONS`; else say that it does not."""
-    if not allows(action):
-        st.caption(say("reason.not_allowed", role=say(f"role.{person().role}")))
-    return allows(action)
+    if allows(action):
+        return True
+    st.caption(say("reason.not_allowed", role=say(f"role.{person().role}")))
+    return False
 
 
 def ask_reason(key: str, label: str, action: str, fields: Callable[[], None] = lambda: None) -> str | None:

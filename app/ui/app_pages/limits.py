@@ -47,6 +47,11 @@ def render(lot_id: str) -> None:
     table([_rule_row(entry) for entry in reversed(rules)], say("rules.none"))
 
 
+def _seen(looked_at: str, versions: Sequence[LimitEntry | LineRulesEntry]) -> int:
+    """Return the version a person decides on: the one first drawn, whatever was written meanwhile."""
+    return int(st.session_state.setdefault(looked_at, versions[-1].version if versions else 0))
+
+
 def _row(entry: LimitEntry, unit: str) -> dict[str, object]:
     return {
         say("limits.version"): entry.version,
@@ -58,11 +63,9 @@ def _row(entry: LimitEntry, unit: str) -> dict[str, object]:
 
 
 def _change(view: LotView, versions: list[LimitEntry]) -> None:
-    unit = view.lot.reference_unit
+    unit, looked_at = view.lot.reference_unit, f"limit-seen-{view.lot.id}"
+    version = _seen(looked_at, versions)
     newest = versions[-1].version if versions else 0
-    # The version a person decides on is the one first drawn, not one that somebody else has written meanwhile.
-    looked_at = f"limit-seen-{view.lot.id}"
-    version = st.session_state.setdefault(looked_at, newest)
     headline(say("limits.now", limit=limit_said(view.limit, say), version=newest))
     is_automatic = st.toggle(say("limits.auto"), view.lot.limit_rmse is None, key=f"auto-{view.lot.id}-{version}")
     usual = view.limit_rmse or view.median_predicted or 1.0
@@ -86,9 +89,8 @@ def _change(view: LotView, versions: list[LimitEntry]) -> None:
 
 
 def _change_rules(lot: Lot, versions: Sequence[LineRulesEntry]) -> None:
-    # The version a person decides on is the one first drawn, not one that somebody else has written meanwhile.
     looked_at = f"rules-seen-{lot.id}"
-    version = st.session_state.setdefault(looked_at, versions[-1].version if versions else 0)
+    version = _seen(looked_at, versions)
     wanted = _asked(registry().lots.line_rules(lot), lot.reference_unit, f"{lot.id}-{version}")
     reason = ask_reason(f"rules-{lot.id}-{version}", say("rules.set"), "set_limit")
     if reason is None:
@@ -122,8 +124,13 @@ def _asked(now: LineRules, unit: str, mark: str) -> dict[str, Any]:
     for verdict, column in zip(VERDICTS, st.columns(len(VERDICTS)), strict=True):
         label, usual = say(f"verdict.{verdict}"), now.retests.get(verdict, 0)
         retests[verdict] = int(column.number_input(label, 0, MOST_RETESTS, usual, key=f"rules-{verdict}-{mark}"))
-    fixed = {"serial_pattern": str(pattern).strip(), "letters": letters, "target": target, "retests": retests}
-    return fixed | {"loads": _loads(now, unit, mark)}
+    return {
+        "serial_pattern": str(pattern).strip(),
+        "letters": letters,
+        "target": target,
+        "retests": retests,
+        "loads": _loads(now, unit, mark),
+    }
 
 
 def _loads(now: LineRules, unit: str, mark: str) -> tuple[tuple[float, float], ...]:
