@@ -46,7 +46,7 @@ def current_user() -> str:
 
 
 def open_chosen_registry(option: str | None, *, create: bool = True) -> "Registry":
-    """Open the registry that option, environment or default name, with the current user as its actor."""
+    """Open the registry of the option, environment or default, as the current user."""
     from softcal.db.connection import open_registry
     from softcal.db.truth.registry_base import RegistrySettings
 

@@ -1,4 +1,4 @@
-"""What softcal writes down for support: JSON lines with the run they belong to, one file a day, without secrets."""
+"""What softcal writes down for support: JSON lines, one file a day, without secrets."""
 
 import contextlib
 import os
@@ -57,7 +57,7 @@ class DayFiles:
 
 
 def start_logging(**context: str) -> Any:
-    """Return a structlog logger whose lines carry `context` (command, station, lot, serial) and a run id.
+    """Return a logger whose lines carry `context` (command, station, lot, serial) and a run id.
 
     Processes share the file of the day, because whole lines are appended; files older than 30 days are removed.
     """
@@ -117,7 +117,7 @@ def _log_of_run() -> Any:
 
 
 def log_crash(error: BaseException, command: str) -> str:
-    """Write a defect of softcal with its traceback to the log and return the one line for the person."""
+    """Write a defect of softcal to the log; return the one line for the person."""
     what = masked(f"{type(error).__name__}: {error}".splitlines()[0])
     try:
         log = _log_of_run() or start_logging(command=command)

@@ -1,4 +1,4 @@
-"""What commands say: tables and JSON on standard output or in a named file, progress on standard error."""
+"""What commands say: tables and JSON on standard output or in a file, and progress."""
 
 import json
 import sys
@@ -26,18 +26,13 @@ def say(line: str) -> None:
 
 
 def shown(text: str) -> str:
-    """Return text whose control characters are shown by their codes: what a file said must not steer a terminal."""
+    """Return text whose control characters show as codes: a file must not steer a terminal."""
     return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
 
 
 @dataclass
 class _Answer:
-    """Where the one machine-readable answer of a command goes.
-
-    Args:
-        stdout: standard output where the answer alone goes there; None where people read it.
-        csv: file of the table as CSV, `-` for standard output, None for none.
-    """
+    """Where the one machine-readable answer goes: alone to `stdout`, a table to `csv`."""
 
     stdout: TextIO | None = None
     csv: str | None = None
@@ -48,7 +43,7 @@ _ANSWER: ContextVar[_Answer] = ContextVar("answer", default=_Answer())  # noqa: 
 
 @contextmanager
 def answering(json_target: str | None, csv_target: str | None) -> Iterator[None]:
-    """Keep standard output for the one answer that was asked for with `-`: what people read goes to standard error.
+    """Keep standard output for the answer that was asked for with `-`, all else on standard error.
 
     Raises:
         InputError: JSON and CSV are both to go to standard output.
@@ -86,19 +81,14 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None
 
 
 def _print_aligned(cells: list[list[str]]) -> None:
-    widths = _fitting([max(map(len, column)) for column in zip(*cells, strict=True)])
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    # The widest columns give way until a row fits.
+    while sum(widths) > WIDTH - 2 * (len(widths) - 1) and max(widths) > NARROWEST:
+        widths[widths.index(max(widths))] -= 1
     rows = [[_folded(cell, width) for cell, width in zip(row, widths, strict=True)] for row in cells]
     for row in (rows[0], [["-" * width] for width in widths], *rows[1:]):
         for line in zip_longest(*row, fillvalue=""):
             print("  ".join(part.ljust(width) for part, width in zip(line, widths, strict=True)).rstrip())
-
-
-def _fitting(widths: list[int]) -> list[int]:
-    """Take from the widest columns until a row fits."""
-    fitting, room = list(widths), WIDTH - 2 * (len(widths) - 1)
-    while sum(fitting) > room and max(fitting) > NARROWEST:
-        fitting[fitting.index(max(fitting))] -= 1
-    return fitting
 
 
 def _folded(cell: str, width: int) -> list[str]:
@@ -129,7 +119,7 @@ def _cell(value: object) -> str:
 
 
 def print_reasons(subject: str, reasons: Iterable[object]) -> None:
-    """Print what is said of something: its name, then a reason a line, wrapped to the width of a page."""
+    """Print what is said of something: its name, then a reason a line."""
     print(shown(subject))
     for reason in reasons:
         print(textwrap.fill(shown(str(reason)), WIDTH, initial_indent="  - ", subsequent_indent="    "))
@@ -152,11 +142,9 @@ def write_json(target: str | None, value: Mapping[str, object]) -> None:
 
 
 class ProgressLine:
-    """Lines like `3/40 units, 12 s, 4.1 units/s, about 9 s left` on standard error: rewritten on a terminal.
+    """Lines like `3/40 units, 12 s, 4.1 units/s, about 9 s left` on standard error.
 
-    Args:
-        what: what is counted, in the plural.
-        done: how many were done before; they count for the share and not for the speed.
+    What was done before counts for the share and not for the speed.
     """
 
     def __init__(self, what: str, total: int, done: int = 0) -> None:

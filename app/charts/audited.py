@@ -1,11 +1,13 @@
-"""Audited units into Plotly figures: estimate against reference, and the error over the load with its limit."""
+"""Audited units into figures: estimate against reference, and the error over the load."""
+
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from softcal.app.charts.palette import Palette
-from softcal.app.charts.style import level_line, styled
+from softcal.app.charts.style import dots, level_line, styled
 from softcal.app.texts.reasons import Words
 from softcal.app.views.audited import AuditedView
 from softcal.app.views.common import thinned
@@ -15,40 +17,28 @@ POINTS = 400
 
 
 def estimate_over_reference(view: AuditedView, colours: Palette, words: Words) -> go.Figure:
-    """Draw every unit's estimates over the reference, the line of equality, and the limit to both sides of it."""
+    """Draw every unit's estimates over the reference, with the limit to both sides."""
     figure, unit = go.Figure(), view.lot.reference_unit
     ends = np.array([view.edges[0], view.edges[-1]])
     for k, one in enumerate(view.units):
         at = thinned(one.reference, POINTS)
-        figure.add_scatter(
-            x=one.reference[at],
-            y=one.estimate[at],
-            mode="markers",
-            marker={"color": colours.mapped, "size": 3, "opacity": 0.45},
-            name=words("chart.audited"),
-            legendgroup="units",
-            showlegend=k == 0,
-            hovertemplate=f"{one.serial}: %{{x:.3g}} → %{{y:.3g}} {unit}<extra></extra>",
-        )
+        hover = f"{one.serial}: %{{x:.3g}} → %{{y:.3g}} {unit}<extra></extra>"
+        more: dict[str, Any] = {"opacity": 0.45, "legendgroup": "units", "showlegend": k == 0, "hovertemplate": hover}
+        dots(figure, one.reference[at], one.estimate[at], colours.mapped, words("chart.audited"), 3, **more)
     line = {"color": colours.text, "width": 1.5}
     figure.add_scatter(x=ends, y=ends, mode="lines", line=line, name=words("chart.equal"))
-    limit = view.limit_rmse
-    for k, sign in enumerate((1.0, -1.0) if limit else ()):
+    if limit := view.limit_rmse:
+        named = {"name": words("chart.limit.both", limit=f"{limit:.3g} {unit}"), "legendgroup": "l"}
         dashed = {"color": colours.limit, "width": 1.5, "dash": "dash"}
-        name = words("chart.limit.both", limit=f"{limit:.3g} {unit}")
-        figure.add_scatter(
-            x=ends, y=ends + sign * (limit or 0.0), mode="lines", line=dashed, name=name, legendgroup="l",
-            showlegend=k == 0,
-        )  # fmt: skip
+        for shift in (limit, -limit):
+            figure.add_scatter(x=ends, y=ends + shift, mode="lines", line=dashed, showlegend=shift > 0, **named)
     figure.update_layout(legend_itemsizing="constant")
-    quantity = view.lot.reference_quantity
-    return styled(
-        figure, colours, f"{words('chart.reference')}: {quantity} [{unit}]", f"{words('chart.estimate')} [{unit}]"
-    )
+    title = f"{words('chart.reference')}: {view.lot.reference_quantity} [{unit}]"
+    return styled(figure, colours, title, f"{words('chart.estimate')} [{unit}]")
 
 
 def error_over_load(view: AuditedView, colours: Palette, words: Words) -> go.Figure:
-    """Draw the RMSE of every unit in each load band, the largest unit by name, and the limit of the lot."""
+    """Draw the RMSE of every unit by load, the largest by name, and the lot's limit."""
     figure, unit = make_subplots(), view.lot.reference_unit
     for k, one in enumerate(view.units):
         is_worst = k == 0

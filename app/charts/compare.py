@@ -1,4 +1,4 @@
-"""What is compared in one picture: maps and intervals of two units, errors of networks and map families."""
+"""What is compared in one picture: two units, lots, networks and map families."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -26,7 +26,7 @@ def maps_together(views: Sequence[UnitView], colours: Palette, words: Words) -> 
 
 
 def predicted_over_load(views: Sequence[UnitView], colours: Palette, words: Words) -> go.Figure:
-    """Draw the half width of the 90 % interval of each unit over its estimate, as medians of equal bins."""
+    """Draw the half width of the 90 % interval over the estimate, as medians of equal bins."""
     figure = go.Figure()
     for view, colour in zip(views, (colours.mapped, colours.raw), strict=False):
         found = view.estimate
@@ -71,7 +71,7 @@ def errors_of_lots(views: Sequence[LotView], colours: Palette, words: Words) -> 
 
 
 def comparison(rows: Sequence[Mapping[str, Any]], unit: str, colours: Palette, words: Words) -> go.Figure:
-    """Draw the median error of every family with every network: measured where audits are, forecast beside it."""
+    """Draw the median error of every family with every network, measured and forecast."""
     networks = list(dict.fromkeys(row["network"] for row in rows))
     figure = go.Figure()
     series = (("after", colours.mapped), ("predicted", colours.source))

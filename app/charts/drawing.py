@@ -23,7 +23,7 @@ LETTER = 7.2
 
 @dataclass(frozen=True)
 class _Axis:
-    """Where the values of one axis lie on the drawing: from `low` at pixel `start` to `high` at pixel `end`."""
+    """Where an axis lies on the drawing: `low` at pixel `start`, `high` at pixel `end`."""
 
     low: float
     high: float
@@ -62,7 +62,14 @@ def drawing(figure: go.Figure) -> str:
         below, above = _ends(y_layout, margin["b"], layout.height - margin["t"] - margin["b"])
         x = _axis([t.x for t in traces], x_layout, left, right)
         y = _axis([t.y for t in traces], y_layout, layout.height - below, layout.height - above)
-        parts += [*_frame(x, y, x_layout, y_layout), *(shape for t in traces for shape in _shapes(t, x, y, layout))]
+        parts += _frame(x, y, x_layout, y_layout)
+        for trace in traces:
+            if trace.type == "heatmap":
+                parts += _cells(trace, x, y, layout.coloraxis)
+            elif trace.type == "bar":
+                parts += _bars(trace, x, y)
+            else:
+                parts.append(_line(trace, x, y))
     parts += _notes(layout, margin)
     parts += _legend(figure)
     return (
@@ -110,15 +117,6 @@ def _frame(x: _Axis, y: _Axis, x_layout: Any, y_layout: Any) -> Iterator[str]:
         yield _text(x.start - 6, y.end - 6, y_layout.title.text, "end")
 
 
-def _shapes(trace: Any, x: _Axis, y: _Axis, layout: Any) -> Iterator[str]:
-    if trace.type == "heatmap":
-        yield from _cells(trace, x, y, layout.coloraxis)
-    elif trace.type == "bar":
-        yield from _bars(trace, x, y)
-    else:
-        yield _line(trace, x, y)
-
-
 def _line(trace: Any, x: _Axis, y: _Axis) -> str:
     across, up = x.at(trace.x), y.at(trace.y)
     points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(across, up, strict=True) if np.isfinite(a + b))
@@ -147,10 +145,8 @@ def _cells(trace: Any, x: _Axis, y: _Axis, scale: Any) -> Iterator[str]:
                 share = float(np.clip((value - scale.cmin) / max(scale.cmax - scale.cmin, 1e-12), 0.0, 1.0))
                 # The darker half of the scale would hide dark letters.
                 colour = sample_colorscale("OrRd", [0.6 * share])[0]
-                place = (
-                    f"x='{centre - wide / 2:.1f}' y='{middle - high / 2:.1f}' width='{wide:.1f}' height='{high:.1f}'"
-                )
-                yield f"<rect {place} fill='{colour}' stroke='#fff'/>"
+                place = f"x='{centre - wide / 2:.1f}' y='{middle - high / 2:.1f}'"
+                yield f"<rect {place} width='{wide:.1f}' height='{high:.1f}' fill='{colour}' stroke='#fff'/>"
                 yield _text(float(centre), float(middle) + 4, f"{value:.1f}")
 
 

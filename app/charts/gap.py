@@ -1,6 +1,6 @@
-"""Figures of a diagnosis: arrays, report values and the words of a screen in, Plotly figures out."""
+"""Figures of a diagnosis: arrays, report values and words in, Plotly figures out."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +9,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from softcal.app.charts.palette import FONTS, LIGHT, Palette
+from softcal.app.charts.style import LEVEL_BARS
 from softcal.app.texts.reasons import Words, said
 from softcal.app.views.gap import channel_name, effect_name, pressed_name, ranked
 from softcal.core.recording import Array, Indices
@@ -21,12 +22,12 @@ CHANNEL_UNITS = {"output_V": "mV", "force_N": "mN"}
 
 
 def reported(column: str) -> str:
-    """Return the name a report has for a column; a simulator's channels are called as their columns."""
+    """Return a report's name for a column; a simulator's are the same."""
     return CHANNELS.get(column, column)
 
 
 def unit_of(column: str) -> tuple[float, str]:
-    """Return by what values of a column are multiplied where they are shown, and their unit then."""
+    """Return the factor of a column's values where they are shown, and their unit then."""
     column = next((c for c, name in CHANNELS.items() if name == column), column)
     if column in CHANNEL_UNITS:
         return 1e3, CHANNEL_UNITS[column]
@@ -47,8 +48,10 @@ def span_of(runs: "Sequence[RunView]", column: str) -> float:
 
 DIRECTIONS = tuple(Reason(f"gap.regime.{name}") for name in ("loading", "hold", "unloading"))
 BANDS = 6
+PREDICTIONS = ("base", "causes", "floor")
+RESIDUALS = ("rmse_before", "rmse_after", "noise_floor")
 SHOWN_POINTS = 1500
-"""Most points of a trace that are drawn; more are thinned by keeping the largest of each stretch."""
+"""Most points of a trace that are drawn: the largest of each stretch."""
 
 COMPARED_POINTS = 500
 """ ... and of each of three that lie on one another."""
@@ -56,11 +59,9 @@ COMPARED_POINTS = 500
 
 @dataclass(frozen=True, eq=False)
 class ChannelView:
-    """One channel of one run: measured, predicted by the refitted base, and by the base with the causes.
+    """One channel of one run: (n,) measured, of the refitted base, and of the base with the causes.
 
-    Args:
-        measured, base, explained: (n,) in the channel's unit.
-        noise: standard deviation of the noise in the same unit.
+    `noise` is the standard deviation of the noise, in the channel's unit as all of them.
     """
 
     measured: Array
@@ -75,9 +76,8 @@ class RunView:
 
     Args:
         t_s: (n,) time since the start of the run.
-        drive: (n,) stage position in mm, or the force in N where there is none; its slope tells the direction.
-        load_N: (n,) force for the bands; measured where there is a load cell, predicted otherwise.
-        channels: by column name.
+        drive: (n,) stage position in mm, else the force in N; its slope tells the direction.
+        load_N: (n,) force for the bands; measured where there is a load cell, else predicted.
     """
 
     name: str
@@ -86,6 +86,10 @@ class RunView:
     drive: Array
     load_N: Array
     channels: Mapping[str, ChannelView]
+
+
+_Line = tuple[str, Array, str, Indices]
+"""What a line is of, its values, its colour, and which of the values are drawn."""
 
 
 def _styled(figure: go.Figure, height: int, left: int = 60, **layout: Any) -> go.Figure:
@@ -100,7 +104,7 @@ def _styled(figure: go.Figure, height: int, left: int = 60, **layout: Any) -> go
 
 
 def direction(drive: Array, t_s: Array) -> Array:
-    """Return per sample 0 loading, 1 hold, 2 unloading, from the slope of the drive over five samples."""
+    """Return per sample 0 loading, 1 hold, 2 unloading, from the drive's slope."""
     if len(drive) < 5:
         return np.ones(len(drive))
     slope = np.gradient(np.convolve(np.pad(drive, 2, mode="edge"), np.full(5, 0.2), mode="valid"), t_s)
@@ -109,10 +113,9 @@ def direction(drive: Array, t_s: Array) -> Array:
 
 
 def residual_map(runs: Sequence[RunView], channel: str, is_after: bool) -> tuple[Array, Array]:
-    """Return the RMS residual in units of the noise by force band and direction, and the edges of the bands.
+    """Return the RMS residual in units of the noise by force band and direction, and the bands.
 
-    Returns:
-        (BANDS, 3) with NaN where fewer than five samples fall, and (BANDS + 1,) edges in N.
+    (BANDS, 3) with NaN where fewer than five samples fall, and (BANDS + 1,) edges in N.
     """
     shown = [run for run in runs if channel in run.channels]
     edges = np.linspace(0.0, max(float(np.max(run.load_N)) for run in shown), BANDS + 1)
@@ -129,7 +132,7 @@ def residual_map(runs: Sequence[RunView], channel: str, is_after: bool) -> tuple
 
 
 def map_figure(runs: Sequence[RunView], channel: str, say: Words) -> go.Figure | None:
-    """Draw the residual of one channel by force band and direction, before and after; None without the channel."""
+    """Draw the residual of a channel by force band and direction, before and after."""
     if channel not in CHANNELS or not any(channel in run.channels for run in runs):
         return None
     before, edges = residual_map(runs, channel, is_after=False)
@@ -154,148 +157,99 @@ def map_figure(runs: Sequence[RunView], channel: str, say: Words) -> go.Figure |
 
 
 def ranking_figure(report: Mapping[str, Any], shown: int, say: Words, colours: Palette = LIGHT) -> go.Figure:
-    """Draw the effects by probability of being present, the likeliest on top; at least three, however unlikely."""
+    """Draw the effects by probability, the likeliest on top; at least three."""
     every = ranked(report)
     likely = sum(cause["probability"] >= 0.005 for cause in every)
     drawn = every[: min(shown, max(3, likely))][::-1]
     names = [effect_name(cause["effect"], say) for cause in drawn]
     chances = [cause["probability"] for cause in drawn]
     shades = [colours.mapped if chance >= 0.5 else colours.source for chance in chances]
-    bars = go.Bar(
-        x=chances,
-        y=names,
-        orientation="h",
-        marker_color=shades,
-        text=[f"{100 * chance:.0f} %" for chance in chances],
-        textposition="outside",
-        cliponaxis=False,
-        hovertemplate="%{y}: %{x:.3f}<extra></extra>",
-    )
-    figure = go.Figure(bars)
+    shown_chances = [f"{100 * chance:.0f} %" for chance in chances]
+    look = {"marker_color": shades, "hovertemplate": "%{y}: %{x:.3f}<extra></extra>"} | LEVEL_BARS
+    figure = go.Figure(go.Bar(x=chances, y=names, text=shown_chances, **look))
     figure.update_xaxes(range=[0.0, 1.08], tickformat=".0%", title=say("gap.figure.probability"))
     return _styled(figure, 120 + 26 * max(1, len(drawn)), left=190, showlegend=False)
 
 
 def gain_figure(report: Mapping[str, Any], say: Words, colours: Palette = LIGHT) -> go.Figure:
     """Draw the residual of each channel before and after, with its noise floor."""
-    channels = [name for name in _in_order(report["gap"]) if _has_gap(report["gap"].get(name))]
+    every = report["gap"]
+    # JSON keeps no order.
+    names = [*(name for name in CHANNELS.values() if name in every), *(n for n in every if n not in CHANNELS.values())]
+    channels = [name for name in names if every[name] and None not in map(every[name].get, RESIDUALS)]
     # One above the other, with level bars: side by side, or below upright ones, names meet on half of a narrow page.
     titles = [say("gap.figure.residual", channel=channel_name(name, say)) for name in channels]
     figure = make_subplots(rows=max(1, len(channels)), subplot_titles=titles, vertical_spacing=0.24)
     for row, name in enumerate(channels, start=1):
         gap, (times, unit) = report["gap"][name], unit_of(name)
-        values = [times * gap[key] for key in ("rmse_before", "rmse_after", "noise_floor")]
-        bars = go.Bar(
-            x=values,
-            y=[say(f"gap.figure.{of}") for of in ("base", "causes", "floor")],
-            orientation="h",
-            marker_color=[colours.source, colours.mapped, colours.line],
-            text=[f"{value:.3g} {unit}" for value in values],
-            textposition="outside",
-            cliponaxis=False,
-        )
-        figure.add_trace(bars, row=row, col=1)
+        values = [times * gap[key] for key in RESIDUALS]
+        names, shown = [say(f"gap.figure.{of}") for of in PREDICTIONS], [f"{value:.3g} {unit}" for value in values]
+        shades = [colours.source, colours.mapped, colours.line]
+        figure.add_bar(x=values, y=names, text=shown, marker_color=shades, **LEVEL_BARS, row=row, col=1)
         figure.update_xaxes(title=unit, title_standoff=4, range=[0.0, 1.3 * max(values)], row=row, col=1)
         figure.update_yaxes(autorange="reversed", automargin=True, row=row, col=1)
     return _styled(figure, 90 + 190 * max(1, len(channels)), showlegend=False)
 
 
-def _in_order(gap: Mapping[str, Any]) -> list[str]:
-    """Return the channels of a report, output and force first: JSON keeps no order."""
-    first = [name for name in CHANNELS.values() if name in gap]
-    return [*first, *(name for name in gap if name not in first)]
-
-
-def _has_gap(gap: Mapping[str, Any] | None) -> bool:
-    return bool(gap) and all((gap or {}).get(key) is not None for key in ("rmse_before", "rmse_after", "noise_floor"))
-
-
 def hidden_figure(report: Mapping[str, Any], say: Words, colours: Palette = LIGHT) -> go.Figure | None:
-    """Draw how much of each effect the refitted base would swallow on these runs; None where it is not known."""
+    """Draw how much of each effect the refitted base would swallow on these runs."""
     hidden = {name: share for name, share in report["hidden_fraction"].items() if share is not None}
     if not hidden:
         return None
     names = sorted(hidden, key=lambda name: hidden[name])
     shares = [hidden[name] for name in names]
-    bars = go.Bar(
-        x=shares,
-        y=[effect_name(name, say) for name in names],
-        orientation="h",
-        marker_color=[colours.limit if share >= 0.8 else colours.source for share in shares],
-        hovertemplate=f"%{{y}}: {say('gap.figure.hidden.one', share='%{x:.0%}')}<extra></extra>",
-    )
-    figure = go.Figure(bars)
+    shades = [colours.limit if share >= 0.8 else colours.source for share in shares]
+    hover = f"%{{y}}: {say('gap.figure.hidden.one', share='%{x:.0%}')}<extra></extra>"
+    effects = [effect_name(name, say) for name in names]
+    figure = go.Figure(go.Bar(x=shares, y=effects, orientation="h", marker_color=shades, hovertemplate=hover))
     title = say("gap.figure.hidden")
     figure.update_xaxes(range=[0.0, 1.0], tickformat=".0%", title=title, title_standoff=12, automargin=True)
     return _styled(figure, 140 + 18 * len(names), left=150, showlegend=False)
 
 
 def trace_figure(runs: Sequence[RunView], channel: str, say: Words, colours: Palette = LIGHT) -> go.Figure | None:
-    """Draw the residual of one channel over time, one row per run, before and after; None without the channel."""
-    shown = [run for run in runs if channel in run.channels]
-    if not shown:
-        return None
-    times, unit = unit_of(channel)
-    figure = _by_run(shown, say)
-    for row, run in enumerate(shown, start=1):
-        view = run.channels[channel]
+    """Draw the residual of a channel over time, one row per run, before and after."""
+
+    def lines(view: ChannelView) -> Iterator[_Line]:
         for of, predicted, colour in (("base", view.base, colours.source), ("causes", view.explained, colours.mapped)):
-            name = say(f"gap.figure.{of}")
-            at = _thinned(view.measured - predicted)
-            line = go.Scattergl(
-                x=run.t_s[at],
-                y=times * (view.measured - predicted)[at],
-                name=name,
-                legendgroup=name,
-                showlegend=row == 1,
-                line={"color": colour, "width": 1},
-            )
-            figure.add_trace(line, row=row, col=1)
-        figure.update_yaxes(title=unit, row=row, col=1)
-    return _below(figure, shown, say)
+            residual = view.measured - predicted
+            yield of, residual, colour, _thinned(residual)
+
+    return _over_time(runs, channel, lines, say)
 
 
 def compared_figure(runs: Sequence[RunView], channel: str, say: Words, colours: Palette = LIGHT) -> go.Figure | None:
-    """Draw what was measured and what is predicted before and after, one row per run; None without the channel."""
+    """Draw what was measured and predicted over time, one row per run, before and after."""
+
+    def lines(view: ChannelView) -> Iterator[_Line]:
+        # The same instants for all three: those at which the base is farthest off.
+        at = _thinned(view.measured - view.base, COMPARED_POINTS)
+        yield "measured", view.measured, colours.raw, at
+        yield "base", view.base, colours.source, at
+        yield "causes", view.explained, colours.mapped, at
+
+    return _over_time(runs, channel, lines, say)
+
+
+def _over_time(
+    runs: Sequence[RunView], channel: str, lines: Callable[[ChannelView], Iterator[_Line]], say: Words
+) -> go.Figure | None:
     shown = [run for run in runs if channel in run.channels]
     if not shown:
         return None
     times, unit = unit_of(channel)
-    figure = _by_run(shown, say)
-    for row, run in enumerate(shown, start=1):
-        view = run.channels[channel]
-        lines = (
-            ("measured", view.measured, colours.raw),
-            ("base", view.base, colours.source),
-            ("causes", view.explained, colours.mapped),
-        )
-        # The same instants for all three: those at which the base is farthest off.
-        at = _thinned(view.measured - view.base, COMPARED_POINTS)
-        for of, values, colour in lines:
-            line = go.Scattergl(
-                x=run.t_s[at],
-                y=times * values[at],
-                name=say(f"gap.figure.{of}"),
-                legendgroup=of,
-                showlegend=row == 1,
-                line={"color": colour, "width": 1},
-            )
-            figure.add_trace(line, row=row, col=1)
-        figure.update_yaxes(title=unit, row=row, col=1)
-    return _below(figure, shown, say)
-
-
-def _by_run(shown: Sequence[RunView], say: Words) -> go.Figure:
     titles = [f"{run.name}: {pressed_name(run.profile, say)}" if run.profile else run.name for run in shown]
-    return make_subplots(rows=len(shown), subplot_titles=titles, vertical_spacing=min(0.1, 0.3 / len(shown)))
-
-
-def _below(figure: go.Figure, shown: Sequence[RunView], say: Words) -> go.Figure:
+    figure = make_subplots(rows=len(shown), subplot_titles=titles, vertical_spacing=min(0.1, 0.3 / len(shown)))
+    for row, run in enumerate(shown, start=1):
+        for of, values, colour, at in lines(run.channels[channel]):
+            look = {"legendgroup": of, "showlegend": row == 1, "line": {"color": colour, "width": 1}}
+            name = say(f"gap.figure.{of}")
+            figure.add_scattergl(x=run.t_s[at], y=times * values[at], name=name, **look, row=row, col=1)
+        figure.update_yaxes(title=unit, row=row, col=1)
     # The legend stands below: far from its axis, as the desk would draw it, the title would lie on it.
     figure.update_xaxes(title=say("gap.figure.time"), title_standoff=8, row=len(shown), col=1)
     place = {"x": 1.0, "xanchor": "right", "y": -0.35 / len(shown), "yanchor": "top", "yref": "paper"}
-    legend = {"orientation": "h", **place}
-    return _styled(figure, 110 + 150 * len(shown), legend=legend)
+    return _styled(figure, 110 + 150 * len(shown), legend={"orientation": "h", **place})
 
 
 def _thinned(values: Array, most: int = SHOWN_POINTS) -> Indices:

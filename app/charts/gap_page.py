@@ -1,4 +1,4 @@
-"""One page per diagnosis: where the twin is wrong and why, what it gains to fix it, how sure that is, what to press."""
+"""One page per diagnosis: where the twin is wrong, why, what fixing gains, what is next."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -7,40 +7,12 @@ from typing import Any
 
 import plotly.graph_objects as go
 
+from softcal.app.charts import gap as figures
 from softcal.app.charts.drawing import drawing
-from softcal.app.charts.gap import (
-    RunView,
-    channels_of,
-    compared_figure,
-    gain_figure,
-    hidden_figure,
-    map_figure,
-    ranking_figure,
-    reported,
-    span_of,
-    trace_figure,
-    unit_of,
-)
+from softcal.app.charts.gap import RunView
 from softcal.app.charts.page import document, section, table
 from softcal.app.texts.reasons import Words
-from softcal.app.views.gap import (
-    LIKELY,
-    begun,
-    cause_rows,
-    channel_name,
-    effect_name,
-    listed,
-    mistake_rows,
-    named_causes,
-    no_cause_words,
-    place_rows,
-    pressed_name,
-    residual_rows,
-    stage_name,
-    untold_lines,
-    why_next,
-    words_for,
-)
+from softcal.app.views import gap
 
 CHAIN = ("motion", "mechanics", "transduction", "electronics", "acquisition")
 SHOWN_CAUSES = 10
@@ -65,33 +37,29 @@ h1.ambiguous { border-color: #b06f00; } h1.unknown { border-color: #b3261e; }
 
 
 def gap_page(report: Mapping[str, Any], runs: Sequence[RunView], serial: str, say: Words) -> str:
-    """Return the page of a diagnosis as HTML.
-
-    Args:
-        report: the record of a diagnosis, schema `softcal.gap/1`.
-        runs: measured and predicted channels of every run, before and after.
-        serial: unit of the case.
-        say: the texts of one language.
-    """
-    say = words_for(report, say)
-    parts = [_headline(report, serial, say)]
+    """Return the page of a diagnosis of a unit as HTML; `report` has schema `softcal.gap/1`."""
+    say = gap.words_for(report, say)
+    parts, asked = [_headline(report, serial, say)], gap.mistake_rows(report, say)
     if report["verdict"] == "data":
-        mistakes = _rows(mistake_rows(report, say), say("gap.data"), say)
+        mistakes = _rows(asked, say("gap.data"), say)
         parts += [section(say("gap.data"), mistakes), section(say("gap.runs.plain"), *_traces(runs, say))]
     else:
-        places = _rows(place_rows(report, say), say("gap.where.none"), say)
-        ranking = drawings(ranking_figure(report, SHOWN_CAUSES, say))
-        causes = _rows(cause_rows(report, say)[:SHOWN_CAUSES], no_cause_words(report, say), say)
-        gain = gain_figure(report, say)
-        maps = drawings(*(map_figure(runs, channel, say) for channel in channels_of(runs)))
+        places = _rows(gap.place_rows(report, say), say("gap.where.none"), say)
+        ranking = drawings(figures.ranking_figure(report, SHOWN_CAUSES, say))
+        causes = _rows(gap.cause_rows(report, say)[:SHOWN_CAUSES], gap.no_cause_words(report, say), say)
+        groups = "; ".join(_effects(group, say, "gap.or") for group in report["ambiguous_with"])
+        ambiguous = _note(_told(say, "gap.ambiguous", group=groups) + ".") if groups else ""
+        untold = "".join(f"<li>{escape(gap.begun(line))}</li>" for line in gap.untold_lines(report, say))
+        gain = figures.gain_figure(report, say)
+        maps = drawings(*(figures.map_figure(runs, channel, say) for channel in figures.channels_of(runs)))
         parts += [
-            *_asked(report, say),
+            *([section(say("gap.data.asked"), _rows(asked, "", say))] if asked else []),
             section(say("gap.where"), "" if report.get("simulator") else chain_svg(report, say), places, maps),
-            section(say("gap.why"), ranking, causes, _ambiguity(report, say)),
+            section(say("gap.why"), ranking, causes, ambiguous),
             section(say("gap.gain"), _gain_words(report, say), _gain_rows(report, runs, say), drawings(gain)),
-            *_untold(report, say),
-            section(say("gap.sure"), _hidden_words(report, say), drawings(hidden_figure(report, say))),
-            *_left(report, say),
+            *([section(say("gap.told"), f"<ul>{untold}</ul>")] if untold else []),
+            section(say("gap.sure"), _hidden_words(report, say), drawings(figures.hidden_figure(report, say))),
+            *([section(say("gap.left"), *_left(report["residual"], report, say))] if report.get("residual") else []),
             section(say("gap.next"), _next(report["next_experiment"], say)),
             section(say("gap.runs"), *_traces(runs, say)),
         ]
@@ -106,55 +74,35 @@ def drawings(*drawn: go.Figure | None) -> str:
 def _gain_rows(report: Mapping[str, Any], runs: Sequence[RunView], say: Words) -> str:
     """Return the gap of every channel in its unit and as a share of its range."""
     rows = []
-    for column in channels_of(runs):
-        gap, (times, unit) = report["gap"].get(reported(column)), unit_of(column)
-        if not gap or gap["rmse_before"] is None:
+    for column in figures.channels_of(runs):
+        found, (times, unit) = report["gap"].get(figures.reported(column)), figures.unit_of(column)
+        if not found or found["rmse_before"] is None:
             continue
-        span = max(span_of(runs, column), 1e-300)
-        row = {"channel": channel_name(reported(column), say)}
+        span = max(figures.span_of(runs, column), 1e-300)
+        row = {"channel": gap.channel_name(figures.reported(column), say)}
         for name, key in (("base", "rmse_before"), ("causes", "rmse_after"), ("floor", "noise_floor")):
-            row[name] = f"{times * gap[key]:.3g} {unit} ({100 * gap[key] / span:.2g} %)"
+            row[name] = f"{times * found[key]:.3g} {unit} ({100 * found[key] / span:.2g} %)"
         rows.append(row)
     return _rows(rows, "", say)
 
 
-def _untold(report: Mapping[str, Any], say: Words) -> Iterable[str]:
-    """Show what these runs cannot tell, and which run would."""
-    found = untold_lines(report, say)
-    if not found:
-        return ()
-    return (section(say("gap.told"), f"<ul>{''.join(f'<li>{escape(begun(line))}</li>' for line in found)}</ul>"),)
-
-
-def _left(report: Mapping[str, Any], say: Words) -> Iterable[str]:
+def _left(found: Mapping[str, Any], report: Mapping[str, Any], say: Words) -> tuple[str, str]:
     """Describe what no cause explains by its empirical terms, where they hold on runs held back."""
-    found = report.get("residual")
-    if not found:
-        return ()
-    words = [
-        _told(say, "gap.left.is", **{name: _percent(found["shrink"][name]) for name in ("held_out", "low", "high")})
-    ]
+    shrink = {name: _percent(found["shrink"][name]) for name in ("held_out", "low", "high")}
+    words = [_told(say, "gap.left.is", **shrink)]
     if found["beside"]:
         causes = _effects(found["beside"], say)
         words.append(_told(say, "gap.left.beside", causes=causes, without=_percent(found["without"])))
     if "load_N" in found:
         words.append(_told(say, "gap.left.span", load_N=f"{found['load_N']:.3g}", depth_mm=f"{found['depth_mm']:.3g}"))
-    rows = _rows(residual_rows(report, say), say("gap.left"), say)
-    return (section(say("gap.left"), f"<p>{' '.join(words)}</p>", rows),)
-
-
-def _asked(report: Mapping[str, Any], say: Words) -> Iterable[str]:
-    """Show what is asked about the recordings beside a diagnosis."""
-    asked = mistake_rows(report, say)
-    return (section(say("gap.data.asked"), _rows(asked, "", say)),) if asked else ()
+    return f"<p>{' '.join(words)}</p>", _rows(gap.residual_rows(report, say), say("gap.left"), say)
 
 
 def _rows(rows: Sequence[Mapping[str, str]], otherwise: str, say: Words) -> str:
     if not rows:
         return f"<p>{escape(otherwise)}</p>"
-    return table(
-        [say(f"gap.column.{name}") for name in rows[0]], [[_cell(*cell) for cell in row.items()] for row in rows]
-    )
+    header = [say(f"gap.column.{name}") for name in rows[0]]
+    return table(header, [[_cell(*cell) for cell in row.items()] for row in rows])
 
 
 def _cell(name: str, told: str) -> str:
@@ -165,26 +113,26 @@ def _cell(name: str, told: str) -> str:
 
 
 def _told(say: Words, key: str, **values: str) -> str:
-    """Return a text as HTML, with nothing in it or in its values taken for markup but what stands out."""
+    """Return a text as HTML in which only what stands out is markup."""
     return BOLD.sub(r"<b>\1</b>", escape(say(key, **values)))
 
 
 def _effects(effects: Sequence[str], say: Words, key: str = "gap.and") -> str:
-    return listed([effect_name(effect, say) for effect in effects], key, say)
+    return gap.listed([gap.effect_name(effect, say) for effect in effects], key, say)
 
 
 def _traces(runs: Sequence[RunView], say: Words) -> Iterable[str]:
-    for column in channels_of(runs):
+    for column in figures.channels_of(runs):
         for key, figure in (
-            ("gap.figure.compared", compared_figure(runs, column, say)),
-            ("gap.figure.trace", trace_figure(runs, column, say)),
+            ("gap.figure.compared", figures.compared_figure(runs, column, say)),
+            ("gap.figure.trace", figures.trace_figure(runs, column, say)),
         ):
-            title = _told(say, key, channel=channel_name(reported(column), say))
-            yield f"<h3>{begun(title)}</h3>{drawings(figure)}"
+            title = _told(say, key, channel=gap.channel_name(figures.reported(column), say))
+            yield f"<h3>{gap.begun(title)}</h3>{drawings(figure)}"
 
 
 def _headline(report: Mapping[str, Any], serial: str, say: Words) -> str:
-    causes = ", ".join(f"**{cause}**" for cause in named_causes(report, say))
+    causes = ", ".join(f"**{cause}**" for cause in gap.named_causes(report, say))
     lines = [
         f"<p class='unit'>{_told(say, 'gap.page.unit', serial=serial)}</p>",
         f"<h1 class='{escape(report['verdict'])}'>{_told(say, 'gap.verdict.' + report['verdict'])}</h1>",
@@ -210,7 +158,7 @@ def _partly(report: Mapping[str, Any], say: Words) -> str:
 
 
 def _offsets(report: Mapping[str, Any], say: Words) -> str:
-    """Say what was taken off every run before anything was compared, at most in size; nothing of what shows as 0."""
+    """Say what was taken off every run before it was compared, at most; nothing shows as 0."""
     told = (_own_offsets if report.get("simulator") else _rig_offsets)(report.get("offsets", ()), say)
     return _note(_told(say, "gap.own", offsets="; ".join(told))) if told else ""
 
@@ -230,7 +178,8 @@ def _own_offsets(offsets: Sequence[Mapping[str, Any]], say: Words) -> list[str]:
         for kind in OWN_KINDS & one.keys():
             key = (one["channel"], kind)
             most[key] = max(most.get(key, 0.0), abs(one[kind]))
-    return [f"{channel_name(c, say)}: {say(f'gap.own.{kind}')} {size:.3g}" for (c, kind), size in sorted(most.items())]
+    named = ((gap.channel_name(channel, say), kind, size) for (channel, kind), size in sorted(most.items()))
+    return [f"{channel}: {say(f'gap.own.{kind}')} {size:.3g}" for channel, kind, size in named]
 
 
 def _noise(report: Mapping[str, Any], say: Words) -> str:
@@ -238,9 +187,9 @@ def _noise(report: Mapping[str, Any], say: Words) -> str:
     told = [
         say(
             "gap.noise.one",
-            channel=channel_name(channel, say),
-            size=f"{unit_of(channel)[0] * found['fading']:.3g}",
-            unit=unit_of(channel)[1],
+            channel=gap.channel_name(channel, say),
+            size=f"{figures.unit_of(channel)[0] * found['fading']:.3g}",
+            unit=figures.unit_of(channel)[1],
             fading=f"{found['fading_s']:.2g}",
         )
         for channel, found in report.get("noise", {}).items()
@@ -252,7 +201,7 @@ def _missing(report: Mapping[str, Any], say: Words) -> str:
     if not report.get("missing_channels"):
         return ""
     words = [_told(say, "gap.page.missing", channels=", ".join(report["missing_channels"]))]
-    if stages := ", ".join(stage_name(stage, say) for stage in report.get("unseen_stages", ())):
+    if stages := ", ".join(gap.stage_name(stage, say) for stage in report.get("unseen_stages", ())):
         words.append(_told(say, "gap.page.unseen", stages=stages))
     return _note(" ".join(words))
 
@@ -262,7 +211,7 @@ def _percent(share: float | None) -> str:
 
 
 def chain_svg(report: Mapping[str, Any], say: Words) -> str:
-    """Return the chain from motion to acquisition as SVG; the darker a stage, the more of the gap sits there."""
+    """Return the chain as SVG; the darker a stage, the more of the gap sits there."""
     shares: dict[str, float] = {}
     for place in report["where"]:
         # Stages come first; the rows after them tell the regime, whose share is one of energy.
@@ -286,17 +235,12 @@ def _box(stage: str, x: int, y: int, share: float, unseen: Sequence[str], say: W
     fill = f"rgba(196,68,28,{0.06 + 0.69 * share:.2f})" if share > 0 else "#f3f5f7"
     ink = "#1c2733"
     label = _percent(share) if share > 0 else say("gap.chain.unjudged" if stage in unseen else "gap.chain.none")
-    name = escape(stage_name(stage, say))
+    name = escape(gap.stage_name(stage, say))
     return (
         f"<g><rect x='{x}' y='{y}' width='146' height='60' rx='8' fill='{fill}' stroke='#aab3bd'/>"
         f"<text x='{x + 73}' y='{y + 26}' text-anchor='middle' fill='{ink}' font-weight='600'>{name}</text>"
         f"<text x='{x + 73}' y='{y + 46}' text-anchor='middle' fill='{ink}'>{escape(label)}</text></g>"
     )
-
-
-def _ambiguity(report: Mapping[str, Any], say: Words) -> str:
-    groups = [_effects(group, say, "gap.or") for group in report["ambiguous_with"]]
-    return _note(_told(say, "gap.ambiguous", group="; ".join(groups)) + ".") if groups else ""
 
 
 def _gain_words(report: Mapping[str, Any], say: Words) -> str:
@@ -314,17 +258,17 @@ def _gain_words(report: Mapping[str, Any], say: Words) -> str:
 
 
 def _hidden_words(report: Mapping[str, Any], say: Words) -> str:
-    named = {cause["effect"] for cause in report["causes"] if cause["probability"] >= LIKELY}
+    named = {cause["effect"] for cause in report["causes"] if cause["probability"] >= gap.LIKELY}
     hidden = {effect: share for effect, share in report["hidden_fraction"].items() if share is not None}
     worst = sorted((effect for effect in named if hidden.get(effect, 0.0) >= 0.8), key=lambda effect: -hidden[effect])
     if not worst:
         return f"<p>{_told(say, 'gap.hidden.bars')}</p>"
-    names = ", ".join(f"{effect_name(effect, say)} ({_percent(hidden[effect])})" for effect in worst)
+    names = ", ".join(f"{gap.effect_name(effect, say)} ({_percent(hidden[effect])})" for effect in worst)
     return _note(_told(say, "gap.hidden.most", effects=names))
 
 
 def _next(experiment: Mapping[str, Any] | None, say: Words) -> str:
-    why = escape(why_next(experiment or {}, say))
+    why = escape(gap.why_next(experiment or {}, say))
     if not experiment or experiment.get("profile") in (None, "", "none"):
-        return f"<p>{_told(say, 'gap.next.none')} {begun(why)}</p>"
-    return f"<div class='next'><b>{escape(pressed_name(str(experiment['profile']), say))}</b><p>{why}</p></div>"
+        return f"<p>{_told(say, 'gap.next.none')} {gap.begun(why)}</p>"
+    return f"<div class='next'><b>{escape(gap.pressed_name(str(experiment['profile']), say))}</b><p>{why}</p></div>"

@@ -1,4 +1,4 @@
-"""The live signal of a run as an ECharts option: it is drawn into the same chart again and again, without a flicker."""
+"""The live signal of a run as an ECharts option, drawn again and again without a flicker."""
 
 from typing import Any
 
@@ -12,8 +12,7 @@ from softcal.core.orders import Signal
 def live_signal(signal: Signal, colours: Palette, words: Words, has_force: bool = False) -> dict[str, Any]:
     """Return the option that draws the output over the time of the run, and the stage position.
 
-    Args:
-        has_force: draw the force in place of the stage position, where it is measured.
+    With `has_force` the force stands in place of the stage position, where it is measured.
     """
     output, stage = f"{words('chart.output')} [{signal.output_unit}]", f"{words('chart.stage')} [mm]"
     beside = signal.stage_mm

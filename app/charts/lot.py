@@ -1,24 +1,24 @@
-"""A lot into Plotly figures: predicted errors, audited scores, the control chart, why units did not pass."""
+"""A lot into figures: predicted errors, audited scores, control chart, reasons, yields."""
 
 from collections.abc import Sequence
+from typing import Any
 from unicodedata import east_asian_width
 
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from softcal.app.charts import style
 from softcal.app.charts.palette import Palette
-from softcal.app.charts.style import HEIGHT, coloured, level_line, limit_line, nice_step, styled, whole_numbers
 from softcal.app.texts.reasons import Words, plainly
 from softcal.app.views.common import far_end
 from softcal.app.views.lot import LotView, ProcessView
 from softcal.app.views.lot_runs import DESK, YieldAt
 from softcal.core.quality.control_chart import FORBIDDING, ControlChart
-from softcal.core.recording import Array, Indices
 
 BINS = 48
 SHOWN_VALUES = 300
-"""The control chart shows this many of the newest values; its limits and rules come from all of them."""
+"""So many of the newest values are shown; limits and rules come from all."""
 
 MOST_BARS = 24
 """Up to so many audited units have bars with their serials; more are ranked."""
@@ -27,7 +27,7 @@ MOST_REASONS = 8
 
 
 def predicted_errors(view: LotView, colours: Palette, words: Words) -> go.Figure:
-    """Draw how many units have which predicted error, by verdict, with the limit; the last bar holds all beyond."""
+    """Draw the predicted errors by verdict, with the limit; the last bar holds all beyond."""
     every = view.predicted()
     figure = go.Figure()
     top = far_end(every, view.limit_rmse)
@@ -38,21 +38,21 @@ def predicted_errors(view: LotView, colours: Palette, words: Words) -> go.Figure
             name = words(f"verdict.{verdict}")
             figure.add_bar(x=edges[:-1], y=counts, width=edges[1], offset=0, name=name, marker_color=colour)
     figure.update_layout(barmode="stack")
-    whole_numbers(figure, float(np.histogram(np.minimum(every, top), edges)[0].max(initial=0)))
+    style.whole_numbers(figure, float(np.histogram(np.minimum(every, top), edges)[0].max(initial=0)))
     # Without a step of their own the ticks would follow the bars, at odd numbers.
-    figure.update_xaxes(range=[0.0, top + edges[1]], dtick=nice_step(top), tick0=0)
+    figure.update_xaxes(range=[0.0, top + edges[1]], dtick=style.nice_step(top), tick0=0)
     if view.limit_rmse is not None:
-        limit_line(figure, view.limit_rmse, colours, words("chart.limit"))
+        style.limit_line(figure, view.limit_rmse, colours, words("chart.limit"))
     title, beyond = f"{words('column.predicted')} [{view.lot.reference_unit}]", int(np.sum(every > top))
     if beyond:
         # Over the bars it would meet the line of the limit where the figure is narrow.
         text = words("chart.beyond", count=beyond, value=f"{top:.3g} {view.lot.reference_unit}")
         title = f"{title} · {text}"
-    return styled(figure, colours, title, words("chart.count"))
+    return style.styled(figure, colours, title, words("chart.count"))
 
 
 def audit_scores(view: LotView, colours: Palette, words: Words) -> go.Figure:
-    """Draw before, after and own of every audited unit; many units in the order of their error with the map."""
+    """Draw before, after and own of every audited unit; of many in the order of their error."""
     audited = sorted(view.audited, key=lambda row: row.after_rmse or 0.0) if _is_many(view) else view.audited
     figure = go.Figure()
     series = (("before", colours.raw), ("after", colours.mapped), ("own", colours.source))
@@ -61,14 +61,13 @@ def audit_scores(view: LotView, colours: Palette, words: Words) -> go.Figure:
         if not any(value is not None for value in values):
             continue
         if _is_many(view):
-            dots = {"color": colour, "size": 4}
-            figure.add_scatter(y=values, mode="markers", marker=dots, name=words(f"chart.{name}"))
+            style.dots(figure, None, values, colour, words(f"chart.{name}"))
         else:
             bars = [row.serial for row in audited]
             figure.add_bar(x=bars, y=values, name=words(f"chart.{name}"), marker_color=colour)
     title = words("chart.rank") if _is_many(view) else words("column.serial")
     figure.update_xaxes(type="linear" if _is_many(view) else "category").update_yaxes(rangemode="tozero")
-    return styled(figure, colours, title, f"RMSE [{view.lot.reference_unit}]")
+    return style.styled(figure, colours, title, f"RMSE [{view.lot.reference_unit}]")
 
 
 def _is_many(view: LotView) -> bool:
@@ -76,7 +75,7 @@ def _is_many(view: LotView) -> bool:
 
 
 def control_chart_figure(process: ProcessView, unit: str, colours: Palette, words: Words) -> go.Figure:
-    """Draw single values and moving ranges of the newest units with their control limits; broken rules stand out."""
+    """Draw values and moving ranges of the newest units; broken rules stand out."""
     chart = process.chart
     if chart is None:
         raise ValueError("no control chart without values")
@@ -84,34 +83,21 @@ def control_chart_figure(process: ProcessView, unit: str, colours: Palette, word
     at = np.arange(first, len(chart.values)) + 1
     figure = make_subplots(rows=2, shared_xaxes=True, vertical_spacing=0.06, row_heights=[0.66, 0.34])
     names = list(process.serials[first:])
-    _series(figure, 1, at, chart.values[first:], names, colours, f"%{{text}}: %{{y:.4g}} {unit}<extra></extra>")
-    ranges = np.concatenate([[np.nan], chart.moving_ranges])[first:]
-    _series(figure, 2, at, ranges, names, colours, f"%{{text}}: %{{y:.3g}} {unit}<extra></extra>")
+    line, marker = {"color": colours.source, "width": 1}, {"color": colours.source, "size": 5}
+    ranges = np.concatenate([[np.nan], chart.moving_ranges])
+    for row, (values, digits) in enumerate(((chart.values, 4), (ranges, 3)), 1):
+        hover = f"%{{text}}: %{{y:.{digits}g}} {unit}<extra></extra>"
+        shown = {"text": names, "mode": "lines+markers", "line": line, "marker": marker, "hovertemplate": hover}
+        figure.add_scatter(x=at, y=values[first:], **shown, row=row, col=1)
     _flagged(figure, chart, first, names, colours, words)
-    level_line(figure, chart.centre, colours.text, f"{chart.centre:.3g}")
+    style.level_line(figure, chart.centre, colours.text, f"{chart.centre:.3g}")
     for limit in (chart.lower, chart.upper):
-        level_line(figure, limit, colours.limit, f"{limit:.3g}", dash="dash")
-    level_line(figure, chart.range_upper, colours.limit, f"{chart.range_upper:.3g}", row=2, dash="dash")
-    figure.update_xaxes(title=words("chart.order"), row=2, col=1)
-    figure.update_yaxes(title=f"{words('column.predicted')} [{unit}]", automargin=True, row=1, col=1)
-    figure.update_yaxes(title=f"{words('chart.range')} [{unit}]", automargin=True, rangemode="tozero", row=2, col=1)
-    return coloured(figure, colours, 420).update_layout(showlegend=False, margin_t=20)
-
-
-def _series(
-    figure: go.Figure,
-    row: int,
-    at: Indices,
-    values: Array,
-    names: list[str],
-    colours: Palette,
-    hover: str,
-) -> None:
-    line = {"color": colours.source, "width": 1}
-    marker = {"color": colours.source, "size": 5}
-    figure.add_scatter(
-        x=at, y=values, text=names, mode="lines+markers", line=line, marker=marker, hovertemplate=hover, row=row, col=1
-    )
+        style.level_line(figure, limit, colours.limit, f"{limit:.3g}", dash="dash")
+    style.level_line(figure, chart.range_upper, colours.limit, f"{chart.range_upper:.3g}", row=2, dash="dash")
+    style.axis_titles(figure, 1, f"{words('column.predicted')} [{unit}]")
+    style.axis_titles(figure, 2, f"{words('chart.range')} [{unit}]", words("chart.order"))
+    figure.update_yaxes(rangemode="tozero", row=2, col=1)
+    return style.coloured(figure, colours, 420).update_layout(showlegend=False, margin_t=20)
 
 
 def _flagged(
@@ -122,57 +108,35 @@ def _flagged(
         if signal.index >= first and signal.rule in FORBIDDING:
             rules.setdefault(signal.index, []).append(signal.rule)
     text = [f"{names[k - first]}: {', '.join(words(f'rule.{rule}') for rule in found)}" for k, found in rules.items()]
-    figure.add_scatter(
-        x=[k + 1 for k in rules],
-        y=[chart.values[k] for k in rules],
-        text=text,
-        mode="markers",
-        marker={"color": colours.limit, "size": 10, "symbol": "diamond"},
-        hovertemplate="%{text}<extra></extra>",
-        row=1,
-        col=1,
-    )
+    look: dict[str, Any] = {"symbol": "diamond", "text": text, "hovertemplate": "%{text}<extra></extra>"}
+    style.dots(figure, [k + 1 for k in rules], [chart.values[k] for k in rules], colours.limit, None, 10, 1, **look)
 
 
 def reasons_pareto(view: LotView, colours: Palette, words: Words) -> go.Figure:
-    """Draw why units did not pass, the most frequent reason on top, with the running share of all."""
+    """Draw why units did not pass, the most frequent on top, with the running share."""
     shown = view.reasons[:MOST_REASONS]
     counts = np.array([count for _, count in shown], dtype=float)
     every = sum(count for _, count in view.reasons)
     running = np.cumsum(counts) / every
     names = [_wrapped(plainly(reason, words)) for reason, _ in shown]
     labels = [f"{count:.0f}  ({share:.0%})" for count, share in zip(counts, running, strict=True)]
-    figure = go.Figure(
-        go.Bar(
-            x=counts,
-            y=names,
-            orientation="h",
-            marker_color=colours.source,
-            text=labels,
-            textposition="outside",
-            cliponaxis=False,
-        )
-    )
+    figure = go.Figure(go.Bar(x=counts, y=names, text=labels, marker_color=colours.source, **style.LEVEL_BARS))
     figure.update_yaxes(autorange="reversed")
-    figure.update_xaxes(range=[0, 2.2 * counts.max()], tickformat="d", dtick=max(1, nice_step(counts.max())))
-    height = max(HEIGHT, 100 + sum(18 * (2 + name.count("<br>")) for name in names))
-    return styled(figure, colours, words("chart.count_running"), "", height).update_layout(showlegend=False)
+    figure.update_xaxes(range=[0, 2.2 * counts.max()], tickformat="d", dtick=max(1, style.nice_step(counts.max())))
+    height = max(style.HEIGHT, 100 + sum(18 * (2 + name.count("<br>")) for name in names))
+    return style.styled(figure, colours, words("chart.count_running"), "", height).update_layout(showlegend=False)
 
 
 def _wrapped(reason: str, width: int = 30) -> str:
     """Break a sentence into lines of so many Latin letters; a Korean one is as wide as two."""
     lines, line = [], ""
     for word in reason.split():
-        if line and _wide(f"{line} {word}") > width:
+        if line and sum(2 if east_asian_width(letter) in "WF" else 1 for letter in f"{line} {word}") > width:
             lines.append(line)
             line = word
         else:
             line = f"{line} {word}".strip()
     return "<br>".join([*lines, line])
-
-
-def _wide(said: str) -> int:
-    return sum(2 if east_asian_width(letter) in "WF" else 1 for letter in said)
 
 
 WITH_COUNTS = 8
@@ -186,19 +150,13 @@ def yield_figure(found: Sequence[YieldAt], title: str, colours: Palette, words: 
     value = [100 * (one.share.value or 0.0) for one in found]
     up = [100 * one.share.interval[1] - at for one, at in zip(found, value, strict=True)]
     down = [at - 100 * one.share.interval[0] for one, at in zip(found, value, strict=True)]
-    figure = go.Figure(
-        go.Bar(
-            x=names,
-            y=value,
-            customdata=counts,
-            hovertemplate="%{x}: %{y:.1f} % (%{customdata})<extra></extra>",
-            width=0.6 if len(found) > 2 else 0.25,
-            marker_color=colours.verdict["none"],
-            error_y={"array": up, "arrayminus": down, "color": colours.text, "thickness": 1.5, "width": 5},
-        )
-    )
+    spread = {"array": up, "arrayminus": down, "color": colours.text, "thickness": 1.5, "width": 5}
+    hover = "%{x}: %{y:.1f} % (%{customdata})<extra></extra>"
+    look = {"width": 0.6 if len(found) > 2 else 0.25, "marker_color": colours.verdict["none"], "error_y": spread}
+    figure = go.Figure(go.Bar(x=names, y=value, customdata=counts, hovertemplate=hover, **look))
     if len(found) <= WITH_COUNTS:
         said = [f"{name}<br>{count}" for name, count in zip(names, counts, strict=True)]
         figure.update_xaxes(tickmode="array", tickvals=names, ticktext=said)
     figure.update_xaxes(type="category").update_yaxes(range=[0, 104], dtick=20)
-    return styled(figure, colours, title, f"{words('lot.first_pass')} [%]").update_layout(showlegend=False, margin_t=20)
+    style.styled(figure, colours, title, f"{words('lot.first_pass')} [%]")
+    return figure.update_layout(showlegend=False, margin_t=20)

@@ -18,24 +18,16 @@ dt { color: #55606c; font-size: 13px; } dd { margin: 0; font-size: 20px; }
 
 
 def lot_page(view: LotView, units: Sequence[UnitEntry], words: Words, made: str) -> str:
-    """Return the page of a lot as HTML.
-
-    Args:
-        units: every target unit.
-        words: the texts of one language.
-        made: when and with what it was made, in words.
-    """
+    """Return the page of a lot as HTML; `units` are all targets, `made` says when and with what."""
     facts = report_facts(view, words)
     told = "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in facts.items())
     head = f"<header><h1>{escape(view.lot.id)}</h1><dl>{told}</dl><p>{escape(made)}</p></header>"
-    parts = [
-        section(part.title, _picture(part, view, words) or _table(part))
-        for part in report_parts(view, units, words("lot.table"), words)
-    ]
-    return document(f"softcal: {view.lot.id}", [head, *parts], STYLE)
+    parts = report_parts(view, units, words("lot.table"), words)
+    sections = [section(part.title, _drawn(part, view, words)) for part in parts]
+    return document(f"softcal: {view.lot.id}", [head, *sections], STYLE)
 
 
-def _picture(part: ReportPart, view: LotView, words: Words) -> str:
+def _drawn(part: ReportPart, view: LotView, words: Words) -> str:
     colours = palette(None)
     match part.picture:
         case "errors":
@@ -46,8 +38,4 @@ def _picture(part: ReportPart, view: LotView, words: Words) -> str:
             return figures(reasons_pareto(view, colours, words))
         case "scores":
             return figures(audit_scores(view, colours, words))
-    return ""
-
-
-def _table(part: ReportPart) -> str:
     return table(part.header, ([escape(cell) for cell in row] for row in part.rows))

@@ -1,4 +1,4 @@
-"""A table that somebody dropped, before it is a lot: its columns over time, and the reference over the output."""
+"""A table that was dropped: its columns over time, and the reference over the output."""
 
 import fnmatch
 from typing import TYPE_CHECKING
@@ -7,7 +7,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from softcal.app.charts.palette import Palette
-from softcal.app.charts.style import styled
+from softcal.app.charts.style import dots, styled
 from softcal.app.files.importing import Columns
 from softcal.app.texts.reasons import Words
 from softcal.app.views.common import thinned
@@ -44,12 +44,12 @@ def reference_over_output(
     at = thinned(range(len(content)))
     figure = go.Figure()
     x, y = _numbers(content, columns.output)[at], _numbers(content, str(columns.reference))[at]
-    figure.add_scatter(x=x, y=y, mode="markers", marker={"size": 4, "color": colours.mapped}, showlegend=False)
+    dots(figure, x, y, colours.mapped, None, showlegend=False)
     return styled(figure, colours, words("chart.output"), str(columns.reference))
 
 
 def _numbers(content: "pd.DataFrame", name: str) -> Array:
-    """Return a column as numbers; what is none is left out of the picture, and named in words below it."""
+    """Return a column as numbers; what is none is left out of the picture."""
     import pandas as pd
 
     return np.asarray(pd.to_numeric(content[name], errors="coerce"), dtype=float)

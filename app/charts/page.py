@@ -29,12 +29,7 @@ th {{ color: #55606c; font-weight: 600; }}
 
 
 def document(title: str, parts: Iterable[str], style: str = "", language: str = "", has_plots: bool = True) -> str:
-    """Return a page from its parts, which are HTML.
-
-    Args:
-        language: of the page; "" says nothing of it.
-        has_plots: whether `figures` are on it; drawings need no library.
-    """
+    """Return a page from parts, which are HTML; without `has_plots` it needs no library."""
     body, script = "\n".join(parts), get_plotlyjs() if has_plots else ""
     return DOCUMENT.format(fonts=FONTS, title=escape(title), body=body, style=style, language=language, script=script)
 

@@ -1,4 +1,4 @@
-"""Letters and colours of the screens, light and dark. Every text colour has a contrast of 4.5:1 on its ground."""
+"""Letters and colours of the screens. Every text has a contrast of 4.5:1 on its ground."""
 
 from dataclasses import dataclass
 
@@ -13,11 +13,10 @@ class Palette:
 
     Args:
         source, raw, mapped: the three window spaces a chart compares.
-        band: fill of an interval.
         limit: lines that decide.
         verdict: ground of a verdict's badge, white text on it.
         chosen: words of what is chosen among others, on the page's ground and on a tint of it.
-        soft, line, good, bad: labels, borders, and words that say well or not well, on the page's ground.
+        soft, line, good, bad: labels, borders, words of well or not well, on the page's ground.
     """
 
     text: str

@@ -1,6 +1,7 @@
-"""How every Plotly figure of the screens looks. Colours come from the palette: limit lines are seen in the dark too."""
+"""How every Plotly figure of the screens looks; its colours come from the palette."""
 
 import math
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -10,14 +11,15 @@ from softcal.core.recording import Array
 
 HEIGHT = 320
 CLEAR = "rgba(0,0,0,0)"
+LEVEL_BARS = {"orientation": "h", "textposition": "outside", "cliponaxis": False}
+"""Level bars whose values stand behind them."""
 
 
 def styled(figure: go.Figure, colours: Palette, x_title: str, y_title: str, height: int = HEIGHT) -> go.Figure:
     """Give a figure the look of the screens and its axes their titles, each with its unit."""
-    grid = {"gridcolor": colours.grid, "zerolinecolor": colours.grid, "linecolor": colours.grid}
     # Thousands, not "k" and "M": these are measured values, not sums of money.
-    figure.update_xaxes(title=x_title, title_standoff=8, automargin=True, exponentformat="power", **grid)
-    figure.update_yaxes(title=y_title, title_standoff=8, exponentformat="power", automargin=True, **grid)
+    shared = {"title_standoff": 8, "automargin": True, "exponentformat": "power"}
+    figure.update_xaxes(title=x_title, **shared).update_yaxes(title=y_title, **shared)
     return coloured(figure, colours, height)
 
 
@@ -39,6 +41,29 @@ def coloured(figure: go.Figure, colours: Palette, height: int = HEIGHT) -> go.Fi
     )
 
 
+def dots(
+    figure: go.Figure,
+    x: Any,
+    y: Any,
+    colour: str,
+    name: str | None,
+    size: int = 4,
+    row: int | None = None,
+    col: int = 1,
+    **more: Any,
+) -> None:
+    """Draw points, in one of several figures where a row is given."""
+    marker = {"color": colour, "size": size, "symbol": more.pop("symbol", None), "opacity": more.pop("opacity", None)}
+    figure.add_scatter(x=x, y=y, mode="markers", marker=marker, name=name, row=row, col=col if row else None, **more)
+
+
+def axis_titles(figure: go.Figure, row: int, y_title: str, x_title: str | None = None) -> None:
+    """Give one of several figures that stand below one another its titles."""
+    figure.update_yaxes(title=y_title, automargin=True, row=row, col=1)
+    if x_title is not None:
+        figure.update_xaxes(title=x_title, row=row, col=1)
+
+
 def nice_step(span: float, count: int = 6) -> float:
     """Return 1, 2 or 5 times a power of ten, so that about so many steps make the span."""
     power = 10.0 ** math.floor(math.log10(span / count))
@@ -51,7 +76,7 @@ def whole_numbers(figure: go.Figure, most: float) -> None:
 
 
 def steps(heights: Array) -> Array:
-    """Return the heights of bins for a line of shape `hv` over their edges: the last bin ends at the last edge."""
+    """Return heights of bins for a line of shape `hv` over their edges, to the last edge."""
     return np.append(heights, heights[-1])
 
 

@@ -1,16 +1,16 @@
-"""One unit into Plotly figures: its outputs, its map, its estimates, and what its predicted error is made of."""
+"""One unit into figures: its outputs, its map, its estimates, its recordings."""
 
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from softcal.app.charts.palette import Palette
-from softcal.app.charts.style import coloured, steps, styled
+from softcal.app.charts.style import axis_titles, coloured, dots, steps, styled
 from softcal.app.texts.reasons import Words
 from softcal.app.views.common import thinned
 from softcal.app.views.unit import UnitView
 from softcal.core.lot import Lot
-from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.recording import LabelledRecording, OutputRecording
 
 BINS = 60
 
@@ -46,18 +46,12 @@ def estimate_band(view: UnitView, colours: Palette, words: Words) -> go.Figure:
     """Draw the estimate over time with its interval."""
     result, unit = view.estimate, view.lot.reference_unit
     at = thinned(result.t_s)
-    figure = go.Figure()
-    figure.add_scatter(x=result.t_s[at], y=result.upper[at], line={"width": 0}, showlegend=False, hoverinfo="skip")
-    figure.add_scatter(
-        x=result.t_s[at],
-        y=result.lower[at],
-        name=words("chart.interval"),
-        line={"width": 0},
-        fill="tonexty",
-        fillcolor=colours.band,
-    )
+    figure, t_s, edge = go.Figure(), result.t_s[at], {"width": 0}
+    figure.add_scatter(x=t_s, y=result.upper[at], line=edge, showlegend=False, hoverinfo="skip")
+    filled = {"fill": "tonexty", "fillcolor": colours.band}
+    figure.add_scatter(x=t_s, y=result.lower[at], name=words("chart.interval"), line=edge, **filled)
     line = {"color": colours.mapped, "width": 1.5}
-    figure.add_scatter(x=result.t_s[at], y=result.estimate[at], name=words("chart.estimate"), line=line)
+    figure.add_scatter(x=t_s, y=result.estimate[at], name=words("chart.estimate"), line=line)
     return styled(figure, colours, words("chart.time"), f"{view.lot.reference_quantity} [{unit}]")
 
 
@@ -69,7 +63,9 @@ def hysteresis(view: UnitView, colours: Palette, words: Words) -> go.Figure:
     rising = np.gradient(value) >= 0 if len(value) > 1 else np.ones(len(value), dtype=bool)
     figure = go.Figure()
     for name, rows, colour in (("loading", rising, colours.mapped), ("unloading", ~rising, colours.raw)):
-        figure.add_scatter(**_dots(value[rows], output[rows]), name=words(f"chart.{name}"), marker_color=colour)
+        x, y = value[rows], output[rows]
+        at = thinned(x, 2000)
+        dots(figure, x[at], y[at], colour, words(f"chart.{name}"), opacity=0.6)
     unit = f"{words('chart.estimate')} [{view.lot.reference_unit}]"
     return styled(figure, colours, unit, f"{words('chart.output')} [{view.lot.output_unit}]")
 
@@ -85,11 +81,5 @@ def recording(found: OutputRecording | LabelledRecording, lot: Lot, colours: Pal
     for row, (name, unit, values, colour) in enumerate(series, 1):
         line = {"color": colour, "width": 1.3}
         figure.add_scatter(x=plain.t_s[at], y=values[at], name=name, line=line, row=row, col=1)
-        figure.update_yaxes(title=f"{name} [{unit}]", automargin=True, row=row, col=1)
-    figure.update_xaxes(title=words("chart.time"), row=len(series), col=1)
+        axis_titles(figure, row, f"{name} [{unit}]", words("chart.time") if row == len(series) else None)
     return coloured(figure, colours, 220 + 160 * (len(series) - 1)).update_layout(showlegend=False, margin_t=20)
-
-
-def _dots(x: Array, y: Array) -> dict[str, object]:
-    at = thinned(x, 2000)
-    return {"x": x[at], "y": y[at], "mode": "markers", "marker_size": 4, "marker_opacity": 0.6}

@@ -107,7 +107,7 @@ def run(options: argparse.Namespace) -> int:
             write_results(registry, report.lot_id, options.parquet, report.release)
             say(f"{options.parquet}: results of lot {report.lot_id}")
         if options.plots is not None:
-            from softcal.app.charts.why_page import explain_units
+            from softcal.app.charts.why import explain_units
 
             mapped = [u.serial for u in report.units if u.made is not None]
             explain_units(registry, mapped, options.plots, report.lot_id)

@@ -29,7 +29,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print reasons and budget, write the figure."""
-    from softcal.app.charts.why_page import explain_unit, why_json
+    from softcal.app.charts.why import explain_unit, why_json
     from softcal.app.registry.standing import standing_of
     from softcal.app.views.unit import unit_view
     from softcal.core.words.reason import joined

@@ -13,11 +13,7 @@ LANGUAGES = {"en": "English", "ko": "한국어"}
 
 @cache
 def catalogue() -> dict[str, dict[str, str]]:
-    """Return every text by language and key; what softcal's reasons say is English in `core.words.reason`.
-
-    Raises:
-        ValueError: a text stands in two files.
-    """
+    """Return every text by language and key; ValueError where one stands in two files."""
     texts: dict[str, dict[str, str]] = {language: {} for language in LANGUAGES}
     for file in sorted(Path(__file__).parent.glob("*.toml")):
         said = tomllib.loads(file.read_text(encoding="utf-8"))
@@ -32,7 +28,7 @@ def catalogue() -> dict[str, dict[str, str]]:
 
 
 def text(language: str, key: str, /, **values: object) -> str:
-    """Return one text with its values filled in, an instant in its own zone; an unknown language gives English."""
+    """Return one text with its values filled in; an unknown language gives English."""
     shown = {name: instant(value) if isinstance(value, datetime) else value for name, value in values.items()}
     return filled(catalogue().get(language, catalogue()["en"])[key], shown)
 
@@ -48,10 +44,10 @@ def words_in(language: str, zone: tzinfo | None) -> Callable[..., str]:
 
 
 def here(at: datetime) -> str:
-    """Return an instant in the time of this machine: for tables and letters, which know no browser."""
+    """Return an instant in the time of this machine, for tables and letters."""
     return instant(at.astimezone())
 
 
 def instant(at: datetime) -> str:
-    """Return an instant as every reader sees it: to the second, with the difference of its zone from UTC."""
+    """Return an instant to the second, with the difference of its zone from UTC."""
     return f"{at:%Y-%m-%d %H:%M:%S} {timezone(at.utcoffset() or timedelta())}"

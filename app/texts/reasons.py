@@ -5,6 +5,7 @@ version kept, or that was quoted from a file or a device, stays as it is.
 """
 
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from datetime import datetime
 
 from softcal.core.words.reason import PLAIN, Reason, Value, unpacked
@@ -20,7 +21,7 @@ NAMES = {
     "profile": "gap.press",
     "unit": "gap.unit",
 }
-"""Values of a reason that are names of softcal's own, with the kind of phrase by which a language says them."""
+"""Values of a reason that are names of softcal's own → the phrases that say them."""
 
 INSTANT = "at"
 """The value of a reason that is an instant, kept as text (ISO 8601)."""
@@ -29,7 +30,7 @@ BETWEEN = "; "
 
 
 def said(why: Reason, words: Words) -> str:
-    """Return one reason in the language of `words`; a value that is a reason is said in it as well."""
+    """Return one reason in words, those in its values too."""
     if why.code == PLAIN:
         return str(why)
     return words(f"{PREFIX}{why.code}", **{name: _value_said(name, v, words) for name, v in why.values.items()})
@@ -52,14 +53,15 @@ def _instant(kept: str) -> object:
 
 
 def plainly(why: Reason, words: Words) -> str:
-    """Return a reason for who stands at the line: what is wrong, without numbers; one kept as a sentence as it is."""
+    """Return a reason without numbers, for who stands at the line."""
     # A forecast and a measurement are told apart, and how near to the limit they are.
     parts = (why.values.get("source"), why.values.get("relation"))
     ends = [part.code.removeprefix("part") for part in parts if isinstance(part, Reason)]
-    try:
-        return words(f"{PLAINLY}{why.code}{''.join(ends)}")
-    except KeyError:
-        return said(why, words)
+    # Reasons of one family may be one to them.
+    for code in (f"{why.code}{''.join(ends)}", why.code.rpartition(".")[0]):
+        with suppress(KeyError):
+            return words(f"{PLAINLY}{code}")
+    return said(why, words)
 
 
 def all_said(reasons: Iterable[Reason], words: Words) -> str:
@@ -73,7 +75,7 @@ def told(message: str, words: Words) -> str:
 
 
 def phrase(kind: str, text: str, words: Words) -> str:
-    """Return a fixed phrase of the numerics: the text `KIND.PHRASE` of the language, itself where there is none."""
+    """Return a fixed phrase of the numerics, itself where a language has none."""
     try:
         return words(f"{kind}.{text}")
     except KeyError:

@@ -1,4 +1,4 @@
-"""Who sits at the screen and what the role allows: the line's operator without login, people by PIN or company account.
+"""Who sits at the screen and what the role allows: nobody signed in, a PIN, or a company account.
 
 A sign-in by PIN lives in this server's memory under a random token that the browser keeps in a cookie, so that it
 survives a reload and a link, and ends with the shift, the browser or the server.
@@ -20,11 +20,11 @@ from softcal.db.access.people import PERMISSIONS, ROLES, may
 from softcal.db.entries import User
 
 SHIFT = timedelta(hours=10)
-"""A sign-in ends after this time, whatever the browser keeps; Streamlit's cookie of a company account lives 30 days."""
+"""A sign-in ends after this time, though Streamlit's cookie of a company account lives 30 days."""
 
 SESSION = "session"
 ROLE_CLAIM_VARIABLE = "SOFTCAL_ROLE_CLAIM"
-"""Environment variable: which claim of a company account names the role; `roles` where it is not set."""
+"""Environment variable: which claim of a company account names the role; usually `roles`."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,11 @@ def _sign_ins() -> dict[str, SignIn]:
 
 
 def person() -> User:
-    """Return who is at the screen; without sign-in the operator of the line, whose badge stands there."""
-    return _by_company_account() or _by_pin() or User("", "operator", True, 0)
+    """Return who is at the screen; without a sign-in the operator of the line."""
+    claims = _claims()
+    if role := role_of(claims, role_claim()):
+        return User(_name_of(claims), role, True, 1)
+    return _by_pin() or User("", "operator", True, 0)
 
 
 def is_signed_in() -> bool:
@@ -60,11 +63,7 @@ def is_signed_in() -> bool:
 
 
 def sign_in(name: str, pin: str) -> User:
-    """Sign a person in at this browser.
-
-    Raises:
-        InputError: wrong name or PIN, not active, or a pause after wrong ones.
-    """
+    """Sign a person in; InputError for a wrong name or PIN, or too early after one."""
     pauses = _pauses()
     pauses.check(name)
     try:
@@ -86,11 +85,8 @@ def sign_in(name: str, pin: str) -> User:
 def make_first_account(name: str, pin: str, code: str) -> User:
     """Make the first account of a registry, which decides about all others, and sign it in.
 
-    Args:
-        code: that this server printed where only who runs it can read.
-
     Raises:
-        InputError: wrong code, a pause after wrong ones, a senseless name or PIN, or somebody was first.
+        InputError: the code is not what this server printed, a pause, or somebody was first.
     """
     _pauses().check(FIRST_ACCOUNT)
     if not is_code(code, first_code()):
@@ -118,12 +114,13 @@ def sign_out() -> None:
         st.logout()
 
 
-def permit(action: str) -> User:
-    """Return who is at the screen if the role allows an action of `PERMISSIONS`; asked by every function that writes.
+def allows(action: str) -> bool:
+    """Whether the role of who is at the screen allows an action of `PERMISSIONS`."""
+    return may(person(), action)
 
-    Raises:
-        InputError: the role does not allow it.
-    """
+
+def permit(action: str) -> User:
+    """Return who is at the screen, or raise InputError; asked by every function that writes."""
     user = person()
     if not may(user, action):
         allowed = [role for role in ROLES if action in PERMISSIONS[role]]
@@ -145,7 +142,7 @@ def has_company_accounts() -> bool:
 
 
 def account_without_role() -> str:
-    """Return the company account that is signed in at this browser and names no role here; "" without."""
+    """Return the company account at this browser that names no role here; "" without."""
     claims = _claims()
     return _name_of(claims) if claims and role_of(claims, role_claim()) is None else ""
 
@@ -158,9 +155,7 @@ def role_claim() -> str:
 def role_of(claims: dict[str, object], claim: str) -> str | None:
     """Return the highest role that the claims of a company account name, None where they name none.
 
-    Args:
-        claims: of the identity token.
-        claim: which of them holds the role, or a list of roles or groups; a group may end in `/engineer`.
+    The claim holds it, or a list of roles or groups; a group may end in `/engineer`.
     """
     value = claims.get(claim)
     named = value if isinstance(value, list) else [value]
@@ -169,19 +164,13 @@ def role_of(claims: dict[str, object], claim: str) -> str | None:
 
 
 def is_of_this_shift(claims: dict[str, object], now: datetime) -> bool:
-    """Whether an identity token was issued less than a shift ago (`iat`; OpenID Connect Core 1.0, section 2)."""
+    """Whether an identity token is less than a shift old (`iat`; OpenID Connect Core 1.0, 2)."""
     issued_s = claims.get("iat")
     return isinstance(issued_s, int | float) and now.timestamp() - issued_s < SHIFT.total_seconds()
 
 
-def _by_company_account() -> User | None:
-    claims = _claims()
-    role = role_of(claims, role_claim())
-    return None if role is None else User(_name_of(claims), role, True, 1)
-
-
 def _claims() -> dict[str, object]:
-    """Return the claims of the company account at this browser; none once its sign-in is older than a shift."""
+    """Return the claims of the company account at this browser; none after a shift."""
     if not st.user.get("is_logged_in"):
         return {}
     claims: dict[str, object] = {**st.user}

@@ -1,14 +1,19 @@
-"""What a browser remembers for this server across reloads and links: language, badge, sign-in. Kept in cookies."""
+"""What a browser remembers for this server, in cookies; and whether it has drawn the page."""
 
+import os
+import secrets
 from collections.abc import Mapping
 from urllib.parse import unquote
 
 import streamlit as st
 
+from softcal.app.line.facts import Screen
 from softcal.app.ui.callbacks import in_one_piece
-from softcal.app.ui.first_paint import PLACE, has_drawn, is_awaited
 
-STATE = "browser-memory"
+STATION_VARIABLE = "SOFTCAL_STATION"
+"""Environment variable: name of the station at this screen."""
+
+STATE, TAB = "browser-memory", "line-tab"
 HTML = "<span hidden></span>\n"
 JS = """
 export default function ({ data, setTriggerValue }) {
@@ -27,12 +32,14 @@ export default function ({ data, setTriggerValue }) {
   look()
 }
 """
+HAS_DRAWN, IS_AWAITED = "browser-has-drawn", "browser-is-awaited"
+PLACE = "rest-of-page"
 LONGEST_MS = 3000
 """Whatever stands as a skeleton, the rest of a page comes after this time."""
 
 
 def recall(name: str) -> str:
-    """Return what was remembered under a name in this tab or, after a reload, in this browser; "" without."""
+    """Return what was remembered in this tab or, after a reload, this browser; "" without."""
     here = st.session_state.get(STATE, {})
     return str(here[name]) if name in here else unquote(_cookies().get(_cookie(name), ""))
 
@@ -47,20 +54,31 @@ def forget(name: str) -> None:
     remember(name, "")
 
 
+def screen(seen: int | None = None, until_s: float | None = None) -> Screen:
+    """Return which screen of a line this is, what its person has seen, and until when a key waits."""
+    tab = str(st.session_state.setdefault(TAB, secrets.token_hex(8)))
+    return Screen(recall("station") or os.environ.get(STATION_VARIABLE, ""), tab, seen, until_s)
+
+
 def keep() -> None:
-    """Tell the browser what to remember, and ask whether it has drawn the page; drawn once at the end of every run."""
+    """Tell the browser what to remember, and ask what it has drawn; once at the end of a run."""
     told = {_cookie(name): value for name, value in st.session_state.get(STATE, {}).items()}
     # Registered here because a component needs a running server; the same again changes nothing.
     draw = st.components.v2.component("softcal_memory", html=HTML, js=JS)
+    asks = bool(st.session_state.get(IS_AWAITED)) and not st.session_state.get(HAS_DRAWN)
     draw(
-        data={"told": told, "asks": is_awaited(), "place": PLACE, "longest_ms": LONGEST_MS},
+        data={"told": told, "asks": asks, "place": PLACE, "longest_ms": LONGEST_MS},
         key="browser-memory-component",
-        on_drawn_change=in_one_piece(has_drawn),
+        on_drawn_change=in_one_piece(_has_drawn),
     )
 
 
 def _cookies() -> Mapping[str, str]:
     return st.context.cookies
+
+
+def _has_drawn() -> None:
+    st.session_state[HAS_DRAWN] = True
 
 
 def _cookie(name: str) -> str:

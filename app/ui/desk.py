@@ -1,9 +1,9 @@
-"""What every page of the Streamlit application shares: the language, the colours, reasons, and how errors look."""
+"""What every page shares: the language, the colours, reasons, and how errors look."""
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from datetime import datetime, tzinfo
-from typing import Any
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import streamlit as st
@@ -12,35 +12,12 @@ from softcal.app.charts.palette import Palette, palette
 from softcal.app.logs import log_crash
 from softcal.app.texts import catalogue
 from softcal.app.texts.catalogue import LANGUAGES, words_in
-from softcal.app.texts.reasons import all_said, said, told
-from softcal.app.ui.account import permit, person
+from softcal.app.texts.reasons import Words, all_said, said, told
 from softcal.app.ui.browser_memory import recall, remember
-from softcal.app.ui.server_memory import registry
+from softcal.app.ui.server_memory import registry as registry
 from softcal.core.errors import SoftcalError, printable
 from softcal.core.words.reason import Reason
-from softcal.db.access.people import may
 
-__all__ = [
-    "ask_reason",
-    "choose",
-    "choose_language",
-    "colours",
-    "empty",
-    "errors_in_words",
-    "in_full",
-    "in_words",
-    "instant",
-    "language",
-    "readable",
-    "registry",
-    "show_figure",
-    "verdict_badge",
-    "words",
-    "zone",
-]
-
-PLOT_CONFIG = {"displayModeBar": False, "displaylogo": False}
-SHORTEST_REASON = 5
 LONGEST_IN_FIELD = 24
 LANGUAGE = "lang"
 FIRST = "first-of-page"
@@ -48,13 +25,13 @@ UNSEEN = f".st-key-{FIRST} {{ display: none }}"
 
 
 def language() -> str:
-    """Return the language of the address, else the one chosen last at this browser, else its own, else English."""
+    """Return the language of the address, else this browser's last or own, else English."""
     chosen = str(st.query_params.get(LANGUAGE) or recall(LANGUAGE) or (st.context.locale or "").partition("-")[0])
     return chosen if chosen in LANGUAGES else "en"
 
 
 def zone() -> tzinfo | None:
-    """Return the time zone of the browser; None, that of this machine, where it says none that is known here."""
+    """Return the time zone of the browser; None, that of this machine, where it says none."""
     try:
         return ZoneInfo(st.context.timezone or "")
     except (ValueError, ZoneInfoNotFoundError):
@@ -66,18 +43,42 @@ def instant(at: datetime | None) -> str:
     return "–" if at is None else catalogue.instant(at.astimezone(zone()))
 
 
-def words() -> Callable[..., str]:
-    """Return the texts of the chosen language; instants in them are said in the browser's time zone."""
-    return words_in(language(), zone())
+_WORDS: ContextVar[Words | None] = ContextVar("words", default=None)
+"""The texts of one drawing: to look the language up for each of them takes half a millisecond."""
+
+
+@contextmanager
+def in_one_language() -> Iterator[None]:
+    """Draw in the language that is chosen now."""
+    token = _WORDS.set(words_in(language(), zone()))
+    try:
+        yield
+    finally:
+        _WORDS.reset(token)
+
+
+def words() -> Words:
+    """Return the texts of the chosen language, with instants in the browser's time zone."""
+    return _WORDS.get() or words_in(language(), zone())
+
+
+def say(key: str, /, **values: object) -> str:
+    """Return one of these texts."""
+    return words()(key, **values)
+
+
+def named(kind: str) -> Callable[[str], str]:
+    """Return how one of several names is said: the text KIND.NAME."""
+    return lambda name: say(f"{kind}.{name}")
 
 
 def in_words(message: SoftcalError | Reason | Iterable[Reason] | str) -> str:
     """Return an error, what a station says, or what a job kept as text, in the chosen language."""
     if isinstance(message, SoftcalError):
-        return printable(said(message.reason, words()))
+        return printable(said(message.reason, say))
     if isinstance(message, Reason):
-        return said(message, words())
-    return told(message, words()) if isinstance(message, str) else all_said(message, words())
+        return said(message, say)
+    return told(message, say) if isinstance(message, str) else all_said(message, say)
 
 
 def colours() -> Palette:
@@ -108,28 +109,21 @@ def readable() -> None:
 
 
 def _file_fields() -> str:
-    """Return the style that has fields for files speak the page's language: Streamlit's own words are English."""
-    zone, say = "[data-testid=stFileUploaderDropzone]", words()
-    said = {
-        f"{zone} button [data-testid=stMarkdownContainer]": say("choose.files"),
-        f"{zone} [data-testid=stFileUploaderDropzoneInstructions]": say(
-            "choose.files.size", size=st.get_option("server.maxUploadSize")
-        ),
+    """Return the style of fields for files: Streamlit's own words in them are English."""
+    size = say("choose.files.size", size=st.get_option("server.maxUploadSize"))
+    texts = {
+        "[data-testid=stFileUploaderDropzone] button [data-testid=stMarkdownContainer]": say("choose.files"),
+        "[data-testid=stFileUploaderDropzone] [data-testid=stFileUploaderDropzoneInstructions]": size,
     }
-    return " ".join(f'{at} > * {{ display: none }} {at}::after {{ content: "{text}" }}' for at, text in said.items())
+    return " ".join(f'{at} > * {{ display: none }} {at}::after {{ content: "{text}" }}' for at, text in texts.items())
 
 
 def choose_language() -> None:
     """Let a person choose the language; the browser remembers it."""
     codes = list(LANGUAGES)
-    chosen = st.selectbox(
-        words()("choose.language"),
-        codes,
-        index=codes.index(language()),
-        format_func=LANGUAGES.__getitem__,
-        key="language",
-        label_visibility="collapsed",
-    )
+    label, now = say("choose.language"), codes.index(language())
+    names = LANGUAGES.__getitem__
+    chosen = st.selectbox(label, codes, now, names, key="language", label_visibility="collapsed")
     if chosen != language():
         remember(LANGUAGE, chosen)
         st.query_params.pop(LANGUAGE, None)
@@ -138,50 +132,19 @@ def choose_language() -> None:
 
 @contextmanager
 def errors_in_words() -> Iterator[None]:
-    """Show what a person can act on instead of a stack trace; what nobody foresaw goes to the log."""
-    try:
-        yield
-    except SoftcalError as error:
-        st.error(in_words(error), icon=":material/error:", title=words()("error.refused"))
-    except Exception as error:
-        st.error(log_crash(error, "ui"), icon=":material/report:", title=words()("error.defect"))
+    """Show what a person can act on, not a stack trace; the unforeseen goes to the log."""
+    with in_one_language():
+        try:
+            yield
+        except SoftcalError as error:
+            st.error(in_words(error), icon=":material/error:", title=say("error.refused"))
+        except Exception as error:
+            st.error(log_crash(error, "ui"), icon=":material/report:", title=say("error.defect"))
 
 
-def ask_reason(key: str, label: str, action: str, fields: Callable[[], None] = lambda: None) -> str | None:
-    """Ask for the reason of a change; return it in the run in which the button was pressed, else None.
-
-    The caller passes the reason and `account.actor()` on to the function of the registry that makes the change and
-    its row in the audit trail; `registry().trail.add` makes a row for what changes no table.
-
-    Args:
-        key: unique on the page.
-        label: of the button: what will be done.
-        action: of `PERMISSIONS`; a role without it sees why there is no button.
-        fields: draws what is sent with the reason. A PIN belongs there: outside a form the browser keeps it to itself
-            when a person leaves its field with the Tab key.
-
-    Raises:
-        InputError: the role lost the permission meanwhile.
-    """
-    say = words()
-    if not may(person(), action):
-        st.caption(say("reason.not_allowed", role=say(f"role.{person().role}")))
-        return None
-    with st.form(f"reason-{key}", border=False):
-        fields()
-        reason = str(st.text_input(say("reason.label"), placeholder=say("reason.example"), key=f"reason-text-{key}"))
-        if not st.form_submit_button(label, type="primary"):
-            return None
-    if len(reason.strip()) < SHORTEST_REASON:
-        st.warning(say("reason.missing"), icon=":material/edit:")
-        return None
-    permit(action)
-    return reason.strip()
-
-
-def empty(title: str, how: str) -> None:
-    """Say that there is nothing yet, and how it comes to be."""
-    st.info(how, icon=":material/inbox:", title=title)
+def empty(key: str, how: str = "") -> None:
+    """Say that there is nothing yet, and how it comes to be: the texts KEY and KEY.how."""
+    st.info(how or say(f"{key}.how"), icon=":material/inbox:", title=say(key))
 
 
 def verdict_badge(verdict: str | None) -> None:
@@ -191,17 +154,12 @@ def verdict_badge(verdict: str | None) -> None:
     ground = colours().verdict[name]
     st.html(
         f'<span role="status" style="background:{ground};color:#fff;border-radius:8px;padding:6px 16px;'
-        f'font-size:22px;font-weight:700;white-space:nowrap">{mark} {words()(f"verdict.{name}")}</span>'
+        f'font-size:22px;font-weight:700;white-space:nowrap">{mark} {say(f"verdict.{name}")}</span>'
     )
 
 
-def show_figure(figure: Any, key: str) -> None:
-    """Show a static chart."""
-    st.plotly_chart(figure, width="stretch", config=PLOT_CONFIG, key=key, theme=None)
-
-
 def choose(label: str, options: list[str], parameter: str) -> str | None:
-    """Let a person choose one of some names; the choice stays in the address, so that a link leads back to it."""
+    """Let a person choose a name; the choice stays in the address, so that a link keeps it."""
     if not options:
         return None
     wanted = st.query_params.get(parameter)

@@ -1,4 +1,4 @@
-"""Serve the Streamlit application as a process of its own and show it in a browser or an application window."""
+"""Serve the application as a process of its own, shown in a browser or a window."""
 
 import os
 import shutil
@@ -32,8 +32,6 @@ class UiOptions:
         registry: URL of the registry; None takes the default.
         port: TCP port; 0 takes the first free one from 8501.
         is_window, is_kiosk: open as an application window, full screen.
-        opens_browser: otherwise open the default browser.
-        station: name of the station at this screen.
         accounts: TOML file that names the identity provider for sign-in by company account.
         hosts: other names under which browsers reach this server.
     """
@@ -50,19 +48,26 @@ class UiOptions:
 
 
 def serve(options: UiOptions) -> int:
-    """Serve until the application window is closed, or for good without one; return the server's exit code.
+    """Serve until the window is closed, or for good without one; return the server's exit code.
 
     Raises:
-        InputError: no port is free, the server did not start, or there is no browser for a window.
+        InputError: no port is free, the server did not start, or there is no browser.
     """
-    window = _window_browser() if options.is_window else None
+    window = next(filter(None, map(shutil.which, WINDOW_BROWSERS)), None) if options.is_window else None
+    if options.is_window and window is None:
+        raise InputError(f"no browser for a window; install one of {', '.join(WINDOW_BROWSERS)}, or leave --window out")
     port = options.port or _free_port(options.address)
     url = f"http://{options.address}:{port}"
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a terminated `softcal ui` takes its server with it
-    server = subprocess.Popen(_server_command(options, port), env=_environment(options))
+    server = _started(options, port)
     try:
         _wait_until_healthy(server, url)
-        say(f"softcal is at {url}; Ctrl-C ends the screen, not the station; its registry is {_shown(options.registry)}")
+        from sqlalchemy import make_url
+
+        from softcal.db.schema.database import shown_url
+
+        shown = shown_url(make_url(registry_url(options.registry)))
+        say(f"softcal is at {url}; Ctrl-C ends the screen, not the station; its registry is {shown}")
         if window is not None:
             _open_window(window, url, options.is_kiosk)
             return 0
@@ -76,28 +81,17 @@ def serve(options: UiOptions) -> int:
         server.wait()
 
 
-def _shown(registry: str | None) -> str:
-    from sqlalchemy import make_url
-
-    from softcal.db.schema.database import shown_url
-
-    return shown_url(make_url(registry_url(registry)))
-
-
-def _server_command(options: UiOptions, port: int) -> list[str]:
+def _started(options: UiOptions, port: int) -> "subprocess.Popen[bytes]":
     flags = {"server.port": str(port), "server.address": options.address, "logger.level": "error"}
     if options.accounts is not None:
         flags["secrets.files"] = str(options.accounts.resolve())
-    return [sys.executable, "-m", "softcal.app.ui.server", *(f"--{key}={value}" for key, value in flags.items())]
-
-
-def _environment(options: UiOptions) -> dict[str, str]:
+    command = [sys.executable, "-m", "softcal.app.ui.server", *(f"--{key}={value}" for key, value in flags.items())]
     extra = {"SOFTCAL_REGISTRY": registry_url(options.registry)}
     if options.station is not None:
         extra["SOFTCAL_STATION"] = options.station
     if options.hosts:
         extra[HOSTS_VARIABLE] = ",".join(options.hosts)
-    return dict(os.environ) | extra
+    return subprocess.Popen(command, env=dict(os.environ) | extra)
 
 
 def _free_port(address: str) -> int:
@@ -122,14 +116,6 @@ def _wait_until_healthy(server: "subprocess.Popen[bytes]", url: str) -> None:
         except (urllib.error.URLError, OSError):
             time.sleep(0.1)
     raise InputError(f"the application did not answer at {url} within {START_TIMEOUT_S:.0f} s")
-
-
-def _window_browser() -> str:
-    for name in WINDOW_BROWSERS:
-        path = shutil.which(name)
-        if path is not None:
-            return path
-    raise InputError(f"no browser for a window; install one of {', '.join(WINDOW_BROWSERS)}, or leave --window out")
 
 
 def _open_window(browser: str, url: str, is_kiosk: bool) -> None:

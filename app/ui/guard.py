@@ -14,7 +14,7 @@ from collections.abc import Iterable
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 HOSTS_VARIABLE = "SOFTCAL_HOSTS"
-"""Environment variable: other names, with commas between, under which browsers reach this server."""
+"""Environment variable: other names of this server, with commas between."""
 
 CLOSED = ("/_stcore/metrics", "/_stcore/script-health-check")
 POLICY = (
@@ -23,7 +23,7 @@ POLICY = (
     "img-src 'self' data: blob:; font-src 'self' data:; worker-src 'self' blob:; connect-src 'self' data: blob:; "
     "media-src 'self' data: blob:; object-src 'none'; base-uri 'self'; form-action 'self'; frame-ancestors 'none'"
 )
-"""Streamlit's own scripts build functions and styles at run time; nothing comes from, or goes to, another machine."""
+"""Streamlit's scripts build functions and styles at run time; nothing leaves this machine."""
 
 HEADERS = (
     (b"content-security-policy", POLICY.encode()),
@@ -46,7 +46,7 @@ def own_names(more: Iterable[str] = ()) -> frozenset[str]:
 
 
 def is_own(host: str, names: frozenset[str]) -> bool:
-    """Whether a request's Host names this server: one of its names, or any address in numbers, with any port."""
+    """Whether a Host names this server: one of its names, or an address in numbers, any port."""
     parts = HOST.fullmatch(host)
     if parts is None:
         return False

@@ -8,17 +8,8 @@ import numpy as np
 from reportlab.lib.units import mm
 from reportlab.platypus import Flowable, Paragraph, Spacer, Table
 
+from softcal.app.export.certificates import parts
 from softcal.app.export.certificates.fonts import BOLD, marked_up
-from softcal.app.export.certificates.parts import (
-    WIDTH,
-    Document,
-    document_pdf,
-    facts_table,
-    grid,
-    paragraph,
-    section,
-    style,
-)
 from softcal.app.export.certificates.plots import Level, bars_plot, course_plot
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import Words
@@ -32,10 +23,7 @@ BINS = 32
 
 
 def lot_report_pdf(registry: Registry, view: LotView, language: str = "en", made: datetime | None = None) -> bytes:
-    """Return the report of a lot, or of what a filter leaves of it; of its units those that did not pass are listed.
-
-    Args:
-        made: when it is made, in the reader's time zone; now without.
+    """Return the report of a lot, or of what a filter leaves; units that did not pass are listed.
 
     Raises:
         InputError: no font at hand can write the language.
@@ -44,7 +32,7 @@ def lot_report_pdf(registry: Registry, view: LotView, language: str = "en", made
     wanted = UnitFilter(NEEDS_A_LOOK, sort="severity", serials=view.chosen)
     bad = registry.pages.unit_page(view.lot.id, wanted, size=MOST_ROWS)
     title = say("report.title", lot=view.lot.id)
-    page = Document(
+    page = parts.Document(
         title=title,
         author="",
         software=f"softcal {version('softcal')}",
@@ -53,33 +41,29 @@ def lot_report_pdf(registry: Registry, view: LotView, language: str = "en", made
         numbering=say("report.page", number="{number}", count="{count}"),
     )
     story = [
-        Paragraph(marked_up(title), style(18, BOLD)),
+        Paragraph(marked_up(title), parts.style(18, BOLD)),
         Spacer(1, 3 * mm),
-        facts_table(list(report_facts(view, say).items())),
+        parts.facts_table(list(report_facts(view, say).items())),
     ]
     listed = say("report.bad", shown=len(bad.units), of=bad.total)
     for part in report_parts(view, bad.units, listed, say):
-        story += section(part.title, _picture(part, view, say) or _table(part))
-    return document_pdf(story, page)
+        story += parts.section(part.title, _drawn(part, view, say))
+    return parts.document_pdf(story, page)
 
 
-def _picture(part: ReportPart, view: LotView, say: Words) -> Flowable | None:
+def _drawn(part: ReportPart, view: LotView, say: Words) -> Flowable:
     unit, chart = view.lot.reference_unit, view.process.chart
     predicted = f"{say('column.predicted')}, {unit}"
     if part.picture == "errors":
         values, limit = view.predicted(), view.limit_rmse
         if not len(values):
-            return paragraph("–")
+            return parts.paragraph("–")
         top = far_end(values, limit)
         counts, edges = np.histogram(np.minimum(values, top), BINS, (0.0, top))
         level = None if limit is None else Level(limit, say("chart.limit.named", limit=number(limit, unit)))
-        return bars_plot(edges, counts.astype(float), level, (predicted, say("chart.count")), WIDTH)
+        return bars_plot(edges, counts.astype(float), level, (predicted, say("chart.count")), parts.WIDTH)
     if part.picture == "process" and chart is not None:
         levels = [Level(limit, number(limit)) for limit in (chart.upper, chart.lower)]
-        return course_plot(chart.values, levels, (say("chart.order"), predicted), WIDTH)
-    return None
-
-
-def _table(part: ReportPart) -> Flowable:
-    cells = [[paragraph(cell, 7) for cell in row] for row in (part.header, *part.rows)]
-    return Table(cells, colWidths=[WIDTH * share for share in part.shares], style=grid(7), repeatRows=1)
+        return course_plot(chart.values, levels, (say("chart.order"), predicted), parts.WIDTH)
+    cells = [[parts.paragraph(cell, 7) for cell in row] for row in (part.header, *part.rows)]
+    return Table(cells, colWidths=[parts.WIDTH * share for share in part.shares], style=parts.grid(7), repeatRows=1)

@@ -1,5 +1,6 @@
 """Entry of the Streamlit application: which pages there are for whom, nothing else."""
 
+from functools import cache
 from pathlib import Path
 
 import streamlit as st
@@ -7,22 +8,25 @@ from streamlit.navigation.page import Page as StreamlitPage
 
 from softcal.app.jobs.process import DEMO
 from softcal.app.ui.account import is_signed_in, person
-from softcal.app.ui.browser_memory import keep
-from softcal.app.ui.components.liveness import liveness
-from softcal.app.ui.desk import errors_in_words, readable, registry, words
-from softcal.app.ui.line_memory import screen
+from softcal.app.ui.browser_memory import keep, screen
+from softcal.app.ui.desk import errors_in_words, in_one_language, readable, registry, say
 from softcal.app.ui.pages import pages_for
 
 # A file of our own: a named icon would be fetched from outside.
 ICON = Path(__file__).with_name("icon.png")
 
 
+HEALTH = "/_stcore/health"
+
+
+@in_one_language()
 def run() -> None:
     """Draw the navigation and the chosen page."""
-    say = words()
     st.set_page_config(page_title=say("app.title"), page_icon=str(ICON), layout="wide")
     readable()
-    liveness()
+    # Registered here because a component needs a running server; the same again changes nothing.
+    watch = st.components.v2.component("softcal_liveness", html="<span hidden></span>", js=_liveness())
+    watch(data={"server": say("gone.server"), "late": say("gone.late"), "health": HEALTH}, key="liveness")
     with errors_in_words():
         sections: dict[str, list[StreamlitPage]] = {"": []}
         is_new = set(registry().lots.ids()) <= {DEMO}
@@ -31,9 +35,7 @@ def run() -> None:
             sections.setdefault(title, []).append(
                 st.Page(
                     entry.render,
-                    title=(
-                        person().name if entry.name == "sign_in" and is_signed_in() else words()(f"page.{entry.name}")
-                    ),
+                    title=(person().name if entry.name == "sign_in" and is_signed_in() else say(f"page.{entry.name}")),
                     url_path=entry.name,
                     icon=f":material/{entry.icon}:",
                 )
@@ -50,6 +52,12 @@ def run() -> None:
         )
         st.navigation({**sections, "": [home, *sections[""]]}, position="top").run()
     keep()
+
+
+@cache
+def _liveness() -> str:
+    """Return the script by which a page says within two seconds that its server is gone."""
+    return Path(__file__).with_name("liveness.js").read_text(encoding="utf-8")
 
 
 def _first(bar: list[StreamlitPage], is_new: bool) -> StreamlitPage:

@@ -20,9 +20,9 @@ class PageEntry:
     Args:
         name: module in `app_pages`, address and key of its title `page.NAME`.
         icon: of Streamlit's bundled Material symbols.
-        actions: of `PERMISSIONS`; a role that has one of them may open the page. Empty: everybody.
-        section: menu it stands in, key of its title `section.NAME`; "" stands in the bar itself.
-        begins: whether everybody may open it while the registry knows no lot but the demo's.
+        actions: of `PERMISSIONS`; a role that has one of them may open it. Empty: everybody.
+        section: menu it stands in, key of its title `section.NAME`; "" is the bar itself.
+        begins: whether everybody may open it while there is no lot but the demo's.
     """
 
     name: str
@@ -32,16 +32,12 @@ class PageEntry:
     begins: bool = False
 
     def is_open_to(self, user: User, is_new: bool = False) -> bool:
-        """Whether a person may open it.
-
-        Args:
-            is_new: the registry knows no lot but the demo's.
-        """
+        """Whether a person may open it; `is_new` while the registry knows no lot but the demo's."""
         return not self.actions or (self.begins and is_new) or any(may(user, action) for action in self.actions)
 
     @property
     def render(self) -> Callable[[], None]:
-        """The function that draws it; its module is read when it is opened first, so that a screen starts quickly."""
+        """The function that draws it; its module is read when it is opened first."""
 
         def draw() -> None:
             importlib.import_module(f"softcal.app.ui.app_pages.{self.name}").render()
@@ -75,5 +71,5 @@ PAGES = (
 
 
 def pages_for(user: User, is_new: bool = False) -> tuple[PageEntry, ...]:
-    """Return the pages a person may open, in the order of the navigation; `is_new` as in `PageEntry.is_open_to`."""
+    """Return the pages a person may open, in the order of the navigation."""
     return tuple(page for page in PAGES if page.is_open_to(user, is_new))

@@ -5,7 +5,6 @@ The pause is the same for a name that nobody has: else its length would tell whi
 
 import secrets
 from collections.abc import Callable
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
 from softcal.core.errors import InputError
@@ -20,11 +19,7 @@ CODE_DIGITS = 8
 
 
 def check_pin(pin: str, again: str) -> None:
-    """Refuse a PIN that was typed differently twice, or that is among the first anybody would guess.
-
-    Raises:
-        InputError: not equal, all digits equal, a run such as 1234 or 9876, or one pair repeated.
-    """
+    """Refuse a PIN typed differently twice, or guessed first: one digit, a run, a pair repeated."""
     if pin != again:
         raise InputError(Reason("account.pins_differ"))
     steps = {(int(b) - int(a)) % 10 for a, b in zip(pin, pin[1:], strict=False) if a.isdecimal() and b.isdecimal()}
@@ -34,33 +29,26 @@ def check_pin(pin: str, again: str) -> None:
         raise InputError(Reason("account.pin_easy"))
 
 
-@dataclass(frozen=True)
-class _Failures:
-    count: int
-    until: datetime
-
-
 class Pauses:
-    """Wrong tries of each name at this server, and how long the next one waits: 2 s, then twice as long each time."""
+    """Wrong tries of each name at this server; the next one waits 2 s, then twice as long each."""
 
     def __init__(self, clock: Callable[[], datetime] = lambda: datetime.now(UTC)) -> None:
         self._clock = clock
-        self._failures: dict[str, _Failures] = {}
+        self._failures: dict[str, tuple[int, datetime]] = {}
 
     def check(self, name: str) -> None:
-        known = self._failures.get(_key(name))
-        left = known.until - self._clock() if known else timedelta(0)
-        if left > timedelta(0):
-            raise InputError(reason("account.wait", seconds=max(1, round(left.total_seconds()))))
+        _, until = self._failures.get(_key(name), (0, self._clock()))
+        left_s = (until - self._clock()).total_seconds()
+        if left_s > 0:
+            raise InputError(reason("account.wait", seconds=max(1, round(left_s))))
 
     def failed(self, name: str) -> None:
         """Count a wrong try."""
-        known = self._failures.pop(_key(name), None)
-        count = (known.count if known else 0) + 1
+        count = self._failures.pop(_key(name), (0, None))[0] + 1
         pause = FIRST_PAUSE * 2 ** min(count - FREE_FAILURES - 1, 20) if count > FREE_FAILURES else timedelta(0)
         if len(self._failures) >= MOST_NAMES:
             del self._failures[next(iter(self._failures))]
-        self._failures[_key(name)] = _Failures(count, self._clock() + min(pause, LONGEST_PAUSE))
+        self._failures[_key(name)] = (count, self._clock() + min(pause, LONGEST_PAUSE))
 
     def succeeded(self, name: str) -> None:
         """Forget the wrong tries of a name."""

@@ -1,4 +1,4 @@
-"""The process behind `softcal ui`: reads the pages' modules, so that no page waits, then hands over to Streamlit."""
+"""The process behind `softcal ui`: reads the pages' modules, then hands over to Streamlit."""
 
 import gc
 import importlib

@@ -1,4 +1,4 @@
-"""The registry this server was started with, and lots as it remembers them until something of them changes."""
+"""The registry of this server, and lots as it remembers them until something changes."""
 
 import streamlit as st
 
@@ -18,11 +18,7 @@ LOTS = 16
 
 
 def remembered_lot_view(lot_id: str, wanted: LotFilter = EVERY_RUN) -> LotView:
-    """Return a lot at a glance, read once per change; nobody may write into it, since every page gets the same one.
-
-    Raises:
-        InputError: the lot is not in the registry.
-    """
+    """Return a lot at a glance, read once per change; every page gets the same, to read only."""
     return _view(str(registry().database.name), lot_id, registry().pages.change_marker(lot_id), wanted)
 
 

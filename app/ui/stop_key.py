@@ -1,4 +1,4 @@
-"""The short way of the stop key: a request of its own, that waits for no page that is being drawn."""
+"""The short way of the stop key: a request that waits for no page that is being drawn."""
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
@@ -11,13 +11,13 @@ from softcal.core.errors import SoftcalError
 PATH = "/line-stop"
 
 HEADER = "x-softcal-key"
-"""A page of another server cannot send it: the browser would have to ask this one first, which allows nothing."""
+"""No page of another server can send it: its browser would have to ask this one first."""
 
 LONGEST_NAME = 200
 
 
 async def stop(request: Request) -> Response:
-    """Order a stop of the station that the request names; the page says by its own way what came of it."""
+    """Order a stop of the station that the request names; the page says what came of it."""
     if HEADER not in request.headers:
         return Response(status_code=403)
     named = b""

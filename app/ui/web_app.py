@@ -1,4 +1,4 @@
-"""The application as `streamlit run` serves it: the pages behind the guard, and the short way of the stop key."""
+"""The application as `streamlit run` serves it: the pages, the guard, the stop key's way."""
 
 from pathlib import Path
 
@@ -10,7 +10,5 @@ from softcal.app.ui.guard import Guard
 from softcal.app.ui.stop_key import PATH, stop
 
 app = st.App(
-    Path(__file__).with_name("main.py"),
-    routes=[Route(PATH, stop, methods=["POST"])],
-    middleware=[Middleware(Guard)],
+    Path(__file__).with_name("main.py"), routes=[Route(PATH, stop, methods=["POST"])], middleware=[Middleware(Guard)]
 )

@@ -8,8 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from softcal.app.charts.adaptation import adaptation_figure
-from softcal.app.charts.trace import Trace
+from softcal.app.charts.adaptation import Trace, adaptation_figure
 from softcal.app.files.atomic import write_text
 from softcal.app.files.recording_file import PLAIN, ColumnNames
 from softcal.app.files.stream_file import estimate_writer, read_stream

@@ -1,11 +1,11 @@
-"""What somebody should look at now, beside the units themselves: said on the page of the lot and sent. No Streamlit."""
+"""What somebody should look at now beside the units: said on the lot's page and sent."""
 
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 
 from softcal.app.views.common import percent
 from softcal.app.views.lot import LotView
-from softcal.core.orders import Heartbeat, StationState
+from softcal.core.orders import StationState
 from softcal.db.entries import CellCertificate, GoldenRun
 from softcal.db.queues.order_queue import SILENT_AFTER
 from softcal.db.registry import Registry
@@ -17,12 +17,7 @@ FORGOTTEN_AFTER = timedelta(days=7)
 
 @dataclass(frozen=True)
 class Alert:
-    """One thing to look at.
-
-    Args:
-        kind: of the text `alert.KIND`.
-        is_urgent: whether what is made meanwhile may be wrong.
-    """
+    """One thing to look at: the text `alert.KIND`; urgent where what is made may be wrong."""
 
     kind: str
     values: dict[str, object] = field(default_factory=dict)
@@ -40,7 +35,12 @@ def plant_alerts(registry: Registry, now: datetime) -> list[Alert]:
     due = [unit.serial for unit in registry.adaptations.units() if unit.entry.get("alarm")]
     return [
         *_golden(registry.stations.golden_runs()),
-        *(alert for beat in registry.order_queue.stations() if (alert := _silent(beat, now))),
+        # Who said goodbye is not missed.
+        *(
+            Alert("station", {"station": beat.station, "at": beat.at})
+            for beat in registry.order_queue.stations()
+            if beat.state is not StationState.OFF and SILENT_AFTER < now - beat.at < FORGOTTEN_AFTER
+        ),
         *_certificates(registry.stations.certificates(), now),
         *([Alert("units_due", {"count": len(due), "first": due[0]})] if due else []),
     ]
@@ -69,14 +69,6 @@ def _golden(runs: list[GoldenRun]) -> list[Alert]:
         for run in newest.values()
         if not run.passed
     ]
-
-
-def _silent(beat: Heartbeat, now: datetime) -> Alert | None:
-    """Return that a station that did not say goodbye does not answer."""
-    age = now - beat.at
-    if beat.state is StationState.OFF or not SILENT_AFTER < age < FORGOTTEN_AFTER:
-        return None
-    return Alert("station", {"station": beat.station, "at": beat.at})
 
 
 def _certificates(found: list[CellCertificate], now: datetime) -> list[Alert]:

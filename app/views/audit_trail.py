@@ -11,82 +11,31 @@ from softcal.app.views.common import percent
 from softcal.db.access.people import ROLES
 from softcal.db.entries import AuditRow
 
-SECTIONS = {
-    "limits": "rules",
-    "line_rules": "rules",
-    "users": "people",
-    "networks": "networks",
-    "network_releases": "networks",
-    "calibrations": "results",
-    "refusals": "results",
-    "in_use": "results",
-    "adaptations": "results",
-    "unit": "results",
-    "lot_release": "results",
-    "audit_plan": "results",
-    "audit_result": "results",
-    "lots": "lots",
-    "units": "lots",
-    "recordings": "lots",
-    "known_loads": "lots",
-    "golden_of": "lots",
-    "certificates": "station",
-    "golden_runs": "station",
-    "station": "station",
-    "station_gate": "station",
-    "laboratory": "papers",
-    "tokens": "people",
-    "alerts": "station",
+_ENTITIES = {
+    "results": "calibrations refusals in_use adaptations unit lot_release audit_plan audit_result",
+    "rules": "limits line_rules",
+    "networks": "networks network_releases",
+    "people": "users tokens",
+    "station": "certificates golden_runs station station_gate alerts",
+    "papers": "laboratory",
+    "lots": "lots units recordings known_loads golden_of",
+    "registry": "",
 }
-"""What a row is about → the heading an auditor looks under; files that were taken stand under `papers`."""
+SECTIONS = {entity: heading for heading, entities in _ENTITIES.items() for entity in entities.split()}
+"""What a row is about → its heading; files that were taken stand under `papers`."""
 
-HEADINGS = ("results", "rules", "networks", "people", "station", "papers", "lots", "registry")
-
+HEADINGS = tuple(_ENTITIES)
 FIELDS = (
-    "rmse",
-    "limit_rmse",
-    "verdict",
-    "revision",
-    "rolled_back_to",
-    "predicted_rmse",
-    "after_rmse",
-    "family",
-    "state",
-    "role",
-    "is_active",
-    "serial_pattern",
-    "letters",
-    "target",
-    "retests",
-    "loads",
-    "kind",
-    "passed",
-    "file",
-    "formats",
-    "units",
-    "number",
-    "due_on",
-    "decided_by",
-    "sensor_model",
-    "source",
-    "rig",
-    "account",
-    "purpose",
-    "ends_at",
-    "is_withdrawn",
-)
+    "rmse limit_rmse verdict revision rolled_back_to predicted_rmse after_rmse family state role is_active "
+    "serial_pattern letters target retests loads kind passed file formats units number due_on decided_by sensor_model "
+    "source rig account purpose ends_at is_withdrawn"
+).split()
 """What of a row is said; everything else is for who asks for the row itself."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One line of the trail.
-
-    Args:
-        section: of `HEADINGS`.
-        what: a sentence: what was done to what.
-        changes: (name, before, after) of what changed; before is "" where there was nothing.
-    """
+    """One line of the trail: what was done to what, and (name, before, after) of what changed."""
 
     row: AuditRow
     section: str
@@ -94,14 +43,8 @@ class Entry:
     changes: tuple[tuple[str, str, str], ...]
 
     @property
-    def at(self) -> datetime:
-        """When, UTC."""
-        return self.row.at
-
-    @property
     def changed(self) -> str:
-        told = (f"{name}: {old} → {new}" if old else f"{name}: {new}" for name, old, new in self.changes)
-        return "; ".join(told)
+        return "; ".join(f"{name}: {old} → {new}" if old else f"{name}: {new}" for name, old, new in self.changes)
 
     @property
     def searched(self) -> str:
@@ -110,12 +53,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class TrailFilter:
-    """Which lines are wanted; empty takes all.
-
-    Args:
-        text: words that all stand in a line, in any order.
-        since, until: instants, both included.
-    """
+    """Which lines: with all words of a text in any order, from and to an instant; empty takes all."""
 
     text: str = ""
     actors: tuple[str, ...] = ()
@@ -127,8 +65,8 @@ class TrailFilter:
         return (
             (not self.actors or entry.row.actor in self.actors)
             and (not self.sections or entry.section in self.sections)
-            and (self.since is None or entry.at >= self.since)
-            and (self.until is None or entry.at <= self.until)
+            and (self.since is None or entry.row.at >= self.since)
+            and (self.until is None or entry.row.at <= self.until)
             and all(word in entry.searched for word in self.text.lower().split())
         )
 
@@ -166,16 +104,12 @@ def _what(row: AuditRow, words: Words) -> str:
     after = _values(row.after)
     serial = str(after.get("serial", "")) or (names[1] if len(names) > 1 else names[0])
     values = {"name": names[0], "second": names[1] if len(names) > 1 else "", "serial": serial}
-    values |= {"lot": str(after.get("lot_id", "")) or names[0], "kind": _kind(after, words)}
+    kind = words(f"kind.{after['kind']}") if after.get("kind") in ("source", "unit", "audit") else ""
+    values |= {"lot": str(after.get("lot_id", "")) or names[0], "kind": kind}
     try:
         return words(f"trail.{row.action}.{row.entity}", **values)
     except KeyError:
         return words("trail.other", action=row.action, entity=row.entity, name=", ".join(names))
-
-
-def _kind(after: Mapping[str, Any], words: Words) -> str:
-    kind = after.get("kind")
-    return words(f"kind.{kind}") if kind in ("source", "unit", "audit") else ""
 
 
 def _said(name: str, value: object, words: Words) -> str:

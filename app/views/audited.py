@@ -1,4 +1,4 @@
-"""The audited units of a lot: estimate against reference, and the error over the load. No Streamlit."""
+"""The audited units of a lot: estimate against reference, and the error over the load."""
 
 from dataclasses import dataclass
 
@@ -25,11 +25,7 @@ LEAST_IN_BAND = 10
 
 @dataclass(frozen=True, eq=False)
 class AuditTrace:
-    """The stretch of one audit that no fit has seen.
-
-    Args:
-        reference, estimate: (n,) in the reference unit.
-    """
+    """The stretch of one audit that no fit has seen: (n,) each, in the reference unit."""
 
     serial: str
     reference: Array
@@ -43,12 +39,9 @@ class AuditTrace:
 
 @dataclass(frozen=True, eq=False)
 class AuditedView:
-    """Audited units of a lot.
+    """Audited units of a lot, the largest errors first, `of` so many.
 
     Args:
-        lot: its facts.
-        units: the largest errors first.
-        of: how many audited units the lot has.
         edges: (BANDS + 1,) of the load bands, in the reference unit.
         limit_rmse: in force, in the reference unit; None where there is none.
     """
@@ -79,7 +72,7 @@ class AuditedView:
 def audited_view(
     registry: Registry, lot: Lot, audited: tuple[UnitErrors, ...], limit_rmse: float | None = None
 ) -> AuditedView | None:
-    """Estimate the newest audits of a lot's units with the maps in use; None where no audit was kept."""
+    """Estimate the newest audits of a lot with the maps in use; None where there are none."""
     worst = sorted(audited, key=lambda row: -(row.after_rmse or 0.0))[:MOST_UNITS]
     units = tuple(unit for row in worst if (unit := _unit(registry, lot.id, row.serial)) is not None)
     if not units:

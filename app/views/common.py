@@ -1,6 +1,6 @@
-"""What several screens need to show numbers: rounding, units, and long series thinned for a chart. No Streamlit."""
+"""How screens show numbers: rounding, units, and long series thinned for a chart."""
 
-from collections.abc import Sequence
+from collections.abc import Sized
 
 import numpy as np
 
@@ -26,7 +26,7 @@ def limit_said(limit: Limit | None, words: Words) -> str:
 
 
 def percent(share: float | None) -> str:
-    """Return a share in per cent; a dash where there is none. Only all is 100 %, only nothing is 0 %."""
+    """Return a share in per cent. Only all is 100 %, only nothing is 0 %."""
     if share is None:
         return "–"
     shown = f"{share:.1%}" if 0 < share < 1 else f"{share:.0%}"
@@ -34,7 +34,7 @@ def percent(share: float | None) -> str:
 
 
 def shortened(name: str, most: int) -> str:
-    """Return a name that is longer than `most` characters with its middle left out: serials differ at their ends."""
+    """Return a long name with its middle left out: serials differ at their ends."""
     if len(name) <= most:
         return name
     head = (most - 1) // 2
@@ -42,17 +42,17 @@ def shortened(name: str, most: int) -> str:
 
 
 def phase_said(phase: str, words: Words) -> str:
-    """Return the phase of a run in the language of the screen; one that nobody foresaw stays as the station says it."""
+    """Return the phase of a run in words; an unknown one stays as the station says it."""
     return phrase("phase", phase, words) if phase else words("phase.queued")
 
 
-def thinned(values: Sequence[object] | Array, most: int = POINTS) -> slice:
+def thinned(values: Sized, most: int = POINTS) -> slice:
     """Return the slice that leaves about so many points of a long series for a chart."""
     return slice(None, None, max(1, len(values) // most))
 
 
 def far_end(values: Array, limit: float | None) -> float:
-    """Return where the bars end: at the largest value, unless a few of them would squeeze all others together."""
+    """Return where the bars end: not so far that a few would squeeze all others."""
     end = 1.2 * (limit or 0.0)
     if len(values):
         end = max(end, min(1.02 * float(values.max()), 2.5 * float(np.quantile(values, 0.8))))

@@ -32,7 +32,7 @@ def words_for(report: Report, say: Words) -> Words:
 
 
 def untold_lines(report: Report, say: Words) -> list[str]:
-    """Return one line for everything the runs of a report do not tell; an older report says nothing of it."""
+    """Return one line for everything the runs of a report do not tell."""
     found = report.get("identifiability") or {"untold": ()}
     return [said(Reason.of(one), say) for one in found["untold"]]
 
@@ -68,7 +68,7 @@ def pressed_name(profile: str, say: Words) -> str:
 
 
 def begun(sentence: str) -> str:
-    """Return a sentence with a capital letter at its beginning; the others stay, for they may be units."""
+    """Return a sentence with a capital at its beginning; other letters may be units."""
     return sentence[:1].upper() + sentence[1:]
 
 
@@ -79,13 +79,13 @@ def listed(names: Sequence[str], key: str, say: Words) -> str:
 
 
 def named_causes(report: Report, say: Words) -> list[str]:
-    """Return the effects that are more likely there than not, the likeliest first, each with its probability."""
+    """Return the effects that are more likely there than not, each with its probability."""
     causes = [cause for cause in ranked(report) if cause["probability"] >= 0.5]
     return [f"{effect_name(cause['effect'], say)} ({percent(cause['probability'])})" for cause in causes]
 
 
 def cause_rows(report: Report, say: Words) -> list[dict[str, str]]:
-    """Return one row per likely cause: effect, stage, probability, shrink, and values with their 90 % intervals."""
+    """Return one row per likely cause, with its values and their 90 % intervals."""
     return [
         {
             "effect": effect_name(cause["effect"], say),
@@ -100,12 +100,12 @@ def cause_rows(report: Report, say: Words) -> list[dict[str, str]]:
 
 
 def no_cause_words(report: Report, say: Words) -> str:
-    """Return what is said where no cause is likely: none is needed, or none explains what is there."""
+    """Return why no cause is likely: none is needed, or none explains what is there."""
     return say("gap.why.unknown" if report["verdict"] == "unknown" else "gap.why.none")
 
 
 def residual_rows(report: Report, say: Words) -> list[dict[str, str]]:
-    """Return one row per empirical term: the term, its standard error, and how often it was chosen without a run."""
+    """Return one row per empirical term: its standard error, and how often it was chosen."""
     found = report.get("residual") or {"formula": (), "terms": ()}
     return [
         {
@@ -129,7 +129,7 @@ def place_rows(report: Report, say: Words) -> list[dict[str, str]]:
 
 
 def mistake_rows(report: Report, say: Words) -> list[dict[str, str]]:
-    """Return one row per mistake in the recordings: what, where, what shows it and what repairs it."""
+    """Return one row per mistake in the recordings, with what shows and what repairs it."""
     rows = []
     for found in report.get("data", ()):
         evidence, repair = _kept(found, ("evidence", "repair"), say)
@@ -147,7 +147,7 @@ def mistake_rows(report: Report, say: Words) -> list[dict[str, str]]:
 
 
 def hidden_effects(report: Report, say: Words) -> list[str]:
-    """Return the effects of which the refitted base would swallow four fifths or more on these runs."""
+    """Return the effects of which the refitted base would swallow four fifths or more."""
     hidden = {name: share for name, share in report["hidden_fraction"].items() if share is not None and share >= 0.8}
     return [f"{effect_name(name, say)} ({percent(hidden[name])})" for name in sorted(hidden, key=lambda n: -hidden[n])]
 
@@ -175,7 +175,7 @@ def ranked(report: Report) -> Sequence[Mapping[str, Any]]:
 
 
 def _kept(entry: Mapping[str, Any], names: Sequence[str], say: Words) -> list[str]:
-    """Return what an entry of a report says under some names; an older version kept English sentences alone."""
+    """Return what an entry says under some names; an older version kept English alone."""
     return [said(Reason.of(one), say) for one in entry.get("reasons") or [entry.get(name) or "" for name in names]]
 
 

@@ -1,4 +1,4 @@
-"""What the operator's screen shows, computed without Streamlit: one state, one word, one instruction."""
+"""What the operator's screen shows: one state, one word, one instruction. No Streamlit."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,13 +14,10 @@ from softcal.db.entries import RunEntry, UnitStanding
 
 MOST_SENTENCES = 3
 KEYS = {"START": "F2", "OK": "F4", "CANCEL": "F6", "STOP": "F8"}
-"""Command → function key; a command is also a bar code, `CMD:START`. START alone moves anything, in every state."""
+"""Command → function key, also a bar code, `CMD:START`. START alone moves anything."""
 
 COMMAND_OF_KEY = {key: command for command, key in KEYS.items()}
-"""Function key → command, in every state the same, so that no key is lost while a screen is drawn."""
-
-NO_CONTACT = "rig.no_contact"
-"""How the message of a run begins that found no unit in the fixture."""
+"""Function key → command, the same in every state: none is lost while a screen is drawn."""
 
 
 @dataclass(frozen=True)
@@ -37,17 +34,11 @@ class LineView:
     """One moment of the operator's screen.
 
     Args:
-        state: key of `STATES`.
-        word: READY (a unit can be pressed), RUNNING, PASS, FAIL, STOPPED, ... in the language of the screen.
+        state: key of `STATES`, which has what does not depend on the moment.
         serial: the unit that is meant, "" without.
-        instruction: the one thing to do now.
         details: plain sentences: why it is so, what the station says, its code.
         why: the same reasons with their numbers; shown when somebody asks.
-        conditions: what the gate looked at; shown before a run.
         cells: (label, value) that are always visible.
-        chips: the last units, newest first.
-        actions: commands that make sense now.
-        signal: live signal of a run.
         version: of what stands at the line, so that a key names what its person has seen.
     """
 
@@ -78,7 +69,7 @@ class LineView:
 
     @property
     def seen(self) -> int:
-        """What a key says that was pressed at this card: the version of what it offered to start, -1 where nothing."""
+        """What a key of this card says: the version of what it offered to start, -1 for nothing."""
         return self.version if "START" in self.actions else -1
 
     @property
@@ -88,12 +79,7 @@ class LineView:
 
 
 def line_view(facts: LineFacts, operator: str, words: Words) -> LineView:
-    """Return what the screen shows.
-
-    Args:
-        operator: name of who has signed in at this screen; "" leaves it to the badge.
-        words: texts of the language.
-    """
+    """Return what the screen shows to the person who signed in at it, "" to the badge's."""
     name, run = _state(facts)
     card, state = _Card(facts, name, run, words), STATES[name]
     progress = run[1] if run and state.is_busy else None
@@ -109,7 +95,7 @@ def line_view(facts: LineFacts, operator: str, words: Words) -> LineView:
         cells=_cells(facts, operator, words),
         chips=_chips(facts, words),
         # Without a unit there is nothing to take back.
-        actions=() if name == "closed" and not facts.serial else state.actions,
+        actions=state.actions if facts.serial or not state.is_before_run else (),
         phase=phase_said(progress.phase, words) if progress else "",
         fraction=progress.fraction if progress else 0.0,
         remaining=_remaining(progress.remaining_s, words) if progress else "",
@@ -124,20 +110,24 @@ def state_word(state: str, words: Words) -> str:
     return words(f"verdict.{verdict}").upper() if verdict else words(f"line.{state}")
 
 
+def action_said(command: str, state: str, words: Words) -> str:
+    """Return what a key does in a state; in most it does the same."""
+    try:
+        return words(f"line.action.{command}.{state}")
+    except KeyError:
+        return words(f"line.action.{command}")
+
+
 def note_said(facts: LineFacts, words: Words) -> tuple[str, bool] | None:
-    """Return the sentence about the last scan and whether it was a refusal; None where there is none."""
+    """Return the sentence about the last scan, and whether it was a refusal."""
     note = facts.note
     return None if note is None else (words(f"note.{note.key}", **note.values), note.is_refusal)
 
 
 def away_view(kept: int, operator: str, words: Words) -> LineView:
-    """Return what the screen shows while the registry does not answer.
-
-    Args:
-        kept: runs that the station has on its disk and the registry does not have yet.
-    """
+    """Return what the screen shows without a registry, `kept` runs being on the station's disk."""
     details = (words("line.kept", count=kept),) if kept else ()
-    cells = ((words("line.cell.operator"), operator or "–"),)
+    cells = ((words("role.operator"), operator or "–"),)
     return LineView("away", words("line.away"), "", words("line.away.do"), details, cells=cells)
 
 
@@ -149,26 +139,19 @@ def _state(facts: LineFacts) -> tuple[str, LineRun | None]:
         return "silent", facts.active
     if facts.active is not None:
         return "reading" if facts.active[0].kind is OrderKind.LOAD else "running", facts.active
+    run = facts.newest
     if facts.is_stopped:
-        run = facts.newest
-        return "stopped", run if run is not None and _is_why_stopped(facts, run) else None
+        # It may stand still because of a device between runs.
+        is_why = run is not None and run[1].code and set(run[1].message) <= set(facts.heartbeat.reasons)
+        return "stopped", run if is_why else None
     if facts.serial:
-        return _before_run(facts), None
-    if facts.is_in_doubt or facts.newest is None:
-        return _idle(facts), None
-    return _after_run(facts, facts.newest)
-
-
-def _before_run(facts: LineFacts) -> str:
-    if facts.open_question:
-        return facts.open_question
-    if not facts.may_press:
-        return "closed"
-    return "armed_golden" if facts.is_golden else "armed"
+        armed = "armed_golden" if facts.is_golden else "armed"
+        return facts.open_question or (armed if facts.may_press else "closed"), None
+    return (_idle(facts), None) if facts.is_in_doubt or run is None else _after_run(facts, run)
 
 
 def _idle(facts: LineFacts) -> str:
-    """Return the state where nobody knows which unit is in the hand; before the first run there is none yet."""
+    """Return the state where nobody knows which unit is in the hand, or none was pressed yet."""
     if not facts.may_press:
         return "closed"
     if facts.lot is None:
@@ -187,9 +170,7 @@ def _after_run(facts: LineFacts, run: LineRun) -> tuple[str, LineRun | None]:
     if order.kind is OrderKind.GOLDEN:
         return f"golden_{progress.verdict or 'fail'}", run
     verdict = verdict_of(facts, run)
-    if verdict == "retest" and not facts.retests_left:
-        return "retest_used_up", run
-    return verdict or "recorded", run
+    return "retest_used_up" if verdict == "retest" and not facts.retests_left else verdict or "recorded", run
 
 
 def verdict_of(facts: LineFacts, run: LineRun) -> str:
@@ -203,7 +184,7 @@ def verdict_of(facts: LineFacts, run: LineRun) -> str:
 
 @dataclass(frozen=True)
 class _Card:
-    """What the sentences of a state are made of: where the line stands, the state, and the run it is about."""
+    """What the sentences of a state are made of: the line, the state and its run."""
 
     facts: LineFacts
     name: str
@@ -232,13 +213,16 @@ class _Card:
     @property
     def reasons(self) -> tuple[Reason, ...]:
         """Why the unit of the card stands as it does."""
-        if self.name in ("ask", "used_up"):
+        if self.state.has_earlier:
             return self.earlier.reasons
-        if self.run is None or self.state.is_busy:
-            return ()
-        if self.name == "load" and self.run[0].kind is not OrderKind.LOAD:
+        if self.run is None or self.state.is_busy or (self.state.asks_load and not self.was_load):
             return ()
         return self.standing.reasons if self.standing else self.run[1].message
+
+    @property
+    def was_load(self) -> bool:
+        """Whether a known load was read last: its weight lies on the unit still."""
+        return self.run is not None and self.run[0].kind is OrderKind.LOAD
 
     @property
     def in_short(self) -> tuple[str, ...]:
@@ -249,14 +233,13 @@ class _Card:
     def why(self) -> tuple[str, ...]:
         """The reasons with their numbers, where the card says them without."""
         numbered = tuple(said(reason, self.words) for reason in self.reasons) if self.state.has_why else ()
-        return numbered if self.name == "pass" or numbered != self.in_short else ()
+        is_shown_already = self.state.details is _say_why and numbered == self.in_short
+        return () if is_shown_already else numbered
 
     @property
     def weight(self) -> tuple[str, ...]:
-        """The sentence that a weight lies on the unit still: its reading was the last thing that was done."""
-        is_on = self.run is not None and self.run[0].kind is OrderKind.LOAD
-        is_over = not self.state.is_busy and self.name != "load"
-        return (self.words("line.weight_off"),) if is_on and is_over else ()
+        is_over = self.was_load and not self.state.is_busy and not self.state.asks_load
+        return (self.words("line.weight_off"),) if is_over else ()
 
     @property
     def changed(self) -> tuple[str, ...]:
@@ -307,7 +290,7 @@ def _do_mend(card: _Card) -> str:
     """Say what to do about the code that a run ended with."""
     if card.run is None:
         return card.do()
-    is_free = any(root_of(why).code == NO_CONTACT for why in card.run[1].message)
+    is_free = any(root_of(why).code == "rig.no_contact" for why in card.run[1].message)
     try:
         return card.words("code.no_contact" if is_free else f"code.{card.run[1].code}")
     except KeyError:
@@ -318,13 +301,10 @@ def _say_why(card: _Card) -> tuple[str, ...]:
     return (*card.in_short, *card.changed, *card.code)
 
 
-def _say_what_is_missing(card: _Card) -> tuple[str, ...]:
+def _say_what_stands(card: _Card) -> tuple[str, ...]:
+    """Say why the station stands still, where its gate does not say it below."""
     beat = card.facts.heartbeat
-    return () if beat is None or beat.gate else tuple(said(why, card.words) for why in beat.reasons)
-
-
-def _say_what_stopped(card: _Card) -> tuple[str, ...]:
-    reasons = card.facts.heartbeat.reasons if card.facts.heartbeat else ()
+    reasons = () if beat is None or (card.state.shows_gate and beat.gate) else beat.reasons
     return (*(said(why, card.words) for why in reasons), *card.code)
 
 
@@ -335,7 +315,7 @@ def _say_what_will_lack(card: _Card) -> tuple[str, ...]:
 
 
 def _say_error(card: _Card) -> tuple[str, ...]:
-    """Say what a good unit got: its own error beside the lot's limit, and nothing of how either was found."""
+    """Say what a good unit got: its error beside the lot's limit."""
     facts, made = card.facts, card.standing.made if card.standing else None
     kind, rmse = "", facts.results[-1].predicted_rmse if facts.results else None
     if made is not None:
@@ -356,9 +336,10 @@ class LineState:
     Args:
         tone: colour and mark. FAIL (the unit is bad) never looks like STOPPED (the station is).
         actions: commands that make sense.
-        verdict: whose word it shows: the desk's word in capitals, so that both say the same of a unit; "" has its own.
+        verdict: whose word it shows, in capitals: the desk's word of the same unit; "" has its own.
         is_before_run: it is about the unit that was scanned, not about the one pressed last.
-        is_busy: the station is at work.
+        has_earlier: that unit was pressed before, and is as it was judged then.
+        asks_load: a known load is to be put on.
         shows_gate: what the gate looked at stands below.
         has_news: another network is told of.
         has_why: its reasons open with their numbers.
@@ -369,6 +350,8 @@ class LineState:
     actions: tuple[str, ...] = ()
     verdict: str = ""
     is_before_run: bool = False
+    has_earlier: bool = False
+    asks_load: bool = False
     is_busy: bool = False
     shows_gate: bool = False
     has_news: bool = True
@@ -385,19 +368,19 @@ STATES = {
     "silent": LineState("stopped", has_news=False),
     "away": LineState("stopped"),
     "stopped": LineState(
-        "stopped", ("OK",), has_news=False, has_why=False, instruction=_do_mend, details=_say_what_stopped
+        "stopped", ("OK",), has_news=False, has_why=False, instruction=_do_mend, details=_say_what_stands
     ),
     "broken": LineState("stopped", ("OK",), has_why=False, instruction=_do_mend),
-    "closed": _SCANNED("closed", ("CANCEL",), shows_gate=True, has_why=False, details=_say_what_is_missing),
+    "closed": _SCANNED("closed", ("CANCEL",), shows_gate=True, has_why=False, details=_say_what_stands),
     "no_lot": LineState("ready"),
     "ready": LineState("ready", shows_gate=True),
     "hand": LineState("ready", shows_gate=True),
     "armed": _SCANNED("ready", _START, shows_gate=True, details=_say_what_will_lack),
     "armed_golden": _SCANNED("golden", _START),
-    "ask": _SCANNED("repeat", _AGREE, instruction=_do_again),
+    "ask": _SCANNED("repeat", _AGREE, has_earlier=True, instruction=_do_again),
     "ask_new": _SCANNED("repeat", _AGREE),
-    "used_up": _SCANNED("check", ("CANCEL",)),
-    "load": LineState("load", _START, has_news=False, instruction=_do_put_on),
+    "used_up": _SCANNED("check", ("CANCEL",), has_earlier=True),
+    "load": LineState("load", _START, asks_load=True, has_news=False, instruction=_do_put_on),
     "reading": _AT_WORK(),
     "running": _AT_WORK(),
     "pass": LineState("pass", verdict="pass", details=_say_error),
@@ -411,13 +394,6 @@ STATES = {
 }
 """The one table of what an operator can see."""
 
-TONES = {name: state.tone for name, state in STATES.items()}
-
-
-def _is_why_stopped(facts: LineFacts, run: LineRun) -> bool:
-    """Whether the station stands still because of this run, and not because of a device between runs."""
-    return facts.heartbeat is not None and bool(run[1].code) and set(run[1].message) <= set(facts.heartbeat.reasons)
-
 
 def _cells(facts: LineFacts, operator: str, words: Words) -> tuple[tuple[str, str], ...]:
     station, lot = facts.station or "–", facts.lot
@@ -427,32 +403,26 @@ def _cells(facts: LineFacts, operator: str, words: Words) -> tuple[tuple[str, st
     judged = sum(counts.values()) - counts.get("none", 0)
     target = (lot.rules.target if lot else None) or (sum(counts.values()) if counts.get("none") else None)
     share = f"{counts.get('pass', 0) / judged:.0%}" if judged else "–"
+    if not operator and facts.place.operator:
+        operator = words("line.badge" if facts.operator else "line.badge.over", name=facts.place.operator)
     return (
-        (words("line.cell.station"), station),
-        (words("line.cell.lot"), lot.id if lot else "–"),
+        (words("station.station"), station),
+        (words("choose.lot"), lot.id if lot else "–"),
         (words("line.cell.product"), (lot.lot.sensor_model if lot else "") or "–"),
-        (words("line.cell.operator"), operator or _badge_said(facts, words)),
+        (words("role.operator"), operator or "–"),
         (words("line.cell.units"), f"{judged} / {target}" if target else str(judged)),
         (words("line.cell.yield"), share),
     )
 
 
-def _badge_said(facts: LineFacts, words: Words) -> str:
-    if facts.operator:
-        return words("line.badge", name=facts.operator)
-    return words("line.badge.over", name=facts.place.operator) if facts.place.operator else "–"
-
-
 def _chips(facts: LineFacts, words: Words) -> tuple[Chip, ...]:
     lot_id = facts.lot.id if facts.lot else ""
     over = [r for r in facts.runs if r[0].kind is OrderKind.UNIT and r[0].lot_id == lot_id and not r[1].state.is_active]
-    return tuple(_chip(facts, run, words) for run in over[:SHOWN_RUNS])
-
-
-def _chip(facts: LineFacts, run: LineRun, words: Words) -> Chip:
-    order, progress = run
-    state = "broken" if progress.state is not RunState.DONE else verdict_of(facts, run) or "recorded"
-    return Chip(order.serial, TONES[state], state_word(state, words))
+    chips = []
+    for run in over[:SHOWN_RUNS]:
+        state = "broken" if run[1].state is not RunState.DONE else verdict_of(facts, run) or "recorded"
+        chips.append(Chip(run[0].serial, STATES[state].tone, state_word(state, words)))
+    return tuple(chips)
 
 
 def _remaining(remaining_s: float, words: Words) -> str:

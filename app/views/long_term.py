@@ -1,33 +1,11 @@
-"""Units in use: who needs a calibration, and the course of one unit's drift, map and predicted error. No Streamlit."""
+"""Units in use: who needs a calibration, and the course of one over time."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from typing import Any
 
 from softcal.db.registry import Registry
 from softcal.db.truth.adaptations import AdaptedUnit
-
-
-@dataclass(frozen=True)
-class UnitInUseView:
-    """One unit in use.
-
-    Args:
-        drift: shift of its output, in scales of the calibrated use.
-        predicted_rmse: of its estimates now, in the reference unit.
-        alarm: why a calibration with a reference is due; empty while it is not.
-        reference_unit: of its lot.
-    """
-
-    serial: str
-    made_at: datetime
-    steps: int
-    drift: float
-    predicted_rmse: float
-    verdict: str
-    alarm: str
-    reference_unit: str
 
 
 @dataclass(frozen=True)
@@ -50,31 +28,17 @@ class Course:
         return [step[name] for step in self.steps]
 
 
-def units_in_use(registry: Registry) -> list[UnitInUseView]:
-    """Return the units in use: those with an alarm first, then by predicted error."""
+def units_in_use(registry: Registry) -> list[tuple[AdaptedUnit, str]]:
+    """Return units in use with their reference units: with an alarm first, then by predicted error."""
     units = {lot.id: lot.reference_unit for lot in registry.lots.all()}
     # Mostly all lots have one unit; then no lot of a unit is looked up.
     only = next(iter(units.values())) if len(set(units.values())) == 1 else ""
-    found = [_unit(entry, only or units[_lot_of(registry, entry.serial)]) for entry in registry.adaptations.units()]
-    return sorted(found, key=lambda unit: (not unit.alarm, -unit.predicted_rmse))
+    found = [(unit, only or units[_lot_of(registry, unit.serial)]) for unit in registry.adaptations.units()]
+    return sorted(found, key=lambda one: (not one[0].entry["alarm"], -float(one[0].entry["predicted_rmse"])))
 
 
 def _lot_of(registry: Registry, serial: str) -> str:
     return registry.lots.units(serial=serial)[-1].lot_id
-
-
-def _unit(entry: AdaptedUnit, reference_unit: str) -> UnitInUseView:
-    step = entry.entry
-    return UnitInUseView(
-        entry.serial,
-        entry.made_at,
-        entry.steps,
-        float(step["shift"]),
-        float(step["predicted_rmse"]),
-        str(step["verdict"]),
-        str(step["alarm"]),
-        reference_unit,
-    )
 
 
 def course(registry: Registry, serial: str, stream: str) -> Course:

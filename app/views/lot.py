@@ -1,4 +1,4 @@
-"""A lot at a glance: yields, errors, the process behind them and the units that need a look. No Streamlit."""
+"""A lot at a glance: yields, errors, the process and the units that need a look."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -28,7 +28,7 @@ NEWEST_OF_YIELD = 20
 """So many of the newest units are compared with all before them; set, not fitted."""
 
 DROP_CHANCE = 0.005
-"""A drop that chance alone shows more often is none; set, not fitted: looked at after every unit."""
+"""A drop that chance shows more often is none; set, not fitted: looked at after every unit."""
 
 EVERY_RUN = LotFilter()
 NEEDS_A_LOOK = ("fail", "retest", "conditional")
@@ -36,13 +36,9 @@ NEEDS_A_LOOK = ("fail", "retest", "conditional")
 
 @dataclass(frozen=True)
 class RuleBroken:
-    """One rule of the control chart that points break.
+    """One rule of the chart (Nelson 1984) that `count` points break, `last` the newest of them.
 
-    Args:
-        rule: its number (Nelson 1984).
-        count: how many points complete the pattern.
-        last: serial of the newest of them.
-        forbids: whether it forbids to state a capability.
+    It may forbid to state a capability.
     """
 
     rule: int
@@ -57,10 +53,9 @@ class ProcessView:
 
     Args:
         serials: (n,) one per value of the chart.
-        chart: None where there are too few values; `refusal` says so.
         broken: rules that points break, the forbidding ones first.
-        capability: against the lot's limit; None where it is refused, with the reason in `refusal`.
-        refusal: one line.
+        capability: against the lot's limit.
+        refusal: why there is no chart or no capability.
     """
 
     serials: tuple[str, ...]
@@ -72,12 +67,7 @@ class ProcessView:
 
 @dataclass(frozen=True)
 class YieldDrop:
-    """The newest units pass less often than those before, beyond chance.
-
-    Args:
-        newest, before: shares of units that passed in their first run.
-        count: how many the newest are.
-    """
+    """The newest `count` units pass less often in their first run, beyond chance."""
 
     newest: float
     before: float
@@ -89,19 +79,15 @@ class LotView:
     """A lot at a glance.
 
     Args:
-        lot: its facts.
         counts: target units by verdict; `none` has no result yet.
         errors: of the units with a map.
-        yields: first pass and total.
-        reasons: why units did not pass, one reason of each kind and how many units have that kind, most frequent first.
+        reasons: one of each kind with how many units have it, the most frequent first.
         process: the errors in time order.
         looks: the worst units.
-        drop: of the first-pass yield; None where there is none beyond chance.
         days, stations, operators: first-pass yield over each of them.
         chosen: serials that a filter leaves; None without a filter.
-        every_station, every_operator: what a filter can choose from.
-        limit: in force for its units, stated or derived; None where none is stated and no unit is calibrated yet.
-        withdrawn: units of the lot that were released once and are no more, whatever a filter leaves.
+        limit: stated or derived; None where none is stated and no unit is calibrated yet.
+        withdrawn: units that were released once and are no more, whatever a filter leaves.
     """
 
     lot: Lot
@@ -171,11 +157,7 @@ class LotView:
 
 
 def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> LotView:
-    """Read a lot at a glance, or what a filter leaves of it.
-
-    Raises:
-        InputError: the lot is not in the registry.
-    """
+    """Read a lot at a glance, or what a filter leaves of it."""
     lot, every = registry.lots.get(lot_id), lot_runs(registry, lot_id)
     placed_runs = [run for run in every if wanted.takes(run)]
     runs = [one.run for one in placed_runs]
@@ -213,17 +195,16 @@ def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> 
 
 
 def _withdrawn(registry: Registry, lot_id: str, passing: int) -> tuple[str, ...]:
-    """Return what `LotStanding.withdrawn` has: read unit by unit only where more passed once than pass now."""
+    """Return `LotStanding.withdrawn`; unit by unit only where more passed once than now."""
     passed = registry.calibrations.passed_once(lot_id)
     if len(passed) == passing:
         return ()
-    return tuple(
-        sorted(s for s, one in registry.pages.standings(lot_id, sorted(passed)).items() if one.verdict != "pass")
-    )
+    standings = registry.pages.standings(lot_id, sorted(passed))
+    return tuple(sorted(serial for serial, one in standings.items() if one.verdict != "pass"))
 
 
 def _counts(errors: Sequence[UnitErrors], runs: Sequence[RunEntry]) -> dict[str, int]:
-    """Count the units of some runs by the verdict of their map in use, of those without one by their newest run."""
+    """Count units by the verdict of their map in use, without one by their newest run."""
     standing = {run.serial: run.verdict for run in runs} | {row.serial: row.verdict for row in errors}
     found = Counter(standing.values())
     return {word: found[word] for word in (*reversed(VERDICTS), "none")}
@@ -248,7 +229,7 @@ def yield_drop(runs: Sequence[RunEntry]) -> YieldDrop | None:
 
 
 def process_view(runs: Sequence[RunEntry], limit_rmse: float | None) -> ProcessView:
-    """Return the control chart of the predicted errors of runs in time order, and the capability against a limit."""
+    """Return control chart and capability of the predicted errors of runs in time order."""
     known = [(run.serial, run.predicted_rmse) for run in runs if run.predicted_rmse is not None]
     serials = tuple(serial for serial, _ in known)
     try:
@@ -259,9 +240,7 @@ def process_view(runs: Sequence[RunEntry], limit_rmse: float | None) -> ProcessV
     by_rule: dict[int, list[int]] = {}
     for signal in chart.signals:
         by_rule.setdefault(signal.rule, []).append(signal.index)
-    rules = [
-        RuleBroken(rule, len(indices), serials[max(indices)], rule in forbidding) for rule, indices in by_rule.items()
-    ]
+    rules = [RuleBroken(rule, len(at), serials[max(at)], rule in forbidding) for rule, at in by_rule.items()]
     broken = tuple(sorted(rules, key=lambda broken: (not broken.forbids, broken.rule)))
     try:
         return ProcessView(serials, chart, broken, capability(chart, None, limit_rmse), None)

@@ -1,4 +1,4 @@
-"""What is told of a lot: its report, of which page and PDF are two forms, and lots side by side. No Streamlit."""
+"""What is told of a lot: its report, as a page and as a PDF, and lots side by side."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -20,11 +20,10 @@ MOST_LOTS = 6
 
 @dataclass(frozen=True)
 class ReportPart:
-    """A section of the report.
+    """A section of the report: a table, and the picture that says the same or alone.
 
     Args:
-        picture: the picture that says the same: errors, process, reasons or scores; "" for none.
-        header, rows: its table; empty where a picture alone says it.
+        picture: errors, process, reasons or scores; "" for none.
         shares: of the page's width, by column.
     """
 
@@ -65,11 +64,7 @@ def lot_rows(views: Sequence[LotView], words: Words) -> list[dict[str, str]]:
 
 
 def report_parts(view: LotView, units: Sequence[UnitEntry], title: str, words: Words) -> Iterator[ReportPart]:
-    """Give the sections from top to bottom.
-
-    Args:
-        units: those to list one by one, under `title`.
-    """
+    """Give the sections from top to bottom; `units` are listed one by one under `title`."""
     count, unit = words("chart.count"), view.lot.reference_unit
     named = [words("column.serial"), words("column.verdict")]
     errors = [f"{words(f'column.{name}')}, {unit}" for name in ("predicted", "before", "after", "own")]
@@ -85,9 +80,8 @@ def report_parts(view: LotView, units: Sequence[UnitEntry], title: str, words: W
             for kind, found in (("days", view.days), ("stations", view.stations), ("operators", view.operators))
             for one in found[-MOST_ROWS:]
         ]
-        yield ReportPart(
-            words("report.yields"), "", ("", "", words("lot.first_pass"), count), rows, (0.34, *[0.22] * 3)
-        )
+        header = ("", "", words("lot.first_pass"), count)
+        yield ReportPart(words("report.yields"), "", header, rows, (0.34, *[0.22] * 3))
     if view.process.chart is not None:
         yield ReportPart(words("lot.process"), "process")
     if view.reasons:
@@ -98,15 +92,14 @@ def report_parts(view: LotView, units: Sequence[UnitEntry], title: str, words: W
         scored = [(row.serial, words(f"verdict.{row.verdict}"), *(number(value) for value in row[2:])) for row in worst]
         yield ReportPart(words("lot.scores"), "scores", [*named, *errors], scored, (0.2, *[0.16] * 5))
     if units:
-        header = [*named, *errors, words("column.family"), words("column.reasons")]
+        titles = [*named, *errors, words("column.family"), words("column.reasons")]
         shares = (0.12, 0.12, *[0.08] * 4, 0.1, 0.34)
-        yield ReportPart(title, "", header, [_unit_row(one, words) for one in units], shares)
-
-
-def _unit_row(one: UnitEntry, words: Words) -> list[str]:
-    errors = (one.predicted_rmse, one.before_rmse, one.after_rmse, one.own_rmse)
-    verdict, why = words(f"verdict.{one.verdict or 'none'}"), all_said(one.reasons, words)
-    return [one.serial, verdict, *map(number, errors), one.family or "–", why]
+        listed = []
+        for one in units:
+            measured = map(number, (one.predicted_rmse, one.before_rmse, one.after_rmse, one.own_rmse))
+            verdict = words(f"verdict.{one.verdict or 'none'}")
+            listed.append([one.serial, verdict, *measured, one.family or "–", all_said(one.reasons, words)])
+        yield ReportPart(title, "", titles, listed, shares)
 
 
 def _said(share: Share) -> str:

@@ -1,4 +1,4 @@
-"""The runs of a lot with day, station and operator, and its first-pass yield over each of them. No Streamlit."""
+"""The runs of a lot with day, station and operator, and the first-pass yield over each."""
 
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
@@ -29,10 +29,9 @@ class PlacedRun:
 
 @dataclass(frozen=True)
 class LotFilter:
-    """Which runs of a lot; what is empty takes all.
+    """Which runs of a lot; days are both included, and what is empty takes all.
 
     Args:
-        since, until: days, both included.
         stations, operators: names; `DESK` for results of files.
         zone: time zone of the days; None is that of this machine.
     """
@@ -58,16 +57,12 @@ class LotFilter:
 
 
 def lot_runs(registry: Registry, lot_id: str) -> tuple[PlacedRun, ...]:
-    """Return every result of a lot in time order with where its recording was pressed.
-
-    Raises:
-        InputError: the lot is not in the registry.
-    """
+    """Return every result of a lot in time order with where its recording was pressed."""
     return placed(registry.lots.runs(lot_id), registry.order_queue.pressed(lot_id))
 
 
 def placed(runs: Sequence[RunEntry], pressed: Sequence[Pressed]) -> tuple[PlacedRun, ...]:
-    """Return runs with the press of their unit that began last before the result; a later batch keeps that place."""
+    """Return each run with the press of its unit that began last before the result."""
     by_serial: dict[str, list[Pressed]] = {}
     for one in sorted(pressed, key=lambda press: press.begun):
         by_serial.setdefault(one.serial, []).append(one)
@@ -81,14 +76,14 @@ def placed(runs: Sequence[RunEntry], pressed: Sequence[Pressed]) -> tuple[Placed
 
 @dataclass(frozen=True)
 class YieldAt:
-    """First-pass yield of the units whose first run was on one day, at one station or by one operator."""
+    """First-pass yield of the units first run on one day, at one station or by one operator."""
 
     name: str
     share: Share
 
 
 def yield_over(runs: Sequence[PlacedRun], place: Callable[[PlacedRun], str]) -> tuple[YieldAt, ...]:
-    """Return the first-pass yield by the place of each unit's first run, in the order of the names."""
+    """Return the first-pass yield by the place of each unit's first run."""
     firsts: dict[str, PlacedRun] = {}
     for run in runs:
         firsts.setdefault(run.run.serial, run)

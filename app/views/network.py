@@ -1,4 +1,4 @@
-"""Networks of a lot: what each was trained with and reached, and how they compare on its units. No Streamlit."""
+"""Networks of a lot: what each was trained with and reached, and how they compare."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,7 +20,6 @@ class NetworkRow:
         layers: widths of the hidden layers, "120-70-35".
         validation_rmse: error on held-out parts of the source, in the reference unit.
         is_stale: it was trained on an older source recording than the newest.
-        state: draft, released or withdrawn.
         is_in_use: whether the line judges by it: the one released last.
         decided: who decided on its state and why; "" where nobody had to.
     """
@@ -70,11 +69,7 @@ def _row(state: NetworkState, newest_source: str, used: str) -> NetworkRow:
 
 
 def hidden_widths(text: str) -> list[int]:
-    """Return the widths of hidden layers from what a person typed, "120-70-35" or "120, 70, 35".
-
-    Raises:
-        InputError: something else than one to six whole numbers from 1 to 512.
-    """
+    """Return one to six widths of hidden layers from a text, "120-70-35" or "120, 70, 35"."""
     parts = [part for part in text.replace("-", ",").replace(" ", ",").split(",") if part]
     if not 1 <= len(parts) <= MOST_LAYERS or not all(p.isdecimal() and 1 <= int(p) <= WIDEST for p in parts):
         raise InputError(
@@ -85,12 +80,7 @@ def hidden_widths(text: str) -> list[int]:
 
 
 def loss_spec(trace: Mapping[str, Sequence[float]], unit: str, names: Mapping[str, str]) -> dict[str, Any]:
-    """Return the live training curve as ECharts options: it is drawn in place, not mounted anew at each update.
-
-    Args:
-        trace: epoch, train, validation.
-        names: words for epoch, train and validation.
-    """
+    """Return the training curve as ECharts options, which are drawn in place at each update."""
     series = [
         {
             "type": "line",

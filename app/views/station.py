@@ -1,4 +1,4 @@
-"""What the pages of the rig show: the checks with each golden unit, the recording of a source. No Streamlit."""
+"""What the pages of the rig show: checks with golden units, sources, profiles."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import InputError
+from softcal.core.profiles import Profile
 from softcal.core.quality.control_chart import ControlChart, control_chart
 from softcal.core.recording import LabelledRecording
 from softcal.core.words.reason import Reason
@@ -15,11 +16,7 @@ from softcal.db.registry import Registry
 
 @dataclass(frozen=True, eq=False)
 class GoldenUnit:
-    """The checks of one station with one golden unit, oldest first.
-
-    Args:
-        chart: of the checks that passed; None while there are too few, and `note` says so.
-    """
+    """The checks of a station with a golden unit, oldest first, and the chart of those passed."""
 
     station: str
     serial: str
@@ -33,19 +30,19 @@ def golden_units(registry: Registry) -> list[GoldenUnit]:
     by_unit: dict[tuple[str, str], list[GoldenRun]] = {}
     for run in registry.stations.golden_runs():
         by_unit.setdefault((run.station, run.serial), []).append(run)
-    return [_golden_unit(station, serial, runs) for (station, serial), runs in sorted(by_unit.items())]
-
-
-def _golden_unit(station: str, serial: str, runs: list[GoldenRun]) -> GoldenUnit:
-    try:
-        chart, note = control_chart(np.array([run.value for run in runs if run.passed])), None
-    except InputError as error:
-        chart, note = None, error.reason
-    return GoldenUnit(station, serial, tuple(runs), chart, note)
+    found = []
+    for (station, serial), runs in sorted(by_unit.items()):
+        chart, note = None, None
+        try:
+            chart = control_chart(np.array([run.value for run in runs if run.passed]))
+        except InputError as error:
+            note = error.reason
+        found.append(GoldenUnit(station, serial, tuple(runs), chart, note))
+    return found
 
 
 def source_facts(source: LabelledRecording) -> Mapping[str, str]:
-    """Return what a person checks in a source recording before f is trained on it, by key of its label."""
+    """Return what a person checks in a source recording, by key of its label."""
     output, reference = source.unlabelled.output, source.reference
     return {
         "column.duration": f"{len(output) / source.unlabelled.sample_rate_Hz:.0f} s",
@@ -53,3 +50,26 @@ def source_facts(source: LabelledRecording) -> Mapping[str, str]:
         "source.reach": f"{reference.min():.2g} … {reference.max():.2g} {source.reference_unit}",
         "source.swing": f"{output.min():.4g} … {output.max():.4g} {source.unlabelled.output_unit}",
     }
+
+
+@dataclass(frozen=True)
+class Bound:
+    """One bound, depth or speed, a profile is held against."""
+
+    name: str
+    value: float
+    largest: float
+    unit: str
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether the profile stays within it."""
+        return self.value <= self.largest
+
+
+def bounds(profile: Profile, deepest_mm: float, fastest_mm_s: float, start_mm: float = 0.0) -> tuple[Bound, ...]:
+    """Return the bounds of a station beside what a profile asks of it that begins at `start_mm`."""
+    return (
+        Bound("depth", start_mm + profile.deepest_mm, deepest_mm, "mm"),
+        Bound("speed", profile.fastest_mm_s, fastest_mm_s, "mm/s"),
+    )

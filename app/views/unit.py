@@ -1,4 +1,4 @@
-"""One unit in full: a revision of its map, its estimates, and why its verdict is what it is. No Streamlit."""
+"""One unit in full: a revision of its map, its estimates, and why its verdict is so."""
 
 from dataclasses import dataclass
 
@@ -20,15 +20,7 @@ CURVE_POINTS = 200
 
 @dataclass(frozen=True, eq=False)
 class UnitView:
-    """One revision of one unit in full.
-
-    Args:
-        calibration: the same, ready to estimate with.
-        source: labelled recording of the lot's source unit.
-        recording: the unit's own recording.
-        estimate: f∘γ over that recording.
-        explanation: why the verdict is what it is.
-    """
+    """One revision of one unit in full: its recording, f∘γ over it, and why its verdict is so."""
 
     stored: StoredCalibration
     calibration: Calibration
@@ -44,7 +36,7 @@ class UnitView:
         return self.calibration.unit_map.apply(self.recording.windows)[:, -1]
 
     def map_curve(self) -> tuple[Array, Array]:
-        """Return (levels, levels as the source would show them) of a unit at rest, over the unit's own range."""
+        """Return levels of a unit at rest, and as the source would show them."""
         low, high = float(self.recording.output.min()), float(self.recording.output.max())
         level = np.linspace(low, high, CURVE_POINTS)
         return level, self.calibration.unit_map.apply(resting(level))[:, -1]
@@ -55,11 +47,7 @@ class UnitView:
 
 
 def unit_view(registry: Registry, serial: str, revision: int | None = None, lot_id: str | None = None) -> UnitView:
-    """Read one revision of a unit in full, the one in use without a number.
-
-    Raises:
-        InputError: the registry has no calibration of the serial, or no source recording of its lot.
-    """
+    """Read one revision of a unit in full, the one in use without a number."""
     stored = registry.calibrations.get(serial, revision, lot_id=lot_id)
     calibration = Calibration.from_record(stored.record)
     network = registry.networks.get(stored.record.network_id)

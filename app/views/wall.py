@@ -1,34 +1,24 @@
 """What the wall board shows: a lot at one glance, read from across the hall. No Streamlit."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from softcal.app.line.facts import state_of
 from softcal.app.line.place import is_alive
+from softcal.app.texts.reasons import Words
 from softcal.app.views.alerts import Alert
 from softcal.app.views.common import number, percent
-from softcal.app.views.line import TONES, Chip
+from softcal.app.views.line import STATES, Chip
 from softcal.app.views.lot import LotView
-from softcal.core.orders import Heartbeat, StationState
+from softcal.core.orders import StationState
 from softcal.core.quality.yields import Share
-from softcal.db.entries import UnitStanding
 from softcal.db.registry import Registry
 
-Words = Callable[..., str]
-
+WELL = (StationState.READY, StationState.RUNNING)
 LAST_UNITS = 12
 MOST_ALERTS = 3
 """So many sentences are read from afar; the page of the lot has all."""
-
-
-@dataclass(frozen=True)
-class StationTile:
-    """One station: its name, what it does in words, and whether that is well."""
-
-    name: str
-    word: str
-    is_well: bool
 
 
 @dataclass(frozen=True)
@@ -38,16 +28,14 @@ class WallView:
     Args:
         tiles: (label, value, what stands below it), the largest first.
         verdicts: (verdict, word, number of units).
-        stations: every station that did not say goodbye.
-        chips: the last units, newest first.
+        stations: (name, what it does, whether that is well) of each that did not say goodbye.
         alerts: sentences with whether each is urgent.
-        drawn: when it was read.
     """
 
     lot: str
     tiles: tuple[tuple[str, str, str], ...]
     verdicts: tuple[tuple[str, str, int], ...]
-    stations: tuple[StationTile, ...]
+    stations: tuple[tuple[str, str, bool], ...]
     chips: tuple[Chip, ...]
     alerts: tuple[tuple[str, bool], ...]
     drawn: str
@@ -56,12 +44,7 @@ class WallView:
 def wall_view(
     registry: Registry, view: LotView, found: Sequence[Alert], words: Words, now: datetime | None = None
 ) -> WallView:
-    """Read what the wall board shows of a lot.
-
-    Args:
-        found: what somebody should look at, the urgent first.
-        now: with the time zone of the reader, as the days of `view` are.
-    """
+    """Read what the wall board shows of a lot, the urgent first, in the time zone of `now`."""
     now = now or datetime.now(UTC).astimezone()
     target = registry.lots.line_rules(view.lot).target or view.total
     today = next((day.share for day in view.days if day.name == now.date().isoformat()), Share(0, 0))
@@ -79,7 +62,9 @@ def wall_view(
         ),
     )
     verdicts = tuple((word, words(f"verdict.{word}"), count) for word, count in view.counts.items() if word != "none")
-    stations = tuple(tile for beat in registry.order_queue.stations() if (tile := _station(beat, now, words)))
+    beats = [beat for beat in registry.order_queue.stations() if beat.state is not StationState.OFF]
+    states = [(beat.station, state_of(beat, now, is_alive(beat.process))) for beat in beats]
+    stations = tuple((name, words(f"station.state.{state}"), state in WELL) for name, state in states)
     said = [(words(f"alert.{alert.kind}", **alert.values), alert.is_urgent) for alert in found[:MOST_ALERTS]]
     if len(found) > MOST_ALERTS:
         said.append((words("wall.more", count=len(found) - MOST_ALERTS), False))
@@ -89,24 +74,13 @@ def wall_view(
         if len(last) == LAST_UNITS:
             break
     standings = registry.pages.standings(view.lot.id, list(last))
+    standing = [standings[serial] for serial in last if serial in standings]
     return WallView(
         view.lot.id,
         tiles,
         verdicts,
         stations,
-        tuple(_chip(standings[serial], words) for serial in last if serial in standings),
+        tuple(Chip(one.serial, STATES[one.verdict].tone, words(f"verdict.{one.verdict}")) for one in standing),
         tuple(said),
         words("wall.drawn", at=now),
     )
-
-
-def _station(beat: Heartbeat, now: datetime, words: Words) -> StationTile | None:
-    if beat.state is StationState.OFF:
-        return None
-    state = state_of(beat, now, is_alive(beat.process))
-    is_well = state in (StationState.READY, StationState.RUNNING)
-    return StationTile(beat.station, words(f"station.state.{state}"), is_well)
-
-
-def _chip(standing: UnitStanding, words: Words) -> Chip:
-    return Chip(standing.serial, TONES[standing.verdict], words(f"verdict.{standing.verdict}"))

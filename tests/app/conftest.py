@@ -37,7 +37,7 @@ from softcal.app.line.gate_facts import RIG_ONLY
 from softcal.app.line.serve import Serving
 from softcal.app.line.serve import serve as serve_here
 from softcal.app.ui import account as identity
-from softcal.app.ui import browser_memory, first_paint, server_memory
+from softcal.app.ui import browser_memory, server_memory
 from softcal.core.network.config import NetworkConfig
 from softcal.core.orders import Order, OrderKind, RunState, StationState
 from softcal.db.connection import open_registry
@@ -120,7 +120,7 @@ def open_page(monkeypatch: pytest.MonkeyPatch) -> Callable[..., AppTest]:
         for key, value in query.items():
             screen.query_params[key] = value
         # Nobody draws here who could say so: the whole page at once.
-        screen.session_state[first_paint.HAS_DRAWN] = True
+        screen.session_state[browser_memory.HAS_DRAWN] = True
         if role is not None:
             _sign_in(screen, url, role)
         screen.run(timeout=120)

@@ -76,7 +76,7 @@ def test_the_wall_tells_a_station_that_is_silent_from_one_that_is_well(calibrate
         registry.order_queue.beat(Heartbeat("line-2", StationState.READY, now - timedelta(minutes=1), process="a:2"))
         registry.order_queue.beat(Heartbeat("line-3", StationState.OFF, now, process="a:3"))
         found = wall_view(registry, lot_view(registry, "small"), (), say, now)
-    assert {(tile.name, tile.is_well) for tile in found.stations} == {("line-1", True), ("line-2", False)}
+    assert {(name, is_well) for name, _, is_well in found.stations} == {("line-1", True), ("line-2", False)}
 
 
 def test_the_wall_counts_what_the_lot_holds_and_leaves_no_alert_unsaid(calibrated: str) -> None:

@@ -46,7 +46,7 @@ def test_a_sign_in_outlives_a_reload_and_ends_with_the_sign_out(desk: str, page:
     page.get_by_test_id("stDataFrame").wait_for()
     page.get_by_role("link", name="Quinn").click()
     page.get_by_role("button", name=text("en", "sign_in.leave")).click()
-    page.get_by_role("heading", name=text("en", "sign_in.title")).wait_for()
+    page.get_by_role("heading", name=text("en", "page.sign_in")).wait_for()
     page.goto(f"{desk}/{QUALITY_ONLY}")
     page.wait_for_url("**/lot*")
 
@@ -60,17 +60,17 @@ def test_a_chosen_language_outlives_a_reload(desk: str, page: Page, remembered: 
     page.goto(f"{desk}/sign_in")
     page.get_by_role("combobox").click()
     page.get_by_role("option", name="한국어").click()
-    page.get_by_role("heading", name=text("ko", "sign_in.title")).wait_for()
+    page.get_by_role("heading", name=text("ko", "page.sign_in")).wait_for()
     remembered(page, "lang")
     page.reload()
-    page.get_by_role("heading", name=text("ko", "sign_in.title")).wait_for()
+    page.get_by_role("heading", name=text("ko", "page.sign_in")).wait_for()
 
 
 def test_a_pin_that_is_left_with_the_tab_key_reaches_the_registry(desk: str, page: Page, sign_in: Callable) -> None:
     sign_in(desk, "quality")
     page.goto(f"{desk}/people")
     page.get_by_label(text("en", "sign_in.name"), exact=True).fill("Nam")
-    asked = {"sign_in.new_pin": "2580", "sign_in.pin_again": "2580", "reason.label": "works on the line"}
+    asked = {"sign_in.new_pin": "2580", "sign_in.pin_again": "2580", "column.reason": "works on the line"}
     for label, typed in asked.items():
         page.get_by_label(text("en", label)).fill(typed)
         page.keyboard.press("Tab")

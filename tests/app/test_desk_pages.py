@@ -20,7 +20,7 @@ from softcal.app.ui import server_memory
 from softcal.app.ui.panels import told
 from softcal.app.views.line import line_view
 from softcal.app.views.lot import lot_view
-from softcal.app.views.profile import bounds
+from softcal.app.views.station import bounds
 from softcal.app.views.wall import wall_view
 from softcal.core.orders import Heartbeat, OrderKind, RunState, StationState
 from softcal.core.profiles import BUILT_IN
@@ -225,7 +225,7 @@ def test_the_source_is_ordered_from_a_station_that_answers(calibrated: str, show
         registry.order_queue.beat(Heartbeat("line-1", StationState.READY, datetime.now(UTC), process="host:1"))
         screen = show(calibrated, "source", lot="small")
         registry.order_queue.beat(Heartbeat("line-1", StationState.READY, datetime.now(UTC), process="host:1"))
-        press(screen, "source.press")
+        press(screen, "source.step.2")
         (order, _), *_ = registry.order_queue.runs("line-1")
     assert (order.kind, order.serial, order.lot_id, order.actor) == (OrderKind.SOURCE, "A0", "small", "Erin")
 

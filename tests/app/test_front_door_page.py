@@ -44,7 +44,7 @@ def done(url: str, kind: str, request: dict[str, object]):
 def test_an_empty_registry_begins_at_the_start_page_for_everybody(tmp_path: Path, open_page) -> None:
     screen = open_page(f"sqlite:///{tmp_path / 'new.db'}")
     assert screen.title[0].value == text("en", "page.start")
-    assert button(screen, "start.demo.do")
+    assert button(screen, "start.demo")
 
 
 def test_the_start_page_is_the_engineers_once_there_is_a_lot() -> None:

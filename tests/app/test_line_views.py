@@ -228,10 +228,10 @@ def test_another_network_is_told_until_a_unit_was_pressed_with_it():
 def test_a_badge_is_marked_as_one_and_says_when_it_has_ended():
     badged = Place(1, operator="Lee", badged_at=NOW)
     here = facts(place=badged)
-    assert dict(line_view(here, "", SAY).cells)[SAY("line.cell.operator")] == SAY("line.badge", name="Lee")
-    assert dict(line_view(here, "Quinn", SAY).cells)[SAY("line.cell.operator")] == "Quinn"
+    assert dict(line_view(here, "", SAY).cells)[SAY("role.operator")] == SAY("line.badge", name="Lee")
+    assert dict(line_view(here, "Quinn", SAY).cells)[SAY("role.operator")] == "Quinn"
     ended = replace(here, now=NOW + timedelta(hours=11), heartbeat=None)
-    assert dict(line_view(ended, "", SAY).cells)[SAY("line.cell.operator")] == SAY("line.badge.over", name="Lee")
+    assert dict(line_view(ended, "", SAY).cells)[SAY("role.operator")] == SAY("line.badge.over", name="Lee")
 
 
 def test_every_sentence_about_a_scan_ends_with_the_next_run():

@@ -36,7 +36,7 @@ def test_a_source_is_registered_pressed_looked_at_and_trained_from_its_page(url:
     for field, value in zip(screen.text_input, (LOT, "A0", "eGaIn pad, 3 mm"), strict=False):
         field.set_value(value)
     _press(screen, "source.add_lot")
-    _press(screen, "source.press")
+    _press(screen, "source.step.2")
     with open_registry(url) as registry:
         deadline_s = time.monotonic() + LONGEST_S
         while (found := registry.order_queue.runs(STATION))[0][1].state.is_active:

@@ -1,6 +1,4 @@
-"""The audit of a lot: draw the units to check with the load cell, bring their recordings, see what they say."""
-
-from collections.abc import Sequence
+"""The audit of a lot: draw units for the load cell, bring their recordings, see the result."""
 
 import streamlit as st
 
@@ -8,29 +6,24 @@ from softcal.app.batch.audit import LotAudit, draw_plan, lot_audit
 from softcal.app.batch.audit_files import AuditFile, look_at_audits, store_audits, target_serials
 from softcal.app.batch.judging import confirm
 from softcal.app.batch.release import lot_standing
-from softcal.app.files.spreadsheet import csv_text
-from softcal.app.jobs.process import start_job
-from softcal.app.texts.reasons import said
-from softcal.app.ui.account import actor, permit, person
-from softcal.app.ui.components.job_panel import job_panel, newest_job
+from softcal.app.ui.account import actor, allows, permit
+from softcal.app.ui.actions import ask_reason, csv_of, download, role_allows, say_finished
+from softcal.app.ui.components.job_panel import awaits_calibration, begin_job
 from softcal.app.ui.components.lot_upload import choose_columns, dropped_files, first_readable, forget_files
-from softcal.app.ui.desk import ask_reason, instant, registry, words
-from softcal.app.ui.panels import go_to, lot_heading, numbers, table, units_of
+from softcal.app.ui.desk import in_words, instant, registry, say
+from softcal.app.ui.panels import for_lot, go_to, has_units, numbers, table
 from softcal.app.views.common import number
 from softcal.core.quality.audit_plan import AuditConfig
 from softcal.core.quality.lot_standing import UnitInLot
-from softcal.db.access.people import may
+from softcal.core.words.reason import Reason
 
-ASKED, UPLOAD = "audit-asked", "audit"
-ACTION = "set_up"
+ASKED, ACTION = "audit", "set_up"
+MOST_ROWS = 200
 
 
-def render() -> None:
-    say = words()
-    lot_id = lot_heading("audit", registry().lots.ids())
-    if lot_id is None:
-        return
-    if not units_of(lot_id):
+@for_lot("audit")
+def render(lot_id: str) -> None:
+    if not has_units(lot_id):
         return
     st.markdown(say("audit.what"))
     audit = lot_audit(registry(), lot_id)
@@ -38,25 +31,26 @@ def render() -> None:
         _draw(lot_id)
     else:
         _stands(audit, lot_id)
-    audits_panel(lot_id)
-    _upload(lot_id)
+    _audited(lot_id)
+    if allows(ACTION):
+        with st.container(border=True):
+            _upload(lot_id)
 
 
 def _draw(lot_id: str) -> None:
-    say = words()
     with st.container(border=True):
         st.markdown(f"## {say('audit.draw')}")
         config = _config()
-        if not may(person(), ACTION):
-            st.caption(say("reason.not_allowed", role=say(f"role.{person().role}")))
-        elif st.button(say("audit.draw.do"), type="primary", icon=":material/casino:", key="audit-draw"):
+        if not role_allows(ACTION):
+            return
+        if st.button(say("audit.draw.do"), type="primary", icon=":material/casino:", key="audit-draw"):
             permit(ACTION)
             draw_plan(registry(), lot_id, config, actor=actor())
             st.rerun()
 
 
 def _config() -> AuditConfig:
-    say, usual = words(), AuditConfig()
+    usual = AuditConfig()
     left, right = st.columns(2)
     drawn = int(left.number_input(say("audit.random"), 1, 1000, usual.random, help=say("audit.random.help")))
     doubtful = int(right.number_input(say("audit.doubtful"), 0, 1000, usual.doubtful, help=say("audit.doubtful.help")))
@@ -64,39 +58,28 @@ def _config() -> AuditConfig:
 
 
 def _stands(audit: LotAudit, lot_id: str) -> None:
-    say, unit = words(), registry().lots.get(lot_id).reference_unit
+    unit, found = registry().lots.get(lot_id).reference_unit, audit.statement
     numbers(
         (
             (say("audit.measured"), f"{len(audit.measured)} / {len(audit.plan.serials)}", None),
             (say("lot.limit"), number(audit.limit.maximum_rmse, unit), None),
-            (say("audit.says"), ("–" if audit.statement is None else words()(f"verdict.{audit.statement.word}")), None),
+            (say("audit.says"), "–" if found is None else say(f"verdict.{found.word}"), None),
         )
     )
-    if audit.statement is not None:
-        told = say(
-            "audit.statement", upper=audit.statement.nonconforming_upper, ratio=f"{audit.statement.error_ratio:.2g}"
-        )
-        st.markdown(told)
+    if found is not None:
+        st.markdown(say("audit.statement", upper=found.nonconforming_upper, ratio=f"{found.error_ratio:.2g}"))
     rows = [
         {
             say("column.serial"): serial,
             say("audit.why"): say(f"audit.why.{why}"),
             say("release.forecast"): number(forecast, unit),
             say("release.measured"): number(measured, unit),
-            say("audit.result"): say(f"audit.result.{result}"),
+            say("station.result"): say(f"audit.result.{result}"),
         }
         for serial, why, forecast, measured, result in audit.rows
     ]
     table(rows)
-    st.download_button(
-        say("audit.list"),
-        data=csv_text(list(rows[0]), [tuple(row.values()) for row in rows]).encode("utf-8-sig"),
-        file_name=f"{lot_id}-audit.csv",
-        mime="text/csv",
-        icon=":material/download:",
-        key="audit-list",
-        on_click="ignore",
-    )
+    download(say("audit.list"), f"{lot_id}-audit.csv", csv_of(rows), "audit-list")
     with st.expander(say("audit.again"), icon=":material/casino:"):
         st.caption(say("audit.again.why"))
         config = _config()
@@ -107,74 +90,54 @@ def _stands(audit: LotAudit, lot_id: str) -> None:
 
 
 def _upload(lot_id: str) -> None:
-    """Draw the field for labelled recordings, what would become of each, and how far their scoring is."""
-    say = words()
-    if not may(person(), ACTION):
+    """Draw the field for labelled recordings, what would become of each, and their scoring."""
+    st.markdown(f"## {say('audit.bring')}")
+    if awaits_calibration(ASKED, lot_id):
         return
-    with st.container(border=True):
-        st.markdown(f"## {say('audit.bring')}")
-        job = newest_job("calibrate", lot=lot_id)
-        if job is not None and st.session_state.get(ASKED) == job.job_id:
-            if job_panel(job):
-                del st.session_state[ASKED]
-                st.session_state["audit-done"] = True
-                st.rerun()
-            if job.state.is_active:
-                return
-        if st.session_state.pop("audit-done", False):
-            st.success(say("audit.done"), icon=":material/check:")
-            if st.button(say("new_lot.to_lot"), icon=":material/arrow_forward:", key="audit-to-lot"):
-                go_to("lot", lot=lot_id)
-        st.caption(say("audit.bring.how"))
-        files = dropped_files(UPLOAD)
-        found = first_readable(files) if files else None
-        if found is None:
-            return
-        columns = choose_columns(found[1], wide=False)
-        looked = look_at_audits(registry().lots.get(lot_id), target_serials(registry(), lot_id), files, columns)
-        table([_row(one) for one in looked])
-        taken = sum(one.recording is not None for one in looked)
-        if st.button(say("audit.take", count=taken), type="primary", disabled=not taken, key="audit-take"):
-            _take(lot_id, looked)
+    if say_finished(ASKED):
+        if st.button(say("new_lot.to_lot"), icon=":material/arrow_forward:", key="audit-to-lot"):
+            go_to("lot", lot=lot_id)
+    st.caption(say("audit.bring.how"))
+    files = dropped_files(ASKED)
+    found = first_readable(files) if files else None
+    if found is None:
+        return
+    columns = choose_columns(found[1], wide=False)
+    looked = look_at_audits(registry().lots.get(lot_id), target_serials(registry(), lot_id), files, columns)
+    table([_row(one) for one in looked])
+    taken = sum(one.recording is not None for one in looked)
+    if st.button(say("audit.take", count=taken), type="primary", disabled=not taken, key="audit-take"):
+        permit(ACTION)
+        store_audits(registry(), lot_id, looked, actor())
+        st.session_state[ASKED] = begin_job("calibrate", ACTION, lot=lot_id)
+        forget_files(ASKED)
+        st.rerun()
 
 
 def _row(one: AuditFile) -> dict[str, object]:
-    say, recording = words(), one.recording
+    recording = one.recording
     seconds = None if recording is None else f"{len(recording) / recording.unlabelled.sample_rate_Hz:.0f} s"
     return {
         say("new_lot.column.file"): one.file,
         say("column.serial"): one.serial or None,
         say("column.duration"): seconds,
-        say("column.reasons"): "" if one.refusal is None else said(one.refusal, say),
+        say("column.reasons"): "" if one.refusal is None else in_words(one.refusal),
     }
 
 
-def _take(lot_id: str, looked: Sequence[AuditFile]) -> None:
-    permit(ACTION)
-    store_audits(registry(), lot_id, looked, actor())
-    st.session_state[ASKED] = start_job(registry(), "calibrate", {"lot": lot_id}, actor())
-    forget_files(UPLOAD)
-    st.rerun()
-
-
-MOST_ROWS = 200
-
-
-def audits_panel(lot_id: str) -> None:
+def _audited(lot_id: str) -> None:
     """Draw the audited units; nothing where none was."""
-    say, unit = words(), registry().lots.get(lot_id).reference_unit
-    rows = lot_standing(registry(), lot_id).audited
+    unit, rows = registry().lots.get(lot_id).reference_unit, lot_standing(registry(), lot_id).audited
     if not rows:
         return
     st.markdown(f"## {say('audit.units')}")
     table([_audited_row(row, unit) for row in rows[:MOST_ROWS]])
     for row in rows:
         if row.doubt is not None:
-            _doubt(lot_id, row)
+            _doubt(lot_id, row.serial, row.doubt)
 
 
 def _audited_row(row: UnitInLot, unit: str) -> dict[str, object]:
-    say = words()
     return {
         say("column.serial"): row.serial,
         say("release.forecast"): number(row.forecast_rmse, unit),
@@ -184,11 +147,10 @@ def _audited_row(row: UnitInLot, unit: str) -> dict[str, object]:
     }
 
 
-def _doubt(lot_id: str, row: UnitInLot) -> None:
-    say = words()
+def _doubt(lot_id: str, serial: str, doubt: Reason) -> None:
     with st.container(border=True):
-        st.warning(said(row.doubt, say) if row.doubt else "", title=row.serial, icon=":material/rule:")
-        reason = ask_reason(f"confirm-{row.serial}", say("audit.confirm", serial=row.serial), "release")
+        st.warning(in_words(doubt), title=serial, icon=":material/rule:")
+        reason = ask_reason(f"confirm-{serial}", say("audit.confirm", serial=serial), "release")
     if reason is not None:
-        confirm(registry(), lot_id, row.serial, reason=reason, actor=actor())
+        confirm(registry(), lot_id, serial, reason=reason, actor=actor())
         st.rerun()

@@ -1,13 +1,12 @@
-"""The audit trail: who did what, before and after, and why; filtered, searched, taken along. Newest first."""
+"""The audit trail: who did what and why, filtered, searched, taken along. Newest first."""
 
 from datetime import UTC, date, datetime, time
+from functools import partial
 
 import streamlit as st
 
-from softcal.app.files.spreadsheet import csv_text
-from softcal.app.ui.account import actor
-from softcal.app.ui.callbacks import in_one_piece
-from softcal.app.ui.desk import empty, instant, registry, words, zone
+from softcal.app.ui.actions import csv_of, download
+from softcal.app.ui.desk import empty, in_one_language, instant, named, registry, say, zone
 from softcal.app.ui.panels import heading, table_to_choose
 from softcal.app.views.audit_trail import HEADINGS, Entry, TrailFilter, trail
 
@@ -15,49 +14,35 @@ NEWEST, PAGE = 5000, 200
 
 
 def render() -> None:
-    say = words()
     heading("audit_trail")
     is_whole = bool(st.session_state.get("trail-whole"))
     rows = registry().trail.newest(10**9 if is_whole else NEWEST)
     if not rows:
-        empty(say("audit.none"), say("empty.lots.how"))
+        empty("audit.none", say("empty.lots.how"))
         return
     entries = trail(rows, say)
     wanted = _filter(entries)
     found = [entry for entry in entries if wanted.takes(entry)]
-    _counts(len(found), len(entries), is_whole)
+    st.caption(say("trail.count", shown=min(len(found), PAGE), found=len(found), of=len(entries)))
+    if len(entries) >= NEWEST and not is_whole:
+        st.toggle(say("trail.whole", newest=NEWEST), key="trail-whole")
     if not found:
         st.caption(say("trail.none"))
         return
     chosen = table_to_choose([_row(entry) for entry in found[:PAGE]], "trail")
-    st.download_button(
-        say("trail.export"),
-        data=lambda: csv_text(list(_row(found[0])), [tuple(_row(entry).values()) for entry in found]).encode(
-            "utf-8-sig"
-        ),
-        file_name="audit-trail.csv",
-        mime="text/csv",
-        icon=":material/download:",
-        key="trail-export",
-        on_click=_tell,
-        args=(len(found),),
-    )
+    exported = ("audit_trail", "audit_trail", {"rows": len(found)})
+    download(say("trail.export"), "audit-trail.csv", partial(_csv, found), "trail-export", exported=exported)
     if chosen is not None:
         _in_full(found[chosen])
 
 
 def _filter(entries: list[Entry]) -> TrailFilter:
-    say = words()
     first, second, third, fourth, fifth = st.columns([3, 2, 3, 2, 2])
     text = str(first.text_input(say("trail.find"), key="trail-find", icon=":material/search:") or "")
     everybody, unset = sorted({entry.row.actor for entry in entries}), say("choose.all")
     actors = second.multiselect(say("column.actor"), everybody, key="trail-actor", placeholder=unset)
     sections = third.multiselect(
-        say("trail.section"),
-        HEADINGS,
-        format_func=lambda name: say(f"trail.section.{name}"),
-        key="trail-section",
-        placeholder=unset,
+        say("trail.section"), HEADINGS, format_func=named("trail.section"), key="trail-section", placeholder=unset
     )
     since = _midnight(fourth.date_input(say("trail.since"), value=None, key="trail-since"), time.min)
     until = _midnight(fifth.date_input(say("trail.until"), value=None, key="trail-until"), time.max)
@@ -68,17 +53,9 @@ def _midnight(day: date | None, at: time) -> datetime | None:
     return None if day is None else datetime.combine(day, at, zone()).astimezone(UTC)
 
 
-def _counts(found: int, of: int, is_whole: bool) -> None:
-    say = words()
-    st.caption(say("trail.count", shown=min(found, PAGE), found=found, of=of))
-    if of >= NEWEST and not is_whole:
-        st.toggle(say("trail.whole", newest=NEWEST), key="trail-whole")
-
-
 def _row(entry: Entry) -> dict[str, object]:
-    say = words()
     return {
-        say("column.made"): instant(entry.at),
+        say("column.made"): instant(entry.row.at),
         say("column.actor"): entry.row.actor,
         say("trail.what"): entry.what,
         say("trail.changes"): entry.changed,
@@ -86,9 +63,14 @@ def _row(entry: Entry) -> dict[str, object]:
     }
 
 
+def _csv(found: list[Entry]) -> bytes:
+    with in_one_language():
+        return csv_of([_row(entry) for entry in found])
+
+
 def _in_full(entry: Entry) -> None:
     """Draw the row as it is kept: for who checks the chain itself."""
-    say, row = words(), entry.row
+    row = entry.row
     with st.container(border=True):
         st.markdown(f"**{say('trail.row')}**")
         st.code(
@@ -98,8 +80,3 @@ def _in_full(entry: Entry) -> None:
             language=None,
             wrap_lines=True,
         )
-
-
-@in_one_piece
-def _tell(count: int) -> None:
-    registry().trail.add("export", "audit_trail", ("audit_trail",), {"rows": count}, actor=actor())

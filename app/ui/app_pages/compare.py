@@ -4,9 +4,8 @@ import streamlit as st
 
 from softcal.app.charts.compare import errors_of_lots, maps_together, predicted_over_load
 from softcal.app.texts.reasons import all_said
-from softcal.app.ui.desk import colours, empty, instant, registry, show_figure, verdict_badge, words
-from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.panels import heading, table
+from softcal.app.ui.desk import colours, empty, instant, registry, say, verdict_badge
+from softcal.app.ui.panels import figure_under, figures_beside, find_unit, heading, rest_may_follow, table
 from softcal.app.ui.server_memory import remembered_lot_view
 from softcal.app.views.common import number
 from softcal.app.views.lot_report import MOST_LOTS, lot_rows
@@ -17,7 +16,6 @@ KINDS = ("units", "lots")
 
 
 def render() -> None:
-    say = words()
     with heading("compare"):
         kinds = {kind: say(f"compare.{kind}") for kind in KINDS}
         asked = str(st.query_params.get("kind", KINDS[0]))
@@ -36,31 +34,33 @@ def render() -> None:
 
 
 def _units() -> None:
-    say = words()
-    chosen = [_choose(place, column) for place, column in zip(PLACES, st.columns(2), strict=True)]
+    chosen = [
+        find_unit(place, f"compare-{place}", (column, column), _calibrated, usual)
+        for usual, (place, column) in enumerate(zip(PLACES, st.columns(2), strict=True))
+    ]
     if not all(chosen):
-        empty(say("empty.units"), say("empty.units.how"))
+        empty("empty.units")
         return
     left, right = (unit_view(registry(), str(serial)) for serial in chosen)
     for column, view in zip(st.columns(2), (left, right), strict=True):
         with column:
             verdict_badge(view.stored.record.verdict)
-    table(_rows(left, right))
+    one, other = _facts(left), _facts(right)
+    first, second = left.stored.serial, right.stored.serial
+    second = second if second != first else f"{second} "
+    table([{say("compare.fact"): name, first: one[name], second: other[name]} for name in one])
     if not rest_may_follow():
         return
-    first, second = st.columns(2)
-    with first:
-        st.header(say("unit.map"))
-        show_figure(maps_together((left, right), colours(), say), "compare-maps")
-    with second:
-        st.header(say("compare.interval"))
-        show_figure(predicted_over_load((left, right), colours(), say), "compare-interval")
+    figures_beside(
+        ("unit.map", maps_together((left, right), colours(), say), "compare-maps"),
+        ("compare.interval", predicted_over_load((left, right), colours(), say), "compare-interval"),
+    )
 
 
 def _lots() -> None:
-    say, known = words(), registry().lots.ids()
+    known = registry().lots.ids()
     if not known:
-        empty(say("empty.lots"), say("empty.lots.how"))
+        empty("empty.lots")
         return
     asked = [lot for lot in st.query_params.get_all("lot") if lot in known]
     chosen = st.multiselect(
@@ -76,41 +76,18 @@ def _lots() -> None:
     views = [remembered_lot_view(lot) for lot in chosen]
     table(lot_rows(views, say))
     if rest_may_follow():
-        st.header(say("lot.distribution"))
-        show_figure(errors_of_lots(views, colours(), say), "compare-errors")
+        figure_under("lot.distribution", errors_of_lots(views, colours(), say), "compare-errors")
 
 
-def _choose(place: str, column: st.delta_generator.DeltaGenerator) -> str | None:
-    """Draw the choice of one unit; it stays in the address, so that a link leads back to it."""
-    say, asked = words(), str(st.query_params.get(place, ""))
-    text = str(column.text_input(say("unit.find"), key=f"compare-find-{place}", icon=":material/search:") or "").strip()
-    found = [one for one in registry().pages.find_serials(text) if registry().calibrations.history(one)]
-    if asked and asked not in found and not text:
-        found = [asked, *found]
-    if not found:
-        return None
-    usual = PLACES.index(place) % len(found)
-    index = found.index(asked) if asked in found else usual
-    serial = str(column.selectbox(say("choose.unit"), found, index=index, key=f"compare-{place}-{text}-{asked}"))
-    if serial != asked:
-        st.query_params[place] = serial
-    return serial
-
-
-def _rows(left: UnitView, right: UnitView) -> list[dict[str, object]]:
-    say = words()
-    columns = [(view.stored.serial, _facts(view)) for view in (left, right)]
-    names = list(columns[0][1])
-    (first, one), (second, other) = columns
-    second = second if second != first else f"{second} "
-    return [{say("compare.fact"): name, first: one[name], second: other[name]} for name in names]
+def _calibrated(text: str) -> list[str]:
+    return [one for one in registry().pages.find_serials(text) if registry().calibrations.history(one)]
 
 
 def _facts(view: UnitView) -> dict[str, str]:
-    say, record, unit = words(), view.stored.record, view.lot.reference_unit
+    record, unit = view.stored.record, view.lot.reference_unit
     return {
         say("choose.lot"): view.lot.id,
-        say("choose.revision"): str(view.stored.revision),
+        say("column.revision"): str(view.stored.revision),
         say("column.made"): instant(view.stored.made_at),
         say("column.family"): record.family,
         say("lot.predicted"): number(record.predicted_rmse, unit),

@@ -1,30 +1,103 @@
-"""The gap between the twin and a rig: choose a case, run the diagnosis, read it, press what it proposes."""
+"""The gap between the twin and a rig: choose a case, run the diagnosis, press what it proposes."""
+
+from pathlib import Path
 
 import streamlit as st
 
-from softcal.app.jobs.process import start_job
-from softcal.app.ui.account import actor, permit
-from softcal.app.ui.components.gap_case import add_case, choose_case
+from softcal.app.gap.desk import cases, cases_folder, practise, store_upload
+from softcal.app.ui.account import permit
+from softcal.app.ui.actions import refusals_in_words
 from softcal.app.ui.components.gap_report import gap_report
-from softcal.app.ui.components.job_panel import job_panel, newest_job
-from softcal.app.ui.desk import empty, registry, words
+from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
+from softcal.app.ui.desk import empty, named, say
 from softcal.app.ui.panels import heading
 
 
 def render() -> None:
-    say = words()
     with heading("gap"):
         case = choose_case()
     add_case()
     if case is None:
-        empty(say("gap.none"), say("gap.none.how"))
+        empty("gap.none")
         return
     job = newest_job("diagnose", case=str(case))
-    is_busy = job is not None and job.state.is_active
     label = say("gap.diagnose" if job is None else "gap.diagnose.again")
-    if st.button(label, type="primary" if job is None else "secondary", disabled=is_busy, key="diagnose"):
-        permit("set_up")
-        start_job(registry(), "diagnose", {"case": str(case)}, actor())
+    if st.button(label, type="primary" if job is None else "secondary", disabled=is_running(job), key="diagnose"):
+        begin_job("diagnose", case=str(case))
         st.rerun()
     if job is not None and job_panel(job):
         gap_report(job, case)
+
+
+METADATA = (("vref_V", 5.0), ("adc_bits", 16), ("r_series_ohm", 1000.0), ("sample_rate_Hz", 50.0))
+
+
+def choose_case() -> Path | None:
+    """Draw the choice and return the case; None where there is none yet."""
+    wanted = str(st.query_params.get("case", ""))
+    known = [str(case) for case in cases()]
+    options = [wanted, *known] if wanted and wanted not in known else known
+    if not options:
+        return None
+    index = options.index(wanted) if wanted in options else 0
+    chosen = str(st.selectbox(say("gap.case"), options, index=index, format_func=_shown, key=f"case-{wanted}"))
+    if chosen != wanted:
+        st.query_params["case"] = chosen
+    return Path(chosen)
+
+
+def _shown(path: str) -> str:
+    folder = Path(path)
+    return str(folder.relative_to(cases_folder())) if folder.is_relative_to(cases_folder()) else path
+
+
+def add_case() -> None:
+    """Draw the three ways to a new case."""
+    with st.expander(say("gap.add"), icon=":material/add:", expanded=not cases()):
+        folder, upload, rig = st.tabs([say("gap.add.folder"), say("gap.add.upload"), say("gap.add.rig")])
+        with folder:
+            _folder()
+        with upload:
+            _upload()
+        with rig:
+            st.caption(say("gap.rig.how"))
+            if st.button(say("gap.rig.do"), icon=":material/casino:"):
+                permit("set_up")
+                with st.spinner(say("gap.rig.wait")):
+                    _open(practise())
+
+
+def _folder() -> None:
+    with st.form("case-folder", border=False):
+        path = str(st.text_input(say("gap.folder"), placeholder="/data/rig-7")).strip()
+        st.caption(say("gap.folder.how"))
+        if st.form_submit_button(say("gap.folder.do")) and path:
+            permit("set_up")
+            if Path(path).is_dir():
+                _open(Path(path).resolve())
+            st.error(say("gap.folder.none", path=path), icon=":material/error:")
+
+
+def _upload() -> None:
+    with st.form("case-upload", border=False):
+        left, right = st.columns(2)
+        name = str(left.text_input(say("gap.name"), placeholder="rig-7"))
+        serial = str(right.text_input(say("column.serial"), placeholder="A17"))
+        fields = zip(st.columns(len(METADATA)), METADATA, strict=True)
+        values: dict[str, object] = {
+            key: column.number_input(key, value=usual, min_value=type(usual)(1e-3) if key != "adc_bits" else 1)
+            for column, (key, usual) in fields
+        }
+        values["sensor_type"] = st.selectbox(say("gap.sensor"), ("pressure", "strain"), format_func=named("gap.sensor"))
+        files = st.file_uploader(say("gap.files"), type=["csv"], accept_multiple_files=True)
+        st.caption(say("gap.files.how"))
+        if not st.form_submit_button(say("gap.upload.do")):
+            return
+    permit("set_up")
+    with refusals_in_words():
+        _open(store_upload(name.strip(), [file.getvalue() for file in files], {"serial": serial.strip(), **values}))
+
+
+def _open(case: Path) -> None:
+    st.query_params["case"] = str(case)
+    st.rerun()

@@ -1,4 +1,4 @@
-"""The known loads of a lot: what was read under which load on which unit, and a way to bring more."""
+"""The known loads of a lot: what was read under which load, and a way to bring more."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -6,56 +6,43 @@ from pathlib import Path
 import streamlit as st
 
 from softcal.app.files.anchors import read_anchors
-from softcal.app.jobs.process import start_job
 from softcal.app.registry.known_loads import UnitLoads, keep_loads, known_loads
 from softcal.app.registry.lot_recordings import source_recording
-from softcal.app.ui.account import actor, permit, person
-from softcal.app.ui.components.job_panel import job_panel, newest_job
+from softcal.app.ui.account import actor, allows, permit
+from softcal.app.ui.actions import finish, say_finished
+from softcal.app.ui.components.job_panel import awaits_calibration, begin_job
 from softcal.app.ui.components.lot_upload import dropped_files, forget_files
-from softcal.app.ui.desk import in_words, instant, registry, words
-from softcal.app.ui.panels import go_to, lot_heading, table, units_of
+from softcal.app.ui.desk import in_words, instant, registry, say
+from softcal.app.ui.panels import for_lot, go_to, has_units, table
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.maps.anchors import check_loads
 from softcal.core.maps.interface import Anchors
 from softcal.core.unit.method import Method
-from softcal.db.access.people import may
 
-ASKED, UPLOAD, DONE = "known-loads-asked", "known-loads", "known-loads-done"
-ACTION = "set_up"
-NOTHING = "nothing was kept"
+ASKED, ACTION = "known_loads", "set_up"
 
 
-def render() -> None:
-    say = words()
-    lot_id = lot_heading("known_loads", registry().lots.ids())
-    if lot_id is None:
-        return
-    lot, newest = (
-        registry().lots.get(lot_id),
-        {entry.serial: entry.sha256 for entry in registry().recordings.of_lot(lot_id, kind="unit")},
-    )
+@for_lot("known_loads")
+def render(lot_id: str) -> None:
+    lot = registry().lots.get(lot_id)
+    newest = {entry.serial: entry.sha256 for entry in registry().recordings.of_lot(lot_id, kind="unit")}
     # A unit that was pressed has loads before it has a result.
-    if not newest and not units_of(lot_id):
+    if not newest and not has_units(lot_id):
         return
     st.markdown(say("known_loads.what"))
     found = list(known_loads(registry(), lot_id).values())
-    if found:
-        table([_row(one, lot, newest) for one in reversed(found)])
-    else:
-        st.caption(say("known_loads.none"))
+    table([_row(one, lot, newest) for one in reversed(found)], say("known_loads.none"))
     st.caption(say("known_loads.line"))
-    if may(person(), "set_limit") and st.button(
-        say("known_loads.to_rules"), icon=":material/arrow_forward:", key="known-loads-rules"
-    ):
-        go_to("limits", lot=lot_id)
-    if may(person(), ACTION):
+    if allows("set_limit"):
+        if st.button(say("known_loads.to_rules"), icon=":material/arrow_forward:", key="known-loads-rules"):
+            go_to("limits", lot=lot_id)
+    if allows(ACTION):
         with st.container(border=True):
             _bring(lot, newest)
 
 
 def _row(one: UnitLoads, lot: Lot, newest: Mapping[str, str]) -> dict[str, object]:
-    say = words()
     is_newest = newest.get(one.serial) == one.recording_sha256
     return {
         say("column.serial"): one.serial,
@@ -69,21 +56,13 @@ def _row(one: UnitLoads, lot: Lot, newest: Mapping[str, str]) -> dict[str, objec
 
 
 def _bring(lot: Lot, newest: Mapping[str, str]) -> None:
-    """Draw the field for a table, what would become of each unit, and how far the calibration is."""
-    say = words()
+    """Draw the field for a table, what would become of each unit, and the calibration."""
     st.markdown(f"## {say('known_loads.bring')}")
-    job = newest_job("calibrate", lot=lot.id)
-    if job is not None and st.session_state.get(ASKED) == job.job_id:
-        if job_panel(job):
-            del st.session_state[ASKED]
-            st.session_state[DONE] = "known_loads.done"
-            st.rerun()
-        if job.state.is_active:
-            return
-    if done := st.session_state.pop(DONE, ""):
-        st.success(say(done), icon=":material/check:")
+    if awaits_calibration(ASKED, lot.id):
+        return
+    say_finished(ASKED)
     st.caption(say("known_loads.bring.how"))
-    files = dropped_files(UPLOAD)
+    files = dropped_files(ASKED)
     if not files:
         return
     taken, refused = _looked_at(lot, files, newest)
@@ -92,12 +71,18 @@ def _bring(lot: Lot, newest: Mapping[str, str]) -> None:
         table(rows)
     label = say("known_loads.take", count=len(taken))
     if st.button(label, type="primary", disabled=not taken, key="known-loads-take"):
-        _take(lot.id, taken, newest)
+        permit(ACTION)
+        loads = {newest[serial]: (serial, one) for serial, one in taken.items()}
+        is_new = keep_loads(registry(), lot.id, loads, "page", actor=actor())
+        forget_files(ASKED)
+        if not is_new:
+            finish(ASKED, say("known_loads.no_change"))
+        st.session_state[ASKED] = begin_job("calibrate", ACTION, lot=lot.id)
+        st.rerun()
 
 
 def _looked_at(lot: Lot, files: Sequence[Path], newest: Mapping[str, str]) -> tuple[dict[str, Anchors], dict[str, str]]:
     """Return the loads by serial that can be taken, and why others are refused."""
-    say = words()
     units = [unit.serial for unit in registry().lots.units(lot.id) if unit.role == "target"]
     state = registry().networks.released(lot.id)
     source = None if state is None else source_recording(registry(), state.network.id)
@@ -112,7 +97,7 @@ def _looked_at(lot: Lot, files: Sequence[Path], newest: Mapping[str, str]) -> tu
         for serial, loads in found.items():
             try:
                 if source is not None:
-                    check_loads(source, loads, NOTHING, Method().map.anchors)
+                    check_loads(source, loads, "nothing was kept", Method().map.anchors)
             except InputError as error:
                 refused[serial] = in_words(error)
                 continue
@@ -121,14 +106,3 @@ def _looked_at(lot: Lot, files: Sequence[Path], newest: Mapping[str, str]) -> tu
             else:
                 refused[serial] = say("known_loads.refused.recording")
     return taken, refused
-
-
-def _take(lot_id: str, taken: Mapping[str, Anchors], newest: Mapping[str, str]) -> None:
-    permit(ACTION)
-    loads = {newest[serial]: (serial, one) for serial, one in taken.items()}
-    if keep_loads(registry(), lot_id, loads, "page", actor=actor()):
-        st.session_state[ASKED] = start_job(registry(), "calibrate", {"lot": lot_id}, actor())
-    else:
-        st.session_state[DONE] = "known_loads.no_change"
-    forget_files(UPLOAD)
-    st.rerun()

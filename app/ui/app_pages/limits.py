@@ -1,4 +1,4 @@
-"""The limit and the rules of a lot in versions: what holds, who set it and why, and what another limit would do."""
+"""The limit and the rules of a lot in versions, and what another limit would do."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,13 +10,12 @@ from softcal.app.charts import lot as charts_lot
 from softcal.app.line.load_readings import check_stated
 from softcal.app.registry.lot_recordings import source_recording
 from softcal.app.ui.account import actor
-from softcal.app.ui.desk import ask_reason, colours, in_words, instant, registry, words
-from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.panels import figure_under, headline, lot_heading, table
+from softcal.app.ui.actions import ask_reason, finish, refusals_in_words, say_finished
+from softcal.app.ui.desk import colours, instant, registry, say
+from softcal.app.ui.panels import figure_under, for_lot, headline, rest_may_follow, table
 from softcal.app.ui.server_memory import remembered_lot_view
 from softcal.app.views.common import limit_said, number, percent
 from softcal.app.views.lot import LotView
-from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.quality.known_loads import MOST_LOADS
 from softcal.core.quality.line_rules import LETTERS, LineRules
@@ -24,14 +23,12 @@ from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import VERDICTS
 from softcal.db.entries import LimitEntry, LineRulesEntry
 
+MOST_UNITS, MOST_RETESTS = 10_000_000, 99
 
-def render() -> None:
-    say = words()
-    lot_id = lot_heading("limits", registry().lots.ids())
-    if lot_id is None:
-        return
-    if done := st.session_state.pop("limit-done", ""):
-        st.success(done, icon=":material/check:")
+
+@for_lot("limits")
+def render(lot_id: str) -> None:
+    say_finished("limit")
     view, versions = remembered_lot_view(lot_id), registry().lots.limit_versions(lot_id)
     left, right = st.columns(2)
     with left, st.container(border=True):
@@ -41,15 +38,21 @@ def render() -> None:
     with right:
         figure_under("lot.distribution", charts_lot.predicted_errors(view, colours(), say), "limit-distribution")
     st.header(say("limits.versions"))
-    if versions:
-        table([_row(entry, view.lot.reference_unit) for entry in reversed(versions)])
-    else:
-        st.caption(say("limits.none"))
-    rules_form(view.lot)
+    table([_row(entry, view.lot.reference_unit) for entry in reversed(versions)], say("limits.none"))
+    st.header(say("rules.title"))
+    say_finished("rules")
+    rules = registry().lots.line_rules_versions(lot_id)
+    with st.container(border=True):
+        _change_rules(view.lot, rules)
+    table([_rule_row(entry) for entry in reversed(rules)], say("rules.none"))
+
+
+def _seen(looked_at: str, versions: Sequence[LimitEntry | LineRulesEntry]) -> int:
+    """Return the version a person decides on: the one first drawn, whatever was written meanwhile."""
+    return int(st.session_state.setdefault(looked_at, versions[-1].version if versions else 0))
 
 
 def _row(entry: LimitEntry, unit: str) -> dict[str, object]:
-    say = words()
     return {
         say("limits.version"): entry.version,
         say("lot.limit"): number(entry.rmse, unit) if entry.rmse else say("lot.limit.none"),
@@ -60,96 +63,53 @@ def _row(entry: LimitEntry, unit: str) -> dict[str, object]:
 
 
 def _change(view: LotView, versions: list[LimitEntry]) -> None:
-    say, unit = words(), view.lot.reference_unit
+    unit, looked_at = view.lot.reference_unit, f"limit-seen-{view.lot.id}"
+    version = _seen(looked_at, versions)
     newest = versions[-1].version if versions else 0
-    # The version a person decides on is the one first drawn, not one that somebody else has written meanwhile.
-    looked_at = f"limit-seen-{view.lot.id}"
-    version = st.session_state.setdefault(looked_at, newest)
     headline(say("limits.now", limit=limit_said(view.limit, say), version=newest))
     is_automatic = st.toggle(say("limits.auto"), view.lot.limit_rmse is None, key=f"auto-{view.lot.id}-{version}")
     usual = view.limit_rmse or view.median_predicted or 1.0
-    wanted = st.number_input(
-        f"{say('limits.new')} [{unit}]",
-        min_value=0.0,
-        value=float(usual),
-        step=float(f"{usual / 10:.1g}"),
-        format="%.4g",
-        disabled=is_automatic,
-        key=f"limit-{view.lot.id}-{version}",
-    )
+    label, step, key = f"{say('limits.new')} [{unit}]", float(f"{usual / 10:.1g}"), f"limit-{view.lot.id}-{version}"
+    wanted = st.number_input(label, 0.0, None, float(usual), step, "%.4g", key, disabled=is_automatic)
     if not is_automatic:
-        _preview(view, wanted)
+        errors = view.predicted()
+        if count := len(errors):
+            within = int((errors <= wanted).sum())
+            st.markdown(say("limits.within", within=within, count=count, share=percent(within / count)))
+        st.caption(say("limits.note"))
     reason = ask_reason(f"limit-{view.lot.id}-{version}", say("limits.set"), "set_limit")
     if reason is None:
         return
     rmse = None if is_automatic else wanted
     st.session_state.pop(looked_at)
-    try:
+    with refusals_in_words():
         registry().lots.set_limit(view.lot.id, rmse, reason=reason, actor=actor(), expected_version=version)
         judge_again(registry(), [view.lot.id], actor())
-    except InputError as error:
-        st.error(in_words(error), icon=":material/error:")
-        return
-    st.session_state["limit-done"] = say("limits.done", limit=say("lot.limit.none") if rmse is None else f"{rmse:g}")
-    st.rerun()
-
-
-def _preview(view: LotView, wanted: float) -> None:
-    say, errors = words(), view.predicted()
-    if len(errors):
-        within = int((errors <= wanted).sum())
-        share = percent(within / len(errors))
-        st.markdown(say("limits.within", within=within, count=len(errors), share=share))
-    st.caption(say("limits.note"))
-
-
-MOST_UNITS, MOST_RETESTS = 10_000_000, 99
-
-
-def rules_form(lot: Lot) -> None:
-    """Draw the rules that hold, what to set instead, and every version."""
-    say = words()
-    st.header(say("rules.title"))
-    if done := st.session_state.pop("rules-done", ""):
-        st.success(done, icon=":material/check:")
-    versions = registry().lots.line_rules_versions(lot.id)
-    with st.container(border=True):
-        _change_rules(lot, versions)
-    if versions:
-        table([_rule_row(entry) for entry in reversed(versions)])
-    else:
-        st.caption(say("rules.none"))
+        finish("limit", say("limits.done", limit=say("lot.limit.none") if rmse is None else f"{rmse:g}"))
 
 
 def _change_rules(lot: Lot, versions: Sequence[LineRulesEntry]) -> None:
-    # The version a person decides on is the one first drawn, not one that somebody else has written meanwhile.
     looked_at = f"rules-seen-{lot.id}"
-    version = st.session_state.setdefault(looked_at, versions[-1].version if versions else 0)
+    version = _seen(looked_at, versions)
     wanted = _asked(registry().lots.line_rules(lot), lot.reference_unit, f"{lot.id}-{version}")
-    reason = ask_reason(f"rules-{lot.id}-{version}", words()("rules.set"), "set_limit")
+    reason = ask_reason(f"rules-{lot.id}-{version}", say("rules.set"), "set_limit")
     if reason is None:
         return
     st.session_state.pop(looked_at)
-    try:
+    with refusals_in_words():
         rules = LineRules(**wanted)
         state = registry().networks.released(lot.id)
         if state is not None and rules.loads:
             check_stated(rules.loads, source_recording(registry(), state.network.id), Method().map.anchors)
         registry().lots.set_line_rules(lot.id, rules, reason=reason, actor=actor(), expected_version=version)
-    except InputError as error:
-        st.error(in_words(error), icon=":material/error:")
-        return
-    st.session_state["rules-done"] = words()("rules.done")
-    st.rerun()
+        finish("rules", say("rules.done"))
 
 
 def _asked(now: LineRules, unit: str, mark: str) -> dict[str, Any]:
     """Draw one field per rule with what holds now; return what stands in them."""
-    say = words()
     left, middle, right = st.columns([3, 2, 2])
-    pattern = left.text_input(
-        say("rules.pattern"), now.serial_pattern, key=f"rules-pattern-{mark}", help=say("rules.pattern.help")
-    )
+    key, help_ = f"rules-pattern-{mark}", say("rules.pattern.help")
+    pattern = left.text_input(say("rules.pattern"), now.serial_pattern, key=key, help=help_)
     letters = middle.selectbox(
         say("rules.letters"),
         LETTERS,
@@ -157,51 +117,42 @@ def _asked(now: LineRules, unit: str, mark: str) -> dict[str, Any]:
         format_func=lambda name: say(f"rules.letters.{name.replace(' ', '_')}"),
         key=f"rules-letters-{mark}",
     )
-    target = right.number_input(
-        say("rules.target"), 1, MOST_UNITS, now.target, key=f"rules-target-{mark}", placeholder=say("rules.target.none")
-    )
+    key, none = f"rules-target-{mark}", say("rules.target.none")
+    target = right.number_input(say("rules.target"), 1, MOST_UNITS, now.target, key=key, placeholder=none)
     st.markdown(say("rules.retests"))
-    retests = {
-        verdict: int(
-            column.number_input(
-                say(f"verdict.{verdict}"), 0, MOST_RETESTS, now.retests.get(verdict, 0), key=f"rules-{verdict}-{mark}"
-            )
-        )
-        for verdict, column in zip(VERDICTS, st.columns(len(VERDICTS)), strict=True)
+    retests = {}
+    for verdict, column in zip(VERDICTS, st.columns(len(VERDICTS)), strict=True):
+        label, usual = say(f"verdict.{verdict}"), now.retests.get(verdict, 0)
+        retests[verdict] = int(column.number_input(label, 0, MOST_RETESTS, usual, key=f"rules-{verdict}-{mark}"))
+    return {
+        "serial_pattern": str(pattern).strip(),
+        "letters": letters,
+        "target": target,
+        "retests": retests,
+        "loads": _loads(now, unit, mark),
     }
-    fixed = {"serial_pattern": str(pattern).strip(), "letters": letters, "target": target, "retests": retests}
-    return fixed | {"loads": _loads(now, unit, mark)}
 
 
 def _loads(now: LineRules, unit: str, mark: str) -> tuple[tuple[float, float], ...]:
-    """Draw the known loads the line asks for; return those that are given, as (load, U) in the lot's unit."""
-    say = words()
+    """Draw the known loads the line asks for; return each as (load, U) in the lot's unit."""
     st.markdown(say("rules.loads"), help=say("rules.loads.help"))
     found = []
     cells = st.columns(2 * MOST_LOADS)
     for place, columns in enumerate(zip(cells[::2], cells[1::2], strict=True), 1):
         load = now.loads[place - 1] if place <= len(now.loads) else None
-        value = columns[0].number_input(
-            f"{say('rules.load', number=place)} [{unit}]",
-            0.0,
-            value=load.value if load else None,
-            format="%.5g",
-            key=f"rules-load-{place}-{mark}",
-        )
-        expanded = columns[1].number_input(
-            f"{say('rules.load_uncertainty')} [{unit}]",
-            0.0,
-            value=load.expanded if load else 0.0,
-            format="%.5g",
-            key=f"rules-load-u-{place}-{mark}",
-        )
+        label, usual = f"{say('rules.load', number=place)} [{unit}]", load.value if load else None
+        key = f"rules-load-{place}-{mark}"
+        value = columns[0].number_input(label, 0.0, value=usual, format="%.5g", key=key)
+        label, usual = f"{say('rules.load_uncertainty')} [{unit}]", load.expanded if load else 0.0
+        key = f"rules-load-u-{place}-{mark}"
+        expanded = columns[1].number_input(label, 0.0, value=usual, format="%.5g", key=key)
         if value is not None:
             found.append((float(value), float(expanded or 0.0)))
     return tuple(found)
 
 
 def _rule_row(entry: LineRulesEntry) -> dict[str, object]:
-    say, rules = words(), entry.rules
+    rules = entry.rules
     retests = ", ".join(f"{say(f'verdict.{verdict}')} {times}" for verdict, times in rules.retests.items())
     return {
         say("limits.version"): entry.version,
@@ -209,7 +160,7 @@ def _rule_row(entry: LineRulesEntry) -> dict[str, object]:
         say("rules.letters"): say(f"rules.letters.{rules.letters.replace(' ', '_')}"),
         say("rules.target"): rules.target,
         say("rules.retests.column"): retests,
-        say("rules.loads.column"): ", ".join(f"{load.value:.5g} ± {load.expanded:.2g}" for load in rules.loads),
+        say("page.known_loads"): ", ".join(f"{load.value:.5g} ± {load.expanded:.2g}" for load in rules.loads),
         say("column.made"): instant(entry.made_at),
         say("column.actor"): entry.actor,
         say("column.reason"): entry.reason,

@@ -1,28 +1,28 @@
-"""The operator's screen: one state, one instruction, and a field that always listens. It only reads rows and orders."""
+"""The operator's screen: one state, one instruction, and a field that always listens."""
 
 from functools import partial
 
 import streamlit as st
 
 from softcal.app.charts.live import live_signal
-from softcal.app.line.facts import read_line
+from softcal.app.line.facts import LotAtLine, read_line, read_lot
 from softcal.app.line.line import take_scan
-from softcal.app.ui.account import is_signed_in, person
-from softcal.app.ui.browser_memory import remember
+from softcal.app.line.rig import spool_folder
+from softcal.app.ui.account import allows, is_signed_in, person
+from softcal.app.ui.browser_memory import remember, screen
 from softcal.app.ui.callbacks import in_one_piece
 from softcal.app.ui.components import line_card
 from softcal.app.ui.components.scan_field import scan_field
-from softcal.app.ui.desk import choose_language, colours, in_words, registry, words
-from softcal.app.ui.line_memory import kept_runs, lot_at_line, refusal, remember_refusal, screen
+from softcal.app.ui.desk import choose_language, colours, in_one_language, in_words, registry, say
 from softcal.app.ui.panels import go_to
-from softcal.app.views.line import COMMAND_OF_KEY, KEYS, LineView, away_view, line_view, note_said
+from softcal.app.views.line import COMMAND_OF_KEY, KEYS, LineView, action_said, away_view, line_view, note_said
 from softcal.core.errors import InputError, RegistryError
-from softcal.db.access.people import may
+from softcal.db.registry import Registry
 
 BUSY_S, IDLE_S = 0.5, 1.0
-"""Between two looks: during a run, and else; an idle screen looks too, since another one may have started a run."""
+"""Between two looks, during a run and else: another screen may start a run."""
 
-IS_BUSY = "line-is-busy"
+IS_BUSY, REFUSED = "line-is-busy", "line-refused"
 
 
 def render() -> None:
@@ -30,15 +30,16 @@ def render() -> None:
     is_busy = bool(st.session_state.get(IS_BUSY))
     st.fragment(_screen, run_every=BUSY_S if is_busy else IDLE_S)()
     # Drawn last, though it stands at the top: the state is what a person looks for.
-    with st.container(key="line-setup"), st.popover("", icon=":material/tune:", help=words()("line.setup")):
+    with st.container(key="line-setup"), st.popover("", icon=":material/tune:", help=say("line.setup")):
         line_setup()
 
 
+@in_one_language()
 def _screen() -> None:
     view, note = _look()
     with st.container(key="line-screen"):
         st.html(line_card.cells_html(view))
-        st.html(line_card.card_html(view, words()("line.why")))
+        st.html(line_card.card_html(view, say("line.why")))
         with st.container(key="line-note"):
             if note is not None:
                 st.html(line_card.note_html(*note))
@@ -46,8 +47,14 @@ def _screen() -> None:
         with st.container(key="line-actions", horizontal=True):
             with st.container(key="line-buttons", horizontal=True, width="content"):
                 _actions(view)
-            _field(view, note[0] if note else "")
-        _below(view)
+            texts = {"label": say("line.scan"), "placeholder": say("line.scan.hint"), "late": say("line.scan.late")}
+            texts["spoken"] = note[0] if note else view.spoken
+            scan_field(texts, view.seen, COMMAND_OF_KEY, screen().station, _on_scan)
+        if view.signal.t_s:
+            st.echarts_chart(live_signal(view.signal, colours(), say), height=220, key="live-signal")
+        elif view.conditions:
+            st.html(line_card.conditions_html(view, say("line.gate")))
+        st.html(line_card.chips_html(view, say("line.last"), say("line.last.none")))
     if view.is_busy != bool(st.session_state.get(IS_BUSY)):
         st.session_state[IS_BUSY] = view.is_busy
         st.rerun()
@@ -55,70 +62,71 @@ def _screen() -> None:
 
 def _look() -> tuple[LineView, tuple[str, bool] | None]:
     """Return what the screen shows and the sentence about the last scan."""
-    why = refusal()
-    refused = (words()("note.refused", why=why), True) if why else None
+    # Why the last scan was not taken, where the registry cannot keep it: it is away, or there is no station.
+    why = st.session_state.get(REFUSED)
+    refused = (say("note.refused", why=why), True) if why else None
     try:
-        facts = read_line(registry(), screen(), lot_at_line)
+        facts = read_line(registry(), screen(), _lot_at_line)
     except RegistryError:
-        return away_view(kept_runs(), _signed_in(), words()), refused
-    return line_view(facts, _signed_in(), words()), refused or note_said(facts, words())
+        # Runs that lie on this machine's disk and not in the registry.
+        folder = spool_folder(None)
+        kept = sum(1 for _ in folder.glob("*.spool")) if folder.is_dir() else 0
+        return away_view(kept, _signed_in(), say), refused
+    return line_view(facts, _signed_in(), say), refused or note_said(facts, say)
+
+
+def _lot_at_line(of: Registry, lot_id: str) -> LotAtLine:
+    """Read a lot, or remember it while nothing of it changes; asked once a second."""
+    name = str(of.database.name)
+    return _remembered_lot(name, lot_id, _marker(name, lot_id))
+
+
+@st.cache_resource(ttl="1s", max_entries=16, show_spinner=False)
+def _marker(registry_name: str, lot_id: str) -> str:
+    return registry().pages.change_marker(lot_id)
+
+
+@st.cache_resource(max_entries=16, show_spinner=False)
+def _remembered_lot(registry_name: str, lot_id: str, marker: str) -> LotAtLine:
+    return read_lot(registry(), lot_id)
 
 
 def _signed_in() -> str:
-    """Return who has shown who they are at this screen; a badge is no proof and stands at the line."""
+    """Return who signed in at this screen; a badge is no proof and stands at the line."""
     return person().name if is_signed_in() else ""
 
 
 def _on_scan(text: str, seen: int | None, until_s: float | None = None) -> None:
+    why = ""
     try:
         take_scan(registry(), screen(seen, until_s), text, _signed_in())
     except RegistryError:
-        remember_refusal(words()("line.away"))
+        why = say("line.away")
     except InputError as error:
-        remember_refusal(in_words(error))
-    else:
-        remember_refusal("")
-
-
-def _field(view: LineView, note: str) -> None:
-    say = words()
-    texts = {"label": say("line.scan"), "placeholder": say("line.scan.hint"), "late": say("line.scan.late")}
-    scan_field(texts | {"spoken": note or view.spoken}, view.seen, COMMAND_OF_KEY, screen().station, _on_scan)
+        why = in_words(error)
+    st.session_state[REFUSED] = why
 
 
 def _actions(view: LineView) -> None:
-    say = words()
-    if view.state == "no_station" and may(person(), "set_up"):
+    if view.state == "no_station" and allows("set_up"):
         if st.button(say("start.station.do"), key="line-to-station", type="primary"):
             go_to("station")
     for number, command in enumerate(view.actions):
-        asks = command == "OK" and view.state in ("ask", "ask_new")
-        reads = command == "START" and view.state == "load"
-        label = say(f"line.action.{command}.{view.state}") if asks or reads else say(f"line.action.{command}")
-        draw = partial(st.button, f"{label} · {KEYS[command]}", key=f"line-{command}", on_click=in_one_piece(_on_scan))
+        label = f"{action_said(command, view.state, say)} · {KEYS[command]}"
+        draw = partial(st.button, label, key=f"line-{command}", on_click=in_one_piece(_on_scan))
         draw(args=(f"CMD:{command}", view.seen), type="primary" if number == 0 else "secondary")
-
-
-def _below(view: LineView) -> None:
-    say = words()
-    if view.signal.t_s:
-        st.echarts_chart(live_signal(view.signal, colours(), say), height=220, key="live-signal")
-    elif view.conditions:
-        st.html(line_card.conditions_html(view, say("line.gate")))
-    st.html(line_card.chips_html(view, say("line.last"), say("line.last.none")))
 
 
 def line_setup() -> None:
     """Draw the settings."""
-    say = words()
     choose_language()
     try:
         facts = read_line(registry(), screen())
-        station = _choose(say("line.setup.station"), "station", list(facts.stations), facts.station)
+        station = _choose(say("station.station"), "station", list(facts.stations), facts.station)
         if station:
             remember("station", station)
             st.rerun()
-        lot = _choose(say("line.setup.lot"), "lot", list(facts.lots), facts.lot.id if facts.lot else "")
+        lot = _choose(say("choose.lot"), "lot", list(facts.lots), facts.lot.id if facts.lot else "")
         if lot:
             take_scan(registry(), screen(), f"LOT:{lot}")
             st.rerun()

@@ -1,4 +1,4 @@
-"""What makes a station's references trustworthy: the load cells' certificates and the checks with golden units."""
+"""Why a station's references can be trusted: certificates and checks with golden units."""
 
 import tempfile
 from datetime import UTC, date, datetime
@@ -8,54 +8,50 @@ import streamlit as st
 
 from softcal.app.charts.station import golden_figure
 from softcal.app.line.cell_certificate import certificate_from
-from softcal.app.ui.account import actor, permit, person
+from softcal.app.ui.account import actor, allows, permit
+from softcal.app.ui.actions import finish, refusals_in_words, say_finished
 from softcal.app.ui.components.station_run import choose_station, place
-from softcal.app.ui.desk import colours, empty, in_words, registry, show_figure, words, zone
-from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.panels import heading, table
+from softcal.app.ui.desk import colours, empty, in_words, registry, say, zone
+from softcal.app.ui.panels import heading, rest_may_follow, show_figure, table
 from softcal.app.views.common import number
 from softcal.app.views.station import golden_units
 from softcal.core.errors import InputError
 from softcal.core.orders import OrderKind
-from softcal.db.access.people import may
 from softcal.db.entries import CellCertificate
 
 
 def render() -> None:
-    say = words()
     heading("load_cells")
-    if done := st.session_state.pop("cells-done", ""):
-        st.success(done, icon=":material/check:")
+    say_finished("cells")
     found = registry().stations.certificates()
     if found:
         table([_row(entry) for entry in reversed(found)])
     else:
-        empty(say("cells.none"), say("cells.none.how"))
-    if may(person(), "set_up"):
-        certificate_form()
+        empty("cells.none")
+    if allows("set_up"):
+        _certificate_form()
     st.header(say("golden.title"))
     if rest_may_follow():
         _golden()
 
 
 def _row(entry: CellCertificate) -> dict[str, object]:
-    say, today = words(), datetime.now(UTC).astimezone(zone()).date()
+    today = datetime.now(UTC).astimezone(zone()).date()
     left = (entry.due_on - today).days
     state = say("cells.valid", days=left) if entry.is_valid(today) else say("cells.invalid")
     return {
         say("cells.serial"): entry.cell_serial,
         say("cells.number"): entry.number,
         say("cells.laboratory"): entry.laboratory,
-        say("cells.issued"): f"{entry.issued_on:%Y-%m-%d}",
-        say("cells.due"): f"{entry.due_on:%Y-%m-%d}",
+        say("cells.issued"): f"{entry.issued_on}",
+        say("cells.due"): f"{entry.due_on}",
         say("cells.capacity"): number(entry.capacity_N, "N"),
         say("cells.uncertainty"): number(entry.uncertainty_N, "N"),
-        say("cells.state"): state,
+        say("column.state"): state,
     }
 
 
 def _golden() -> None:
-    say = words()
     for unit in golden_units(registry()):
         last = unit.runs[-1]
         word = say("golden.passed" if last.passed else "golden.failed")
@@ -66,13 +62,12 @@ def _golden() -> None:
                 st.caption(in_words(line))
     if not registry().stations.golden_runs():
         st.caption(say("golden.none"))
-    if may(person(), "set_up"):
+    if allows("set_up"):
         with st.container(border=True):
             _check()
 
 
 def _check() -> None:
-    say = words()
     station = choose_station()
     serial = str(st.text_input(say("golden.serial"), key="golden-serial")).strip()
     if st.button(say("golden.do"), disabled=not (station and serial), icon=":material/verified:") and station:
@@ -87,36 +82,26 @@ DAYS = {"issued_on": "cells.issued", "due_on": "cells.due"}
 FORCES = {"capacity_N": "cells.capacity", "uncertainty_N": "cells.uncertainty"}
 
 
-def certificate_form() -> None:
-    """Draw the form; a certificate that is stored appears in the list above it."""
-    say = words()
+def _certificate_form() -> None:
     with st.form("certificate", border=True):
         st.markdown(f"**{say('cells.add')}**")
         document = st.file_uploader(say("cells.dcc"), type=["xml"])
         st.caption(say("cells.typed"))
         given: dict[str, object] = {}
-        columns = st.columns(4)
-        for column, (name, label) in zip(columns[:3], TEXTS.items(), strict=True):
+        for column, (name, label) in zip(st.columns(4), TEXTS.items(), strict=False):
             given[name] = str(column.text_input(say(label), key=f"cell-{name}")).strip() or None
         columns = st.columns(4)
         for column, (name, label) in zip(columns[:2], DAYS.items(), strict=True):
-            given[name] = column.date_input(
-                say(label), value=None, min_value=FIRST_DAY, max_value=LAST_DAY, key=f"cell-{name}"
-            )
+            given[name] = column.date_input(say(label), None, FIRST_DAY, LAST_DAY, key=f"cell-{name}")
         for column, (name, label) in zip(columns[2:], FORCES.items(), strict=True):
-            given[name] = column.number_input(
-                f"{say(label)} [N]", value=None, min_value=0.0, format="%.4g", key=f"cell-{name}"
-            )
+            title = f"{say(label)} [N]"
+            given[name] = column.number_input(title, 0.0, value=None, format="%.4g", key=f"cell-{name}")
         if not st.form_submit_button(say("cells.store"), type="primary"):
             return
     permit("set_up")
-    try:
+    with refusals_in_words():
         number = _store(given, None if document is None else document.getvalue())
-    except InputError as error:
-        st.error(in_words(error), icon=":material/error:")
-        return
-    st.session_state["cells-done"] = say("cells.stored", number=number)
-    st.rerun()
+        finish("cells", say("cells.stored", number=number))
 
 
 def _store(given: dict[str, object], document: bytes | None) -> str:

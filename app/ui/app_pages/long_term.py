@@ -1,34 +1,32 @@
-"""Units in use: which need a calibration, and the drift, map and predicted error of one over time."""
+"""Units in use: which need a calibration, and the course of one over time."""
 
 import streamlit as st
 
 from softcal.app.charts.long_term import course_figure
 from softcal.app.texts.reasons import phrase
-from softcal.app.ui.desk import choose, colours, empty, instant, registry, show_figure, words
-from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.panels import heading, table
+from softcal.app.ui.desk import choose, colours, empty, instant, registry, say
+from softcal.app.ui.panels import heading, rest_may_follow, show_figure, table
 from softcal.app.views.common import number
-from softcal.app.views.long_term import UnitInUseView, course, units_in_use
+from softcal.app.views.long_term import course, units_in_use
+from softcal.db.truth.adaptations import AdaptedUnit
 
 
 def render() -> None:
-    say = words()
     beside = heading("long_term")
     units = units_in_use(registry())
     if not units:
-        empty(say("long_term.none"), say("long_term.none.how"))
+        empty("long_term.none")
         return
     with beside:
-        serial = choose(say("choose.unit"), [unit.serial for unit in units], "unit") or units[0].serial
-    table([_row(unit) for unit in units])
+        serial = choose(say("column.serial"), [unit.serial for unit, _ in units], "unit") or units[0][0].serial
+    table([_row(unit, reference_unit) for unit, reference_unit in units])
     streams = registry().adaptations.streams(serial)
     stream = streams[0] if len(streams) == 1 else str(st.selectbox(say("long_term.stream"), streams))
     found = course(registry(), serial, stream)
     st.header(say("long_term.course", serial=serial))
     if found.alarm:
-        st.warning(
-            phrase("adapt", found.alarm, say), icon=":material/notification_important:", title=say("long_term.due")
-        )
+        why = phrase("adapt", found.alarm, say)
+        st.warning(why, icon=":material/notification_important:", title=say("long_term.due"))
     if not found.steps:
         st.caption(say("long_term.no_steps"))
         return
@@ -36,14 +34,14 @@ def render() -> None:
         show_figure(course_figure(found, colours(), say), f"course-{serial}")
 
 
-def _row(unit: UnitInUseView) -> dict[str, object]:
-    say = words()
+def _row(unit: AdaptedUnit, reference_unit: str) -> dict[str, object]:
+    step = unit.entry
     return {
         say("column.serial"): unit.serial,
-        say("long_term.state"): say("event.alarm") if unit.alarm else say(f"event.{unit.verdict}"),
-        say("lot.predicted"): number(unit.predicted_rmse, unit.reference_unit),
-        say("chart.drift_scale"): number(unit.drift),
+        say("column.state"): say("event.alarm" if step["alarm"] else f"event.{step['verdict']}"),
+        say("lot.predicted"): number(step["predicted_rmse"], reference_unit),
+        say("chart.drift_scale"): number(step["shift"]),
         say("long_term.steps"): unit.steps,
         say("column.made"): instant(unit.made_at),
-        say("column.remark"): phrase("adapt", unit.alarm, say),
+        say("column.remark"): phrase("adapt", step["alarm"], say),
     }

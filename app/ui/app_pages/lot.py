@@ -1,168 +1,147 @@
-"""The lot at a glance: yields, errors, the process behind them, the units that need a look, the table."""
+"""The lot at a glance: yields, errors, the process, the units that need a look, the table."""
 
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 
 import streamlit as st
 
 from softcal.app.charts import lot as charts_lot
+from softcal.app.charts import unit as charts_unit
 from softcal.app.charts.audited import error_over_load, estimate_over_reference
-from softcal.app.jobs.process import start_job
-from softcal.app.ui.account import actor, permit, person
-from softcal.app.ui.callbacks import in_one_piece
-from softcal.app.ui.components.job_panel import job_panel, newest_job
-from softcal.app.ui.components.lot_parts import (
-    capability_panel,
-    chosen_lot_view,
-    control_panel,
-    looks,
-    reasons_panel,
-    yield_panel,
-)
+from softcal.app.charts.lot import yield_figure
+from softcal.app.texts.reasons import said
+from softcal.app.ui.account import allows
+from softcal.app.ui.actions import download
+from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
 from softcal.app.ui.components.unit_table import unit_table
-from softcal.app.ui.desk import colours, empty, language, registry, words, zone
-from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.panels import figure_under, headline, lot_heading, numbers
+from softcal.app.ui.desk import colours, empty, errors_in_words, in_words, language, registry, say, zone
+from softcal.app.ui.panels import (
+    figure_under,
+    figures_beside,
+    for_lot,
+    go_to,
+    headline,
+    numbers,
+    rest_may_follow,
+    show_figure,
+    table_to_choose,
+)
+from softcal.app.ui.server_memory import remembered_lot_view
 from softcal.app.views.alerts import alerts
 from softcal.app.views.audited import AuditedView, audited_view
 from softcal.app.views.common import number, percent
 from softcal.app.views.lot import LotView
-from softcal.core.orders import RunState
-from softcal.db.access.people import may
+from softcal.app.views.lot_runs import DESK, LotFilter
+from softcal.app.views.unit import unit_view
+from softcal.db.entries import UnitEntry
 
 
-def render() -> None:
-    say = words()
-    lot_id = lot_heading("lot", registry().lots.ids())
-    if lot_id is None:
-        return
+@for_lot("lot")
+def render(lot_id: str) -> None:
     first = st.container()
-    calibrate_again(lot_id)
-    view = chosen_lot_view(lot_id)
+    _calibrate_again(lot_id)
+    view = _chosen_view(lot_id)
     if not view.judged:
-        empty(say("empty.units"), say("empty.units.how"))
+        empty("empty.units")
         return
     with first:
         share = view.yields.first_pass
         headline(say("lot.headline", share=percent(share.value), good=share.count, of=share.of))
-    alerts_panel(view)
+    for alert in alerts(registry(), view, datetime.now(UTC).astimezone(zone())):
+        draw, icon = (st.error, "report") if alert.is_urgent else (st.warning, "notifications")
+        draw(say(f"alert.{alert.kind}", **alert.values), icon=f":material/{icon}:")
     _numbers(view)
     if not rest_may_follow():
         return
     _figures(view)
-    audited_panel(view)
-    looks(view)
+    if view.audited:
+        _audited(view)
+    st.header(say("lot.look"))
+    if view.looks:
+        _looks(view)
+    else:
+        st.caption(say("lot.look.none"))
+        if view.worst and st.button(say("lot.look.worst", serial=view.worst), key="open-worst", icon=ARROW):
+            go_to("unit", unit=view.worst)
     st.header(say("lot.table"))
     unit_table(view.lot, view.chosen)
-    lot_report(view)
+
+    def report() -> bytes:
+        from softcal.app.ui.lot_report_pdf import lot_report_pdf
+
+        return lot_report_pdf(registry(), view, language(), datetime.now(UTC).astimezone(zone()))
+
+    exported = ("lots", lot_id, {"file": "report.pdf"})
+    name, icon = f"{lot_id}-report.pdf", "picture_as_pdf"
+    download(say("lot.report"), name, report, "lot-report", exported=exported, icon=icon)
 
 
 def _numbers(view: LotView) -> None:
-    say, unit = words(), view.lot.reference_unit
-    first, last = view.yields.first_pass, view.yields.last_pass
+    unit = view.lot.reference_unit
     ratio = view.after_to_own
     audited = (say("lot.audited"), str(len(view.audited)), say("lot.audited.help"))
     compared = (say("lot.ratio"), number(ratio), say("lot.ratio.help", count=len(view.audited)))
+    shares = []
+    for name, share in (("first_pass", view.yields.first_pass), ("yield", view.yields.last_pass)):
+        low, high = map(percent, share.interval)
+        shares.append((say(f"lot.{name}"), percent(share.value), say(f"lot.{name}.help", low=low, high=high)))
+    # A sentence would be cut off in a tile.
+    limit = say("lot.limit.short" if view.limit is not None and not view.limit.is_stated else "lot.limit")
     numbers(
         (
             (say("lot.units"), f"{view.judged} / {view.total}", say("lot.units.help")),
-            (say("lot.first_pass"), percent(first.value), _interval("lot.first_pass.help", first.interval)),
-            (say("lot.yield"), percent(last.value), _interval("lot.yield.help", last.interval)),
+            *shares,
             (say("lot.predicted"), number(view.median_predicted, unit), say("lot.predicted.help")),
-            (*_limit(view), say("lot.limit.help")),
+            (limit, number(view.limit_rmse, unit), say("lot.limit.help")),
             audited if ratio is None else compared,
         )
     )
     st.progress(view.judged / view.total, text=say("lot.progress", done=view.judged, total=view.total))
 
 
-def _limit(view: LotView) -> tuple[str, str]:
-    """Return the label and the number of the limit; a sentence would be cut off in a tile."""
-    say, limit = words(), view.limit
-    is_derived = limit is not None and not limit.is_stated
-    return say("lot.limit.short" if is_derived else "lot.limit"), number(view.limit_rmse, view.lot.reference_unit)
-
-
-def _interval(key: str, interval: tuple[float, float]) -> str:
-    low, high = interval
-    return words()(key, low=percent(low), high=percent(high))
-
-
 def _figures(view: LotView) -> None:
-    """Draw errors and scores side by side, the control chart below, then why units failed beside the capability."""
+    """Draw errors beside scores, the control chart, and why units failed beside the capability."""
     left, right = st.columns(2)
     with left:
-        figure_under("lot.distribution", charts_lot.predicted_errors(view, colours(), words()), "predicted")
+        figure_under("lot.distribution", charts_lot.predicted_errors(view, colours(), say), "predicted")
     with right:
         if view.audited:
-            figure_under("lot.scores", charts_lot.audit_scores(view, colours(), words()), "scores")
+            figure_under("lot.scores", charts_lot.audit_scores(view, colours(), say), "scores")
         else:
-            reasons_panel(view)
-    yield_panel(view)
-    control_panel(view.process, view.lot)
+            _reasons(view)
+    places = [("days", view.days), ("stations", view.stations)]
+    if len(view.operators) > 1:
+        places.append(("operators", view.operators))
+    yields = ((name, yield_figure(found, say(f"lot.yield.{name}.axis"), colours(), say)) for name, found in places)
+    figures_beside(*((f"lot.yield.{name}", figure, f"yield-{name}") for name, figure in yields))
+    if view.process.chart is None:
+        st.header(say("lot.process"))
+        st.caption(in_words(view.process.refusal or ""))
+    else:
+        figure = charts_lot.control_chart_figure(view.process, view.lot.reference_unit, colours(), say)
+        figure_under("lot.process", figure, "control-chart")
     left, right = st.columns(2)
     with left:
-        capability_panel(view)
+        _capability(view)
     with right:
         if view.audited:
-            reasons_panel(view)
+            _reasons(view)
 
 
-def alerts_panel(view: LotView) -> None:
-    """Draw what should be looked at now, the urgent first."""
-    say = words()
-    for alert in alerts(registry(), view, datetime.now(UTC).astimezone(zone())):
-        draw, icon = (st.error, "report") if alert.is_urgent else (st.warning, "notifications")
-        draw(say(f"alert.{alert.kind}", **alert.values), icon=f":material/{icon}:")
-
-
-def lot_report(view: LotView) -> None:
-    """Offer the report; its bytes are made when somebody takes them."""
-    st.download_button(
-        words()("lot.report"),
-        data=lambda: _report_pdf(view),
-        file_name=f"{view.lot.id}-report.pdf",
-        mime="application/pdf",
-        icon=":material/picture_as_pdf:",
-        key="lot-report",
-        on_click=_tell_of_report,
-        args=(view.lot.id,),
-    )
-
-
-def _report_pdf(view: LotView) -> bytes:
-    from softcal.app.ui.lot_report_pdf import lot_report_pdf
-
-    return lot_report_pdf(registry(), view, language(), datetime.now(UTC).astimezone(zone()))
-
-
-@in_one_piece
-def _tell_of_report(lot_id: str) -> None:
-    registry().trail.add("export", "lots", (lot_id,), {"file": "report.pdf"}, actor=actor())
-
-
-LOTS = 8
-
-
-def audited_panel(view: LotView) -> None:
+def _audited(view: LotView) -> None:
     """Draw the audited units of a lot; nothing where none was audited."""
-    found = _remembered_audits(view) if view.audited else None
+    marker = registry().pages.change_marker(view.lot.id)
+    found = _audited_view(str(registry().database.name), marker, view.lot.id, view.chosen, view)
     if found is None:
         return
-    say = words()
-    left, right = st.columns(2)
-    with left:
-        figure_under("lot.audited.estimate", estimate_over_reference(found, colours(), say), "audited-estimate")
-    with right:
-        figure_under("lot.audited.load", error_over_load(found, colours(), say), "audited-load")
+    figures_beside(
+        ("lot.audited.estimate", estimate_over_reference(found, colours(), say), "audited-estimate"),
+        ("lot.audited.load", error_over_load(found, colours(), say), "audited-load"),
+    )
     st.caption(say("lot.audited.count", shown=len(found.units), of=found.of))
 
 
-def _remembered_audits(view: LotView) -> AuditedView | None:
-    marker = registry().pages.change_marker(view.lot.id)
-    return _audited_view(str(registry().database.name), marker, view.lot.id, view.chosen, view)
-
-
-@st.cache_resource(max_entries=LOTS, show_spinner=False)
+@st.cache_resource(max_entries=8, show_spinner=False)
 def _audited_view(
     registry_name: str, marker: str, lot_id: str, chosen: tuple[str, ...] | None, _lot: LotView
 ) -> AuditedView | None:
@@ -172,19 +151,118 @@ def _audited_view(
 SEEN = "calibrate-seen"
 
 
-def calibrate_again(lot_id: str) -> None:
-    """Draw the button for whom the role allows it, and how far a calibration of the lot is for everybody."""
-    say = words()
+def _calibrate_again(lot_id: str) -> None:
+    """Draw the button where the role allows it, and for everybody how far a calibration is."""
     job = newest_job("calibrate", lot=lot_id)
-    is_busy = job is not None and job.state.is_active
     has_source = bool(registry().recordings.of_lot(lot_id, kind="source"))
-    if may(person(), "set_up") and has_source and not is_busy:
+    if allows("set_up") and has_source and not is_running(job):
         if st.button(say("lot.again"), icon=":material/replay:", help=say("lot.again.help"), key="calibrate-again"):
-            permit("set_up")
-            st.session_state[SEEN] = start_job(registry(), "calibrate", {"lot": lot_id}, actor())
+            st.session_state[SEEN] = begin_job("calibrate", lot=lot_id)
             st.rerun()
-    if job is None or (not is_busy and st.session_state.get(SEEN) != job.job_id):
+    if job is None or (not is_running(job) and st.session_state.get(SEEN) != job.job_id):
         return
     st.session_state[SEEN] = job.job_id
-    if job_panel(job) and job.state is RunState.DONE:
+    if job_panel(job):
         st.success(say("lot.again.done", new=job.result["new"], known=job.result["known"]), icon=":material/check:")
+
+
+def _capability(view: LotView) -> None:
+    """Draw capability against the limit, or why it is refused, and the rules that points break."""
+    process = view.process
+    found = process.capability
+    if process.chart is None:
+        return
+    st.header(say("lot.capability"))
+    if view.limit is None or not view.limit.is_stated:
+        st.caption(say("lot.capability.no_limit"))
+    elif found is None:
+        st.warning(in_words(process.refusal or ""), icon=":material/block:", title=say("lot.capability.refused"))
+    else:
+        interval = say("lot.cpk.help", low=number(found.cpk_lower), high=number(found.cpk_upper))
+        numbers((("Cpk", number(found.cpk), interval), ("Ppk", number(found.ppk), say("lot.ppk.help"))))
+        st.caption(say("lot.cp.none"))
+    st.markdown(f"**{say('lot.rules')}**")
+    if not process.broken:
+        st.caption(say("lot.rules.none"))
+    for broken in process.broken:
+        mark = ":material/warning:" if broken.forbids else ":material/info:"
+        rule = say(f"rule.{broken.rule}")
+        st.markdown(f"{mark} {say('lot.rules.line', rule=rule, count=broken.count, last=broken.last)}")
+
+
+def _reasons(view: LotView) -> None:
+    if view.reasons:
+        figure_under("lot.reasons", charts_lot.reasons_pareto(view, colours(), say), "reasons")
+
+
+ARROW = ":material/arrow_forward:"
+
+
+def _looks(view: LotView) -> None:
+    """Draw the worst units and the plot of the one that is chosen, the worst at first."""
+    if view.needing_a_look > len(view.looks):
+        st.caption(say("lot.look.count", shown=len(view.looks), count=view.needing_a_look))
+    rows = [
+        {
+            say("column.serial"): unit.serial,
+            say("column.verdict"): say(f"verdict.{unit.verdict}"),
+            say("column.reasons"): in_words(unit.reasons[:1]),
+            say("column.predicted"): number(unit.predicted_rmse, view.lot.reference_unit),
+        }
+        for unit in view.looks
+    ]
+    _chosen_look(view, rows)
+
+
+@st.fragment
+@errors_in_words()
+def _chosen_look(view: LotView, rows: Sequence[Mapping[str, object]]) -> None:
+    left, right = st.columns([3, 2])
+    with left:
+        chosen = table_to_choose(rows, f"looks-{view.lot.id}")
+    with right:
+        _plot(view.looks[chosen or 0])
+
+
+def _plot(unit: UnitEntry) -> None:
+    # What does not fit beside the name goes below it; a label is never cut.
+    with st.container(horizontal=True, horizontal_alignment="distribute", vertical_alignment="center"):
+        st.markdown(f"**{unit.serial}** · {say(f'verdict.{unit.verdict}')}", width="content")
+        is_chosen = st.button(say("lot.look.open"), key="open-look", icon=ARROW)
+    if is_chosen:
+        go_to("unit", unit=unit.serial)
+    if unit.reasons:
+        # The table has room for its beginning alone.
+        st.caption(said(unit.reasons[0], say))
+    if unit.revision is None:
+        st.caption(say("empty.calibration"))
+        return
+    view = unit_view(registry(), unit.serial)
+    show_figure(charts_unit.output_distributions(view, colours(), say), f"look-{unit.serial}")
+
+
+def _chosen_view(lot_id: str) -> LotView:
+    """Draw the choice of days, stations and operators; return what it leaves of a lot."""
+    every = remembered_lot_view(lot_id, LotFilter(zone=zone()))
+    if not every.judged:
+        return every
+    with st.popover(say("lot.filter"), icon=":material/filter_alt:"):
+        first, second = st.columns(2)
+        since = first.date_input(say("trail.since"), value=None, key=f"lot-since-{lot_id}")
+        until = second.date_input(say("trail.until"), value=None, key=f"lot-until-{lot_id}")
+        stations, operators = (
+            st.multiselect(
+                say(f"lot.filter.{kind}"),
+                known,
+                format_func=lambda name: say("lot.yield.desk") if name == DESK else name,
+                key=f"lot-{kind}-{lot_id}",
+                placeholder=say("choose.all"),
+            )
+            for kind, known in (("station", every.every_station), ("operator", every.every_operator))
+        )
+    wanted = LotFilter(since, until, tuple(stations), tuple(operators), zone())
+    if wanted.is_open:
+        return every
+    view = remembered_lot_view(lot_id, wanted)
+    st.caption(f":material/filter_alt: {say('lot.filter.on', left=len(view.chosen or ()), of=every.judged)}")
+    return view if view.judged else every

@@ -1,40 +1,36 @@
-"""The shared networks of a lot: train one with the loss live, and compare networks and map families on its units."""
+"""The shared networks of a lot: train one, release one, compare them and the map families."""
 
 from collections.abc import Sequence
 
 import streamlit as st
 
 from softcal.app.charts import compare as charts_compare
-from softcal.app.jobs.process import start_job
-from softcal.app.ui.account import actor, permit, person
-from softcal.app.ui.components.job_panel import job_panel, newest_job
-from softcal.app.ui.desk import ask_reason, colours, empty, in_words, instant, registry, show_figure, words
-from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.panels import headline, lot_heading, table, told
+from softcal.app.ui.account import actor, allows, permit
+from softcal.app.ui.actions import ask_reason, finish, refusals_in_words, role_allows, say_finished
+from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
+from softcal.app.ui.desk import colours, empty, instant, registry, say
+from softcal.app.ui.panels import for_lot, headline, rest_may_follow, show_figure, table, told
 from softcal.app.views.common import number
 from softcal.app.views.network import NetworkRow, hidden_widths, loss_spec, network_rows
-from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.maps.catalogue import FAMILIES
 from softcal.core.maps.config import DEFAULT
 from softcal.core.network.config import NetworkConfig
-from softcal.db.access.people import may
 from softcal.db.queues.job_board import Job
 from softcal.db.truth.networks import RELEASED
 
 
-def render() -> None:
-    say = words()
-    lots = {lot.id: lot for lot in registry().lots.all()}
-    lot_id = lot_heading("networks", list(lots))
-    if lot_id is None:
-        return
-    lot = lots[lot_id]
+@for_lot("networks")
+def render(lot_id: str) -> None:
+    lot = registry().lots.get(lot_id)
     rows = network_rows(registry(), lot.id)
     if rows:
-        headline(_said(rows, lot.reference_unit))
+        # Which network is in use and how well it was trained, in one sentence.
+        used = next((row for row in rows if row.is_in_use), None)
+        facts = {"network": used.id[:12], "error": number(used.validation_rmse, lot.reference_unit)} if used else {}
+        headline(say("networks.headline" if used else "networks.none_in_use", count=len(rows), **facts))
     else:
-        empty(say("networks.none"), say("networks.none.how"))
+        empty("networks.none")
     if not rest_may_follow():
         return
     if rows:
@@ -45,20 +41,10 @@ def render() -> None:
         comparison(lot, rows)
 
 
-def _said(rows: list[NetworkRow], unit: str) -> str:
-    """Return which network is in use and how well it was trained, in one sentence."""
-    used = next((row for row in rows if row.is_in_use), None)
-    if used is None:
-        return words()("networks.none_in_use", count=len(rows))
-    error = number(used.validation_rmse, unit)
-    return words()("networks.headline", network=used.id[:12], error=error, count=len(rows))
-
-
 def _row(row: NetworkRow, unit: str) -> dict[str, object]:
-    say = words()
     return {
         say("column.network"): row.id[:12],
-        say("networks.state"): say("networks.in_use") if row.is_in_use else say(f"networks.state.{row.state}"),
+        say("column.state"): say("networks.in_use") if row.is_in_use else say(f"networks.state.{row.state}"),
         say("networks.decided"): row.decided,
         say("column.made"): instant(row.added_at),
         say("networks.hidden"): row.layers,
@@ -71,41 +57,31 @@ def _row(row: NetworkRow, unit: str) -> dict[str, object]:
     }
 
 
-DONE = "network-decided"
-
-
 def release(lot: Lot, rows: Sequence[NetworkRow]) -> None:
     """Draw which network the line uses, and the two decisions on the others."""
-    say = words()
     st.header(say("networks.release"))
     used = next((row for row in rows if row.is_in_use), None)
     st.caption(say("networks.release.how", network=used.id[:12]) if used else say("networks.release.none"))
-    if done := st.session_state.pop(DONE, ""):
-        st.success(done, icon=":material/check:")
-    names = {
-        row.id: f"{row.id[:12]} · {row.layers} · {number(row.validation_rmse, lot.reference_unit)}" for row in rows
-    }
+    say_finished("network")
+    unit = lot.reference_unit
+    names = {row.id: f"{row.id[:12]} · {row.layers} · {number(row.validation_rmse, unit)}" for row in rows}
     chosen = st.selectbox(say("column.network"), list(names), format_func=names.__getitem__, key=f"release-{lot.id}")
     row = next(row for row in rows if row.id == chosen)
-    try:
+    with refusals_in_words():
         if not row.is_in_use:
             _decide(row, "release")
         if row.state == RELEASED:
             _decide(row, "withdraw")
-    except InputError as error:
-        st.error(in_words(error), icon=":material/error:")
 
 
 def _decide(row: NetworkRow, what: str) -> None:
-    say = words()
     with st.container(border=True):
         reason = ask_reason(f"{what}-{row.id[:12]}-{row.state}", say(f"networks.{what}.do"), "release")
     if reason is None:
         return
     decide = registry().networks.release if what == "release" else registry().networks.withdraw
     decide(row.id, reason=reason, actor=actor())
-    st.session_state[DONE] = say(f"networks.{what}.done", network=row.id[:12])
-    st.rerun()
+    finish("network", say(f"networks.{what}.done", network=row.id[:12]))
 
 
 USUAL = NetworkConfig()
@@ -114,12 +90,11 @@ MOST_UNITS = 200
 
 def training(lot: Lot) -> None:
     """Draw the form beside the newest training of the lot."""
-    say = words()
     st.header(say("networks.train"))
     left, right = st.columns([2, 3])
     job = newest_job("train", lot=lot.id)
     with left:
-        _train_form(lot, is_busy=job is not None and job.state.is_active)
+        _train_form(lot, is_running(job))
     with right:
         if job is None:
             st.caption(say("networks.train.how"))
@@ -130,9 +105,7 @@ def training(lot: Lot) -> None:
 
 
 def _train_form(lot: Lot, is_busy: bool) -> None:
-    say = words()
-    if not may(person(), "set_up"):
-        st.caption(say("reason.not_allowed", role=say(f"role.{person().role}")))
+    if not role_allows("set_up"):
         return
     with st.form("train", border=True):
         hidden = st.text_input(say("networks.hidden"), "-".join(map(str, USUAL.hidden)), key="train-hidden")
@@ -143,53 +116,44 @@ def _train_form(lot: Lot, is_busy: bool) -> None:
         if not st.form_submit_button(say("networks.train.do"), type="primary", disabled=is_busy):
             return
     permit("set_up")
-    try:
+    with refusals_in_words():
         widths = hidden_widths(str(hidden))
-    except InputError as error:
-        st.error(in_words(error), icon=":material/error:")
-        return
-    request = {"lot": lot.id, "hidden": widths, "seed": seed, "members": members, "max_epochs": epochs}
-    start_job(registry(), "train", request, actor())
-    st.rerun()
+        begin_job("train", lot=lot.id, hidden=widths, seed=seed, members=members, max_epochs=epochs)
+        st.rerun()
 
 
 def _loss(job: Job, lot: Lot) -> None:
     trace = job.trace or job.result.get("trace", {})
     if trace.get("epoch"):
-        names = {name: words()(f"networks.{name}") for name in ("epoch", "train", "validation")}
-        spec = loss_spec(trace, lot.reference_unit, names | {"train": words()("networks.training_error")})
+        names = {name: say(f"networks.{name}") for name in ("epoch", "train", "validation")}
+        spec = loss_spec(trace, lot.reference_unit, names | {"train": say("networks.training_error")})
         st.echarts_chart(spec, height=300, key=f"loss-{job.job_id}")
 
 
 def comparison(lot: Lot, rows: Sequence[NetworkRow]) -> None:
     """Draw the choice of what to compare and the newest comparison."""
-    say = words()
     st.header(say("networks.compare"))
     st.caption(say("networks.compare.how"))
     job = newest_job("compare", lot=lot.id)
-    if may(person(), "set_up"):
-        _compare_form(lot, rows, is_busy=job is not None and job.state.is_active)
+    if allows("set_up"):
+        _compare_form(lot, rows, is_running(job))
     if job is not None and job_panel(job):
         _compared(job, lot)
 
 
 def _compare_form(lot: Lot, rows: Sequence[NetworkRow], is_busy: bool) -> None:
-    say = words()
     names = {row.id: f"{row.id[:12]} · {row.layers}" for row in rows}
     with st.form("compare", border=True):
         left, middle, right = st.columns([3, 3, 1], vertical_alignment="bottom")
         networks = left.multiselect(
-            say("networks.networks"),
+            say("page.networks"),
             list(names),
             default=list(names)[:2],
             format_func=names.__getitem__,
             placeholder=say("choose.some"),
         )
         families = middle.multiselect(
-            say("column.family"),
-            [DEFAULT, *FAMILIES],
-            default=[DEFAULT, "affine"],
-            placeholder=say("choose.some"),
+            say("column.family"), [DEFAULT, *FAMILIES], default=[DEFAULT, "affine"], placeholder=say("choose.some")
         )
         units = right.number_input(say("lot.units"), 1, MOST_UNITS, 12)
         is_asked = st.form_submit_button(say("networks.compare.do"), disabled=is_busy)
@@ -198,14 +162,12 @@ def _compare_form(lot: Lot, rows: Sequence[NetworkRow], is_busy: bool) -> None:
     if not networks or not families:
         st.warning(say("networks.compare.choose"), icon=":material/edit:")
         return
-    permit("set_up")
-    request = {"lot": lot.id, "networks": networks, "families": families, "units": units}
-    start_job(registry(), "compare", request, actor())
+    begin_job("compare", lot=lot.id, networks=networks, families=families, units=units)
     st.rerun()
 
 
 def _compared(job: Job, lot: Lot) -> None:
-    say, unit = words(), lot.reference_unit
+    unit = lot.reference_unit
     found = job.result["rows"]
     show_figure(charts_compare.comparison(found, unit, colours(), say), f"compared-{job.job_id}")
     table(

@@ -1,9 +1,10 @@
-"""A new lot out of files: drop them, map the columns, name the source, see what would be refused, calibrate."""
+"""A new lot out of files: drop them, map columns, name the source, see refusals, calibrate."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import streamlit as st
@@ -11,13 +12,12 @@ import streamlit as st
 from softcal.app.batch.front_door import Expected, expect, store_lot
 from softcal.app.charts.new_lot import columns_over_time, reference_over_output
 from softcal.app.files.importing import Columns, ImportPlan, median_rate_Hz
-from softcal.app.jobs.process import start_job
 from softcal.app.texts.reasons import all_said
 from softcal.app.ui.account import actor, permit
-from softcal.app.ui.components.job_panel import job_panel, newest_job
+from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
 from softcal.app.ui.components.lot_upload import choose_columns, dropped_files, first_readable, forget_files
-from softcal.app.ui.desk import colours, in_words, registry, show_figure, words
-from softcal.app.ui.panels import go_to, heading, table
+from softcal.app.ui.desk import colours, in_words, registry, say
+from softcal.app.ui.panels import go_to, heading, show_figure, step, table
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 
@@ -25,64 +25,42 @@ ROWS = 5
 ASKED = "new-lot-asked"
 
 
-@dataclass(frozen=True)
-class _Facts:
-    """What the form of the lot says."""
-
-    name: str
-    source: str
-    model: str
-    quantity: str
-    reference_unit: str
-    output_unit: str
-    limit: float | None
-    audit: bool
-
-
 def render() -> None:
-    say = words()
     heading("new_lot")
     if asked := st.session_state.get(ASKED):
         _calibrating(asked)
         return
-    with _step(1):
+    with step("new_lot", 1):
         st.caption(say("new_lot.files.how"))
         files = dropped_files()
         found = first_readable(files) if files else None
     if found is None:
         return
-    with _step(2):
+    with step("new_lot", 2):
         columns, rate_Hz = _columns(*found)
-    with _step(3):
-        facts = _facts(files, found[1], columns)
-    if not rate_Hz or not facts.name:
+    with step("new_lot", 3):
+        facts, has_audits = _facts(files, found[1], columns)
+    if not rate_Hz or not facts["id"]:
         st.info(say("new_lot.missing"), icon=":material/edit:")
         return
     try:
-        plan = _plan(files, columns, rate_Hz, facts)
+        plan = ImportPlan(files, columns, Lot(sample_rate_Hz=rate_Hz, **facts), has_audits)
     except InputError as error:
         st.error(in_words(error), icon=":material/error:")
         return
-    with _step(4):
+    with step("new_lot", 4):
         usable = _expected(plan)
     if usable is not None and st.button(say("new_lot.do"), type="primary", icon=":material/play_arrow:"):
         permit("set_up")
         store_lot(registry(), usable, actor())
-        start_job(registry(), "calibrate", {"lot": usable.lot.id}, actor())
+        begin_job("calibrate", lot=usable.lot.id)
         forget_files()
         st.session_state[ASKED] = usable.lot.id
         st.rerun()
 
 
-def _step(number: int) -> st.delta_generator.DeltaGenerator:
-    box = st.container(border=True)
-    box.markdown(f"## {number} · {words()(f'new_lot.step.{number}')}")
-    return box
-
-
 def _columns(path: Path, content: pd.DataFrame) -> tuple[Columns, float]:
-    """Draw preview, choice and plots; return the columns and the sample rate in Hz, 0 while nobody knows it."""
-    say = words()
+    """Draw preview, choice and plots; return columns and sample rate in Hz, 0 while unknown."""
     st.caption(say("new_lot.preview", file=path.name, rows=len(content), columns=len(content.columns)))
     st.dataframe(content.head(ROWS), width="stretch", hide_index=True)
     shapes = {"files": say("new_lot.shape.files"), "wide": say("new_lot.shape.wide")}
@@ -91,15 +69,14 @@ def _columns(path: Path, content: pd.DataFrame) -> tuple[Columns, float]:
     rate_Hz = _rate_Hz(path, columns.time)
     left, right = st.columns(2)
     with left:
-        show_figure(columns_over_time(content, columns, colours(), words()), "new-lot-figure")
+        show_figure(columns_over_time(content, columns, colours(), say), "new-lot-figure")
     with right:
-        if columns.reference is not None and (figure := reference_over_output(content, columns, colours(), words())):
+        if columns.reference is not None and (figure := reference_over_output(content, columns, colours(), say)):
             show_figure(figure, "new-lot-figure-reference")
     return columns, rate_Hz
 
 
 def _rate_Hz(path: Path, time_column: str | None) -> float:
-    say = words()
     if time_column is None:
         return float(st.number_input(f"{say('column.rate')} [Hz]", 0.1, 100_000.0, 50.0, key="new-lot-rate"))
     try:
@@ -112,8 +89,8 @@ def _rate_Hz(path: Path, time_column: str | None) -> float:
     return rate_Hz
 
 
-def _facts(files: Sequence[Path], content: pd.DataFrame, columns: Columns) -> _Facts:
-    say = words()
+def _facts(files: Sequence[Path], content: pd.DataFrame, columns: Columns) -> tuple[dict[str, Any], bool]:
+    """Draw the form; return the lot's facts by name, and whether references are audits."""
     if columns.is_wide:
         others = {columns.reference, columns.time, columns.stage}
         names = (str(name) for name in content.columns if name not in others)
@@ -121,27 +98,25 @@ def _facts(files: Sequence[Path], content: pd.DataFrame, columns: Columns) -> _F
     else:
         serials = [file.stem for file in files]
     first, second, third, fourth = st.columns(4)
-    name = str(first.text_input(say("source.lot_id"), placeholder="2026-48", key="new-lot-name")).strip()
+    facts: dict[str, Any] = {
+        "id": first.text_input(say("choose.lot"), placeholder="2026-48", key="new-lot-name"),
+        "sensor_model": third.text_input(say("source.model"), placeholder="eGaIn pad, 3 mm", key="new-lot-model"),
+    }
     source = str(second.selectbox(say("new_lot.source"), serials, key="new-lot-source") or "")
-    model = str(third.text_input(say("source.model"), placeholder="eGaIn pad, 3 mm", key="new-lot-model")).strip()
     limit = fourth.number_input(say("lot.limit"), 0.0, value=None, format="%.4g", help=say("lot.limit.help"))
     first, second, third, fourth = st.columns(4, vertical_alignment="bottom")
-    quantity = str(first.text_input(say("source.quantity"), "force", key="new-lot-quantity")).strip()
-    reference = str(second.text_input(say("source.reference_unit"), "N", key="new-lot-unit")).strip()
-    output = str(third.text_input(say("source.output_unit"), "V", key="new-lot-output-unit")).strip()
+    facts |= {
+        "reference_quantity": first.text_input(say("source.quantity"), "force", key="new-lot-quantity"),
+        "reference_unit": second.text_input(say("source.reference_unit"), "N", key="new-lot-unit"),
+        "output_unit": third.text_input(say("source.output_unit"), "V", key="new-lot-output-unit"),
+    }
     audit = fourth.toggle(say("new_lot.audit"), True, help=say("new_lot.audit.help"), key="new-lot-audit")
-    return _Facts(name, source, model, quantity, reference, output, limit or None, audit)
-
-
-def _plan(files: Sequence[Path], columns: Columns, rate_Hz: float, facts: _Facts) -> ImportPlan:
-    units = (facts.quantity, facts.reference_unit, facts.output_unit)
-    lot = Lot(facts.name, facts.source, rate_Hz, facts.model, *units, facts.limit)
-    return ImportPlan(files, columns, lot, facts.audit)
+    facts = {name: str(fact).strip() for name, fact in facts.items()}
+    return facts | {"source": source, "limit_rmse": limit or None}, audit
 
 
 def _expected(plan: ImportPlan) -> ImportPlan | None:
-    """Draw what would become of every unit; return the plan without what is refused, None where no lot is left."""
-    say = words()
+    """Draw what would become of every unit; return the plan without what is refused."""
     expected = expect(plan)
     refused = [one for one in expected if one.problem]
     doubtful = [one for one in expected if one.findings]
@@ -162,7 +137,6 @@ def _expected(plan: ImportPlan) -> ImportPlan | None:
 
 
 def _row(one: Expected, source: str) -> dict[str, object]:
-    say = words()
     will = "refused" if one.problem else "source" if one.serial == source else "doubtful" if one.findings else "good"
     return {
         say("new_lot.column.file"): one.file,
@@ -176,12 +150,9 @@ def _row(one: Expected, source: str) -> dict[str, object]:
 
 def _calibrating(lot_id: str) -> None:
     """Draw how far the calibration is, and lead to the lot once it is done."""
-    say = words()
     st.markdown(say("new_lot.calibrating", lot=lot_id))
     job = newest_job("calibrate", lot=lot_id)
-    if job is None or job_panel(job):
-        del st.session_state[ASKED]
-        go_to("lot", lot=lot_id)
-    elif not job.state.is_active and st.button(say("new_lot.to_lot"), icon=":material/arrow_forward:"):
+    is_over = job is None or job_panel(job)
+    if is_over or (not is_running(job) and st.button(say("new_lot.to_lot"), icon=":material/arrow_forward:")):
         del st.session_state[ASKED]
         go_to("lot", lot=lot_id)

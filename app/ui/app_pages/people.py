@@ -3,11 +3,10 @@
 import streamlit as st
 
 from softcal.app.ui.account import actor, person
-from softcal.app.ui.desk import ask_reason, in_words, registry, words
-from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.panels import heading, table
+from softcal.app.ui.actions import ask_reason, finish, refusals_in_words, say_finished
+from softcal.app.ui.desk import named, registry, say
+from softcal.app.ui.panels import heading, rest_may_follow, table
 from softcal.app.ui.pins import check_pin
-from softcal.core.errors import InputError
 from softcal.db.access.people import ROLES
 from softcal.db.entries import User
 
@@ -15,11 +14,9 @@ NEW = User("", "operator", True, 0)
 
 
 def render() -> None:
-    say = words()
     people = registry().people.all()
     heading("people")
-    if done := st.session_state.pop("people-done", ""):
-        st.success(done, icon=":material/check:")
+    say_finished("people")
     if st.session_state.pop("people-parted", False):
         st.info(say("people.parted", role=say(f"role.{person().role}")), icon=":material/group_add:")
     left, right = st.columns([3, 2])
@@ -35,22 +32,18 @@ def render() -> None:
 
 
 def _row(user: User) -> dict[str, str]:
-    say = words()
     state = say("people.active") if user.is_active else say("people.inactive")
-    return {say("sign_in.name"): user.name, say("people.role"): say(f"role.{user.role}"), say("people.state"): state}
+    return {say("sign_in.name"): user.name, say("people.role"): say(f"role.{user.role}"), say("column.state"): state}
 
 
 def _change(people: list[User]) -> None:
-    say = words()
     known = {user.name: user for user in people}
     chosen = st.selectbox(say("people.who"), ["", *known], format_func=lambda name: name or say("people.new"))
     user = known.get(chosen, NEW)
     # Keys carry the version, so that the fields show what is stored after each change.
     mark = f"{user.name}-{user.version}"
     name = user.name or str(st.text_input(say("sign_in.name"), key=f"people-name-{mark}")).strip()
-    role = st.selectbox(
-        say("people.role"), ROLES, ROLES.index(user.role), lambda role: say(f"role.{role}"), key=f"people-role-{mark}"
-    )
+    role = st.selectbox(say("people.role"), ROLES, ROLES.index(user.role), named("role"), key=f"people-role-{mark}")
     is_active = st.checkbox(say("people.may_sign_in"), user.is_active, key=f"people-active-{mark}")
     pin = again = ""
 
@@ -65,15 +58,11 @@ def _change(people: list[User]) -> None:
     if reason is None:
         return
     was_alone = person().is_alone
-    try:
+    with refusals_in_words():
         if pin:
             check_pin(pin, again)
         registry().people.set(
             name, role, pin or None, actor=actor(), reason=reason, is_active=is_active, version=user.version
         )
-    except InputError as error:
-        st.error(in_words(error), icon=":material/error:")
-        return
-    st.session_state["people-done"] = say("people.saved", name=name)
-    st.session_state["people-parted"] = was_alone and not person().is_alone
-    st.rerun()
+        st.session_state["people-parted"] = was_alone and not person().is_alone
+        finish("people", say("people.saved", name=name))

@@ -1,4 +1,4 @@
-"""The profiles a station presses with: their course, their time, and whether they keep the bounds of the station."""
+"""The profiles a station presses with, and whether they keep its bounds."""
 
 import tempfile
 from pathlib import Path
@@ -8,27 +8,34 @@ import streamlit as st
 
 from softcal.app.charts.station import profile_figure
 from softcal.app.files.profile_file import profile_toml, read_profile
-from softcal.app.ui.desk import colours, show_figure, words
-from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.panels import heading, numbers
-from softcal.app.views.profile import bounds
+from softcal.app.ui.desk import colours, named, say
+from softcal.app.ui.panels import heading, numbers, rest_may_follow, show_figure
+from softcal.app.views.station import bounds
 from softcal.core.profiles import BUILT_IN, Profile
 from softcal.station.devices.config import FixtureConfig, SafetyConfig
 
 FILE = "file"
 
 REACHED = {"depth": "reached", "speed": "speed"}
-"""How what a profile asks for is called: its depth counts from where it begins, what it reaches from the stage."""
+"""How a profile's reach is called: its depth counts from its beginning, the bound from the stage."""
 
 
 def render() -> None:
-    say = words()
     with heading("profiles"):
-        name = st.selectbox(say("profiles.profile"), [*BUILT_IN, FILE], format_func=lambda key: say(f"profile.{key}"))
+        name = st.selectbox(say("profiles.profile"), [*BUILT_IN, FILE], format_func=named("profile"))
     left, right = st.columns([1, 3])
     with left:
-        profile = _from_file() if name == FILE else _built_in(name)
-        safety = _station()
+        if name == FILE:
+            profile = _from_file()
+        else:
+            depth_mm = st.number_input(f"{say('profiles.depth')} [mm]", 0.1, 50.0, 3.5, 0.1)
+            seed = int(st.number_input(say("networks.seed"), 0, 10**6, 0))
+            profile = BUILT_IN[name](np.random.default_rng(seed), depth_mm)
+        # The bounds of a station live in its file, at its machine.
+        st.caption(say("profiles.bounds_typed"))
+        deepest_mm = st.number_input(f"{say('profiles.deepest')} [mm]", 0.1, 500.0, SafetyConfig().deepest_mm)
+        speed_mm_s = st.number_input(f"{say('profiles.fastest')} [mm/s]", 0.01, 500.0, SafetyConfig().speed_mm_s)
+        safety = SafetyConfig(deepest_mm=deepest_mm, speed_mm_s=speed_mm_s)
     if profile is None:
         return
     with right:
@@ -42,14 +49,8 @@ def render() -> None:
         st.download_button(say("profiles.save"), profile_toml(profile), file_name, on_click="ignore")
 
 
-def _built_in(name: str) -> Profile:
-    depth_mm = st.number_input(f"{words()('profiles.depth')} [mm]", 0.1, 50.0, 3.5, 0.1)
-    seed = int(st.number_input(words()("networks.seed"), 0, 10**6, 0))
-    return BUILT_IN[name](np.random.default_rng(seed), depth_mm)
-
-
 def _from_file() -> Profile | None:
-    file = st.file_uploader(words()("profiles.file"), type=["toml"])
+    file = st.file_uploader(say("profiles.file"), type=["toml"])
     if file is None:
         return None
     with tempfile.TemporaryDirectory(prefix="softcal-profile-") as folder:
@@ -58,17 +59,7 @@ def _from_file() -> Profile | None:
         return read_profile(path)
 
 
-def _station() -> SafetyConfig:
-    """Take the bounds of a station; they live in its file, at its machine."""
-    say = words()
-    st.caption(say("profiles.bounds_typed"))
-    deepest_mm = st.number_input(f"{say('profiles.deepest')} [mm]", 0.1, 500.0, SafetyConfig().deepest_mm)
-    speed_mm_s = st.number_input(f"{say('profiles.fastest')} [mm/s]", 0.01, 500.0, SafetyConfig().speed_mm_s)
-    return SafetyConfig(deepest_mm=deepest_mm, speed_mm_s=speed_mm_s)
-
-
 def _bounds(profile: Profile, safety: SafetyConfig) -> None:
-    say = words()
     found = bounds(profile, safety.deepest_mm, safety.speed_mm_s, FixtureConfig().approach_mm)
     numbers(
         (

@@ -1,44 +1,32 @@
-"""Sign in by PIN or company account; the first person of a registry; the language; and the way out."""
+"""Sign in by PIN or company account; the first person of a registry; the way out."""
 
 from html import escape
 from typing import Literal
 
 import streamlit as st
 
-from softcal.app.ui.account import (
-    account_without_role,
-    first_code,
-    has_company_accounts,
-    is_signed_in,
-    make_first_account,
-    person,
-    role_claim,
-    sign_in,
-    sign_out,
-)
+from softcal.app.ui import account
+from softcal.app.ui.actions import refusals_in_words
 from softcal.app.ui.callbacks import in_one_piece
-from softcal.app.ui.desk import choose_language, in_words, registry, words
+from softcal.app.ui.desk import choose_language, registry, say
 from softcal.app.ui.panels import go_to
 from softcal.app.ui.pins import check_pin
-from softcal.core.errors import InputError
-from softcal.db.access.people import may
 
 
 def render() -> None:
-    say = words()
     _, middle, _ = st.columns([1, 2, 1])
     with middle:
         choose_language()
-        if is_signed_in():
-            _who(person().name)
-            st.markdown(say("sign_in.role", role=say(f"role.{person().role}")))
-            st.caption(say("role.alone.may" if person().is_alone else f"role.{person().role}.may"))
+        if account.is_signed_in():
+            _who(account.person().name)
+            st.markdown(say("sign_in.role", role=say(f"role.{account.person().role}")))
+            st.caption(say("role.alone.may" if account.person().is_alone else f"role.{account.person().role}.may"))
             if st.button(say("sign_in.go_on"), key="sign-in-go-on", icon=":material/arrow_forward:", width="stretch"):
-                go_to("start" if may(person(), "set_up") else "lot")
+                go_to("start" if account.allows("set_up") else "lot")
             _leave()
-        elif account := account_without_role():
-            _who(account)
-            st.warning(say("sign_in.no_role", claim=role_claim()), icon=":material/no_accounts:")
+        elif company := account.account_without_role():
+            _who(company)
+            st.warning(say("sign_in.no_role", claim=account.role_claim()), icon=":material/no_accounts:")
             _leave()
         else:
             _enter()
@@ -50,48 +38,38 @@ def _who(name: str) -> None:
 
 
 def _enter() -> None:
-    say, is_known = words(), bool(registry().people.all())
-    if not is_known and not has_company_accounts():
+    is_known = bool(registry().people.all())
+    if not is_known and not account.has_company_accounts():
         _first_person()
         return
-    st.title(say("sign_in.title"))
+    st.title(say("page.sign_in"))
     st.caption(say("sign_in.why" if is_known else "sign_in.why.company"))
     if is_known:
         _by_pin()
-    if has_company_accounts():
+    if account.has_company_accounts():
         kind: Literal["primary", "secondary"] = "secondary" if is_known else "primary"
         st.button(say("sign_in.company"), on_click=st.login, type=kind, width="stretch", icon=":material/badge:")
 
 
 def _leave() -> None:
     # A callback: a rerun after it would throw away the order to go to the provider.
-    st.button(
-        words()("sign_in.leave"),
-        on_click=in_one_piece(sign_out),
-        icon=":material/logout:",
-        type="primary",
-        width="stretch",
-    )
+    leave = in_one_piece(account.sign_out)
+    st.button(say("sign_in.leave"), on_click=leave, icon=":material/logout:", type="primary", width="stretch")
 
 
 def _by_pin() -> None:
-    say = words()
     with st.form("sign-in"):
         name = st.text_input(say("sign_in.name"), key="sign-in-name", autocomplete="username")
         pin = st.text_input(say("sign_in.pin"), key="sign-in-pin", type="password", autocomplete="current-password")
-        if not st.form_submit_button(say("sign_in.enter"), type="primary", width="stretch"):
+        if not st.form_submit_button(say("page.sign_in"), type="primary", width="stretch"):
             return
-    try:
-        sign_in(name, pin)
-    except InputError as error:
-        st.error(in_words(error), icon=":material/lock:")
-    else:
+    with refusals_in_words(icon="lock"):
+        account.sign_in(name, pin)
         st.rerun()
 
 
 def _first_person() -> None:
-    say = words()
-    first_code()
+    account.first_code()
     st.title(say("sign_in.first"))
     st.caption(say("sign_in.first.why"))
     with st.form("first-person"):
@@ -101,10 +79,7 @@ def _first_person() -> None:
         again = st.text_input(say("sign_in.pin_again"), key="first-again", type="password", autocomplete="new-password")
         if not st.form_submit_button(say("sign_in.first.enter"), type="primary", width="stretch"):
             return
-    try:
+    with refusals_in_words():
         check_pin(pin, again)
-        make_first_account(name, pin, code)
-    except InputError as error:
-        st.error(in_words(error), icon=":material/error:")
-    else:
+        account.make_first_account(name, pin, code)
         st.rerun()

@@ -1,4 +1,4 @@
-"""Calibrate a source, step by step: the lot, the press with the load cell, a look at the recording, the network."""
+"""Calibrate a source step by step: the lot, the press, a look at the recording, the network."""
 
 import streamlit as st
 
@@ -6,43 +6,44 @@ from softcal.app.charts import station as charts_station
 from softcal.app.charts import unit as charts_unit
 from softcal.app.jobs.jobs import newest_source
 from softcal.app.ui.account import actor, permit
+from softcal.app.ui.actions import refusals_in_words
 from softcal.app.ui.components.station_run import choose_station, newest_run, place, run_panel
-from softcal.app.ui.desk import choose, colours, in_words, instant, registry, show_figure, words
-from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.panels import go_to, heading, numbers
+from softcal.app.ui.desk import choose, colours, in_words, instant, registry, say
+from softcal.app.ui.panels import go_to, heading, numbers, rest_may_follow, show_figure, step
 from softcal.app.views.network import network_rows
 from softcal.app.views.station import source_facts
-from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.orders import OrderKind
 
 
 def render() -> None:
-    say = words()
     heading("source")
     st.caption(say("source.how"))
-    with _step(1):
-        lot = choose_or_add_lot()
+    with step("source", 1):
+        known = registry().lots.ids()
+        lot_id = choose(say("choose.lot"), known, "lot")
+        lot = None if lot_id is None else registry().lots.get(lot_id)
+        with st.expander(say("page.new_lot"), icon=":material/add:", expanded=not known):
+            _new_lot()
     if lot is None:
         return
-    with _step(2):
+    with step("source", 2):
         _press(lot)
     if not registry().recordings.of_lot(lot.id, kind="source"):
         return
-    with _step(3):
+    with step("source", 3):
         _look(lot)
-    with _step(4):
-        _network(lot)
-
-
-def _step(number: int) -> st.delta_generator.DeltaGenerator:
-    box = st.container(border=True)
-    box.markdown(f"## {number} · {words()(f'source.step.{number}')}")
-    return box
+    with step("source", 4):
+        fresh = [row for row in network_rows(registry(), lot.id) if not row.is_stale]
+        if fresh:
+            st.markdown(say("source.trained", network=fresh[0].id[:12], layers=fresh[0].layers))
+        else:
+            st.markdown(say("source.untrained"))
+        if st.button(say("source.to_networks"), icon=":material/arrow_forward:"):
+            go_to("networks", lot=lot.id)
 
 
 def _press(lot: Lot) -> None:
-    say = words()
     station = choose_station()
     if station is None:
         return
@@ -52,7 +53,7 @@ def _press(lot: Lot) -> None:
     st.caption(say("source.press.how", serial=lot.source))
     run = newest_run(station, (OrderKind.SOURCE,), lot.id)
     is_busy = registry().order_queue.active(station) is not None
-    if st.button(say("source.press"), type="primary", icon=":material/play_arrow:", disabled=is_busy):
+    if st.button(say("source.step.2"), type="primary", icon=":material/play_arrow:", disabled=is_busy):
         if place(station, OrderKind.SOURCE, lot.source, lot.id):
             st.rerun()
     if run is not None and run_panel(run):
@@ -60,7 +61,7 @@ def _press(lot: Lot) -> None:
 
 
 def _look(lot: Lot) -> None:
-    say, source = words(), newest_source(registry(), lot.id)
+    source = newest_source(registry(), lot.id)
     made = registry().recordings.of_lot(lot.id, kind="source")[-1].added_at
     numbers([(say(key), value, None) for key, value in source_facts(source).items()], narrowest_px=235)
     st.caption(say("source.look.how", made=instant(made)))
@@ -70,37 +71,13 @@ def _look(lot: Lot) -> None:
     with left:
         show_figure(charts_unit.recording(source, lot, colours(), say), "source-recording")
     with right:
-        units = (lot.reference_unit, lot.output_unit)
-        figure = charts_station.source_curve(source.reference, source.unlabelled.output, units, colours(), say)
-        show_figure(figure, "source-curve")
+        show_figure(charts_station.source_curve(source, lot, colours(), say), "source-curve")
 
 
-def _network(lot: Lot) -> None:
-    say = words()
-    fresh = [row for row in network_rows(registry(), lot.id) if not row.is_stale]
-    if fresh:
-        st.markdown(say("source.trained", network=fresh[0].id[:12], layers=fresh[0].layers))
-    else:
-        st.markdown(say("source.untrained"))
-    if st.button(say("source.to_networks"), icon=":material/arrow_forward:"):
-        go_to("networks", lot=lot.id)
-
-
-def choose_or_add_lot() -> Lot | None:
-    """Draw the choice and the form; None while there is no lot."""
-    say = words()
-    known = registry().lots.ids()
-    lot_id = choose(say("choose.lot"), known, "lot")
-    with st.expander(say("source.new_lot"), icon=":material/add:", expanded=not known):
-        _form()
-    return None if lot_id is None else registry().lots.get(lot_id)
-
-
-def _form() -> None:
-    say = words()
+def _new_lot() -> None:
     with st.form("lot", border=False):
         left, middle, right = st.columns(3)
-        name = str(left.text_input(say("source.lot_id"), placeholder="2026-48")).strip()
+        name = str(left.text_input(say("choose.lot"), placeholder="2026-48")).strip()
         source = str(middle.text_input(say("source.serial"), placeholder="S1")).strip()
         model = str(right.text_input(say("source.model"), placeholder="eGaIn pad, 3 mm")).strip()
         left, middle, right = st.columns(3)
@@ -111,10 +88,7 @@ def _form() -> None:
         if not st.form_submit_button(say("source.add_lot")):
             return
     permit("set_up")
-    try:
+    with refusals_in_words():
         registry().lots.add(Lot(name, source, rate_Hz, model, quantity, reference_unit, output_unit), actor=actor())
-    except InputError as error:
-        st.error(in_words(error), icon=":material/error:")
-        return
-    st.query_params["lot"] = name
-    st.rerun()
+        st.query_params["lot"] = name
+        st.rerun()

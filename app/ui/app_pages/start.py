@@ -1,21 +1,19 @@
-"""The front door: the demo, a lot out of files, a station; while there is no other lot everybody comes here."""
+"""The front door: the demo, a lot out of files, a station."""
 
 import streamlit as st
 
-from softcal.app.jobs.process import DEMO, start_job
-from softcal.app.ui.account import actor, permit, person
-from softcal.app.ui.components.job_panel import job_panel, newest_job
-from softcal.app.ui.desk import registry, words
+from softcal.app.jobs.process import DEMO
+from softcal.app.ui.account import allows
+from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
+from softcal.app.ui.desk import registry, say
 from softcal.app.ui.panels import go_to, heading
 from softcal.core.orders import RunState
-from softcal.db.access.people import may
 
 UNITS = 4
 """Units of the demo: enough to see a lot, few enough to wait for."""
 
 
 def render() -> None:
-    say = words()
     heading("start")
     st.markdown(say("start.why"))
     demo, files, station = st.columns(3)
@@ -28,12 +26,10 @@ def render() -> None:
 
 
 def _demo() -> None:
-    say = words()
     st.markdown(f"## :material/science: {say('start.demo')}")
     st.markdown(say("start.demo.how", units=UNITS))
     job = newest_job("demo")
-    is_busy = job is not None and job.state.is_active
-    if DEMO in registry().lots.ids() and not is_busy:
+    if DEMO in registry().lots.ids() and not is_running(job):
         if job is not None and job.state is RunState.DONE:
             # Lead to the lot whoever has waited for it here
             if st.session_state.pop("demo-asked", "") == job.job_id:
@@ -41,9 +37,8 @@ def _demo() -> None:
         if st.button(say("start.demo.open"), type="primary", width="stretch", key="demo-open"):
             go_to("lot", lot=DEMO)
         return
-    if st.button(say("start.demo.do"), type="primary", width="stretch", disabled=is_busy, key="demo"):
-        permit("calibrate")
-        st.session_state["demo-asked"] = start_job(registry(), "demo", {"units": UNITS}, actor())
+    if st.button(say("start.demo"), type="primary", width="stretch", disabled=is_running(job), key="demo"):
+        st.session_state["demo-asked"] = begin_job("demo", "calibrate", units=UNITS)
         st.rerun()
     if job is not None:
         job_panel(job)
@@ -51,13 +46,12 @@ def _demo() -> None:
 
 def _way(name: str, page: str, icon: str) -> None:
     """Draw one other way to begin; who may not take it is led to the sign-in."""
-    say = words()
     st.markdown(f"## :material/{icon}: {say(f'start.{name}')}")
     st.markdown(say(f"start.{name}.how"))
-    if may(person(), "set_up"):
+    if allows("set_up"):
         if st.button(say(f"start.{name}.do"), width="stretch", key=f"start-{name}"):
             go_to(page)
     else:
         st.caption(say("start.sign_in" if registry().people.all() else "start.first"))
-        if st.button(say("sign_in.title"), width="stretch", key=f"start-{name}-sign-in"):
+        if st.button(say("page.sign_in"), width="stretch", key=f"start-{name}-sign-in"):
             go_to("sign_in")

@@ -1,4 +1,4 @@
-"""The stations: what each does, why its gate is closed, its runs, its self-test, and the set-up of a new rig."""
+"""The stations: what each does, why its gate is closed, its runs, and the set-up of a rig."""
 
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -6,27 +6,26 @@ from typing import Any
 
 import streamlit as st
 
-from softcal.app.jobs.process import start_job
 from softcal.app.line.facts import state_of
 from softcal.app.line.gate_facts import quarantine
 from softcal.app.line.place import is_alive
-from softcal.app.ui.account import actor, permit, person
-from softcal.app.ui.components.job_panel import job_panel, newest_job
+from softcal.app.ui.account import allows
+from softcal.app.ui.actions import ask_reason
+from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
 from softcal.app.ui.components.station_run import choose_station, newest_run, place, run_panel
-from softcal.app.ui.desk import ask_reason, errors_in_words, in_words, instant, registry, words
-from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.panels import heading, table
+from softcal.app.ui.desk import errors_in_words, in_words, instant, named, registry, say
+from softcal.app.ui.panels import heading, rest_may_follow, table
 from softcal.core.orders import OrderKind
 from softcal.core.words.reason import Reason
-from softcal.db.access.people import may
 from softcal.station.wire.link import available_ports
 
 RUNS = 25
 POLL_S = 2.0
+RIGS = ("ports", "file", "simulated")
+MARKS = {True: "✓", False: "✕"}
 
 
 def render() -> None:
-    say = words()
     with heading("station"):
         station = choose_station()
     if station is not None:
@@ -36,40 +35,43 @@ def render() -> None:
             return
         _runs(station)
     st.header(say("station.setup"))
-    rig_setup()
+    st.caption(say("setup.how"))
+    job = newest_job("station_check")
+    if allows("set_up"):
+        _ask(is_running(job))
+    if job is not None and job_panel(job):
+        _found(job.result)
 
 
 @st.fragment(run_every=POLL_S)
 @errors_in_words()
 def _state(station: str) -> None:
     """Draw what the station says of itself, as it says it."""
-    say = words()
     beat = registry().order_queue.heartbeat(station)
     if beat is None:
         return
     state = say(f"station.state.{state_of(beat, datetime.now(UTC), is_alive(beat.process))}")
-    cells = (("station.state", state), ("station.seen", instant(beat.at)), ("station.by", beat.process))
+    cells = (("column.state", state), ("station.seen", instant(beat.at)), ("station.by", beat.process))
     st.markdown(" · ".join(f"{say(label)}: **{value}**" for label, value in cells))
     for reason in beat.reasons:
         st.warning(in_words(reason), icon=":material/lock:")
     if beat.gate:
-        marks = {True: "✓", False: "✕"}
-        rows = [
-            (marks[condition.is_good], in_words(condition.name), in_words(condition.says)) for condition in beat.gate
-        ]
         table(
             [
-                {say("station.good"): mark, say("station.condition"): name, say("station.fact"): says}
-                for mark, name, says in rows
+                {
+                    say("station.good"): MARKS[condition.is_good],
+                    say("station.condition"): in_words(condition.name),
+                    say("station.fact"): in_words(condition.says),
+                }
+                for condition in beat.gate
             ]
         )
 
 
 def _actions(station: str) -> None:
-    say = words()
     if held := quarantine(registry(), station, datetime.now(UTC)):
         st.error(say("station.quarantine", count=len(held), first=held[0]), icon=":material/front_hand:")
-    if may(person(), "set_up"):
+    if allows("set_up"):
         _orders(station)
     with st.expander(say("station.override"), icon=":material/lock_open:"):
         why = ask_reason(f"override-{station}", say("station.override"), "override")
@@ -78,7 +80,6 @@ def _actions(station: str) -> None:
 
 
 def _orders(station: str) -> None:
-    say = words()
     with st.container(horizontal=True):
         if st.button(say("station.check"), icon=":material/fact_check:"):
             place(station, OrderKind.CHECK)
@@ -90,7 +91,6 @@ def _orders(station: str) -> None:
 
 
 def _runs(station: str) -> None:
-    say = words()
     rows = [
         {
             say("column.made"): instant(order.created),
@@ -104,31 +104,11 @@ def _runs(station: str) -> None:
         for order, progress in registry().order_queue.runs(station, RUNS)
     ]
     st.header(say("station.runs"))
-    if rows:
-        table(rows)
-    else:
-        st.caption(say("station.runs.none"))
-
-
-RIGS = ("ports", "file", "simulated")
-
-
-def rig_setup() -> None:
-    """Draw the choice of the rig, the newest check and its station file."""
-    say = words()
-    st.caption(say("setup.how"))
-    job = newest_job("station_check")
-    if may(person(), "set_up"):
-        _ask(is_busy=job is not None and job.state.is_active)
-    if job is not None and job_panel(job):
-        _found(job.result)
+    table(rows, say("station.runs.none"))
 
 
 def _ask(is_busy: bool) -> None:
-    say = words()
-    rig = st.segmented_control(
-        say("setup.rig"), RIGS, default="ports", format_func=lambda name: say(f"setup.{name}"), key="rig"
-    )
+    rig = st.segmented_control(say("setup.rig"), RIGS, default="ports", format_func=named("setup"), key="rig")
     request: dict[str, object] = {"ports": [], "file": None, "simulated": None}
     if rig == "ports":
         request["ports"] = st.multiselect(say("setup.at"), available_ports(), placeholder=say("setup.every"))
@@ -139,22 +119,19 @@ def _ask(is_busy: bool) -> None:
     may_move = st.checkbox(say("setup.move"), value=False)
     st.caption(say("setup.move.warning"))
     if st.button(say("setup.do"), disabled=is_busy or request["file"] == "", icon=":material/search:"):
-        permit("set_up")
-        start_job(registry(), "station_check", request | {"may_move": may_move}, actor())
+        begin_job("station_check", "set_up", **request, may_move=may_move)
         st.rerun()
 
 
 def _found(result: Mapping[str, Any]) -> None:
-    say = words()
     if result["is_good"]:
         st.success(say("setup.good", station=result["station"]), icon=":material/check:")
     if result.get("ports"):
         table([_port_row(*port) for port in result["ports"]])
-    marks = {True: "✓", False: "✕"}
     table(
         [
             {
-                say("station.good"): marks[not cure],
+                say("station.good"): MARKS[not cure],
                 say("setup.device"): in_words(Reason.of(device)),
                 say("setup.what"): in_words(Reason.of(what)),
                 say("setup.value"): in_words(Reason.of(value)),
@@ -163,13 +140,12 @@ def _found(result: Mapping[str, Any]) -> None:
             for device, what, value, cure in result["found"]
         ]
     )
-    with st.expander(say("setup.file_of"), icon=":material/description:"):
+    with st.expander(say("setup.file"), icon=":material/description:"):
         st.code(result["toml"], language="toml")
         st.download_button(say("setup.save"), result["toml"], "station.toml", "application/toml", on_click="ignore")
 
 
 def _port_row(port: str, role: str, kind: str, says: object) -> dict[str, str]:
-    say = words()
     return {
         say("setup.port"): port,
         say("setup.is"): " ".join(filter(None, (say(f"setup.role.{role or 'none'}"), kind and f"({kind})"))),

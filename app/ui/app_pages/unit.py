@@ -1,9 +1,8 @@
-"""One unit by serial: why its verdict is what it is, its map, its estimates, its history and its files."""
+"""One unit by serial: why its verdict is so, its map, estimates, history and files."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import streamlit as st
-from streamlit.delta_generator import DeltaGenerator
 
 from softcal.app.batch.judging import judge_again
 from softcal.app.charts import unit as charts_unit
@@ -13,78 +12,68 @@ from softcal.app.export.certificates.laboratory import kept_laboratory
 from softcal.app.export.formats import writer_of
 from softcal.app.export.names import FORMATS
 from softcal.app.registry.standing import standing_of
-from softcal.app.texts.reasons import all_said, said
 from softcal.app.ui.account import actor
-from softcal.app.ui.callbacks import in_one_piece
-from softcal.app.ui.desk import (
-    ask_reason,
-    choose,
-    colours,
-    empty,
-    in_full,
-    in_words,
-    instant,
-    registry,
+from softcal.app.ui.actions import ask_reason, download, finish, refusals_in_words, say_finished
+from softcal.app.ui.desk import choose, colours, empty, in_full, in_words, instant, named, registry, say, verdict_badge
+from softcal.app.ui.panels import (
+    figure_under,
+    figures_beside,
+    find_unit,
+    heading,
+    numbers,
+    rest_may_follow,
     show_figure,
-    verdict_badge,
-    words,
+    table,
+    table_to_choose,
 )
-from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.panels import figure_under, heading, numbers, table, table_to_choose
 from softcal.app.views.common import number, percent
-from softcal.app.views.unit import UnitView, unit_view
-from softcal.core.errors import InputError, UnitRefused
+from softcal.app.views.unit import unit_view
+from softcal.core.errors import UnitRefused
 from softcal.core.lot import Lot
 from softcal.db.entries import StoredCalibration
 
 TABS = ("why", "map", "estimates", "recordings", "history", "files")
-TITLES = {
-    "output_distributions": "unit.outputs",
-    "map_curve": "unit.map",
-    "hysteresis": "unit.hysteresis",
-    "estimate_band": "unit.estimate",
-}
 
 
 def render() -> None:
-    say = words()
     with heading("unit"):
-        serial = choose_unit()
+        serial = find_unit("unit", "unit", st.columns(2, vertical_alignment="bottom"), _known)
+        if serial is not None:
+            in_full(serial)
     if serial is None:
-        empty(say("empty.units"), say("empty.units.how"))
+        empty("empty.units")
         return
-    if done := st.session_state.pop("unit-done", ""):
-        st.success(done, icon=":material/check:")
+    say_finished("unit")
     lots = registry().calibrations.lots_of(serial)
     lot_id = choose(say("choose.lot"), lots, "lot") if len(lots) > 1 else lots[0]
     history = registry().calibrations.history(serial, lot_id)
-    if not history:
-        _refused(serial, lot_id)
+    if history:
+        _revision(serial, history)
         return
-    _revision(serial, history)
-
-
-def _refused(serial: str, lot_id: str | None) -> None:
     (unit,) = registry().lots.units(lot_id, serial)
     verdict_badge(unit.verdict)
-    empty(words()("empty.calibration"), all_said(unit.reasons, words()))
-    unit_recordings(serial, registry().lots.get(unit.lot_id))
+    empty("empty.calibration", in_words(unit.reasons))
+    _recordings(serial, registry().lots.get(unit.lot_id))
 
 
 def _revision(serial: str, history: list[StoredCalibration]) -> None:
-    say, lot_id = words(), history[0].lot_id
+    lot_id = history[0].lot_id
     current = registry().calibrations.get(serial, lot_id=lot_id).revision
     revisions = [entry.revision for entry in reversed(history)]
     left, right = st.columns([1, 4], vertical_alignment="bottom")
-    revision = right.selectbox(say("choose.revision"), revisions, index=revisions.index(current)) or current
+    revision = right.selectbox(say("column.revision"), revisions, index=revisions.index(current)) or current
     stored = next(entry for entry in history if entry.revision == revision)
     standing = standing_of(registry(), stored)
-    is_refused = standing.made is None
     with left:
-        verdict_badge(standing.verdict if is_refused else stored.record.verdict)
-    if is_refused:
-        st.markdown(f"{say('unit.refused_since')} **{all_said(standing.reasons, say)}**")
-    _verdict(stored, registry().lots.get(stored.lot_id).reference_unit)
+        verdict_badge(standing.verdict if standing.made is None else stored.record.verdict)
+    if standing.made is None:
+        st.markdown(f"{say('unit.refused_since')} **{in_words(standing.reasons)}**")
+    record, unit = stored.record, registry().lots.get(lot_id).reference_unit
+    scores = [(say(f"column.{n}"), getattr(record, f"{n}_rmse"), None) for n in ("before", "after", "own")]
+    cells = [(say("lot.predicted"), record.predicted_rmse, say("unit.predicted.help")), *scores]
+    numbers([(label, number(value, unit), tip) for label, value, tip in cells if value is not None])
+    for reason in record.reasons:
+        st.markdown(f"- {in_words(reason)}")
     if not rest_may_follow():
         return
     view = unit_view(registry(), serial, revision, lot_id)
@@ -95,114 +84,59 @@ def _revision(serial: str, history: list[StoredCalibration]) -> None:
         # The head of the figure says what stands above it already.
         figure = why_figure(view, colours(), say).update_layout(title=None, margin_t=60, height=HEIGHT)
         figure_under("unit.why", figure, "why")
-    _figures(map_tab, view, ("output_distributions", "map_curve"))
-    _figures(estimates, view, ("hysteresis", "estimate_band"))
+    with map_tab:
+        figures_beside(
+            ("unit.outputs", charts_unit.output_distributions(view, colours(), say), "output_distributions"),
+            ("unit.map", charts_unit.map_curve(view, colours(), say), "map_curve"),
+        )
+    with estimates:
+        figures_beside(
+            ("unit.hysteresis", charts_unit.hysteresis(view, colours(), say), "hysteresis"),
+            ("unit.estimate", charts_unit.estimate_band(view, colours(), say), "estimate_band"),
+        )
     with recordings:
-        unit_recordings(serial, view.lot)
+        _recordings(serial, view.lot)
     with changes:
-        unit_history(history, view.lot.reference_unit)
+        table([_row(entry, view.lot.reference_unit) for entry in reversed(history)])
+        if older := [entry.revision for entry in reversed(history) if not entry.is_current]:
+            _rollback(serial, lot_id, older)
     with files:
         # The calibration in use is asked for as such: whether it still is the answer is looked up with it.
-        unit_files(serial, lot_id, revision, is_in_use=revision == current)
+        _files(serial, lot_id, revision, is_in_use=revision == current)
 
 
-def _verdict(stored: StoredCalibration, unit: str) -> None:
-    say, record = words(), stored.record
-    scores = [(say(f"column.{n}"), getattr(record, f"{n}_rmse"), None) for n in ("before", "after", "own")]
-    cells = [(say("lot.predicted"), record.predicted_rmse, say("unit.predicted.help")), *scores]
-    numbers([(label, number(value, unit), tip) for label, value, tip in cells if value is not None])
-    for reason in record.reasons:
-        st.markdown(f"- {said(reason, say)}")
-
-
-def _figures(place: DeltaGenerator, view: UnitView, names: tuple[str, ...]) -> None:
-    with place:
-        for column, name in zip(st.columns(2), names, strict=True):
-            with column:
-                figure_under(TITLES[name], getattr(charts_unit, name)(view, colours(), words()), name)
-
-
-def choose_unit() -> str | None:
-    """Return the serial of the address or of the field; None where no unit has a result yet.
-
-    The serial stays in the address, so that a link leads back to it.
-    """
-    say = words()
-    asked = str(st.query_params.get("unit", ""))
-    left, right = st.columns(2, vertical_alignment="bottom")
-    text = str(left.text_input(say("unit.find"), key="unit-find", icon=":material/search:") or "").strip()
+def _known(text: str) -> list[str]:
     found = registry().pages.find_serials(text)
     if not found and text:
         st.caption(say("unit.find.none", text=text))
-        found = registry().pages.find_serials("")
-    if asked and not text and asked not in found:
-        found = [asked, *found]
-    if not found:
-        return None
-    index = found.index(asked) if asked in found else 0
-    chosen = str(right.selectbox(say("choose.unit"), found, index=index, key=f"unit-choice-{text}-{asked}"))
-    if chosen != asked:
-        st.query_params["unit"] = chosen
-    in_full(chosen)
-    return chosen
+        return registry().pages.find_serials("")
+    return found
 
 
-MIMES = {"pdf": "application/pdf", "json": "application/json", "xml": "application/xml"}
-
-
-def unit_files(serial: str, lot_id: str, revision: int, is_in_use: bool) -> None:
+def _files(serial: str, lot_id: str, revision: int, is_in_use: bool) -> None:
     """Draw the choice of a format and a button per file."""
-    say = words()
     chosen = st.segmented_control(
-        say("unit.files.format"), FORMATS, format_func=lambda name: say(f"format.{name}"), key=f"format-{serial}"
+        say("unit.files.format"), FORMATS, format_func=named("format"), key=f"format-{serial}"
     )
     if chosen is None:
         st.caption(say("unit.files.how"))
         return
+    wanted = None if is_in_use else revision
+    options = ExportOptions(revision=wanted, lot_id=lot_id, laboratory=kept_laboratory())
     try:
-        files = _files(serial, lot_id, None if is_in_use else revision, chosen)
+        files = writer_of(chosen)(UnitLoader(registry(), options).load(serial))
     except UnitRefused as error:
         st.warning(in_words(error), icon=":material/block:")
         return
     with st.container(horizontal=True):
         for name, content in files.items():
-            st.download_button(
-                f"{name}  ({_size(content)})",
-                data=content,
-                file_name=name,
-                mime=MIMES.get(name.rpartition(".")[2], "application/octet-stream"),
-                key=f"file-{revision}-{name}",
-                icon=":material/download:",
-                on_click=_tell,
-                args=(serial, lot_id, revision, name),
-            )
-
-
-def _files(serial: str, lot_id: str, revision: int | None, name: str) -> Mapping[str, bytes]:
-    options = ExportOptions(revision=revision, lot_id=lot_id, laboratory=kept_laboratory())
-    return writer_of(name)(UnitLoader(registry(), options).load(serial))
-
-
-@in_one_piece
-def _tell(serial: str, lot_id: str, revision: int, name: str) -> None:
-    facts = {"lot_id": lot_id, "revision": revision, "file": name}
-    registry().trail.add("export", "units", (serial,), facts, actor=actor())
-
-
-def _size(content: bytes) -> str:
-    return f"{len(content)} B" if len(content) < 4096 else f"{len(content) / 1024:.0f} KiB"
-
-
-def unit_history(history: Sequence[StoredCalibration], unit: str) -> None:
-    """Draw the revisions, newest first, and the rollback."""
-    table([_row(entry, unit) for entry in reversed(history)])
-    older = [entry.revision for entry in reversed(history) if not entry.is_current]
-    if older:
-        _rollback(history[-1].serial, history[-1].lot_id, older)
+            size = f"{len(content)} B" if len(content) < 4096 else f"{len(content) / 1024:.0f} KiB"
+            exported = ("units", serial, {"lot_id": lot_id, "revision": revision, "file": name})
+            download(f"{name}  ({size})", name, content, f"file-{revision}-{name}", exported=exported)
 
 
 def _row(entry: StoredCalibration, unit: str) -> dict[str, object]:
-    say, record = words(), entry.record
+    record = entry.record
     back = say("unit.rolled_back", revision=entry.rolled_back_to) if entry.rolled_back_to else ""
     return {
         say("column.revision"): entry.revision,
@@ -218,26 +152,20 @@ def _row(entry: StoredCalibration, unit: str) -> dict[str, object]:
 
 
 def _rollback(serial: str, lot_id: str, older: Sequence[int]) -> None:
-    say = words()
     with st.container(border=True):
         st.markdown(f"**{say('unit.rollback')}**")
-        revision = st.selectbox(say("unit.rollback.to"), older, key=f"rollback-{serial}-{len(older)}")
+        revision = st.selectbox(say("column.revision"), older, key=f"rollback-{serial}-{len(older)}")
         reason = ask_reason(f"rollback-{serial}-{len(older)}", say("unit.rollback.do"), "rollback")
         if reason is None:
             return
-        try:
+        with refusals_in_words():
             registry().calibrations.rollback(serial, revision, reason=reason, actor=actor(), lot_id=lot_id)
             judge_again(registry(), [lot_id], actor())
-        except InputError as error:
-            st.error(in_words(error), icon=":material/error:")
-            return
-        st.session_state["unit-done"] = say("unit.rollback.done", revision=revision)
-        st.rerun()
+            finish("unit", say("unit.rollback.done", revision=revision))
 
 
-def unit_recordings(serial: str, lot: Lot) -> None:
+def _recordings(serial: str, lot: Lot) -> None:
     """Draw the unit's recordings and the curve of the one that is chosen, the newest at first."""
-    say = words()
     entries = registry().recordings.of_lot(lot.id, serial)[::-1]
     if not entries:
         st.caption(say("unit.recordings.none"))

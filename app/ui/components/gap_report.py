@@ -1,4 +1,4 @@
-"""A diagnosis on the screen: where the twin is wrong, why, what fixing it gains, how sure, what to press next."""
+"""A diagnosis on the screen: where the twin is wrong, why, what fixing gains, what is next."""
 
 from pathlib import Path
 
@@ -9,33 +9,14 @@ from softcal.app.charts import gap as gap_figures
 from softcal.app.charts.gap_page import chain_svg, gap_page
 from softcal.app.charts.style import coloured
 from softcal.app.gap.desk import has_sealed_rig, run_views_of, truth
-from softcal.app.jobs.process import start_job
-from softcal.app.ui.account import actor, permit, person
-from softcal.app.ui.desk import colours, registry, show_figure, words
-from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.panels import numbers, table
+from softcal.app.ui.account import allows
+from softcal.app.ui.actions import download
+from softcal.app.ui.components.job_panel import begin_job
+from softcal.app.ui.desk import colours, registry, say, words
+from softcal.app.ui.panels import numbers, rest_may_follow, show_figure, table
+from softcal.app.views import gap
 from softcal.app.views.common import percent
-from softcal.app.views.gap import (
-    Report,
-    ambiguous_groups,
-    begun,
-    cause_rows,
-    channel_name,
-    effect_name,
-    hidden_effects,
-    listed,
-    mistake_name,
-    mistake_rows,
-    named_causes,
-    next_experiment,
-    no_cause_words,
-    place_rows,
-    pressed_name,
-    residual_rows,
-    untold_lines,
-    why_next,
-)
-from softcal.db.access.people import may
+from softcal.app.views.gap import Report
 from softcal.db.queues.job_board import Job
 
 ICONS = {
@@ -62,23 +43,33 @@ def gap_report(job: Job, case: Path) -> None:
         return
     runs = run_views_of(report, registry().job_board.arrays(job))
     _where(report, runs)
-    _why(report)
+    st.header(say("gap.why"))
+    _rows(gap.cause_rows(report, say), gap.no_cause_words(report, say))
+    for group in gap.ambiguous_groups(report, say):
+        st.warning(say("gap.ambiguous", group=group), icon=":material/call_split:")
+    _figure(gap_figures.ranking_figure(report, SHOWN_CAUSES, say, colours()), "ranking")
     _gain(report)
-    _untold(report)
-    _left(report)
+    if lines := gap.untold_lines(report, say):
+        st.header(say("gap.told"))
+        st.markdown("\n".join(f"- {gap.begun(line)}" for line in lines))
+    if report.get("residual"):
+        _left(report["residual"], report)
     _next(report, case)
-    _runs(runs)
+    with st.expander(say("gap.runs"), icon=":material/show_chart:"):
+        for channel, name in gap_figures.CHANNELS.items():
+            if figure := gap_figures.trace_figure(runs, channel, say, colours()):
+                st.subheader(gap.begun(say("gap.figure.trace", channel=gap.channel_name(name, say))))
+                _figure(figure, f"trace-{channel}")
 
 
 def _headline(report: Report) -> None:
-    say = words()
     st.header(f":material/{ICONS[report['verdict']]}: {say('gap.verdict.' + report['verdict'])}")
-    for row in mistake_rows(report, say):
+    for row in gap.mistake_rows(report, say):
         told = st.error if report["verdict"] == "data" else st.warning
         told(say("gap.data.found", **row), icon=":material/report:")
     if report["verdict"] == "data":
         return
-    if causes := named_causes(report, say):
+    if causes := gap.named_causes(report, say):
         st.markdown(say("gap.causes", causes=", ".join(causes)))
     if report["missing_channels"]:
         st.caption(say("gap.missing", channels=", ".join(report["missing_channels"])))
@@ -95,47 +86,29 @@ def _headline(report: Report) -> None:
 
 
 def _take_along(job: Job, case: Path) -> None:
-    """Offer the standalone page in the language of the screen; it is made when somebody takes it."""
-    say, views = words(), registry()
-    st.download_button(
-        say("gap.page.save"),
-        data=lambda: gap_page(
-            job.result, run_views_of(job.result, views.job_board.arrays(job)), job.result["serial"], say
-        ),
-        file_name=f"{case.name}-gap.html",
-        mime="text/html",
-        icon=":material/download:",
-        key="gap-page",
-        on_click="ignore",
-    )
+    """Offer the standalone page in the language of the screen."""
+    board, report, texts = registry().job_board, job.result, words()
+
+    def page() -> str:
+        return gap_page(report, run_views_of(report, board.arrays(job)), report["serial"], texts)
+
+    download(say("gap.page.save"), f"{case.name}-gap.html", page, "gap-page")
 
 
 def _where(report: Report, runs: list[gap_figures.RunView]) -> None:
-    say = words()
     st.header(say("gap.where"))
     # The picture has a light ground of its own: its shades of red would not be read on a dark one.
-    picture = chain_svg(report, say).replace(
-        "<svg ", '<svg xmlns="http://www.w3.org/2000/svg" style="background:#fff" ', 1
-    )
+    drawn = '<svg xmlns="http://www.w3.org/2000/svg" style="background:#fff" '
+    picture = chain_svg(report, say).replace("<svg ", drawn, 1)
     st.image(picture, width="stretch", alt=say("gap.chain"))
-    _rows(place_rows(report, say), say("gap.where.none"))
+    _rows(gap.place_rows(report, say), say("gap.where.none"))
     for channel in gap_figures.CHANNELS:
         figure = gap_figures.map_figure(runs, channel, say)
         if figure is not None:
             _figure(figure, f"map-{channel}")
 
 
-def _why(report: Report) -> None:
-    say = words()
-    st.header(say("gap.why"))
-    _rows(cause_rows(report, say), no_cause_words(report, say))
-    for group in ambiguous_groups(report, say):
-        st.warning(say("gap.ambiguous", group=group), icon=":material/call_split:")
-    _figure(gap_figures.ranking_figure(report, SHOWN_CAUSES, say, colours()), "ranking")
-
-
 def _gain(report: Report) -> None:
-    say = words()
     left, right = st.columns(2)
     with left:
         st.header(say("gap.gain"))
@@ -143,87 +116,56 @@ def _gain(report: Report) -> None:
     figure = gap_figures.hidden_figure(report, say, colours())
     with right:
         st.header(say("gap.sure"))
-        if hidden := hidden_effects(report, say):
+        if hidden := gap.hidden_effects(report, say):
             st.caption(say("gap.hidden", effects=", ".join(hidden)))
         if figure is not None:
             _figure(figure, "hidden")
 
 
-def _untold(report: Report) -> None:
-    say = words()
-    if lines := untold_lines(report, say):
-        st.header(say("gap.told"))
-        st.markdown("\n".join(f"- {begun(line)}" for line in lines))
-
-
-def _left(report: Report) -> None:
-    found, say = report.get("residual"), words()
-    if not found:
-        return
+def _left(found: Report, report: Report) -> None:
     st.header(say("gap.left"))
     shrink = {name: percent(found["shrink"][name]) for name in ("held_out", "low", "high")}
     st.markdown(say("gap.left.is", **shrink))
-    _rows(residual_rows(report, say), say("gap.left"))
+    _rows(gap.residual_rows(report, say), say("gap.left"))
     if found["beside"]:
-        causes = listed([effect_name(effect, say) for effect in found["beside"]], "gap.and", say)
+        causes = gap.listed([gap.effect_name(effect, say) for effect in found["beside"]], "gap.and", say)
         st.caption(say("gap.left.beside", causes=causes, without=percent(found["without"])))
     st.caption(say("gap.left.span", load_N=f"{found['load_N']:.3g}", depth_mm=f"{found['depth_mm']:.3g}"))
 
 
 def _next(report: Report, case: Path) -> None:
-    say, proposed = words(), next_experiment(report)
+    proposed = gap.next_experiment(report)
     st.header(say("gap.next"))
     with st.container(border=True):
         if proposed is None:
             st.markdown(say("gap.next.none"))
         else:
             minutes = f" · {proposed['minutes']:.0f} min" if proposed.get("minutes") else ""
-            name = pressed_name(str(proposed["profile"]), say)
-            st.markdown(f"**{name}**{minutes}  \n{why_next(proposed, say)}")
-            _press(case, str(proposed["profile"]))
+            name = gap.pressed_name(str(proposed["profile"]), say)
+            st.markdown(f"**{name}**{minutes}  \n{gap.why_next(proposed, say)}")
+            if not has_sealed_rig(case):
+                st.caption(say("gap.next.by_hand", experiment=name))
+            elif allows("set_up") and st.button(say("gap.next.do"), type="primary", icon=":material/play_arrow:"):
+                begin_job("diagnose", case=str(case), experiment=str(proposed["profile"]))
+                st.rerun()
         if has_sealed_rig(case):
             _truth(case)
 
 
-def _press(case: Path, experiment: str) -> None:
-    say = words()
-    if not has_sealed_rig(case):
-        st.caption(say("gap.next.by_hand", experiment=pressed_name(experiment, say)))
-    elif may(person(), "set_up") and st.button(say("gap.next.do"), type="primary", icon=":material/play_arrow:"):
-        permit("set_up")
-        start_job(registry(), "diagnose", {"case": str(case), "experiment": experiment}, actor())
-        st.rerun()
-
-
 def _truth(case: Path) -> None:
-    say = words()
     if st.toggle(say("gap.truth"), key=f"truth-{case}"):
         found = truth(case)
-        hidden = [effect_name(effect, say) for effect in found.effects]
+        hidden = [gap.effect_name(effect, say) for effect in found.effects]
         if found.mistake:
-            told = {"mistake": mistake_name(found.mistake, say), "runs": ", ".join(map(str, found.runs))}
-            told |= {"channel": channel_name(found.channel, say) if found.channel else "–"}
+            told = {"mistake": gap.mistake_name(found.mistake, say), "runs": ", ".join(map(str, found.runs))}
+            told |= {"channel": gap.channel_name(found.channel, say) if found.channel else "–"}
             key = "gap.truth.mistake" if found.runs else "gap.truth.mistake.all"
             hidden.append(say(key, **told))
-        st.markdown(say("gap.truth.is", causes=", ".join(hidden) or say("gap.truth.none")))
-
-
-def _runs(runs: list[gap_figures.RunView]) -> None:
-    say = words()
-    with st.expander(say("gap.runs"), icon=":material/show_chart:"):
-        for channel, name in gap_figures.CHANNELS.items():
-            figure = gap_figures.trace_figure(runs, channel, say, colours())
-            if figure is not None:
-                st.subheader(begun(say("gap.figure.trace", channel=channel_name(name, say))))
-                _figure(figure, f"trace-{channel}")
+        st.markdown(say("gap.truth.is", causes=", ".join(hidden) or say("trail.nothing")))
 
 
 def _rows(rows: list[dict[str, str]], otherwise: str) -> None:
-    say = words()
-    if rows:
-        table([{say(f"gap.column.{name}"): value for name, value in row.items()} for row in rows])
-    else:
-        st.caption(otherwise)
+    table([{say(f"gap.column.{name}"): value for name, value in row.items()} for row in rows], otherwise)
 
 
 def _figure(figure: go.Figure, key: str) -> None:

@@ -5,8 +5,11 @@ from datetime import UTC, datetime
 
 import streamlit as st
 
+from softcal.app.jobs.process import start_job
 from softcal.app.texts.reasons import phrase
-from softcal.app.ui.desk import errors_in_words, in_words, registry, words
+from softcal.app.ui.account import actor, permit
+from softcal.app.ui.actions import finish
+from softcal.app.ui.desk import errors_in_words, in_words, registry, say
 from softcal.core.orders import RunState
 from softcal.db.queues.job_board import Job
 
@@ -23,13 +26,18 @@ def newest_job(kind: str, **request: object) -> Job | None:
     return None
 
 
-def job_panel(job: Job, live: Live | None = None) -> bool:
-    """Draw a job; return whether it is done and its result can be shown.
+def is_running(job: Job | None) -> bool:
+    return job is not None and job.state.is_active
 
-    Args:
-        live: draws the trace of a running job.
-    """
-    say = words()
+
+def begin_job(kind: str, action: str = "set_up", **request: object) -> str:
+    """Start a job for who is at the screen and return its id; the role must allow `action`."""
+    permit(action)
+    return start_job(registry(), kind, request, actor())
+
+
+def job_panel(job: Job, live: Live | None = None) -> bool:
+    """Draw a job, its trace by `live`; return whether it is done and its result can be shown."""
     if job.is_lost(datetime.now(UTC)):
         st.error(say("job.lost"), icon=":material/heart_broken:")
         registry().job_board.end(job.job_id, RunState.ERROR, say("job.lost"))
@@ -42,23 +50,33 @@ def job_panel(job: Job, live: Live | None = None) -> bool:
     return job.state is RunState.DONE
 
 
+def awaits_calibration(asked: str, lot_id: str) -> bool:
+    """Draw the calibration that was asked for on this page; return whether it is under way.
+
+    The session keeps its job as `asked`; the text ASKED.done says that it is over.
+    """
+    job = newest_job("calibrate", lot=lot_id)
+    if job is None or st.session_state.get(asked) != job.job_id:
+        return False
+    if job_panel(job):
+        del st.session_state[asked]
+        finish(asked, say(f"{asked}.done"))
+    return job.state.is_active
+
+
 @st.fragment(run_every=POLL_S)
 @errors_in_words()
 def _running(job_id: str, live: Live | None) -> None:
-    say, board = words(), registry().job_board
+    board = registry().job_board
     job = board.job(job_id)
     if not job.state.is_active or job.is_lost(datetime.now(UTC)):
         st.rerun()
-    text = _step_said(job) or phrase("step", job.message, say) or say("job.starting")
+    step = job.trace.get("step")
+    text = say(f"step.{step}", **job.trace["values"]) if step else phrase("step", job.message, say)
+    text = text or say("job.starting")
     # One below the other: beside each other they do not fit a narrow place.
     st.progress(job.fraction, text=say("job.stopping") if job.is_cancel_wanted else text)
     if st.button(say("job.cancel"), key=f"cancel-{job_id}", disabled=job.is_cancel_wanted, icon=":material/cancel:"):
         board.cancel(job_id)
     if live is not None and job.trace and "step" not in job.trace:
         live(job)
-
-
-def _step_said(job: Job) -> str:
-    """Return the step of a job that names it by key, in the language of the screen; "" where it does not."""
-    step = job.trace.get("step")
-    return words()(f"step.{step}", **job.trace["values"]) if step else ""

@@ -1,4 +1,4 @@
-"""The operator's state as HTML: colour, mark, word, serial, one instruction. Everything from outside is escaped."""
+"""The operator's state as HTML. Everything from outside is escaped."""
 
 from collections.abc import Sequence
 from html import escape
@@ -8,7 +8,6 @@ from urllib.parse import quote
 from softcal.app.charts.palette import Palette
 from softcal.app.views.common import shortened
 from softcal.app.views.line import Chip, LineView
-from softcal.core.orders import Condition
 
 MARKS = {
     "pass": '<circle cx="32" cy="32" r="29"/><path d="M18 33l10 10 19-21"/>',
@@ -24,11 +23,11 @@ MARKS = {
     "no": '<path d="M12 12l40 40M52 12L12 52"/>',
     "ready": '<path d="M6 20V6h14M44 6h14v14M58 44v14H44M20 58H6V44"/><path d="M18 20v24M27 20v24M37 20v24M46 20v24"/>',
 }
-"""Tone → paths on a ground of 64 × 64; a shape of its own for each, since colour alone says nothing to many."""
+"""Tone → paths on 64 × 64; each has its own shape, since colour says nothing to many."""
 
 
 LONGEST_VALUE, LONGEST_CHIP = 36, 17
-"""Characters of a value in the bar, and of a serial among the last units; the whole name is the tip over it."""
+"""Characters of a value in the bar and of a serial among the last units; the tip has all."""
 
 
 def style() -> str:
@@ -60,7 +59,7 @@ def cells_html(view: LineView) -> str:
 
 
 def card_html(view: LineView, why: str) -> str:
-    """Return the state, as large as the screen allows; the numbers behind it open under the word `why`."""
+    """Return the state; the numbers behind it open under the word `why`."""
     serial = f'<div class="sc-serial">{escape(view.serial)}</div>' if view.serial else ""
     details = "".join(f"<li>{escape(line)}</li>" for line in view.details)
     numbers = "".join(f"<li>{escape(line)}</li>" for line in view.why)
@@ -77,7 +76,11 @@ def card_html(view: LineView, why: str) -> str:
 def conditions_html(view: LineView, title: str) -> str:
     """Return what the gate looked at, good and bad, in words."""
     worst_first = sorted(view.conditions, key=lambda condition: condition.is_good)
-    rows = "".join(_condition(condition) for condition in worst_first)
+    rows = "".join(
+        f'<li class="{"sc-good" if c.is_good else "sc-bad"}">{_mark("yes" if c.is_good else "no")}'
+        f"<b>{escape(str(c.name))}</b> <span>{escape(str(c.says))}</span></li>"
+        for c in worst_first
+    )
     return f'<div class="sc-gate"><h3>{escape(title)}</h3><ul>{rows}</ul></div>'
 
 
@@ -95,12 +98,6 @@ def chips_row(chips: Sequence[Chip]) -> str:
         for c in chips
     )
     return f"<ul>{drawn}</ul>"
-
-
-def _condition(condition: Condition) -> str:
-    look, name = ("sc-good", "yes") if condition.is_good else ("sc-bad", "no")
-    said = f"<b>{escape(str(condition.name))}</b> <span>{escape(str(condition.says))}</span>"
-    return f'<li class="{look}">{_mark(name)}{said}</li>'
 
 
 def _mark(name: str) -> str:

@@ -1,4 +1,4 @@
-"""Files that a browser drops for a new lot: kept for this tab, read once, looked at, mapped to columns."""
+"""Files that a browser drops: kept for this tab, read once, mapped to columns."""
 
 import re
 import shutil
@@ -11,7 +11,7 @@ import streamlit as st
 
 from softcal.app.files.importing import Columns
 from softcal.app.files.recording_file import SUFFIXES, read_table
-from softcal.app.ui.desk import in_words, words
+from softcal.app.ui.desk import in_words, say
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -31,8 +31,7 @@ NAMES = {
 
 
 def dropped_files(field: str = NEW_LOT) -> list[Path]:
-    """Draw the field for files and return where they lie now; the same name dropped twice is one file."""
-    say = words()
+    """Draw the field for files; return where they lie. A name dropped twice is one file."""
     kinds = sorted(suffix[1:] for suffix in SUFFIXES)
     # A field that was forgotten is another one afterwards, so that it is empty.
     key = f"{field}-files-{st.session_state.get(f'{field}-forgotten', 0)}"
@@ -80,25 +79,18 @@ def _table(path: str, written_ns: int) -> "pd.DataFrame":
 
 def choose_columns(table: "pd.DataFrame", wide: bool) -> Columns:
     """Draw the choice of columns with what the table's names suggest."""
-    say, names = words(), [str(name) for name in table.columns]
+    names = [str(name) for name in table.columns]
     left, second, third, right = st.columns(4)
     if wide:
         output = str(left.text_input(say("new_lot.pattern"), _pattern(names), key="new-lot-pattern")).strip()
     else:
         output = str(left.selectbox(say("new_lot.output"), names, index=_guess("output", names) or 0))
-    optional = [None, *names]
-    chosen = []
+    optional, unset, chosen = [None, *names], say("new_lot.no_column"), []
     for place, name in ((second, "reference"), (third, "time"), (right, "stage")):
         index = _guess(name, names)
-        chosen.append(
-            place.selectbox(
-                say(f"new_lot.{name}"),
-                optional,
-                index=0 if index is None else index + 1,
-                format_func=lambda column: say("new_lot.no_column") if column is None else column,
-                key=f"new-lot-{name}",
-            )
-        )
+        index = 0 if index is None else index + 1
+        label, key = say(f"new_lot.{name}"), f"new-lot-{name}"
+        chosen.append(place.selectbox(label, optional, index, lambda one: unset if one is None else one, key))
     return Columns(output or "*", *chosen)
 
 

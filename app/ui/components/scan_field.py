@@ -1,4 +1,4 @@
-"""The field every scan goes into: focus is always there, F-keys are commands, and it tells screen readers the state."""
+"""The field every scan goes into: always in focus, with F-keys, heard by screen readers."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -35,13 +35,13 @@ def scan_field(
     """Draw the field.
 
     Args:
-        texts: `label`, `placeholder`, `late`: said of a scan (`%`) that the server did not take in time, and `spoken`:
-            what screen readers say when it changes.
+        texts: `label`, `placeholder`, `late`: said of a scan (`%`) that was not taken in time, and
+            `spoken`: what screen readers say when it changes.
         seen: names what is shown; every scan comes back with what was seen when it was made.
         keys: function key → command; a press is the same as a scan of `CMD:COMMAND`.
         station: that a stop is for; "" for the only one.
-        on_scan: takes what was scanned, what was seen and until when by `time.monotonic()` it may be taken, before the
-            page is drawn again.
+        on_scan: takes what was scanned, what was seen and until when by `time.monotonic()` it may be
+            taken, before the page is drawn again.
     """
 
     def hand_on() -> None:

@@ -6,24 +6,23 @@ import streamlit as st
 
 from softcal.app.charts.live import live_signal
 from softcal.app.jobs.process import start_simulated_station
-from softcal.app.ui.account import actor, permit, person
-from softcal.app.ui.desk import colours, errors_in_words, in_words, registry, words
+from softcal.app.ui.account import actor, allows, permit
+from softcal.app.ui.actions import refusals_in_words
+from softcal.app.ui.desk import colours, errors_in_words, in_words, registry, say
 from softcal.app.views.common import phase_said
 from softcal.core.errors import InputError
 from softcal.core.orders import Order, OrderKind, Progress, RunState
-from softcal.db.access.people import may
 
 POLL_S = 0.7
 SIMULATED, AWAITED = "simulated-1", "station-awaited"
 
 
 def choose_station() -> str | None:
-    """Let a person choose a station; None, with how to start one, where none has ever served this registry."""
-    say = words()
+    """Let a person choose a station; None, with how to start one, where there is none."""
     names = [beat.station for beat in registry().order_queue.stations()]
     if not names:
         st.info(say("station.none.how"), icon=":material/inbox:", title=say("station.none"))
-        if may(person(), "set_up") and st.button(say("station.simulate"), icon=":material/science:"):
+        if allows("set_up") and st.button(say("station.simulate"), icon=":material/science:"):
             permit("set_up")
             start_simulated_station(SIMULATED)
             registry().trail.add("start", "station", (SIMULATED,), {"rig": "simulated"}, actor=actor())
@@ -40,20 +39,18 @@ def _await_station() -> None:
     if registry().order_queue.stations():
         del st.session_state[AWAITED]
         st.rerun()
-    st.caption(words()("station.starting"))
+    st.caption(say("station.starting"))
 
 
 def place(station: str, kind: OrderKind, serial: str = "", lot_id: str = "", reason: str = "") -> bool:
     """Order something from a station; a refusal is shown as one line."""
     permit("override" if kind is OrderKind.OVERRIDE else "set_up")
-    try:
+    with refusals_in_words():
         if not registry().order_queue.is_answering(station):
-            raise InputError(words()("station.silent", station=station))
+            raise InputError(say("station.silent", station=station))
         registry().order_queue.place(Order(uuid.uuid4().hex, station, kind, serial, lot_id, actor(), reason))
-    except InputError as error:
-        st.error(in_words(error), icon=":material/error:")
-        return False
-    return True
+        return True
+    return False
 
 
 def newest_run(station: str, kinds: tuple[OrderKind, ...], lot_id: str = "") -> tuple[Order, Progress] | None:
@@ -70,27 +67,24 @@ def run_panel(run: tuple[Order, Progress]) -> bool:
     elif progress.state is RunState.ERROR:
         st.error(in_words(progress.message), icon=":material/report:", title=progress.code)
     elif progress.state is RunState.CANCELLED:
-        st.info(in_words(progress.message) or words()("job.cancelled"), icon=":material/cancel:")
+        st.info(in_words(progress.message) or say("job.cancelled"), icon=":material/cancel:")
     return progress.state is RunState.DONE
 
 
 @st.fragment(run_every=POLL_S)
 @errors_in_words()
 def _running(order_id: str, station: str) -> None:
-    say, queue = words(), registry().order_queue
+    queue = registry().order_queue
     progress = queue.progress(order_id)
     if not progress.state.is_active:
         st.rerun()
     left, right = st.columns([5, 1], vertical_alignment="bottom")
-    left.progress(
-        progress.fraction,
-        text=say("station.left", phase=phase_said(progress.phase, say), seconds=round(progress.remaining_s)),
-    )
-    if right.button(say("station.stop"), type="primary", key=f"stop-{order_id}", width="stretch"):
+    phase = phase_said(progress.phase, say)
+    left.progress(progress.fraction, text=say("station.left", phase=phase, seconds=round(progress.remaining_s)))
+    if right.button(say("line.action.STOP"), type="primary", key=f"stop-{order_id}", width="stretch"):
         place(station, OrderKind.STOP)
     if not queue.is_answering(station):
         st.warning(say("station.silent", station=station), icon=":material/heart_broken:")
     if progress.signal.t_s:
-        st.echarts_chart(
-            live_signal(progress.signal, colours(), say, has_force=True), height=320, key=f"signal-{order_id}"
-        )
+        drawn = live_signal(progress.signal, colours(), say, has_force=True)
+        st.echarts_chart(drawn, height=320, key=f"signal-{order_id}")
