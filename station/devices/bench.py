@@ -26,7 +26,7 @@ from softcal.station.interfaces import Clock, ForceReader, Readout, Stage
 
 if TYPE_CHECKING:
     from softcal.core.twin.simulate import Twin
-    from softcal.station.simulated.station import SimulatedStation
+    from softcal.station.devices.simulated_station import SimulatedStation
 
 SIMULATED_NAME = "simulated"
 """Name of every simulated station: nothing it measures is traceable."""
@@ -106,7 +106,7 @@ def open_simulated_bench(
     """
     # The simulator is an extra: a real rig does without it.
     from softcal.core.twin.simulate import Twin
-    from softcal.station.simulated.station import SimulatedStation
+    from softcal.station.devices.simulated_station import SimulatedStation
 
     twin = unit or Twin()
     rng = np.random.default_rng(seed)

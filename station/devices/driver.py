@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     import numpy as np
 
     from softcal.core.twin.parameters import ReadoutMetadata
+    from softcal.station.simulated.answering import FarEnd
     from softcal.station.simulated.motion import Axis
     from softcal.station.simulated.wire import Wire
-    from softcal.station.simulated.world import FarEnd
 
 BASES: tuple[type[DeviceConfig], ...] = (StageConfig, ForceConfig, ReadoutConfig)
 

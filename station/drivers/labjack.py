@@ -118,11 +118,25 @@ def _set(ljm: Any, handle: int, name: str, value: float, port: str) -> None:
         raise CommandRefused(reason("labjack.other", device=named(NAME, port), name=name, value=value, found=found))
 
 
+@dataclass(frozen=True)
+class _SimulatedLabjackConfig(LabjackConfig):
+    """The same section, with the simulated library behind it.
+
+    Args:
+        device, first_input, full_scale_V, resolution: as of `LabjackConfig`.
+    """
+
+    def library(self) -> Any:
+        from softcal.station.simulated.labjack import SimulatedLjm
+
+        return SimulatedLjm()
+
+
 def _simulate(around: Surroundings) -> Simulated[LabjackConfig]:
-    from softcal.station.simulated.labjack import SimulatedLabjack, SimulatedLabjackConfig
+    from softcal.station.simulated.labjack import SimulatedLabjack
 
     rate_Hz, channels = around.electronics.sample_rate_Hz, len(around.outputs_V(0.0))
-    config = SimulatedLabjackConfig(around.wire.port, rate_Hz=rate_Hz, channels=channels)
+    config = _SimulatedLabjackConfig(around.wire.port, rate_Hz=rate_Hz, channels=channels)
     return Simulated(config, SimulatedLabjack(around.wire, around.outputs_V))
 
 

@@ -10,17 +10,13 @@ from softcal.station.drivers.admission import admit
 from softcal.station.interfaces import Move, OnWait, StagePosition, ignore_wait
 from softcal.station.wire.command import Control, Measurement
 from softcal.station.wire.frames import zaber
+from softcal.station.wire.frames.zaber import ACCELERATION_UNIT, SPEED_UNIT
 from softcal.station.wire.link import POLL_S, Link, link_for_driver
 
 ANSWER_S = 0.5
 SILENCE_S = 0.25
 STATUS_S = 0.04
 HOMING_S = 60.0
-
-SPEED_UNIT = 1.6384
-"""A speed setting is microsteps per second times this; an acceleration setting is that per 10 000 s of second."""
-
-ACCELERATION_UNIT = 1.6384 / 10_000
 
 
 @dataclass(frozen=True)

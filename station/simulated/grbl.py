@@ -5,6 +5,7 @@ import re
 from collections import deque
 from collections.abc import Callable
 
+from softcal.station.simulated.answering import FarEnd
 from softcal.station.simulated.motion import Axis, QueuedMove
 from softcal.station.simulated.wire import Wire
 from softcal.station.wire.frames import grbl
@@ -36,7 +37,7 @@ _WORD = re.compile(rb"([A-Z])(-?[\d.]+)")
 _REAL_TIME = b"?!~\x18\x84\x85"
 
 
-class SimulatedGrbl:
+class SimulatedGrbl(FarEnd):
     """A controller whose Z axis presses downward: machine Z runs from 0 at the homing switch to −travel.
 
     Faults are switches: `switch` ("good", "missing", "stuck"), `delay_reply_s`, `hit_limit()`, `dip_power()`,
@@ -49,7 +50,8 @@ class SimulatedGrbl:
     """
 
     def __init__(self, wire: Wire, axis: Axis, travel_mm: float = 40.0) -> None:
-        self.wire, self.axis, self.travel_mm = wire, axis, travel_mm
+        super().__init__(wire, axis=axis)
+        self.travel_mm = travel_mm
         self.settings = DEFAULTS | {20: 1.0, 21: 1.0, 22: 1.0, 112: 1500.0}
         self.settings |= {122: axis.acceleration_mm_s2, 132: travel_mm}
         self.switch = "good"
@@ -60,7 +62,6 @@ class SimulatedGrbl:
         self.was_moving_at_stop = False
         self.believe_zero_here()
         self._now_s = 0.0
-        self._received = bytearray()
         self._lines: deque[bytes] = deque()
         self._waiting: Callable[[], bool] | None = None
         self._dwell_until_s = self._holds_at_s = math.inf
@@ -74,19 +75,18 @@ class SimulatedGrbl:
         self._offset_mm = -self.axis.position_mm
 
     def receive(self, now_s: float) -> None:
-        """Take what the host has written: real-time bytes at once, lines into the buffer."""
         self._now_s = now_s
-        content = self.wire.receive()
-        if not content:
-            return
-        self.axis.advance(now_s)
+        super().receive(now_s)
+
+    def take(self, content: bytes, now_s: float) -> None:
+        """Take real-time bytes at once, lines into the buffer."""
         for code in content:
             byte = bytes([code])
             if byte in _REAL_TIME:
                 self._real_time(byte)
             elif byte in b"\r\n":
-                self._lines.append(bytes(self._received))
-                self._received.clear()
+                self._lines.append(self._received)
+                self._received = b""
             elif sum(map(len, self._lines)) + len(self._received) < RECEIVE_BYTES - 1:
                 self._received += byte
         self._work()
@@ -185,7 +185,7 @@ class SimulatedGrbl:
 
     def _start_again(self) -> None:
         self._lines.clear()
-        self._received.clear()
+        self._received = b""
         self._waiting = None
         self._dwell_until_s = self._holds_at_s = math.inf
         self.is_locked_until_reset = False

@@ -10,25 +10,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from heapq import heappop, heappush
 from itertools import count
-from typing import Protocol
+
+from softcal.station.simulated.answering import FarEnd
 
 LARGEST_LAG_S = 0.1
-
-
-class FarEnd(Protocol):
-    """Something that lives in simulated time."""
-
-    def receive(self, now_s: float) -> None:
-        """Take the bytes the host has written and act on them."""
-        ...
-
-    def next_event_s(self) -> float:
-        """Return the time of the next thing that happens by itself."""
-        ...
-
-    def advance(self, now_s: float) -> None:
-        """Do everything that is due until now, bytes that have reached the host included."""
-        ...
 
 
 class World:

@@ -13,9 +13,9 @@ from softcal.station.clock import HostClock
 from softcal.station.devices.catalogue import driver_of
 from softcal.station.devices.config import DeviceConfig
 from softcal.station.devices.driver import AnyDriver, Opening, Simulated, Surroundings
+from softcal.station.devices.simulated_station import wire_for
 from softcal.station.interfaces import Clock, Reader, Sample, Stage, StagePosition
 from softcal.station.simulated.motion import Axis
-from softcal.station.simulated.station import wire_for
 from softcal.station.simulated.wire import Wire
 from softcal.station.simulated.world import World
 

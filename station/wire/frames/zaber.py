@@ -34,6 +34,11 @@ WARNINGS = {
 
 NOT_HOMED = ("WR", "WH")
 
+SPEED_UNIT = 1.6384
+"""A speed setting is microsteps per second times this; an acceleration setting is that per 10 000 s of second."""
+
+ACCELERATION_UNIT = SPEED_UNIT / 10_000
+
 
 @dataclass(frozen=True)
 class Command:

@@ -10,13 +10,14 @@ from softcal.core.twin.simulate import Twin, TwinStream
 from softcal.station.devices.catalogue import driver_of
 from softcal.station.devices.config import ForceConfig, ReadoutConfig, Role, StageConfig
 from softcal.station.devices.driver import AnyDriver, Simulated, Surroundings
+from softcal.station.simulated.answering import FarEnd
 from softcal.station.simulated.grbl import SimulatedGrbl
 from softcal.station.simulated.medium import BleEnd, SocketEnd
 from softcal.station.simulated.motion import Axis
 from softcal.station.simulated.rig import SimulatedRig
 from softcal.station.simulated.text_stream import CELL_COUNTS_PER_N, CELL_ZERO_COUNTS, SimulatedTextStream
 from softcal.station.simulated.wire import Wire
-from softcal.station.simulated.world import FarEnd, World
+from softcal.station.simulated.world import World
 
 ACCELERATION_MM_S2 = 200.0
 FREE_MM = 4.0

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from softcal.station.devices.simulated_station import SimulatedStation
 from softcal.station.simulated.force_gauge import SimulatedIndicator, SimulatedLoadstar, SimulatedMark10
-from softcal.station.simulated.station import SimulatedStation
 from softcal.station.simulated.zaber import SimulatedZaber
 
 HOMING, APPROACH, SEARCH = "homing", "reading the unloaded channels", "searching for contact"

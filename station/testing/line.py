@@ -8,8 +8,8 @@ from softcal.core.errors import InputError
 from softcal.core.twin.simulate import Twin
 from softcal.core.words.reason import Reason, reason
 from softcal.station.devices.bench import Bench, open_simulated_bench
-from softcal.station.simulated.faults import FAULTS, Fault
-from softcal.station.simulated.station import SimulatedStation
+from softcal.station.devices.simulated_station import SimulatedStation
+from softcal.station.testing.faults import FAULTS, Fault
 
 NAMES = {f.name: f for f in FAULTS if (f.stage_kind, f.force_kind, f.has_cell) == ("grbl", "hx711", True)}
 """Faults of the devices that this line has."""
