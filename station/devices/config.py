@@ -159,14 +159,14 @@ class StationConfig:
     def __post_init__(self) -> None:
         self._check_ports()
         if self.force is not None:
-            _within("safety.force_N", self.safety.force_N, 0.0, LARGEST_LIMIT * self.force.capacity_N)
-            _within("fixture.touch_N", self.fixture.touch_N, 0.0, self.safety.force_N)
+            check_within("safety.force_N", self.safety.force_N, 0.0, LARGEST_LIMIT * self.force.capacity_N)
+            check_within("fixture.touch_N", self.fixture.touch_N, 0.0, self.safety.force_N)
             if self.force.is_latency_stated:
-                _within("force.latency_s", self.force.latency_s, 0.0, LATEST_S)
-        _within("safety.stiffest_N_mm", self.safety.stiffest_N_mm, 0.1, 1e5)
-        _within("safety.silence_s", self.safety.silence_s, 0.15, 1.0)
-        _within("fixture.approach_mm", self.fixture.approach_mm, 0.0, self.safety.deepest_mm)
-        _within("fixture.search_mm_s", self.fixture.search_mm_s, 0.01, self.safety.speed_mm_s)
+                check_within("force.latency_s", self.force.latency_s, 0.0, LATEST_S)
+        check_within("safety.stiffest_N_mm", self.safety.stiffest_N_mm, 0.1, 1e5)
+        check_within("safety.silence_s", self.safety.silence_s, 0.15, 1.0)
+        check_within("fixture.approach_mm", self.fixture.approach_mm, 0.0, self.safety.deepest_mm)
+        check_within("fixture.search_mm_s", self.fixture.search_mm_s, 0.01, self.safety.speed_mm_s)
 
     def _check_ports(self) -> None:
         devices = {"stage": self.stage, "readout": self.readout} | ({"force": self.force} if self.force else {})
@@ -356,6 +356,22 @@ def _typed(name: str, value: object, kind: object) -> object:
     raise InputError(reason("station_file.wrong_type", name=name, value=repr(value), expected=expected))
 
 
-def _within(name: str, value: float, low: float, high: float) -> None:
+def check_within(name: str, value: float, low: float, high: float) -> None:
+    """Raise `InputError` where the value of a key is outside of [low, high]."""
     if not low <= value <= high:
         raise InputError(reason("station_file.outside", name=name, value=value, low=low, high=high))
+
+
+def check_positive(name: str, value: float) -> None:
+    """Raise `InputError` where the value of a key is not above 0."""
+    if not value > 0:
+        raise InputError(reason("station_file.positive", name=name, value=value))
+
+
+def check_known(name: str, value: str | float, known: Iterable[str | float]) -> None:
+    """Raise `InputError` where the value of a key is none of those that are known."""
+    known = tuple(known)
+    if value not in known:
+        shown = repr(value) if isinstance(value, str) else f"{value:g}"
+        listed = ", ".join(each if isinstance(each, str) else f"{each:g}" for each in known)
+        raise InputError(reason("station_file.known", name=name, value=shown, known=listed))

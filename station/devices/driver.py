@@ -5,17 +5,18 @@ from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, get_type_hints
 
+import numpy as np
+
 from softcal.station.devices.config import DeviceConfig, ForceConfig, ReadoutConfig, Role, StageConfig
 from softcal.station.interfaces import Clock, ForceReader, Readout, Stage
+from softcal.station.simulated.answering import FarEnd
+from softcal.station.simulated.motion import Axis
+from softcal.station.simulated.wire import Wire
+from softcal.station.wire.link import Link, link_for_driver
 from softcal.station.wire.transport import WireKind
 
-if TYPE_CHECKING:
-    import numpy as np
-
+if TYPE_CHECKING:  # The simulator is an extra: a real rig does without it.
     from softcal.core.twin.parameters import ReadoutMetadata
-    from softcal.station.simulated.answering import FarEnd
-    from softcal.station.simulated.motion import Axis
-    from softcal.station.simulated.wire import Wire
 
 BASES: tuple[type[DeviceConfig], ...] = (StageConfig, ForceConfig, ReadoutConfig)
 
@@ -50,12 +51,12 @@ class Surroundings:
         stage_port: of the stage, for a device behind it.
     """
 
-    wire: "Wire"
-    axis: "Axis"
+    wire: Wire
+    axis: Axis
     force_N: Callable[[float], float]
     outputs_V: Callable[[float], tuple[float, ...]]
     electronics: "ReadoutMetadata"
-    rng: "np.random.Generator"
+    rng: np.random.Generator
     stage_port: str = ""
 
 
@@ -70,7 +71,7 @@ class Simulated(Generic[C]):
     """
 
     config: C
-    far_end: "FarEnd | None"
+    far_end: FarEnd | None
     reading_per_V: float = 1.0
 
 
@@ -126,6 +127,21 @@ class Driver(Generic[C, D]):
         )
         defaults = {f.name: "needed" if f.default is MISSING else json.dumps(f.default) for f in fields(self.config)}
         return [(key, names.get(types[key], str(types[key])), value, unit_of(key)) for key, value in defaults.items()]
+
+
+def opens(name: str, make: Callable[[Link, Any], D]) -> Callable[[Any, Opening], D]:
+    """Return what opens a device on a port with a baud rate; the port is given back when another device is there.
+
+    Args:
+        name: how messages call the device.
+        make: (its port, its section of the station file) -> the device.
+    """
+
+    def opened(config: Any, opening: Opening) -> D:
+        with link_for_driver(config.port, opening.clock, config.baud_rate, name) as link:
+            return make(link, config)
+
+    return opened
 
 
 UNITS = {

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from softcal.core.errors import BadReply, DeviceError, NoReply
 from softcal.core.words.reason import Reason, reason
 from softcal.station.devices.config import ForceConfig, StageConfig
-from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings
+from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings, opens
 from softcal.station.drivers.admission import admit
 from softcal.station.interfaces import Move, OnWait, Sample, StagePosition, ignore_wait
+from softcal.station.simulated.esm import SimulatedEsm
+from softcal.station.simulated.force_gauge import SimulatedMark10
 from softcal.station.wire.frames import esm, gcl2
-from softcal.station.wire.link import POLL_S, Line, Link, link_for_driver
+from softcal.station.wire.link import POLL_S, Line, Link
 
 STOPS_WITHIN_S = 1.0
 SILENCE_S = 0.25
@@ -302,9 +304,8 @@ class EsmGauge:
         self._samples.append(Sample((asked_s + line.host_s) / 2, None, (force_N,)))
 
 
-def _open(config: EsmConfig, opening: Opening) -> EsmStage:
-    with link_for_driver(config.port, opening.clock, config.baud_rate, "stage") as link:
-        return EsmStage(link, config.travel_mm, config.acceleration_mm_s2)
+def _open(link: Link, config: EsmConfig) -> EsmStage:
+    return EsmStage(link, config.travel_mm, config.acceleration_mm_s2)
 
 
 def _open_gauge(config: EsmGaugeConfig, opening: Opening) -> EsmGauge:
@@ -314,9 +315,6 @@ def _open_gauge(config: EsmGaugeConfig, opening: Opening) -> EsmGauge:
 
 
 def _simulate(around: Surroundings) -> Simulated[EsmConfig]:
-    from softcal.station.simulated.esm import SimulatedEsm
-    from softcal.station.simulated.force_gauge import SimulatedMark10
-
     gauge = SimulatedMark10(around.wire, around.force_N)
     return Simulated(EsmConfig(around.wire.port), SimulatedEsm(around.wire, around.axis, gauge))
 
@@ -326,6 +324,6 @@ def _simulate_gauge(around: Surroundings) -> Simulated[EsmGaugeConfig]:
 
 
 DRIVERS = (
-    Driver("esm", "Mark-10 ESM301 and ESM303 stands under PC control", EsmConfig, _open, _simulate),
+    Driver("esm", "Mark-10 ESM301 and ESM303 stands under PC control", EsmConfig, opens("stage", _open), _simulate),
     Driver("esm", "the gauge on a Mark-10 stand", EsmGaugeConfig, _open_gauge, _simulate_gauge),
 )

@@ -3,17 +3,18 @@
 from collections import deque
 from dataclasses import dataclass
 
-from softcal.core.errors import BadReply, CommandRefused, DeviceError, InputError, NoReply
+from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply
 from softcal.core.words.reason import Reason, reason
-from softcal.station.devices.config import StageConfig
-from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings
+from softcal.station.devices.config import StageConfig, check_known
+from softcal.station.devices.driver import Driver, Simulated, opens
 from softcal.station.drivers.admission import admit
 from softcal.station.drivers.grbl_settings import ANSWER_S, read_settings
 from softcal.station.interfaces import Held, Move, OnWait, StagePosition, ignore_wait
 from softcal.station.motion.feeding import PieceFeed, runs_on_mm, runs_on_s
 from softcal.station.record.trajectory import Trapezoid
+from softcal.station.simulated.grbl import SimulatedGrbl
 from softcal.station.wire.frames import grbl
-from softcal.station.wire.link import POLL_S, Line, Link, link_for_driver
+from softcal.station.wire.link import POLL_S, Line, Link
 
 STATUS_S = 0.1
 """Status polls: ten a second is the controller's limit."""
@@ -49,8 +50,7 @@ class GrblConfig(StageConfig):
     is_reversed: bool = True
 
     def __post_init__(self) -> None:
-        if self.axis not in ("X", "Y", "Z"):
-            raise InputError(reason("station_file.known", name="stage.axis", value=repr(self.axis), known="X, Y, Z"))
+        check_known("stage.axis", self.axis, ("X", "Y", "Z"))
 
 
 class GrblStage:
@@ -365,15 +365,12 @@ def _is_locked(reply: grbl.Reply) -> bool:
     return isinstance(reply, grbl.GrblStatus) and reply.state in ("Alarm", "Door", "Sleep", "Home")
 
 
-def _open(config: GrblConfig, opening: Opening) -> GrblStage:
-    with link_for_driver(config.port, opening.clock, config.baud_rate, "stage") as link:
-        return GrblStage(link, config.axis, config.is_reversed)
-
-
-def _simulate(around: Surroundings) -> Simulated[GrblConfig]:
-    from softcal.station.simulated.grbl import SimulatedGrbl
-
-    return Simulated(GrblConfig(around.wire.port), SimulatedGrbl(around.wire, around.axis))
-
-
-DRIVERS = (Driver("grbl", "GRBL 1.1 and grblHAL controllers", GrblConfig, _open, _simulate),)
+DRIVERS = (
+    Driver(
+        "grbl",
+        "GRBL 1.1 and grblHAL controllers",
+        GrblConfig,
+        opens("stage", lambda link, config: GrblStage(link, config.axis, config.is_reversed)),
+        lambda around: Simulated(GrblConfig(around.wire.port), SimulatedGrbl(around.wire, around.axis)),
+    ),
+)

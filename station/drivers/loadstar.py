@@ -1,11 +1,13 @@
 """Driver of a Loadstar DI-100 or DI-1000 interface that streams its readings (frames/loadstar.py has the source)."""
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 from softcal.core.errors import NoReply
 from softcal.core.words.reason import reason
-from softcal.station.devices.driver import Driver, Simulated, Surroundings
-from softcal.station.drivers.serial_cell import LineCell, SerialCellConfig, opens
+from softcal.station.devices.driver import Driver
+from softcal.station.drivers.serial_cell import LineCell, SerialCellConfig, opens_cell, simulates
+from softcal.station.simulated.force_gauge import SimulatedLoadstar
 from softcal.station.wire.frames import loadstar
 from softcal.station.wire.link import Link
 
@@ -41,10 +43,8 @@ class LoadstarCell(LineCell):
         self._link.write(loadstar.STREAM)
 
     def close(self) -> None:
-        try:
+        with suppress(NoReply):  # It is gone, and its stream with it.
             self._link.write(loadstar.PING)
-        except NoReply:
-            pass  # It is gone, and its stream with it.
         super().close()
 
     def _force_N(self, text: bytes) -> float:
@@ -65,10 +65,5 @@ class LoadstarCell(LineCell):
         return self._link.next_line(ANSWER_S).text.decode("ascii", "replace").strip()
 
 
-def _simulate(around: Surroundings) -> Simulated[LoadstarConfig]:
-    from softcal.station.simulated.force_gauge import SimulatedLoadstar
-
-    return Simulated(LoadstarConfig(around.wire.port), SimulatedLoadstar(around.wire, around.force_N))
-
-
-DRIVERS = (Driver("loadstar", "Loadstar DI-100 and DI-1000", LoadstarConfig, opens(LoadstarCell), _simulate),)
+_SIMULATE = simulates(LoadstarConfig, SimulatedLoadstar)
+DRIVERS = (Driver("loadstar", "Loadstar DI-100 and DI-1000", LoadstarConfig, opens_cell(LoadstarCell), _SIMULATE),)

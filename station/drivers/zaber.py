@@ -2,16 +2,17 @@
 
 from dataclasses import dataclass
 
-from softcal.core.errors import BadReply, CommandRefused, DeviceError, InputError, NoReply
+from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply
 from softcal.core.words.reason import reason
-from softcal.station.devices.config import StageConfig
-from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings
+from softcal.station.devices.config import StageConfig, check_positive
+from softcal.station.devices.driver import Driver, Simulated, opens
 from softcal.station.drivers.admission import admit
 from softcal.station.interfaces import Move, OnWait, StagePosition, ignore_wait
+from softcal.station.simulated.zaber import SimulatedZaber
 from softcal.station.wire.command import Control, Measurement
 from softcal.station.wire.frames import zaber
 from softcal.station.wire.frames.zaber import ACCELERATION_UNIT, SPEED_UNIT
-from softcal.station.wire.link import POLL_S, Link, link_for_driver
+from softcal.station.wire.link import POLL_S, Link
 
 ANSWER_S = 0.5
 SILENCE_S = 0.25
@@ -39,8 +40,7 @@ class ZaberConfig(StageConfig):
     axis: int = 1
 
     def __post_init__(self) -> None:
-        if not self.microstep_mm > 0:
-            raise InputError(reason("station_file.positive", name="stage.microstep_mm", value=self.microstep_mm))
+        check_positive("stage.microstep_mm", self.microstep_mm)
 
 
 class ZaberStage:
@@ -196,15 +196,12 @@ def _number(reply: zaber.Reply) -> float:
         raise BadReply(reason("zaber.position", answer=repr(reply.data[:40]))) from error
 
 
-def _open(config: ZaberConfig, opening: Opening) -> ZaberStage:
-    with link_for_driver(config.port, opening.clock, config.baud_rate, "stage") as link:
-        return ZaberStage(link, config.microstep_mm, config.device, config.axis)
-
-
-def _simulate(around: Surroundings) -> Simulated[ZaberConfig]:
-    from softcal.station.simulated.zaber import SimulatedZaber
-
-    return Simulated(ZaberConfig(around.wire.port), SimulatedZaber(around.wire, around.axis))
-
-
-DRIVERS = (Driver("zaber", "Zaber stages, ASCII protocol, firmware 6 and 7", ZaberConfig, _open, _simulate),)
+DRIVERS = (
+    Driver(
+        "zaber",
+        "Zaber stages, ASCII protocol, firmware 6 and 7",
+        ZaberConfig,
+        opens("stage", lambda link, config: ZaberStage(link, config.microstep_mm, config.device, config.axis)),
+        lambda around: Simulated(ZaberConfig(around.wire.port), SimulatedZaber(around.wire, around.axis)),
+    ),
+)
