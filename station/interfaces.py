@@ -73,11 +73,9 @@ class Clock(Protocol):
 
     def now_s(self) -> float:
         """Return seconds since an arbitrary start; never goes backward."""
-        ...
 
     def sleep_s(self, seconds: float) -> None:
         """Let time pass."""
-        ...
 
 
 class Stage(Protocol):
@@ -93,24 +91,32 @@ class Stage(Protocol):
     @property
     def is_position_known(self) -> bool:
         """Whether the axis was homed and nothing happened since that could have lost the position."""
-        ...
 
     @property
     def is_moving(self) -> bool:
         """Whether the last move that was begun has not yet been confirmed as finished."""
-        ...
 
     def home(self, on_wait: OnWait = ignore_wait) -> None:
-        """Find the homing switch and wait until it is done; what `on_wait` raises ends the wait, not yet the motion."""
-        ...
+        """Find the homing switch and wait until it is done; what `on_wait` raises ends the wait, not yet the motion.
+
+        Raises:
+            DeviceError: the switch is missing or stuck, or something blocks the stage; the position stays unknown.
+        """
 
     def begin(self, move: Move) -> None:
-        """Start a move and return at once; `poll` feeds it."""
-        ...
+        """Start a move and return at once; `poll` feeds it.
+
+        Raises:
+            CommandRefused: not homed, still moving, or beyond travel or speed; nothing was sent.
+        """
 
     def poll(self) -> Sequence[StagePosition]:
-        """Read what the controller said, feed the move in progress, ask for the position when it is time."""
-        ...
+        """Read what the controller said, feed the move in progress, ask for the position when it is time.
+
+        Raises:
+            NoReply: the port is gone, or a question was not answered.
+            DeviceError: stopped short, stalled, moved by hand, an alarm, a restart: the position may be lost.
+        """
 
     def stop(self) -> None:
         """Stop at once by a path that waits behind nothing; the position stays known where the device allows it.
@@ -119,11 +125,9 @@ class Stage(Protocol):
             Held: it stands, and somebody holds it at the machine.
             DeviceError: it does not answer; it was told to stop all the same.
         """
-        ...
 
     def close(self) -> None:
         """Give the port back."""
-        ...
 
 
 @runtime_checkable
@@ -133,11 +137,9 @@ class RoughLift(Protocol):
     @property
     def can_lift_roughly(self) -> bool:
         """Whether the position was lost by our own stop alone, so that its count is still nearly right."""
-        ...
 
     def lift_roughly(self, distance_mm: float, speed_mm_s: float) -> None:
-        """Begin to go away from the unit; `poll` follows it. The position stays unknown."""
-        ...
+        """Begin to go away from the unit, but not into the switch; `poll` follows it. The position stays unknown."""
 
 
 @runtime_checkable
@@ -146,11 +148,9 @@ class RunsOn(Protocol):
 
     def runs_on_s(self, speed_mm_s: float) -> float:
         """Return after how long it stands, at most, once the host is gone in a move at this speed."""
-        ...
 
     def runs_on_mm(self, move: Move) -> float:
         """Return how far it still goes, at most, once the host is gone in this move."""
-        ...
 
 
 @runtime_checkable
@@ -159,7 +159,6 @@ class Advises(Protocol):
 
     def unsafe_settings(self) -> Sequence[tuple[str, Reason]]:
         """Return each setting that takes safety away, and what to do about it."""
-        ...
 
 
 class Reader(Protocol):
@@ -171,15 +170,12 @@ class Reader(Protocol):
 
     def start(self) -> None:
         """Throw away what lies in the buffers and begin to count."""
-        ...
 
     def poll(self) -> Sequence[Sample]:
         """Return the samples that arrived since the last call, oldest first."""
-        ...
 
     def close(self) -> None:
         """Give the port back."""
-        ...
 
 
 class ForceReader(Reader, Protocol):

@@ -50,11 +50,7 @@ class Reason:
         return self.said(ENGLISH)
 
     def said(self, sentences: Mapping[str, str]) -> str:
-        """Return the sentence in one language.
-
-        Args:
-            sentences: by code, as `ENGLISH`; what a language lacks is said in English.
-        """
+        """Return the sentence in one language, by code as `ENGLISH`; what a language lacks is said in English."""
         values = {name: v.said(sentences) if isinstance(v, Reason) else v for name, v in self.values.items()}
         return filled(sentences.get(self.code, ENGLISH[self.code]), values)
 
@@ -128,11 +124,7 @@ def unpacked(message: str) -> tuple[Reason, ...]:
 
 
 def several(reasons: Sequence[Reason], code: str = "and") -> Reason:
-    """Return reasons as one, where a single one is wanted.
-
-    Args:
-        code: of the sentence that holds a `first` one and the `rest`.
-    """
+    """Return reasons as one; the code is that of the sentence that holds a `first` one and the `rest`."""
     first, *rest = reasons
     return reason(code, first=first, rest=several(rest, code)) if rest else first
 

@@ -52,11 +52,7 @@ _D = TypeVar("_D", bound=_Device)
 
 @contextmanager
 def open_bench(config: StationConfig, clock: Clock | None = None) -> Iterator[Bench]:
-    """Open every device of a station and give all ports back at the end.
-
-    Raises:
-        DeviceError: names all devices that are missing, not only the first.
-    """
+    """Open every device of a station and give all ports back at the end; `DeviceError` names all that are missing."""
     clock = clock or HostClock()
     with ExitStack() as stack:
         missing: list[Reason] = []
@@ -94,11 +90,8 @@ def open_simulated_bench(
     """Open the same drivers on simulated far ends, each behind its own serial line.
 
     Args:
-        unit: the unit under the stage; None for a nominal one. `SimulatedStation.mount` changes it.
-        seed: of noise, delays and mounting.
         time_factor: simulated seconds per real second at most; None runs as fast as the computer can. A driver that
             reads in a thread of its own makes simulated time real time.
-        stage_kind, force_kind, readout_kind: which drivers, as in a station file.
         beside: more units under the same stage, each on a channel of its own.
 
     Returns:
@@ -136,11 +129,7 @@ def simulated_config(station: "SimulatedStation") -> StationConfig:
 
 @contextmanager
 def open_force(config: ForceConfig, clock: Clock) -> Iterator[ForceReader]:
-    """Open the load cell alone.
-
-    Raises:
-        DeviceError: it is missing.
-    """
+    """Open the load cell alone; `DeviceError` where it is missing."""
     reader: ForceReader = _open(config, Opening(clock))
     try:
         yield reader
@@ -149,11 +138,7 @@ def open_force(config: ForceConfig, clock: Clock) -> Iterator[ForceReader]:
 
 
 def open_readout(config: ReadoutConfig, clock: Clock) -> Readout:
-    """Open the sensor's readout alone; whoever opened it closes it.
-
-    Raises:
-        DeviceError: it is missing.
-    """
+    """Open the readout alone, which whoever opened it closes; `DeviceError` where it is missing."""
     readout: Readout = _open(config, Opening(clock))
     return readout
 

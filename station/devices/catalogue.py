@@ -49,11 +49,7 @@ def offers() -> list[Offer]:
 
 
 def driver_of(role: Role, kind: str) -> AnyDriver:
-    """Return the driver of a kind.
-
-    Raises:
-        InputError: there is none, two packages offer it, or its package is broken.
-    """
+    """Return the driver of a kind; `InputError`: there is none, two packages offer it, or its package is broken."""
     found = [offer for offer in _shipped() if (offer.role, offer.kind) == (role, kind)]
     found += [_load(at, point) for at, point in _entry_points() if (at, point.name) == (role, kind)]
     if not found:

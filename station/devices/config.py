@@ -224,11 +224,7 @@ def station_from_table(content: dict[str, Any]) -> StationConfig:
 
 
 def station_toml(config: StationConfig, choices: str = "") -> str:
-    """Return the station file of a configuration, every key in it and what it means, to be read and edited.
-
-    Args:
-        choices: what stands beside a port that is still open.
-    """
+    """Return the station file of a configuration, every key in it and what it means, to be read and edited."""
     document = tomlkit.document()
     document["name"] = config.name
     for name in _SECTIONS:
@@ -259,11 +255,7 @@ def meanings(kind: type[Any]) -> list[str]:
 
 
 def with_own_keys(config: DeviceConfig) -> DeviceConfig:
-    """Return the section of a device with its driver's own keys, at their defaults where only common ones are given.
-
-    Raises:
-        InputError: there is no such driver.
-    """
+    """Return the section of a device with its driver's own keys, at their defaults where only common ones are given."""
     from softcal.station.devices.catalogue import driver_of  # The catalogue needs this module.
 
     kind: type[DeviceConfig] = driver_of(config.role, config.kind).config
@@ -282,7 +274,6 @@ def device_section(name: str, table: dict[str, Any]) -> DeviceConfig:
     """Return the section of one device as its driver understands it.
 
     Args:
-        name: of the section: stage, force, readout.
         table: its keys; a kind that is not given is that of the section.
 
     Raises:
@@ -311,12 +302,7 @@ def device_section(name: str, table: dict[str, Any]) -> DeviceConfig:
 
 
 def filled(name: str, kind: type[_T], table: dict[str, Any]) -> _T:
-    """Return the values of one section.
-
-    Args:
-        name: of the section.
-        kind: the dataclass that declares its keys.
-        table: the keys as TOML gives them.
+    """Return the values of one section, its keys as TOML gives them.
 
     Raises:
         InputError: an unknown key, which lists the known ones; a missing one; a value of the wrong type.

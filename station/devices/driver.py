@@ -29,7 +29,6 @@ class Opening:
     """What a driver finds when it is opened.
 
     Args:
-        clock: stamps what is read; waiting on it is what lets simulated time pass.
         stage: the station's stage where it is open already, for a cell or readout behind the same port.
     """
 
@@ -47,7 +46,6 @@ class Surroundings:
         force_N: (simulated time in s) -> what presses on the load cell, N.
         outputs_V: (simulated time in s) -> output of each sensor, V.
         electronics: rate and range of the sensor's readout.
-        rng: draws noise and clock errors.
         stage_port: of the stage, for a device behind it.
     """
 
@@ -80,17 +78,12 @@ class Driver(Generic[C, D]):
     """One kind of device that a station can use.
 
     Args:
-        kind: its name in the station file.
-        what: the instruments it is for, in a few words.
         config: a frozen dataclass of its keys, derived from `StageConfig`, `ForceConfig` or `ReadoutConfig`; it checks
             its values by raising `InputError`.
         open: opens the device or raises `DeviceError`, with everything it opened given back.
         simulate: makes the device for the simulated station and for the test kit.
         wires: what `port` may name, the simulated device stands behind the first of them.
         is_threaded: whether it reads in a thread of its own; then simulated time is real time.
-
-    Raises:
-        ValueError: the declaration is none.
     """
 
     kind: str
@@ -130,12 +123,7 @@ class Driver(Generic[C, D]):
 
 
 def opens(name: str, make: Callable[[Link, Any], D]) -> Callable[[Any, Opening], D]:
-    """Return what opens a device on a port with a baud rate; the port is given back when another device is there.
-
-    Args:
-        name: how messages call the device.
-        make: (its port, its section of the station file) -> the device.
-    """
+    """Return what opens a device on a port with a baud rate; the port is given back when another device is there."""
 
     def opened(config: Any, opening: Opening) -> D:
         with link_for_driver(config.port, opening.clock, config.baud_rate, name) as link:

@@ -30,10 +30,8 @@ class SimulatedStation:
     """Stage, load cell and readout around one unit; every part is public so that tests can break it.
 
     Args:
-        unit: the unit under the stage.
         rng: draws noise, delays, clock errors and how units come to lie.
         time_factor: simulated seconds per real second at most; None runs as fast as the computer can.
-        stage_kind, force_kind, readout_kind: which drivers, as in a station file.
         beside: more units under the same stage, each on a channel of its own.
     """
 

@@ -9,16 +9,7 @@ SPEED_ROUNDING = 1e-6
 
 
 def admit(stage: Stage, move: Move, slowest_mm_s: float = 0.0) -> None:
-    """Take a move as one that may begin.
-
-    Args:
-        stage: at rest, homed.
-        move: where to, how fast.
-        slowest_mm_s: that the controller can keep.
-
-    Raises:
-        CommandRefused: not homed, still moving, or beyond travel or speed; nothing was sent.
-    """
+    """Raise `CommandRefused` for a move that may not begin; the controller can keep speeds from `slowest_mm_s` on."""
     if not stage.is_position_known:
         raise CommandRefused(Reason("rig.not_homed"))
     if stage.is_moving:

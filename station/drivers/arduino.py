@@ -19,9 +19,6 @@ class ArduinoConfig(ReadoutConfig):
         baud_rate: of its port.
         vref_V, adc_bits: full scale and resolution of the converter.
         r_series_ohm: series resistor of the divider.
-
-    Raises:
-        InputError: a converter that cannot be.
     """
 
     kind: str = "arduino"
@@ -36,15 +33,7 @@ class ArduinoConfig(ReadoutConfig):
 
 
 class ArduinoReadout(TextStream):
-    """Converter counts as V: count / (2**bits - 1) * reference.
-
-    Args:
-        link: its port.
-        vref_V: full scale of the converter.
-        adc_bits: its resolution.
-        rate_Hz: lines per second.
-        channels: sensors read at once.
-    """
+    """Converter counts as V: count / (2**bits - 1) * reference."""
 
     unit = "V"
 

@@ -72,11 +72,7 @@ class SharedPort:
         self.link.write(question)
 
     def read(self) -> None:
-        """Hand out the answers that have arrived.
-
-        Raises:
-            NoReply: the port is gone, or a question was not answered in time.
-        """
+        """Hand out the answers that have arrived; `NoReply` where a question was not answered in time."""
         for line in self.link.read_lines():
             if self._open:
                 asked_s, take = self._open.popleft()
@@ -91,11 +87,7 @@ class SharedPort:
         self.link.discard()
 
     def answer(self, question: bytes) -> bytes:
-        """Ask and wait for the answer; those to questions of before are handed out on the way.
-
-        Raises:
-            NoReply: none came.
-        """
+        """Ask and wait for the answer; those to questions of before are handed out on the way."""
         answers: list[bytes] = []
         self.ask(question, lambda line, asked_s: answers.append(line.text))
         while not answers:
@@ -111,8 +103,6 @@ class EsmStage:
 
     Args:
         link: the stand's port; PC control must be installed and the console chosen in its menu.
-        travel_mm: length that may be used below the switch.
-        acceleration_mm_s2: of the crosshead; only the reconstruction of corners depends on it.
 
     Raises:
         NoReply: no stand answers.
@@ -132,14 +122,7 @@ class EsmStage:
         esm.parse_status(self.port.answer(esm.STATUS))
 
     def home(self, on_wait: OnWait = ignore_wait) -> None:
-        """Drive up to the upper limit switch, and call that 0.
-
-        Args:
-            on_wait: called at every look; what it raises ends the wait.
-
-        Raises:
-            DeviceError: the crosshead stopped before the switch, or did not get there in time.
-        """
+        """Drive up to the upper limit switch, and call that 0."""
         self.is_position_known = self.is_moving = False
         self._tell(esm.STOP, esm.MANUAL_MODE, esm.speed(HOMING_MM_S), esm.PROGRAMMED_SPEED, esm.UP)
         end_s = self.port.link.clock.now_s() + HOMING_S
@@ -158,11 +141,6 @@ class EsmStage:
         self.is_position_known = True
 
     def begin(self, move: Move) -> None:
-        """Start a move and return at once.
-
-        Raises:
-            CommandRefused: not homed, still moving, or beyond travel or speed; nothing was sent.
-        """
         admit(self, move, esm.SPEED_MM_MIN[0] / 60.0)
         to_mm = round(move.to_mm, 2)
         self._target_mm, self._began_s = to_mm, self.port.link.clock.now_s()
@@ -181,12 +159,6 @@ class EsmStage:
         self.is_moving = True
 
     def poll(self) -> list[StagePosition]:
-        """Read what the stand said, and ask for travel and status when it is time.
-
-        Raises:
-            NoReply: the port is gone, or a question was not answered.
-            DeviceError: the crosshead stopped short of its target.
-        """
         self.port.read()
         now_s = self.port.link.clock.now_s()
         if now_s >= self._next_status_s:
@@ -197,11 +169,6 @@ class EsmStage:
         return positions
 
     def stop(self) -> None:
-        """Stop; the stand takes the command at any time.
-
-        Raises:
-            NoReply: the stand does not answer; it was told to stop all the same.
-        """
         self.is_moving = False
         self._tell(esm.STOP)
         try:
@@ -213,7 +180,6 @@ class EsmStage:
             self.is_position_known = was_homed
 
     def gauge(self, capacity_N: float, sign: float, rate_Hz: float) -> "EsmGauge":
-        """Return the gauge that sits on the crosshead, behind the same port."""
         return EsmGauge(self.port, capacity_N, sign, rate_Hz)
 
     def close(self) -> None:
@@ -254,10 +220,7 @@ class EsmGauge:
     """The gauge on the stand, asked through the stand's port; it has no clock of its own.
 
     Args:
-        port: the stand's port.
-        capacity_N: rated load.
         sign: 1 where compression reads positive, −1 where the polarity is inverted.
-        rate_Hz: questions per second.
 
     Raises:
         NoReply: no gauge answers behind the stand.
@@ -281,12 +244,7 @@ class EsmGauge:
         self._next_s = 0.0
 
     def poll(self) -> list[Sample]:
-        """Return the readings that arrived, in N, and ask for the next one when it is time.
-
-        Raises:
-            NoReply: the port is gone, or a question was not answered.
-            BadReply: the gauge answers with an error code, or without its unit.
-        """
+        """Return the readings that arrived, in N, and ask for the next one when it is time."""
         self._port.read()
         now_s = self._port.link.clock.now_s()
         if now_s >= self._next_s:

@@ -39,9 +39,6 @@ class GrblConfig(StageConfig):
         baud_rate: of its port.
         axis: letter of the axis that presses.
         is_reversed: whether pressing is the negative machine direction.
-
-    Raises:
-        InputError: there is no such axis.
     """
 
     kind: str = "grbl"
@@ -57,8 +54,6 @@ class GrblStage:
     """One axis of a GRBL controller, positive when it compresses, 0 at the homing switch.
 
     Args:
-        link: its port.
-        axis: letter of the axis.
         is_reversed: whether pressing is the negative machine direction, as for a Z axis that homes at the top.
 
     Raises:
@@ -91,14 +86,6 @@ class GrblStage:
         return bool(self._feed is not None or self._in_flight)
 
     def home(self, on_wait: OnWait = ignore_wait) -> None:
-        """Find the homing switch and wait until it is done.
-
-        Args:
-            on_wait: called every few milliseconds; what it raises ends the wait.
-
-        Raises:
-            DeviceError: the switch is missing or stuck; the position stays unknown.
-        """
         self.is_position_known = self.can_lift_roughly = False
         self._forget_motion()
         self._link.discard()
@@ -110,11 +97,6 @@ class GrblStage:
         self._await_status()
 
     def begin(self, move: Move) -> None:
-        """Start a move and return at once; `poll` feeds it.
-
-        Raises:
-            CommandRefused: not homed, still moving, or beyond travel or speed; nothing was sent.
-        """
         admit(self, move)
         path = Trapezoid(self.position_mm, move.to_mm, move.speed_mm_s, self.acceleration_mm_s2)
         self._target_mm, self._speed_mm_s = move.to_mm, move.speed_mm_s
@@ -123,12 +105,6 @@ class GrblStage:
         self._send_due()
 
     def poll(self) -> list[StagePosition]:
-        """Read what the controller said, feed the move in progress, ask for the position when it is time.
-
-        Raises:
-            NoReply: the port is gone, or a status poll was not answered.
-            DeviceError: alarm, door, or the controller started again: the position may be lost.
-        """
         positions = [p for line in self._link.read_lines() if (p := self._take(line)) is not None]
         now_s = self._link.clock.now_s()
         if self._asked_s is not None and now_s - self._asked_s > SILENCE_S:
@@ -143,10 +119,6 @@ class GrblStage:
 
         A reset after a complete hold keeps the position; one in motion would lose it. How long braking takes follows
         from the speed and the deceleration of the drive; only a stage that is far beyond it is cut off in motion.
-
-        Raises:
-            Held: it stands, and somebody holds the button at the machine.
-            NoReply: the controller does not answer; it was told to stop all the same.
         """
         answers_before = 0 if self._asked_s is None else 1
         self._forget_motion()
@@ -167,14 +139,6 @@ class GrblStage:
             raise Held(Reason("grbl.held.now"))
 
     def lift_roughly(self, distance_mm: float, speed_mm_s: float) -> None:
-        """Begin to go away from the unit after a stop that had to cut the motion; `poll` follows it.
-
-        Args:
-            distance_mm: at most; the homing switch is kept off.
-
-        Raises:
-            CommandRefused: the position was lost otherwise; nothing was sent.
-        """
         distance_mm = min(distance_mm, self.position_mm - OFF_SWITCH_MM)
         if not self.can_lift_roughly or distance_mm <= 0.0:
             raise CommandRefused(Reason("grbl.lost"))
@@ -191,7 +155,6 @@ class GrblStage:
             self._link.write(line)
 
     def unsafe_settings(self) -> list[tuple[str, Reason]]:
-        """Return each setting that takes safety away as `$n=value`, and the command that mends it."""
         return self.settings.unsafe()
 
     def runs_on_s(self, speed_mm_s: float) -> float:
@@ -289,11 +252,7 @@ class GrblStage:
         self._asked_s = None
 
     def _has_stopped(self, answers_before: int) -> bool:
-        """Poll until the controller says that it stands still; False when it does not say so in time.
-
-        Args:
-            answers_before: answers to polls from before the stop that may still come; they prove nothing.
-        """
+        """Poll until it says that it stands; answers to polls from before the stop may still come and prove nothing."""
         self._is_alarmed = False
         heard_s = self._link.clock.now_s()
         end_s = heard_s + 2 * SILENCE_S + MARGIN * self._peak_mm_s / self.acceleration_mm_s2

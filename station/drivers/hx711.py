@@ -23,9 +23,6 @@ class Hx711Config(ForceConfig):
     Args:
         baud_rate: of its port.
         counts_per_N, zero_counts: from `softcal station calibrate-cell`.
-
-    Raises:
-        InputError: a scale of 0.
     """
 
     kind: str = "hx711"
@@ -42,10 +39,7 @@ class Hx711Cell(TextStream):
     """Counts as N: (count − zero) / counts_per_N.
 
     Args:
-        link: its port.
         counts_per_N: from the calibration with dead weights; its sign makes compression positive.
-        zero_counts: count of the unloaded cell.
-        capacity_N: rated load.
         rate_Hz: 10 or 80 samples per second.
     """
 
@@ -58,11 +52,7 @@ class Hx711Cell(TextStream):
         self.counts_per_N, self.zero_counts, self.capacity_N = counts_per_N, zero_counts, capacity_N
 
     def values_of(self, counts: tuple[int, ...]) -> tuple[float, ...]:
-        """Return the force.
-
-        Raises:
-            BadReply: the converter is at its rail; the force is not known.
-        """
+        """Return the force; `BadReply` where the converter is at its rail: then it is not known."""
         if not RAILS[0] < counts[0] < RAILS[1]:
             raise BadReply(reason("hx711.saturated", device=named(self.name), count=float(counts[0])))
         return ((counts[0] - self.zero_counts) / self.counts_per_N,)

@@ -31,9 +31,6 @@ class LabjackConfig(ReadoutConfig):
         first_input: number of the first analog input; further channels are the next ones.
         full_scale_V: range of the inputs: 10, 1, 0.1 or 0.01.
         resolution: resolution index of the converter; 0 is the device's own choice.
-
-    Raises:
-        InputError: an input or a range that cannot be.
     """
 
     kind: str = "labjack"
@@ -52,11 +49,7 @@ class LabjackConfig(ReadoutConfig):
         return [f"AIN{self.first_input + channel}" for channel in range(self.channels)]
 
     def library(self) -> Any:
-        """Return LabJack's module.
-
-        Raises:
-            NoReply: it, or the LJM library below it, is not installed.
-        """
+        """Return LabJack's module; `NoReply`: it, or the LJM library below it, is not installed."""
         try:
             return importlib.import_module("labjack.ljm")
         except Exception as error:  # It raises a kind of its own where LJM itself is missing.
@@ -64,12 +57,7 @@ class LabjackConfig(ReadoutConfig):
 
 
 def open_labjack(config: LabjackConfig, opening: Opening) -> ThreadedReader:
-    """Open the inputs a station file describes, and set their range.
-
-    Raises:
-        NoReply: no such LabJack, or its library is missing.
-        CommandRefused: it does not take a setting.
-    """
+    """Open the inputs a station file describes, and set their range."""
     ljm = config.library()
     try:
         handle = ljm.openS(config.device, "ANY", config.port)

@@ -23,12 +23,7 @@ class LoadstarConfig(SerialCellConfig):
 
 
 class LoadstarCell(LineCell):
-    """Streamed readings as N, in whatever unit the interface is calibrated; 9600 baud, 230400 in the high-speed model.
-
-    Raises:
-        NoReply: no such interface answers.
-        BadReply: it is calibrated in a unit that is none of force.
-    """
+    """Streamed readings as N, in whatever unit it is calibrated; 9600 baud, 230400 in the high-speed model."""
 
     def __init__(self, link: Link, capacity_N: float, sign: float = 1.0, rate_Hz: float = 80.0) -> None:
         super().__init__(link, capacity_N, sign, rate_Hz)

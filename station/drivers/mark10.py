@@ -26,14 +26,7 @@ class Mark10Gauge(AskedReader):
     command gets no answer at all, so every setting is read back.
 
     Args:
-        link: its port.
-        capacity_N: rated load.
         sign: 1 where compression reads positive, as delivered; −1 where the polarity is inverted.
-        rate_Hz: questions per second.
-
-    Raises:
-        NoReply: no gauge answers.
-        CommandRefused: peak mode, or readings without unit or sign, which its menu must change.
     """
 
     def __init__(self, link: Link, capacity_N: float, sign: float = 1.0, rate_Hz: float = 50.0) -> None:

@@ -46,9 +46,6 @@ class DmmConfig(ReadoutConfig):
         quantity: voltage, resistance or resistance_4w.
         full_scale: of the fixed range, V or ohm; the instrument takes the range that holds it.
         cycles: mains cycles each reading is integrated over: 0.02, 0.2, 1, 10 or 100.
-
-    Raises:
-        InputError: an unknown quantity, or a rate the integration leaves no time for.
     """
 
     kind: str = "scpi_dmm"
@@ -77,9 +74,6 @@ class LcrConfig(ReadoutConfig):
         full_scale: largest value, pF or ohm; beyond it the recording is refused.
         frequency_Hz, level_V: of the measuring signal.
         impedance_ohm: fixed measuring range of the instrument, ohm; 0 lets it choose, which costs time.
-
-    Raises:
-        InputError: an unknown quantity, or a signal the instrument cannot give.
     """
 
     kind: str = "scpi_lcr"
@@ -114,19 +108,7 @@ def _readout(
     per_unit: float,
     full_scale: float,
 ) -> AskedReader:
-    """Return what asks for one quantity of a bench instrument at a steady rate.
-
-    Args:
-        models: what its `*IDN?` may name.
-        setup: commands that make it measure the quantity on demand.
-        question: asks for one fresh reading.
-        unit: of the reading; `per_unit` turns the instrument's own into it.
-        full_scale: largest reading.
-
-    Raises:
-        NoReply: no such instrument answers.
-        CommandRefused: it does not take its settings.
-    """
+    """Return what asks for one quantity of a bench instrument that names one of some models, at a steady rate."""
     link.discard()
     identity = _answer(link, "*IDN?").strip()
     fields = [field.strip() for field in identity.split(",")]
@@ -151,11 +133,7 @@ def _answer(link: Link, question: str) -> str:
 
 
 def parse_reading(line: bytes) -> float:
-    """Return the first number of an answer; a third one is the status of an LCR meter.
-
-    Raises:
-        BadReply: no number, overload, or a status that says the number is none.
-    """
+    """Return the first number of an answer, a third one is the status of an LCR meter; `BadReply` where it is none."""
     fields = line.split(b",")
     try:
         value = float(fields[0])
@@ -171,11 +149,7 @@ def parse_reading(line: bytes) -> float:
 
 
 def int_of(text: str) -> int:
-    """Return a whole number as SCPI writes it.
-
-    Raises:
-        BadReply: it is none.
-    """
+    """Return a whole number as SCPI writes it; `BadReply` where it is none."""
     try:
         return int(float(text))
     except (ValueError, OverflowError) as error:

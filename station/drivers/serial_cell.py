@@ -49,10 +49,7 @@ class LineCell(LineReader):
     The lines carry no time: where cell and unit meet within some milliseconds matters, use a cell with a clock.
 
     Args:
-        link: its port.
-        capacity_N: rated load.
         sign: 1 where compression reads positive, −1 otherwise.
-        rate_Hz: lines per second it sends.
     """
 
     name = NAME

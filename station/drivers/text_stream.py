@@ -36,12 +36,7 @@ class LineReader(ABC):
         self._is_synchronised, self._bad_in_a_row = False, 0
 
     def poll(self) -> list[Sample]:
-        """Return the samples that arrived since the last call, oldest first.
-
-        Raises:
-            NoReply: the port is gone.
-            BadReply: nothing but noise, or what a line says ends the readings.
-        """
+        """Return the samples that arrived, oldest first; `BadReply`: nothing but noise, or what ends the readings."""
         samples = []
         for line in self._link.read_lines():
             if not self._is_synchronised:
@@ -68,12 +63,6 @@ class TextStream(LineReader):
     """Lines of one device as samples in whole counts, or in the unit that a derived reader makes of them.
 
     Repeated lines are dropped, lost ones leave a step in the device clock, unreadable ones are counted.
-
-    Args:
-        name: how messages call the device.
-        link: its port.
-        channels: numbers per line.
-        rate_Hz: lines per second the device is meant to send.
     """
 
     unit = "counts"

@@ -28,9 +28,6 @@ class ZaberConfig(StageConfig):
         baud_rate: of its port.
         microstep_mm: travel per microstep, from the data sheet.
         device, axis: its address in the chain, and which of its axes presses.
-
-    Raises:
-        InputError: a travel per microstep that is none.
     """
 
     kind: str = "zaber"
@@ -44,16 +41,7 @@ class ZaberConfig(StageConfig):
 
 
 class ZaberStage:
-    """One axis of a Zaber device, positive when it compresses, 0 at its home.
-
-    Args:
-        link: its port.
-        microstep_mm: travel per microstep, from the stage's data sheet (0.1905 µm is 0.0001905).
-        device, axis: addresses.
-
-    Raises:
-        NoReply: no Zaber device answers.
-    """
+    """One axis of a Zaber device, positive when it compresses, 0 at its home."""
 
     name = "stage"
 
@@ -77,14 +65,6 @@ class ZaberStage:
         self._target_mm = self.position_mm
 
     def home(self, on_wait: OnWait = ignore_wait) -> None:
-        """Find the home sensor and wait until it is done.
-
-        Args:
-            on_wait: called at every look; what it raises ends the wait.
-
-        Raises:
-            DeviceError: the axis stalled or cannot be homed.
-        """
         self.is_position_known = False
         self._forget()
         self._command("home")
@@ -99,11 +79,6 @@ class ZaberStage:
         self.is_position_known = True
 
     def begin(self, move: Move) -> None:
-        """Start a move and return at once.
-
-        Raises:
-            CommandRefused: not homed, still moving, or beyond travel or speed; nothing was sent.
-        """
         admit(self, move)
         self._forget()
         self.speed = max(1.0, move.speed_mm_s / self._microstep_mm * SPEED_UNIT)
@@ -112,12 +87,6 @@ class ZaberStage:
         self._next_status_s = 0.0
 
     def poll(self) -> list[StagePosition]:
-        """Read what the device said and ask for the position when it is time.
-
-        Raises:
-            NoReply: the port is gone, or a question was not answered.
-            DeviceError: stalled, interrupted, moved by hand, or a fault: the position may be lost.
-        """
         positions = []
         for line in self._link.read_lines():
             reply = zaber.parse_reply(line.text)
@@ -138,11 +107,6 @@ class ZaberStage:
         return positions
 
     def stop(self) -> None:
-        """Brake; the device answers between moves at any time, so the command waits behind nothing.
-
-        Raises:
-            NoReply: the device does not answer; it was told to stop all the same.
-        """
         self._forget()
         reply = self._command("stop")
         end_s = self._link.clock.now_s() + 2 * ANSWER_S

@@ -21,7 +21,6 @@ class Reaction:
 
     Args:
         delay_s: from the force being there to the stage beginning to brake.
-        acceleration_mm_s2: with which it brakes.
     """
 
     delay_s: float

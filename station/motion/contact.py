@@ -41,12 +41,7 @@ STRETCH_MM = 0.1
 
 @dataclass(frozen=True)
 class Foot:
-    """Where values begin to rise or fall.
-
-    Args:
-        at_mm: stage position.
-        doubt_mm: its standard deviation, from the noise that the fit leaves.
-    """
+    """Where values begin to rise or fall: stage position and its standard deviation, from the noise the fit leaves."""
 
     at_mm: float
     doubt_mm: float
@@ -67,11 +62,7 @@ class Touch:
     values: Array
 
     def foot(self, late_s: float) -> Foot:
-        """Return the stage position at which the signal leaves its unloaded value.
-
-        Args:
-            late_s: how late the readings are, as far as that is known.
-        """
+        """Return where the signal leaves its unloaded value; the readings are late by so much."""
         return bend(self.stage_at(self.host_s - late_s), self.values)
 
 
@@ -79,8 +70,6 @@ class ContactSearch:
     """A search for contact over samples that keep coming.
 
     Args:
-        fixture: what counts as contact.
-        has_force: whether a load cell reads.
         cell, output: everything read so far; both lists grow while the search goes on.
         late_s: how late the load cell may be: so long the output may be ahead of it.
     """
@@ -115,11 +104,7 @@ class ContactSearch:
         return self.has_found
 
     def _is_touched(self) -> bool:
-        """Whether what came since the last call shows the touch that was looked for.
-
-        Raises:
-            BadReply: the output shows contact, the load cell does not.
-        """
+        """Whether what came since the last call shows the touch that was looked for."""
         new, self._seen_cell = self._cell[self._seen_cell :], len(self._cell)
         for sample in new:
             change_N = abs(sample.values[0] - self._free_N)
@@ -141,11 +126,7 @@ class ContactSearch:
         return False
 
     def touch(self, stage_at: Callable[[Array], Array]) -> Touch:
-        """Return what was read since the search began.
-
-        Args:
-            stage_at: host times -> stage positions in mm during the search.
-        """
+        """Return what was read since the search began; `stage_at`: host times -> stage positions in mm."""
         samples = self._cell if self._has_force else self._output
         host_s = np.array([sample.host_s for sample in samples])
         if samples[0].device_s is not None:
@@ -220,12 +201,7 @@ def slower_mm_s(speed_mm_s: float, doubt_mm: float) -> float:
 
 
 def stiffest_N_mm(stage_mm: Array, force_N: Array) -> float:
-    """Return the steepest slope of force against position, over stretches of STRETCH_MM.
-
-    Args:
-        stage_mm: (n,) positions of a slow press downward.
-        force_N: (n,) force there.
-    """
+    """Return the steepest slope of force against position, both (n,), in a slow press, over stretches of STRETCH_MM."""
     bins = np.floor((stage_mm - np.min(stage_mm)) / STRETCH_MM).astype(int)
     means = np.array([(stage_mm[bins == k].mean(), force_N[bins == k].mean()) for k in np.unique(bins)])
     if len(means) < 2:

@@ -23,9 +23,7 @@ class PieceFeed:
     """The pieces of one move that were not sent yet.
 
     Args:
-        path: of the whole move.
         ahead_mm: how far the controller may have been told to go beyond where the stage is.
-        now_s: the move begins now.
     """
 
     def __init__(self, path: Trapezoid, ahead_mm: float, now_s: float) -> None:

@@ -43,7 +43,6 @@ class Motion:
     """The moves of one run.
 
     Args:
-        bench: open devices.
         tick: lets a little time pass, reads every device and raises what is wrong; called all through every move.
         ahead_mm: (position to go down to, speed) -> how far ahead its controller may be told to go.
     """
@@ -93,12 +92,7 @@ class Motion:
         return self._path is not None and self._path.end_mm > self._path.start_mm
 
     def supervise(self, action: Callable[[], _T]) -> _T:
-        """Return what an action gives; whatever it raises, the stage is made safe first and the message says how.
-
-        Raises:
-            DeviceError: as raised, with what became of the stage.
-            StoppedByHand: Ctrl-C.
-        """
+        """Return what an action gives; whatever it raises, the stage is made safe first and the message says how."""
         try:
             result = action()
             self.enter(State.OVER)
@@ -112,14 +106,7 @@ class Motion:
             raise
 
     def home(self, on_wait: Callable[[], None]) -> None:
-        """Home the stage.
-
-        Args:
-            on_wait: called every few milliseconds; what it raises ends the homing.
-
-        Raises:
-            DeviceError: as the stage, or it took too long.
-        """
+        """Home the stage; what `on_wait` raises, called every few milliseconds, ends that. `NoReply`: too late."""
         self.enter(State.HOMING)
         end_s = self._clock.now_s() + self.row.late_s
 
@@ -131,13 +118,7 @@ class Motion:
         self._stage.home(watch)
 
     def go(self, to_mm: float, speed_mm_s: float, is_over: Callable[[], bool] | None = None) -> DrivenMove:
-        """Go to a position, or until `is_over`, and stand there.
-
-        Raises:
-            SafetyStop: deeper than allowed; nothing was sent.
-            NoReply: late.
-            DeviceError: whatever tick and stage raise.
-        """
+        """Go to a position, or until `is_over`, and stand there; `SafetyStop`: deeper than allowed; `NoReply`: late."""
         self._check_depth(to_mm)
         path = Trapezoid(self._stage.position_mm, to_mm, speed_mm_s, self._stage.acceleration_mm_s2)
         began_s = self._clock.now_s()

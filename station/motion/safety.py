@@ -34,7 +34,6 @@ class ForceWatch:
     """Force limit of one load cell.
 
     Args:
-        bounds: the station's safety bounds.
         zero_N: reading of the unloaded cell, subtracted from every sample.
 
     `ahead_s` is to be kept up to date: for how long the force may still grow at its present rate, until the stage has
@@ -63,11 +62,7 @@ class ForceWatch:
 
 
 class FollowWatch:
-    """Whether there is a force where the stage presses.
-
-    Args:
-        contact_N: change of force that is contact.
-    """
+    """Whether there is a force where the stage presses."""
 
     def __init__(self, contact_N: float) -> None:
         self._contact_N = contact_N
@@ -102,8 +97,7 @@ class JumpWatch:
     def check(self, force_N: float, is_moving: bool, now_s: float, latest_s: float) -> None:
         """Raise `BadReply` when one sample differs from the one before by what no unit at rest can do.
 
-        Args:
-            latest_s: how late the sample may be: so long ago the stage must have stood, too.
+        The sample may be `latest_s` late: so long ago the stage must have stood, too.
         """
         if is_moving:
             self._moved_s = now_s
@@ -117,9 +111,7 @@ class StuckWatch:
     """Whether a channel still follows the stage: one that is frozen, a cell that hangs, a motor without supply.
 
     Args:
-        name: of the device, as messages call it.
         noise: standard deviation of the channel while nothing is pressed; 0 where any change will do.
-        rate_Hz: of the channel.
         stuck_mm: how far the stage may move on the unit before the channel must follow.
     """
 
@@ -132,12 +124,7 @@ class StuckWatch:
         self._shallow_mm, self._deep_mm = float("inf"), float("-inf")
 
     def check(self, value: float, pressed_mm: float) -> None:
-        """Raise `BadReply` when the stage has moved far on the unit and the channel has not followed.
-
-        Args:
-            value: of the channel.
-            pressed_mm: how far the stage is below the contact, 0 above it.
-        """
+        """Raise `BadReply` when the stage has moved far below the contact and the channel has not followed."""
         self._recent.append(value)
         if pressed_mm <= 0.0:
             self._forget()
@@ -163,9 +150,6 @@ class StreamWatch:
     """Whether a stream still comes, and at its rate.
 
     Args:
-        reader: the device that is watched.
-        bounds: the station's safety bounds.
-        now_s: host time at which watching begins.
         rails: lowest and highest possible value of a readout, where staying there means a broken wire.
     """
 
@@ -183,11 +167,7 @@ class StreamWatch:
         self._earliest_s, self._old_since_s = float("inf"), float("inf")
 
     def check(self, sample: Sample) -> None:
-        """Take one sample.
-
-        Raises:
-            BadReply: the channel is at its rail, or comes at another rate than declared.
-        """
+        """Raise `BadReply` when the channel is at its rail, or comes at another rate than declared."""
         self._seen_s = sample.host_s
         if self._rails:
             self._check_rails(sample, self._rails)

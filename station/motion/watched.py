@@ -70,8 +70,6 @@ class WatchedBench:
     """The devices of a station with the watches on that `interlock.TABLE` names.
 
     Args:
-        bench: open devices.
-        spool: where everything that is read goes as it comes.
         on_tick: called after every look at the devices; what it raises stops the stage.
     """
 
@@ -128,9 +126,6 @@ class WatchedBench:
         """Wait until every channel speaks, before anything moves.
 
         A board that is reset when its port is opened says nothing before it has booted.
-
-        Raises:
-            NoReply: one stays silent.
         """
         silent, end_s = set(self._streams), self.bench.clock.now_s() + BOOT_S
         while silent and self.bench.clock.now_s() < end_s:
@@ -147,11 +142,7 @@ class WatchedBench:
         self.start()
 
     def home(self) -> None:
-        """Home the stage while the force is watched, and begin to read anew.
-
-        Raises:
-            SafetyStop: the force grows although homing goes away from the unit.
-        """
+        """Home the stage, and begin to read anew; `SafetyStop`: the force grows although homing goes away from the unit."""
         self._lowest_N = float("inf")
         self.motion.home(self._look_while_homing)
         self.start()  # A reset of the controller may have taken longer than any silence that is allowed.
@@ -250,8 +241,7 @@ class WatchedBench:
     def expect_rise(self, last_N: float) -> float:
         """Take what the force may grow to over the next step of a slow press; return the present force.
 
-        Args:
-            last_N: by how much it grew over the step before; inf for any force up to the limit.
+        It grew by `last_N` over the step before; inf for any force up to the limit.
         """
         self._expected_N = min(self.bounds.limit_N, self._force_N + self.bounds.rise_N(last_N))
         return self._force_N

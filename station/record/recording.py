@@ -69,8 +69,6 @@ class StationRecording:
         force_N: (n,) force beside it, zero subtracted; None for a unit without reference.
         contact_mm: where contact was found, from the homing switch.
         zero_N, zero_return_N: the unloaded load cell before the run, and its change over the run.
-        lost: samples missing in `t_s`.
-        alignment: how the channels were brought together.
     """
 
     serial: str
@@ -99,11 +97,7 @@ class StationRecording:
         )
 
     def labelled_recording(self, channel: int = 0, serial: str | None = None) -> LabelledRecording:
-        """Return one channel with the force beside it.
-
-        Raises:
-            ValueError: the run kept no reference.
-        """
+        """Return one channel with the force beside it; `ValueError` where the run kept no reference."""
         if self.force_N is None:
             raise ValueError(f"{self.serial}: recorded without a reference")
         return LabelledRecording(self.output_recording(channel, serial), self.force_N, "N")
@@ -141,11 +135,7 @@ class RunFacts:
 
 @dataclass(frozen=True)
 class Raw:
-    """Everything a run read, as it came.
-
-    Args:
-        output, force: samples of the readout and of the load cell (empty without one).
-    """
+    """Everything a run read, as it came; no force without a load cell."""
 
     output: Sequence[Sample]
     force: Sequence[Sample]
@@ -248,10 +238,7 @@ def _count_lost(sensor_s: Array, facts: RunFacts) -> int:
 
 
 def _behind_s(samples: Sequence[Sample], cell: ClockFit, track: StageTrack, facts: RunFacts) -> float:
-    """Return how late the load cell is behind the stage, and check it against what was stated.
-
-    The slow press before the profile counts, too: presses at one speed cannot tell a delay from a loop of the unit's.
-    """
+    """Return how late the load cell is behind the stage, and check it against what was stated."""
     device_s, force_N = _columns(samples)
     force_s = cell.to_host(device_s)
     inside = _enough(_in_presses(force_s, facts))

@@ -52,7 +52,6 @@ class Spool:
     """A spool being written. A thread of its own writes and syncs: a slow disk never makes the stage wait.
 
     Args:
-        path: new file; its folder is made.
         header: serial, profile, station, time: texts that say what this is.
 
     Raises:
@@ -90,11 +89,7 @@ class Spool:
             self._check()
 
     def append(self, output: Sequence[Sample], cell: Sequence[Sample], polls: Sequence[StagePosition]) -> None:
-        """Add what was read since the last call.
-
-        Raises:
-            DeviceError: an earlier line could not be written (disk full, disk gone).
-        """
+        """Add what was read since the last call; `DeviceError` where an earlier line could not be written."""
         self._check()
         if output or cell or polls:
             self._put(
@@ -138,11 +133,7 @@ def _line(value: dict[str, Any]) -> bytes:
 
 
 def read_spool(path: Path) -> SpooledRun:
-    """Read a spool up to its first damaged line.
-
-    Raises:
-        InputError: the file cannot be read, or is no spool at all.
-    """
+    """Read a spool up to its first damaged line; `InputError`: it cannot be read, or is no spool at all."""
     try:
         lines = path.read_bytes().split(b"\n")
     except OSError as error:

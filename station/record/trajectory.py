@@ -12,11 +12,7 @@ from softcal.station.interfaces import StagePosition
 
 @dataclass(frozen=True)
 class Trapezoid:
-    """A straight move from rest to rest: accelerate, cruise, brake.
-
-    Args:
-        speed_mm_s: cruise speed; short moves do not reach it.
-    """
+    """A straight move from rest to rest: accelerate, cruise, brake; short moves do not reach the cruise speed."""
 
     start_mm: float
     end_mm: float
@@ -94,9 +90,6 @@ def reconstruct(polls: Sequence[StagePosition], moves: Sequence[DrivenMove]) -> 
     commanded as, shifted in time to where its polls say it was; one with too few polls moves with its neighbours. A
     poll whose line came late says nothing. A move that did not go as commanded (the host came late with the next
     piece) is drawn through its polls.
-
-    Args:
-        polls: status polls of the run, in time order.
 
     Raises:
         ValueError: no polls.

@@ -57,9 +57,7 @@ class SimulatedAnswers(FarEnd):
     """Answers every line it gets.
 
     Args:
-        wire: the line; its fault switches are this device's.
         answer: (words, simulated time in s) -> answer; "" for none.
-        line_end: ends what the host writes and what it reads.
     """
 
     def __init__(self, wire: Wire, answer: Callable[[str, float], str], line_end: bytes = b"\n") -> None:

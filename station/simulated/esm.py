@@ -18,10 +18,7 @@ class SimulatedEsm(FarEnd):
     Faults are switches: `is_switch_missing`, `press_panel()`, and all the wire can do.
 
     Args:
-        wire: the serial line.
         axis: the drive; its position counts downward from the upper limit switch, mm.
-        gauge: what answers behind the stand.
-        travel_mm: where the lower limit switch is.
     """
 
     def __init__(self, wire: Wire, axis: Axis, gauge: SimulatedMark10, travel_mm: float = 300.0) -> None:

@@ -44,9 +44,7 @@ class SimulatedGrbl(FarEnd):
     `open_door()`, `press_emergency_stop()`, `press_hold()` and `release_hold()`, and everything the wire can do.
 
     Args:
-        wire: the serial line.
         axis: the drive; its position counts downward from the switch, mm.
-        travel_mm: length of the axis ($132).
     """
 
     def __init__(self, wire: Wire, axis: Axis, travel_mm: float = 40.0) -> None:

@@ -11,11 +11,7 @@ REGISTERS = {"_RANGE": 10.0, "_RESOLUTION_INDEX": 0.0}
 
 
 class SimulatedLabjack(SimulatedAnswers):
-    """Answers `number NAME[=value] …` with `number value … checksum`, as Modbus answers by transaction.
-
-    Args:
-        inputs_V: (simulated time in s) -> voltage of each analog input.
-    """
+    """Answers `number NAME[=value] …` with `number value … checksum`, as Modbus answers by transaction."""
 
     def __init__(self, wire: Wire, inputs_V: Callable[[float], tuple[float, ...]]) -> None:
         super().__init__(wire, self._reply)

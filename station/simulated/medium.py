@@ -14,15 +14,12 @@ class Medium(Protocol):
 
     def read(self) -> bytes:
         """Return everything the host has written."""
-        ...
 
     def write(self, content: bytes) -> None:
         """Hand bytes to the host; a host that does not read loses some, as on a real port."""
-        ...
 
     def hang_up(self) -> None:
         """End it for good: the host's port is dead."""
-        ...
 
 
 class PtyEnd:

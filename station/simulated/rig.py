@@ -17,7 +17,6 @@ class Physics(Protocol):
 
     def advance(self, t_s: Array, stage_mm: Array) -> tuple[Array, Array]:
         """Go on in time and return (force_N, output_V) as load cell and converter read them."""
-        ...
 
 
 class SimulatedRig:

@@ -18,10 +18,8 @@ class SimulatedScpi(FarEnd):
     Faults are switches: `is_overloaded`, `refuses` (a command it calls undefined), and all the wire can do.
 
     Args:
-        identity: answer to `*IDN?`.
         settings: header -> value after a reset; other headers are undefined.
         measure: (simulated time) -> answer to one reading.
-        measure_s: how long a reading takes.
     """
 
     def __init__(
@@ -85,11 +83,7 @@ class SimulatedScpi(FarEnd):
 
 
 class SimulatedDmm(SimulatedScpi):
-    """A 34461A: `READ?` triggers and answers.
-
-    Args:
-        value: (simulated time) -> what it measures, in its own unit.
-    """
+    """A 34461A: `READ?` triggers and answers with (simulated time) -> what it measures."""
 
     def __init__(self, wire: Wire, value: Callable[[float], float]) -> None:
         functions = ("RES", "FRES", "VOLT:DC")
@@ -110,11 +104,7 @@ class SimulatedDmm(SimulatedScpi):
 
 
 class SimulatedLcr(SimulatedScpi):
-    """An E4980A: a trigger measures, `FETC?` answers once the measurement is done.
-
-    Args:
-        value: (simulated time) -> primary parameter in its own unit, F or ohm.
-    """
+    """An E4980A: a trigger measures, `FETC?` answers; (simulated time) -> primary parameter, F or ohm."""
 
     def __init__(self, wire: Wire, value: Callable[[float], float]) -> None:
         settings = {"FORM": "ASC", "FUNC:IMP": "CPD", "FUNC:IMP:RANG:AUTO": "ON", "FUNC:IMP:RANG": "100"}

@@ -17,12 +17,9 @@ class SimulatedTextStream(FarEnd):
     `device_ms` (its clock), `restart()`, and everything the wire can do.
 
     Args:
-        wire: the serial line.
         sample: (true time) -> counts per channel.
-        rate_Hz: samples per device second.
         drift: relative error of the crystal; +1e-3 gains a millisecond a second.
         first_ms: what `millis()` shows at the start; near 2**32 it soon wraps.
-        banner: what the firmware prints when it starts.
     """
 
     def __init__(

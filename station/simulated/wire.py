@@ -18,11 +18,9 @@ class Wire:
     the next one, `repeat` comes twice, `loss` never.
 
     Args:
-        rng: draws delays and faults.
         delay_s: least time from device to host.
         jitter_s: mean of a random delay on top.
         stall_s: now and then the host gets nothing for this long and then all at once.
-        medium: what carries the bytes; None for a serial line.
     """
 
     def __init__(

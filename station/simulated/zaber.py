@@ -11,15 +11,9 @@ HOMING_MM_S = 10.0
 
 
 class SimulatedZaber(FarEnd):
-    """A device with address 1 and one axis.
+    """A device with address 1 and one axis, whose position counts from home.
 
     Faults are switches: `warning` (sent with every reply), `stall()`, `turn_knob()`, and all the wire can do.
-
-    Args:
-        wire: the serial line.
-        axis: the drive; its position counts from home, mm.
-        travel_mm: length of the axis.
-        microstep_mm: travel per microstep.
     """
 
     def __init__(self, wire: Wire, axis: Axis, travel_mm: float = 40.0, microstep_mm: float = 0.0001905) -> None:

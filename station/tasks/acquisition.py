@@ -79,12 +79,9 @@ def record(
     """Press one unit with one profile and return what was read.
 
     Args:
-        bench: open devices.
-        serial: of the unit in the fixture.
         profile: position 0 is `fixture.clearance_mm` above the contact.
         with_reference: keep the load cell's reading in the recording (source unit); it guards the run in any case.
         on_progress: called about every 0.1 s.
-        spool: where everything that is read goes as it comes.
         on_wait: called at every look at the devices; what it raises stops the stage.
 
     Raises:
@@ -247,10 +244,7 @@ class _Run:
         return change_N
 
     def _find_contact(self) -> Touch:
-        """Lower slowly until force (or output, without a load cell) changes; return what shows where the contact is.
-
-        Where the noise leaves doubt (soft units, round tips) the unit is touched a second time, more slowly.
-        """
+        """Lower slowly until force (or output, without a load cell) changes; return what shows where the contact is."""
         self._enter(SEARCHING)
         bench, fixture = self._bench, self._bench.config.fixture
         read, latest_s = self._readings, self.watched.latest_s
@@ -282,13 +276,8 @@ class _Run:
     def _feel(self, zero_mm: float, contact_mm: float, zero_N: float) -> tuple[float, float]:
         """Press once, slowly, as deep as the profile will: only where the unit was felt may the stage go fast.
 
-        Returns:
-            How deep that was (0 where the profile itself is slow enough, or no load cell reads), and the fastest speed
-            down to there that a stop can hold.
-
-        Raises:
-            CommandRefused: the profile is faster than a stop holds on this unit; it was only felt.
-            SafetyStop: the force limit is met above the profile's deepest point.
+        Returns how deep that was (0 where the profile itself is slow enough, or no load cell reads), and the fastest
+        speed down to there that a stop can hold; a profile that is faster is refused, its unit was only felt.
         """
         slow_mm_s = self.watched.fastest_mm_s
         if self._bench.force is None or self._profile.fastest_mm_s <= slow_mm_s:
@@ -320,8 +309,7 @@ class _Run:
     def _feel_down(self, deepest_mm: float) -> bool:
         """Press in steps, each as fast as a stop holds that notices more force than the step before lets expect.
 
-        Returns:
-            Whether it came to the end; no more force than that was met.
+        Returns whether it came to the end; no more force than that was met.
         """
         last_N, before_N, from_mm = 0.0, 0.0, self._stage.position_mm
         slow_mm_s, enough_mm_s = self.watched.fastest_mm_s, (deepest_mm - from_mm) / FEEL_S

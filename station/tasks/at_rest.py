@@ -16,11 +16,7 @@ from softcal.station.motion.watched import BOOT_S
 
 @dataclass(frozen=True, eq=False)
 class RestReading:
-    """What was read.
-
-    Args:
-        output: (n, channels) in `output_unit`.
-    """
+    """What was read: output (n, channels) in its unit."""
 
     serial: str
     output: Array
@@ -33,13 +29,8 @@ def read_at_rest(
     """Wait until a unit has settled, then read its output.
 
     Args:
-        settle_s: before the reading begins.
         on_look: called at every look with the share that is done and the seconds that are left; what it raises ends
             the reading.
-
-    Raises:
-        CommandRefused: the stage moves.
-        NoReply, BadReply: the readout falls silent or is broken.
     """
     if bench.stage.is_moving:
         raise CommandRefused(Reason("rig.moves"))

@@ -45,11 +45,7 @@ class DeviceIdentity:
 
 
 def identify(port: str, clock: Clock) -> DeviceIdentity:
-    """Return what answers at a port.
-
-    Raises:
-        NoReply: the port does not exist or belongs to another process.
-    """
+    """Return what answers at a port; `NoReply`: it does not exist or belongs to another process."""
     link = Link(port, clock)
     try:
         unknown = DeviceIdentity(port, "", "", Reason("port.unknown"))
@@ -81,10 +77,7 @@ def _stream(link: Link) -> DeviceIdentity | None:
 
 
 def _heard(link: Link) -> tuple[list[Line], float]:
-    """Listen until some lines came, for BOOT_S at most, then for LISTEN_S; return all lines and how many came a second.
-
-    A board may say a line of before, or its greeting, and only then boot.
-    """
+    """Return all lines, heard until some came (BOOT_S at most) and for LISTEN_S more, and how many came a second."""
     end_s = link.clock.now_s() + BOOT_S
     heard: list[Line] = []
     while len(heard) < FEW_LINES and link.clock.now_s() < end_s:

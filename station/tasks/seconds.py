@@ -29,9 +29,7 @@ SHORTER_N_MM = 100.0
 def seconds_of(config: StationConfig, bounds: ForceBounds, profile: Profile, from_mm: float | None) -> dict[str, float]:
     """Return how long each phase of a run takes at most, about: for a unit whose force grows evenly to the limit.
 
-    Args:
-        bounds: what a stop holds on this rig.
-        from_mm: where the stage stands; None where it must be homed.
+    The stage stands at `from_mm`; None where it must be homed.
     """
     fixture, fastest_mm_s = config.fixture, config.safety.speed_mm_s
     free_mm_s = fastest_mm_s if config.force is None else min(fastest_mm_s, bounds.free_mm_s)

@@ -37,8 +37,6 @@ class SelfTestItem:
     """One thing the self-test looked at.
 
     Args:
-        device: stage, load cell, sensor readout.
-        value: what was found, with its unit.
         cure: what to do; None when it is good.
     """
 
@@ -63,7 +61,6 @@ def self_test(
     A device that fails is a finding, so that all faults are seen at once.
 
     Args:
-        bench: open devices.
         may_move: home the stage and move it by up to 2 mm, never deeper than the approach.
         on_wait: called all the time; what it raises stops the stage and ends the self-test.
         profile: of the units; then it is said how long one takes.

@@ -80,7 +80,6 @@ class StationService:
 
     Args:
         open_bench: opens the devices; called again after an acknowledged fault, since ports may have died.
-        spool_folder: where samples go as they come.
     """
 
     def __init__(
@@ -152,10 +151,9 @@ class StationService:
         self.start()
 
     def perform(self, order: Order) -> StationRecording | RestReading | None:
-        """Perform one order; every outcome but a good recording or reading is reported here.
+        """Perform one order; return what a run that went through recorded, which the host keeps and reports done.
 
-        Returns:
-            What a run that went through recorded: the host keeps it and reports it done. None otherwise.
+        Every other outcome is reported here.
         """
         if order.kind is OrderKind.ACKNOWLEDGE:
             self.acknowledge()
@@ -309,10 +307,7 @@ class _Relay:
 
 
 def _with_latency(bench: Bench, behind_s: float) -> Bench:
-    """Take how late a good run found the load cell, where the station file does not say it: later runs are held to it.
-
-    It is forgotten when the ports are opened again, as after every fault.
-    """
+    """Hold later runs to how late a good one found the load cell, if nobody stated it, until the ports open again."""
     force = bench.config.force
     if force is None or force.is_latency_stated or not math.isfinite(behind_s):
         return bench

@@ -19,7 +19,6 @@ class SimulatedLine:
     """Opens simulated stations one after the other, as a real one is opened again after a fault.
 
     Args:
-        seed: of noise, delays and mounting.
         time_factor: simulated seconds per real second at most; None runs as fast as the computer can.
     """
 
@@ -61,11 +60,7 @@ class SimulatedLine:
             self._release(phase)
 
     def inject(self, name: str) -> Reason:
-        """Break something in the phase the fault's name says, in this run or the next; return what will happen.
-
-        Raises:
-            InputError: there is no such fault; the known ones are named.
-        """
+        """Break something in the phase the fault's name says, in this run or the next; return what will happen."""
         fault = NAMES.get(name)
         if fault is None:
             raise InputError(reason("fault.unknown", name=repr(name), known=", ".join(NAMES)))

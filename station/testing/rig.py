@@ -38,10 +38,6 @@ class DriverRig:
 
     `level` is the truth of a reader: N on a load cell, V at the input of a readout. A function of the simulated time
     may stand in its place. `wire` has the fault switches of the line, `axis` the true motion of a stage.
-
-    Args:
-        driver: that is looked at.
-        seed: of noise and delays.
     """
 
     def __init__(self, driver: AnyDriver, seed: int = 1) -> None:

@@ -21,9 +21,6 @@ CONNECT_S, ANSWER_S = 15.0, 1.0
 class BleTransport:
     """Bytes to and from one board; a thread of its own keeps the connection.
 
-    Args:
-        address: of the board: AA:BB:CC:DD:EE:FF, on macOS its identifier.
-
     Raises:
         OSError: Bleak is not installed, there is no Bluetooth, or the board does not answer.
     """

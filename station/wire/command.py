@@ -14,19 +14,13 @@ class Instrument(Protocol):
 
     def ask(self, words: str) -> str:
         """Return the answer to a question."""
-        ...
 
     def tell(self, words: str) -> None:
         """Give a command."""
-        ...
 
 
 class Measurement:
-    """A number that can only be read.
-
-    Args:
-        doc: one sentence that begins with Get or Measure.
-    """
+    """A number that can only be read; what it is in one sentence that begins with Get or Measure."""
 
     def __init__(self, question: str, unit: str, doc: str) -> None:
         self.question, self.unit, self.__doc__ = question, unit, doc
@@ -55,8 +49,6 @@ class Control(Measurement):
 
     Args:
         command: what is told, with one format field.
-        limits: lowest and highest value.
-        doc: one sentence that begins with Control.
     """
 
     def __init__(self, question: str, command: str, unit: str, limits: tuple[float, float], doc: str) -> None:

@@ -28,15 +28,12 @@ class Transport(Protocol):
 
     def write(self, content: bytes) -> None:
         """Send bytes; raise `OSError` when the device is gone."""
-        ...
 
     def read(self) -> bytes:
         """Return everything that has arrived, b"" when nothing has; raise `OSError` when the device is gone."""
-        ...
 
     def close(self) -> None:
         """Give the wire back; closing twice is fine."""
-        ...
 
 
 def wire_of(port: str) -> WireKind:
@@ -49,12 +46,7 @@ def wire_of(port: str) -> WireKind:
 
 
 def open_transport(port: str, baud_rate: int) -> Transport:
-    """Open what a port names; the baud rate is for serial ports.
-
-    Raises:
-        OSError: it cannot be opened, or the library it needs is not installed.
-        ValueError: it is written in a way that names nothing.
-    """
+    """Open what a port names; `OSError`: it cannot be, or its library is missing; `ValueError`: it names nothing."""
     match wire_of(port):
         case "tcp":
             return TcpTransport(port)
@@ -69,11 +61,7 @@ def open_transport(port: str, baud_rate: int) -> Transport:
 
 
 class SerialTransport:
-    """A serial port, 8N1, of which this process is the only owner.
-
-    Raises:
-        OSError: it does not exist, or belongs to another process.
-    """
+    """A serial port, 8N1, of which this process is the only owner."""
 
     def __init__(self, port: str, baud_rate: int) -> None:
         self._serial = serial.Serial(port, baud_rate, timeout=0, write_timeout=1.0, exclusive=True)
@@ -97,15 +85,7 @@ class SerialTransport:
 
 
 class TcpTransport:
-    """A TCP socket: a SCPI instrument on the network (port 5025), a serial server, a networked controller.
-
-    Args:
-        address: `tcp://host:port`.
-
-    Raises:
-        ValueError: it is written otherwise.
-        OSError: nothing answers there.
-    """
+    """A TCP socket, `tcp://host:port`: an instrument on the network (port 5025), a serial server, a controller."""
 
     def __init__(self, address: str) -> None:
         found = _TCP.fullmatch(address)

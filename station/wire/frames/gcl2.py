@@ -38,11 +38,7 @@ class GaugeSettings:
 
 
 def parse_reading_N(line: bytes) -> float:
-    """Return a reading in N, compression positive as the gauge shows it.
-
-    Raises:
-        BadReply: an error code, a reading without its unit, or noise.
-    """
+    """Return a reading in N as the gauge shows it; `BadReply`: an error code, no unit, or noise."""
     text = _text(line)
     if text in ERRORS:
         raise BadReply(reason("gcl2.error", code=text, why=ERRORS[text]))
@@ -55,11 +51,7 @@ def parse_reading_N(line: bytes) -> float:
 
 
 def parse_settings(line: bytes) -> GaugeSettings:
-    """Return the answer to `LIST`.
-
-    Raises:
-        BadReply: not such an answer.
-    """
+    """Return the answer to `LIST`; `BadReply` where it is none."""
     fields = _text(line).split(";")
     modes = [field for field in fields if field in ("CUR", "PT", "PC")]
     if len(fields) < 4 or not fields[0].startswith("V") or not modes:
@@ -68,12 +60,7 @@ def parse_settings(line: bytes) -> GaugeSettings:
 
 
 def check_settings(line: bytes) -> None:
-    """Check by the answer to `LIST` that readings are in N, as they are now, with unit and sign.
-
-    Raises:
-        NoReply: mode or unit is another one.
-        CommandRefused: readings without unit or sign, which its menu must change.
-    """
+    """Refuse a gauge whose answer to `LIST` says other readings than those of now in N, or without unit or sign."""
     settings = parse_settings(line)
     if (settings.mode, settings.unit) != ("CUR", "N"):
         raise NoReply(reason("gauge.mode", mode=settings.mode, unit=settings.unit))

@@ -85,7 +85,6 @@ class GrblStatus:
         state: Idle, Run, Hold, Jog, Alarm, Door, Check, Home or Sleep.
         substate: the number after the colon (Hold:0 complete, Hold:1 still stopping), else 0.
         machine_mm: axis positions in machine coordinates, where the report has them.
-        work_mm: axis positions in work coordinates, where the report has them.
         offset_mm: work offset, sent now and then: machine = work + offset.
         pins: letters of the inputs that are active (X Y Z limits, P probe, D door, R reset, H hold, S start).
     """
@@ -136,14 +135,7 @@ _GREETING = re.compile(r"grbl(hal)? \d", re.IGNORECASE)
 
 
 def parse(line: bytes) -> Reply:
-    """Return what one line of the controller means.
-
-    Args:
-        line: without line end; an empty line is a Note.
-
-    Raises:
-        BadReply: noise, or a line that GRBL does not say.
-    """
+    """Return what one line of the controller means, its end taken off; `BadReply`: noise, or no word of GRBL's."""
     try:
         text = line.decode("ascii")
         return _parse(text)

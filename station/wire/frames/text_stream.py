@@ -21,11 +21,7 @@ class StreamLine:
 
 
 def parse(line: bytes) -> StreamLine:
-    """Return what one line says.
-
-    Raises:
-        BadReply: a cut line, a banner, noise, or a checksum that does not match.
-    """
+    """Return what one line says; `BadReply`: a cut line, a banner, noise, or a checksum that does not match."""
     content, star, checksum = line.partition(b"*")
     if star and checksum.upper() != _checksum(content):
         raise BadReply(reason("stream.checksum", line=repr(line[:40]), checksum=_checksum(content).decode()))

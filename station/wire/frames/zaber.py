@@ -45,7 +45,6 @@ class Command:
     """One command.
 
     Args:
-        device, axis: addresses; 0 is all.
         message_id: echoed by the device; None when it was not given.
         words: the command itself, "" asks only for the status.
     """
@@ -61,7 +60,6 @@ class Reply:
     """One reply.
 
     Args:
-        device, scope: who answers.
         message_id: of the command, where it had one.
         is_ok: OK, or rejected (RJ): then `data` says why.
         is_busy: whether the axis moves.
@@ -96,11 +94,7 @@ def format_command(command: Command) -> bytes:
 
 
 def parse_command(line: bytes) -> tuple[Command, bool]:
-    """Return a command and whether it came with a checksum.
-
-    Raises:
-        BadReply: no command, or a checksum that does not match.
-    """
+    """Return a command and whether it came with a checksum; `BadReply`: none, or a checksum that does not match."""
     if not line.startswith(b"/"):
         raise BadReply(reason("zaber.no_command", line=repr(line[:40])))
     content, has_checksum = _without_checksum(line)
@@ -121,11 +115,7 @@ def format_reply(reply: Reply, has_checksum: bool) -> bytes:
 
 
 def parse_reply(line: bytes) -> Reply | None:
-    """Return a reply; None for an info or alert line, which asks for nothing.
-
-    Raises:
-        BadReply: noise, or a checksum that does not match.
-    """
+    """Return a reply; None for an info or alert line; `BadReply`: noise, or a checksum that does not match."""
     if line[:1] in (b"#", b"!"):
         _without_checksum(line)
         return None
