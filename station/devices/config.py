@@ -6,6 +6,7 @@ import tomllib
 from collections.abc import Iterable
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from difflib import get_close_matches
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, get_type_hints
@@ -157,7 +158,12 @@ class StationConfig:
     name: str = "station"
 
     def __post_init__(self) -> None:
-        self._check_ports()
+        devices = {"stage": self.stage, "readout": self.readout} | ({"force": self.force} if self.force else {})
+        for (name, device), (other, beside) in combinations(devices.items(), 2):
+            may_share = device.shares_port and beside.shares_port and device.kind == beside.kind
+            if device.port and device.port == beside.port and not may_share:
+                about = {"port": repr(device.port), "kind": repr(device.kind), "kind2": repr(beside.kind)}
+                raise InputError(reason("station_file.same_port", name=name, other=other, **about))
         if self.force is not None:
             check_within("safety.force_N", self.safety.force_N, 0.0, LARGEST_LIMIT * self.force.capacity_N)
             check_within("fixture.touch_N", self.fixture.touch_N, 0.0, self.safety.force_N)
@@ -167,22 +173,6 @@ class StationConfig:
         check_within("safety.silence_s", self.safety.silence_s, 0.15, 1.0)
         check_within("fixture.approach_mm", self.fixture.approach_mm, 0.0, self.safety.deepest_mm)
         check_within("fixture.search_mm_s", self.fixture.search_mm_s, 0.01, self.safety.speed_mm_s)
-
-    def _check_ports(self) -> None:
-        devices = {"stage": self.stage, "readout": self.readout} | ({"force": self.force} if self.force else {})
-        for (name, device), (other, beside) in combinations(devices.items(), 2):
-            may_share = device.shares_port and beside.shares_port and device.kind == beside.kind
-            if device.port and device.port == beside.port and not may_share:
-                raise InputError(
-                    reason(
-                        "station_file.same_port",
-                        name=name,
-                        other=other,
-                        port=repr(device.port),
-                        kind=repr(device.kind),
-                        kind2=repr(beside.kind),
-                    )
-                )
 
 
 _T = TypeVar("_T")
@@ -216,7 +206,13 @@ def station_from_table(content: dict[str, Any]) -> StationConfig:
     for needed in ("stage", "readout"):
         if needed not in content:
             raise InputError(reason("station_file.no_section", section=needed))
-    sections = {name: _section(name, content[name]) for name in _SECTIONS if name in content}
+    sections: dict[str, Any] = {}
+    for name, kind in _SECTIONS.items():
+        if name in content and not isinstance(content[name], dict):
+            raise InputError(reason("station_file.no_table", name=name))
+        if name in content:
+            make = device_section if name in _DEVICES else partial(filled, kind=kind)
+            sections[name] = make(name, table=content[name])
     config = StationConfig(name=str(content.get("name", "station")), **sections)
     if config.force is None and not config.safety.without_cell:
         raise InputError(Reason("station_file.no_force"))
@@ -262,14 +258,6 @@ def with_own_keys(config: DeviceConfig) -> DeviceConfig:
     return config if isinstance(config, kind) else kind(**vars(config))
 
 
-def _section(name: str, table: object) -> Any:
-    if not isinstance(table, dict):
-        raise InputError(reason("station_file.no_table", name=name))
-    if name not in _DEVICES:
-        return filled(name, _SECTIONS[name], table)
-    return device_section(name, table)
-
-
 def device_section(name: str, table: dict[str, Any]) -> DeviceConfig:
     """Return the section of one device as its driver understands it.
 
@@ -285,19 +273,13 @@ def device_section(name: str, table: dict[str, Any]) -> DeviceConfig:
     kind = table.get("kind", common.kind)
     driver = driver_of(common.role, str(kind))
     config: DeviceConfig = filled(name, driver.config, {**table, "kind": kind})
-    if not config.port and "library" not in driver.wires:
+    if "library" in driver.wires:
+        return config
+    if not config.port:
         raise InputError(reason("station_file.no_port", section=name))
-    if "library" not in driver.wires and wire_of(config.port) not in driver.wires:
-        raise InputError(
-            reason(
-                "station_file.wrong_wire",
-                section=name,
-                port=repr(config.port),
-                wire=wire_of(config.port),
-                kind=repr(kind),
-                wires=", ".join(driver.wires),
-            )
-        )
+    if (wire := wire_of(config.port)) not in driver.wires:
+        about = {"port": repr(config.port), "kind": repr(kind), "wires": ", ".join(driver.wires)}
+        raise InputError(reason("station_file.wrong_wire", section=name, wire=wire, **about))
     return config
 
 
@@ -312,25 +294,14 @@ def filled(name: str, kind: type[_T], table: dict[str, Any]) -> _T:
     values = {}
     for key, value in table.items():
         if key not in known:
-            raise InputError(
-                reason(
-                    "station_file.unknown_key",
-                    section=name,
-                    key=repr(key),
-                    known=", ".join(known),
-                    similar=_similar(key, known),
-                )
-            )
+            close = get_close_matches(key, known, 1)
+            about = {"known": ", ".join(known), "similar": f"; did you mean {close[0]}?" if close else ""}
+            raise InputError(reason("station_file.unknown_key", section=name, key=repr(key), **about))
         values[key] = _typed(f"{name}.{key}", value, types[key])
     for key, each in known.items():
         if key not in values and each.default is MISSING and each.default_factory is MISSING:
             raise InputError(reason("station_file.no_key", section=name, key=key))
     return kind(**values)
-
-
-def _similar(key: str, known: Iterable[str]) -> str:
-    close = get_close_matches(key, known, 1)
-    return f"; did you mean {close[0]}?" if close else ""
 
 
 def _typed(name: str, value: object, kind: object) -> object:

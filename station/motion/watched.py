@@ -142,7 +142,7 @@ class WatchedBench:
         self.start()
 
     def home(self) -> None:
-        """Home the stage, and begin to read anew; `SafetyStop`: the force grows although homing goes away from the unit."""
+        """Home the stage, and begin to read anew; `SafetyStop`: the force grows although it goes away from the unit."""
         self._lowest_N = float("inf")
         self.motion.home(self._look_while_homing)
         self.start()  # A reset of the controller may have taken longer than any silence that is allowed.

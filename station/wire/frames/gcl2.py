@@ -10,12 +10,7 @@ from softcal.station.wire.frames.force_unit import in_newtons
 CURRENT, LIST = b"?C\r", b"LIST\r"
 END = b"\r"
 
-ERRORS = {
-    "*10": Reason("gcl2.error.10"),
-    "*11": Reason("gcl2.error.11"),
-    "*12": Reason("gcl2.error.12"),
-    "*22": Reason("gcl2.error.22"),
-}
+ERRORS = {f"*{code}": Reason(f"gcl2.error.{code}") for code in (10, 11, 12, 22)}
 
 _READING = re.compile(r"([+-]?\d+(?:\.\d+)?)(?: ([A-Za-z]+))?")
 

@@ -5,31 +5,8 @@ from dataclasses import dataclass
 from softcal.core.errors import BadReply
 from softcal.core.words.reason import Reason, reason
 
-WARNINGS = {
-    "FF": Reason("zaber.flag.FF"),
-    "FN": Reason("zaber.flag.FN"),
-    "FZ": Reason("zaber.flag.FZ"),
-    "FH": Reason("zaber.flag.FH"),
-    "FV": Reason("zaber.flag.FV"),
-    "FO": Reason("zaber.flag.FO"),
-    "FC": Reason("zaber.flag.FC"),
-    "FM": Reason("zaber.flag.FM"),
-    "FD": Reason("zaber.flag.FD"),
-    "FQ": Reason("zaber.flag.FQ"),
-    "FI": Reason("zaber.flag.FI"),
-    "FA": Reason("zaber.flag.FA"),
-    "FR": Reason("zaber.flag.FR"),
-    "FS": Reason("zaber.flag.FS"),
-    "FB": Reason("zaber.flag.FB"),
-    "FP": Reason("zaber.flag.FP"),
-    "FE": Reason("zaber.flag.FE"),
-    "FT": Reason("zaber.flag.FT"),
-    "WS": Reason("zaber.flag.WS"),
-    "WR": Reason("zaber.flag.WR"),
-    "WH": Reason("zaber.flag.WH"),
-    "NC": Reason("zaber.flag.NC"),
-    "NI": Reason("zaber.flag.NI"),
-}
+_FLAGS = "FF FN FZ FH FV FO FC FM FD FQ FI FA FR FS FB FP FE FT WS WR WH NC NI"
+WARNINGS = {flag: Reason(f"zaber.flag.{flag}") for flag in _FLAGS.split()}
 """Warning flags that matter here; a device reports its worst one in every reply."""
 
 NOT_HOMED = ("WR", "WH")
