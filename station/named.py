@@ -7,6 +7,7 @@ _NAMES = {
     "load cell": Reason("device.cell"),
     "sensor readout": Reason("device.readout"),
     "gauge": Reason("device.gauge"),
+    "readers": Reason("device.readers"),
 }
 
 

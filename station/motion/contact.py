@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -100,21 +101,20 @@ class ContactSearch:
         Raises:
             BadReply: the output shows contact, the load cell does not.
         """
-        self.has_found = self.has_found or self._is_touched()
-        return self.has_found
-
-    def _is_touched(self) -> bool:
-        """Whether what came since the last call shows the touch that was looked for."""
+        if self.has_found:
+            return True
         new, self._seen_cell = self._cell[self._seen_cell :], len(self._cell)
         for sample in new:
             change_N = abs(sample.values[0] - self._free_N)
             self._is_felt = self._is_felt or change_N > self._fixture.contact_N
             if change_N > self._fixture.touch_N:
+                self.has_found = True
                 return True
         new, self._seen_output = self._output[self._seen_output :], len(self._output)
         for sample in new:
             change = abs(sample.values[0] - self._free_output)
             if not self._has_force and change > self._fixture.contact_output:
+                self.has_found = True
                 return True
             if self._is_felt or change <= OUTPUT_AHEAD * self._fixture.contact_output:
                 self._ahead_since_s = None
@@ -150,16 +150,17 @@ def bend(stage_mm: Array, values: Array) -> Foot:
     """
     starts = [_start(stage_mm, values, power) for power in POWERS]
     line, left_by_line = _fitted(stage_mm, values, starts[0], is_straight=True)
-    curve, left = _fitted(stage_mm, values, max(starts, key=lambda start: start.explained), is_straight=False)
+    curve, left = _fitted(stage_mm, values, max(starts), is_straight=False)
     # A straight line unless a curve is clearly better: a free power costs certainty where it is not needed.
     return curve if left < left_by_line * (1.0 - CURVED / len(values)) else line
 
 
-@dataclass(frozen=True)
-class _Start:
+class _Start(NamedTuple):
+    """Where a fit begins, and how much of the values that explains."""
+
+    explained: float
     at_mm: float
     power: float
-    explained: float
 
 
 def _start(stage_mm: Array, values: Array, power: float) -> _Start:
@@ -171,7 +172,7 @@ def _start(stage_mm: Array, values: Array, power: float) -> _Start:
     shape -= shape.mean(axis=1, keepdims=True)
     explained = (shape @ (values - values.mean())) ** 2 / np.maximum(np.sum(shape**2, axis=1), 1e-300)
     k = int(np.argmax(explained))
-    return _Start(float(candidates_mm[k]), power, float(explained[k]))
+    return _Start(float(explained[k]), float(candidates_mm[k]), power)
 
 
 def _fitted(stage_mm: Array, values: Array, start: _Start, is_straight: bool) -> tuple[Foot, float]:

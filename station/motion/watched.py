@@ -216,15 +216,12 @@ class WatchedBench:
             _, cell = self._read(())
         except BadReply:
             return self._on_tick()  # Homing may begin under an overload: it is what takes it off.
-        if StageWatch.RISE in self.motion.row.watches:
-            for sample in cell:
-                self._check_rise(sample.values[0])
+        for sample in cell if StageWatch.RISE in self.motion.row.watches else ():
+            force_N = sample.values[0]
+            self._lowest_N = min(self._lowest_N, force_N)
+            if force_N > self._lowest_N + SUDDEN_N:
+                raise SafetyStop(reason("rig.homing.rises", force_N=force_N - self._lowest_N))
         self._on_tick()
-
-    def _check_rise(self, force_N: float) -> None:
-        self._lowest_N = min(self._lowest_N, force_N)
-        if force_N > self._lowest_N + SUDDEN_N:
-            raise SafetyStop(reason("rig.homing.rises", force_N=force_N - self._lowest_N))
 
     def _ahead_mm(self, to_mm: float, speed_mm_s: float) -> float:
         if speed_mm_s > self.fastest_mm_s * (1.0 + 1e-9):
@@ -283,26 +280,22 @@ class WatchedBench:
                     watch.check(sample.values[0], pressed_mm)
             if StageWatch.STREAM in on and name in self._streams:
                 self._streams[name].check_silence(now_s)
-        if StageWatch.DEPTH in on:
-            self._check_depth()
+        deepest_mm = self.bench.config.safety.deepest_mm
+        at_mm = self.readings.polls[-1].position_mm if self.readings.polls else -math.inf
+        if StageWatch.DEPTH in on and at_mm > deepest_mm + 0.01:
+            raise SafetyStop(reason("rig.deepest", at_mm=at_mm, deepest_mm=deepest_mm))
 
     def _check_force(self, sample: Sample) -> None:
         on, newton = self.motion.row.watches, sample.values[0]
         if StageWatch.FORCE in on:
             self._force_watch.check(sample)
-        if StageWatch.FREE in on:
-            self._check_free(newton)
+        added_N = newton - (self.known.free_N or 0.0)
+        if StageWatch.FREE in on and self.motion.is_lowering and added_N > self.bench.config.fixture.touch_N:
+            raise SafetyStop(reason("rig.in_the_way", position_mm=self.bench.stage.position_mm, force_N=added_N))
         if StageWatch.FOLLOW in on:
             self._follow_watch.check(newton - self._force_watch.zero_N, self.pressed_mm(self.late_s), sample.host_s)
         if StageWatch.JUMP in on:
             self._jump_watch.check(newton, self.bench.stage.is_moving, sample.host_s, self.latest_s)
-
-    def _check_free(self, force_N: float) -> None:
-        touch_N, free_N = self.bench.config.fixture.touch_N, self.known.free_N or 0.0
-        if self.motion.is_lowering and force_N - free_N > touch_N:
-            raise SafetyStop(
-                reason("rig.in_the_way", position_mm=self.bench.stage.position_mm, force_N=force_N - free_N)
-            )
 
     def pressed_mm(self, ago_s: float = 0.0) -> float:
         """How far the stage was below the contact so long ago; 0 above it, or before it was found."""
@@ -313,12 +306,6 @@ class WatchedBench:
         newest = self.readings.polls[-1]
         poll = next((p for p in reversed(self.readings.polls) if p.host_s <= then_s), newest) if ago_s else newest
         return max(0.0, poll.position_mm - contact_mm)
-
-    def _check_depth(self) -> None:
-        deepest_mm = self.bench.config.safety.deepest_mm
-        if self.readings.polls and self.readings.polls[-1].position_mm > deepest_mm + 0.01:
-            at_mm = self.readings.polls[-1].position_mm
-            raise SafetyStop(reason("rig.deepest", at_mm=at_mm, deepest_mm=deepest_mm))
 
 
 def bounds_of(bench: Bench) -> ForceBounds:

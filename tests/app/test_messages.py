@@ -46,7 +46,7 @@ def calls(path: Path) -> Iterator[tuple[ast.Call, str]]:
 
 def given(call: ast.Call) -> tuple[str, set[str]] | None:
     """Return code and names of the values of a reason that is made in place; None for one that is passed on."""
-    code, *rest = call.args
+    code, *rest = call.args[2:] if ast.unparse(call.func) == "_item" else call.args
     if not isinstance(code, ast.Constant):
         return None
     names = {str(key.value) for table in rest if isinstance(table, ast.Dict) for key in table.keys}
@@ -67,7 +67,7 @@ def test_every_reason_that_is_given_has_its_sentence_and_all_of_its_values() -> 
         (str(path.relative_to(ROOT)), call.lineno, code)
         for path in FILES
         for call, name in calls(path)
-        if name in ("reason", "Reason") and call.args and (found := given(call)) is not None
+        if name in ("reason", "Reason", "_item") and call.args and (found := given(call)) is not None
         for code, values in [found]
         # The cure of a setting is given its number where the setting is known.
         if code not in ENGLISH or (values != places(ENGLISH[code]) and code != "grbl.safe.acceleration")
