@@ -77,7 +77,10 @@ class Spool:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        end = Reason("spool.done") if error is None else reason("spool.aborted", why=_why(error))
+        end = Reason("spool.done")
+        if error is not None:
+            said = reason_of(error)
+            end = reason("spool.aborted", why=said if str(said) else plain(type(error).__name__))
         self._put({"end": end.to_json()})
         self._lines.put(None)
         self._thread.join()
@@ -109,7 +112,8 @@ class Spool:
             raise DeviceError(reason("file.full", path=str(self.path), error=reason_of(self._error))) from self._error
 
     def _put(self, value: dict[str, Any]) -> None:
-        self._lines.put(_line(value))
+        text = json.dumps(value, separators=(",", ":")).encode()
+        self._lines.put(b"%08x %s\n" % (zlib.crc32(text), text))
 
     def _write_lines(self) -> None:
         is_open = True
@@ -125,11 +129,6 @@ class Spool:
                 os.fsync(file.fileno())
             except OSError as error:
                 self._error = self._error or error
-
-
-def _line(value: dict[str, Any]) -> bytes:
-    text = json.dumps(value, separators=(",", ":")).encode()
-    return b"%08x %s\n" % (zlib.crc32(text), text)
 
 
 def read_spool(path: Path) -> SpooledRun:
@@ -159,11 +158,6 @@ def _run_of(values: Sequence[dict[str, Any]], damaged: int) -> SpooledRun:
     header = {key: str(text) for key, text in values[0].items() if key != "schema"}
     facts: dict[str, Any] = next((value["facts"] for value in values if "facts" in value), {})
     return SpooledRun(header, tuple(output), tuple(force), tuple(polls), facts, end, damaged)
-
-
-def _why(error: BaseException) -> Reason:
-    said = reason_of(error)
-    return said if str(said) else plain(type(error).__name__)
 
 
 def _intact(lines: Sequence[bytes]) -> tuple[list[dict[str, Any]], int]:

@@ -26,7 +26,7 @@ from softcal.core.quality.reading_at_rest import ReadingConfig
 from softcal.core.words.reason import Reason, reason, root_of, several
 from softcal.station.devices.bench import Bench
 from softcal.station.devices.config import LATEST_S
-from softcal.station.interfaces import Reader, Stage
+from softcal.station.interfaces import Reader
 from softcal.station.motion.motion import Cancelled
 from softcal.station.named import named
 from softcal.station.record.recording import StationRecording
@@ -139,7 +139,13 @@ class StationService:
             return
         try:
             bench.clock.sleep_s(seconds)
-            _look_at(bench.stage)
+            was_known = bench.stage.is_position_known
+            try:
+                bench.stage.poll()
+            except DeviceError as error:
+                # A stage that was never homed is locked, and says so; that is no news.
+                if was_known or isinstance(error, NoReply):
+                    raise
             for reader in (bench.readout, bench.force):
                 if reader is not None:
                     self._listen(bench, reader)
@@ -159,9 +165,13 @@ class StationService:
             self.acknowledge()
             self._end(order, RunState.DONE, "", (Reason("run.acknowledged"),))
             return None
-        code, refusal = self._refusal(order)
+        if self.state is StationState.STOPPED or self._bench is None:
+            refusal = (*(reason("rig.stopped", why=why) for why in self.reasons), Reason("rig.acknowledge"))
+        else:
+            gate = self._hooks.gate(order.kind, self.rig)
+            refusal = () if gate.is_open else gate.reasons
         if refusal:
-            self._end(order, RunState.ERROR, code, refusal)
+            self._end(order, RunState.ERROR, "E-GATE", refusal)
             return None
         relay = _Relay(order, self._hooks)
         try:
@@ -171,8 +181,13 @@ class StationService:
         except Cancelled as error:
             self._stop(order, RunState.CANCELLED, "E-STOPPED", error)
         except SoftcalError as error:
-            self._remember(error, relay.phase)
-            self._stop(order, RunState.ERROR, _code(error), error)
+            # This closes the gate until a self-test is good.
+            if isinstance(error, ZeroMoved):
+                self._zero_fault = root_of(error.reason)
+            elif relay.phase == HOMING:
+                self._homing_fault = root_of(error.reason)
+            code = next(code for kind, code in CODES.items() if isinstance(error, kind) or kind is DeviceError)
+            self._stop(order, RunState.ERROR, code, error)
         except Exception:
             self.state, self.reasons = StationState.STOPPED, (Reason("rig.defect"),)
             raise
@@ -204,20 +219,6 @@ class StationService:
         silent_s = now_s - self._heard_s.setdefault(reader.name, now_s)
         if silent_s > SILENT_S:
             raise NoReply(reason("rig.silent.between", device=named(reader.name), seconds=silent_s))
-
-    def _refusal(self, order: Order) -> tuple[str, tuple[Reason, ...]]:
-        """Return code and reasons why an order may not run; both empty when it may."""
-        if self.state is StationState.STOPPED or self._bench is None:
-            return "E-GATE", (*(reason("rig.stopped", why=why) for why in self.reasons), Reason("rig.acknowledge"))
-        gate = self._hooks.gate(order.kind, self.rig)
-        return ("", ()) if gate.is_open else ("E-GATE", gate.reasons)
-
-    def _remember(self, error: SoftcalError, phase: str) -> None:
-        """Keep what closes the gate until a self-test is good."""
-        if isinstance(error, ZeroMoved):
-            self._zero_fault = root_of(error.reason)
-        elif phase == HOMING:
-            self._homing_fault = root_of(error.reason)
 
     def _run(self, order: Order, relay: "_Relay") -> StationRecording | RestReading | None:
         bench = self._bench
@@ -313,18 +314,3 @@ def _with_latency(bench: Bench, behind_s: float) -> Bench:
         return bench
     stated = replace(force, latency_s=min(max(0.0, behind_s), LATEST_S))
     return replace(bench, config=replace(bench.config, force=stated))
-
-
-def _look_at(stage: Stage) -> None:
-    was_known = stage.is_position_known
-    try:
-        stage.poll()
-    except NoReply:
-        raise
-    except DeviceError:
-        if was_known:
-            raise  # A stage that was never homed is locked, and says so; that is no news.
-
-
-def _code(error: SoftcalError) -> str:
-    return next(code for kind, code in CODES.items() if isinstance(error, kind) or kind is DeviceError)

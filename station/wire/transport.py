@@ -5,6 +5,7 @@ import re
 import socket
 import threading
 from collections import deque
+from contextlib import suppress
 from queue import Queue
 from typing import Any, Literal, Protocol, TypeAlias
 
@@ -34,6 +35,27 @@ class Transport(Protocol):
 
     def close(self) -> None:
         """Give the wire back; closing twice is fine."""
+
+
+class Arriving:
+    """Bytes that a thread takes from a device, and what ended it."""
+
+    def __init__(self) -> None:
+        self._arrived: deque[bytes] = deque()
+        self._fault: Exception | None = None
+
+    def read(self) -> bytes:
+        """Return everything that has arrived; where nothing has, raise what ended it."""
+        content = b""
+        while self._arrived:
+            content += self._arrived.popleft()
+        if not content:
+            self._raise_fault()
+        return content
+
+    def _raise_fault(self) -> None:
+        if self._fault is not None:
+            raise OSError(str(self._fault)) from self._fault
 
 
 def wire_of(port: str) -> WireKind:
@@ -78,10 +100,8 @@ class SerialTransport:
         return content
 
     def close(self) -> None:
-        try:
+        with suppress(serial.SerialException, OSError):
             self._serial.close()
-        except (serial.SerialException, OSError):
-            pass
 
 
 class TcpTransport:
@@ -116,7 +136,7 @@ class TcpTransport:
         self._socket.close()
 
 
-class VisaTransport:
+class VisaTransport(Arriving):
     """A VISA resource through PyVISA: USB-TMC, GPIB, LXI.
 
     Such a device speaks when it is asked, and asking blocks: a thread of its own asks. A message with a `?` is a
@@ -131,6 +151,7 @@ class VisaTransport:
     """
 
     def __init__(self, resource: str) -> None:
+        super().__init__()
         try:
             pyvisa: Any = importlib.import_module("pyvisa")
         except ImportError as error:
@@ -144,8 +165,6 @@ class VisaTransport:
         except self._errors as error:
             raise OSError(str(error)) from error
         self._to_send: Queue[bytes | None] = Queue()
-        self._arrived: deque[bytes] = deque()
-        self._fault: Exception | None = None
         self._thread = threading.Thread(target=self._talk, name=f"VISA {resource}", daemon=True)
         self._thread.start()
 
@@ -154,25 +173,15 @@ class VisaTransport:
         self._raise_fault()
         self._to_send.put(content)
 
-    def read(self) -> bytes:
-        content = b""
-        while self._arrived:
-            content += self._arrived.popleft()
-        if not content:
-            self._raise_fault()
-        return content
-
     def close(self) -> None:
         """End the session; an open question is waited for, so that the next one gets its own answer."""
         if not self._thread.is_alive() and self._session is None:
             return
         self._to_send.put(None)
         self._thread.join(VISA_ANSWER_S + 1.0)
-        try:
+        with suppress(*self._errors):  # It is gone already.
             self._session.close()
             self._manager.close()
-        except self._errors:
-            pass  # It is gone already.
         self._session = None
 
     def _talk(self) -> None:
@@ -196,7 +205,3 @@ class VisaTransport:
         except (*self._errors, TypeError):  # pyvisa-py reads a socket that `close` has taken away meanwhile.
             return False
         return True
-
-    def _raise_fault(self) -> None:
-        if self._fault is not None:
-            raise OSError(str(self._fault)) from self._fault
