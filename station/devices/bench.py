@@ -1,9 +1,9 @@
 """The devices of one station, opened together: real ones, or simulated ones behind the same drivers."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -43,13 +43,6 @@ class Bench:
     force: ForceReader | None
 
 
-class _Device(Protocol):
-    def close(self) -> None: ...
-
-
-_D = TypeVar("_D", bound=_Device)
-
-
 @contextmanager
 def open_bench(config: StationConfig, clock: Clock | None = None) -> Iterator[Bench]:
     """Open every device of a station and give all ports back at the end; `DeviceError` names all that are missing."""
@@ -57,21 +50,18 @@ def open_bench(config: StationConfig, clock: Clock | None = None) -> Iterator[Be
     with ExitStack() as stack:
         missing: list[Reason] = []
 
-        def opened(make: Callable[[], _D]) -> _D | None:
+        def opened(device_config: DeviceConfig, stage: Stage | None = None) -> Any:
             try:
-                device = make()
+                device = _open(device_config, Opening(clock, stage))
             except DeviceError as error:
                 missing.append(error.reason)
                 return None
             stack.callback(device.close)
             return device
 
-        stage: Stage | None = opened(lambda: _open(config.stage, Opening(clock)))
-        opening, force_config = Opening(clock, stage), config.force
-        readout: Readout | None = opened(lambda: _open(config.readout, opening))
-        force: ForceReader | None = None
-        if force_config is not None:
-            force = opened(lambda: _open(force_config, opening))
+        stage: Stage | None = opened(config.stage)
+        readout: Readout | None = opened(config.readout, stage)
+        force: ForceReader | None = opened(config.force, stage) if config.force is not None else None
         if missing or stage is None or readout is None:
             raise NoReply(several(missing))
         yield Bench(config, clock, stage, readout, force)
@@ -130,11 +120,8 @@ def simulated_config(station: "SimulatedStation") -> StationConfig:
 @contextmanager
 def open_force(config: ForceConfig, clock: Clock) -> Iterator[ForceReader]:
     """Open the load cell alone; `DeviceError` where it is missing."""
-    reader: ForceReader = _open(config, Opening(clock))
-    try:
+    with closing(_open(config, Opening(clock))) as reader:
         yield reader
-    finally:
-        reader.close()
 
 
 def open_readout(config: ReadoutConfig, clock: Clock) -> Readout:

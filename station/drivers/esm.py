@@ -179,9 +179,6 @@ class EsmStage:
             self._await_standstill()
             self.is_position_known = was_homed
 
-    def gauge(self, capacity_N: float, sign: float, rate_Hz: float) -> "EsmGauge":
-        return EsmGauge(self.port, capacity_N, sign, rate_Hz)
-
     def close(self) -> None:
         self.port.link.close()
 
@@ -269,7 +266,7 @@ def _open(link: Link, config: EsmConfig) -> EsmStage:
 def _open_gauge(config: EsmGaugeConfig, opening: Opening) -> EsmGauge:
     if not isinstance(opening.stage, EsmStage) or opening.stage.port.link.port != config.port:
         raise NoReply(reason("esm.no_stand", port=config.port))
-    return opening.stage.gauge(config.capacity_N, config.sign, config.rate_Hz)
+    return EsmGauge(opening.stage.port, config.capacity_N, config.sign, config.rate_Hz)
 
 
 def _simulate(around: Surroundings) -> Simulated[EsmConfig]:

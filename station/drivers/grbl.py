@@ -89,7 +89,10 @@ class GrblStage:
         self.is_position_known = self.can_lift_roughly = False
         self._forget_motion()
         self._link.discard()
-        self._unlock_after_alarm()
+        self._link.write(grbl.RESET)  # A hard-limit alarm ignores even homing until a reset.
+        self._wait_for_greeting(ANSWER_S)
+        self._link.clock.sleep_s(0.05)
+        self._link.discard()
         self._link.write(grbl.HOME)
         self._is_homing = True
         self._wait_until_homed(on_wait)
@@ -263,7 +266,9 @@ class GrblStage:
                 reply = grbl.parse(line.text)
             except (BadReply, NoReply):
                 continue
-            if isinstance(reply, (grbl.Alarm, grbl.Greeting)) or _is_locked(reply):
+            # Something other than a hold ended the motion: then nothing moves by itself.
+            is_locked = isinstance(reply, grbl.GrblStatus) and reply.state in ("Alarm", "Door", "Sleep", "Home")
+            if isinstance(reply, grbl.Alarm | grbl.Greeting) or is_locked:
                 self._is_alarmed = True
                 return False
             if isinstance(reply, grbl.GrblStatus):
@@ -276,13 +281,6 @@ class GrblStage:
             self._link.clock.sleep_s(0.02)
         self._is_alarmed = self._link.clock.now_s() >= heard_s + 2 * SILENCE_S
         return False
-
-    def _unlock_after_alarm(self) -> None:
-        """A hard-limit alarm ignores even homing until a reset."""
-        self._link.write(grbl.RESET)
-        self._wait_for_greeting(ANSWER_S)
-        self._link.clock.sleep_s(0.05)
-        self._link.discard()
 
     def _wait_for_greeting(self, within_s: float) -> str:
         end_s = self._link.clock.now_s() + within_s
@@ -304,24 +302,16 @@ class GrblStage:
                 reply = grbl.parse(line.text)
                 if isinstance(reply, grbl.Ok):
                     return
-                self._check_homing(reply)
+                if isinstance(reply, grbl.GrblRefusal):
+                    self._is_homing = False
+                    raise CommandRefused(reason("grbl.homing_refused", reply=reply.reason))
+                if isinstance(reply, grbl.Alarm | grbl.Greeting):
+                    self._is_homing = False
+                    why = reply.reason if isinstance(reply, grbl.Alarm) else Reason("grbl.part.restarted")
+                    raise DeviceError(reason("grbl.homing_failed", why=why))
             self._link.clock.sleep_s(POLL_S)
             on_wait()
         raise NoReply(reason("rig.not_home", seconds=HOMING_S))
-
-    def _check_homing(self, reply: grbl.Reply) -> None:
-        if isinstance(reply, grbl.GrblRefusal):
-            self._is_homing = False
-            raise CommandRefused(reason("grbl.homing_refused", reply=reply.reason))
-        if isinstance(reply, (grbl.Alarm, grbl.Greeting)):
-            self._is_homing = False
-            why = reply.reason if isinstance(reply, grbl.Alarm) else Reason("grbl.part.restarted")
-            raise DeviceError(reason("grbl.homing_failed", why=why))
-
-
-def _is_locked(reply: grbl.Reply) -> bool:
-    """Whether a reply says that something other than a hold ended the motion: then nothing moves by itself."""
-    return isinstance(reply, grbl.GrblStatus) and reply.state in ("Alarm", "Door", "Sleep", "Home")
 
 
 DRIVERS = (

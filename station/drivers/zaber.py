@@ -8,8 +8,8 @@ from softcal.station.devices.config import StageConfig, check_positive
 from softcal.station.devices.driver import Driver, Simulated, opens
 from softcal.station.drivers.admission import admit
 from softcal.station.interfaces import Move, OnWait, StagePosition, ignore_wait
+from softcal.station.named import named
 from softcal.station.simulated.zaber import SimulatedZaber
-from softcal.station.wire.command import Control, Measurement
 from softcal.station.wire.frames import zaber
 from softcal.station.wire.frames.zaber import ACCELERATION_UNIT, SPEED_UNIT
 from softcal.station.wire.link import POLL_S, Link
@@ -18,6 +18,10 @@ ANSWER_S = 0.5
 SILENCE_S = 0.25
 STATUS_S = 0.04
 HOMING_S = 60.0
+
+STAGE = named("stage")
+SPEEDS = (1.0, 1e9)
+"""Settings of the speed that may be sent."""
 
 
 @dataclass(frozen=True)
@@ -45,24 +49,16 @@ class ZaberStage:
 
     name = "stage"
 
-    position = Measurement("get pos", unit="microsteps", doc="Measure the position in microsteps.")
-    limit_max = Measurement("get limit.max", unit="microsteps", doc="Measure the end of the travel in microsteps.")
-    acceleration = Measurement("get accel", unit="settings", doc="Measure the acceleration setting.")
-    speed = Control(
-        "get maxspeed", "set maxspeed {:.0f}", unit="settings", limits=(1.0, 1e9), doc="Control the speed setting."
-    )
-
     def __init__(self, link: Link, microstep_mm: float, device: int = 1, axis: int = 1) -> None:
         self._link, self._microstep_mm, self._device, self._axis = link, microstep_mm, device, axis
         self._next_id = 1
         self.is_position_known = self.is_moving = False
         self._asked: tuple[int, float] | None = None
         self._next_status_s = 0.0
-        self.travel_mm = self.limit_max * microstep_mm
-        self.max_speed_mm_s = self.speed / SPEED_UNIT * microstep_mm
-        self.acceleration_mm_s2 = self.acceleration / ACCELERATION_UNIT * microstep_mm
-        self.position_mm = self.position * microstep_mm
-        self._target_mm = self.position_mm
+        self.travel_mm = self._read("limit.max", "limit_max") * microstep_mm
+        self.max_speed_mm_s = self._read("maxspeed", "speed") / SPEED_UNIT * microstep_mm
+        self.acceleration_mm_s2 = self._read("accel", "acceleration") / ACCELERATION_UNIT * microstep_mm
+        self.position_mm = self._read("pos", "position") * microstep_mm
 
     def home(self, on_wait: OnWait = ignore_wait) -> None:
         self.is_position_known = False
@@ -75,15 +71,21 @@ class ZaberStage:
             self._link.clock.sleep_s(STATUS_S)
             on_wait()
         self._check(reply)
-        self.position_mm = self.position * self._microstep_mm
+        self.position_mm = self._read("pos", "position") * self._microstep_mm
         self.is_position_known = True
 
     def begin(self, move: Move) -> None:
         admit(self, move)
         self._forget()
-        self.speed = max(1.0, move.speed_mm_s / self._microstep_mm * SPEED_UNIT)
+        speed, (low, high) = max(1.0, move.speed_mm_s / self._microstep_mm * SPEED_UNIT), SPEEDS
+        if not low <= speed <= high:
+            about = reason(
+                "rig.outside.quantity", device=STAGE, quantity="speed", value=speed, unit="settings", low=low, high=high
+            )
+            raise CommandRefused(about)
+        self._command(f"set maxspeed {speed:.0f}")
         self._command(f"move abs {round(move.to_mm / self._microstep_mm)}")
-        self._target_mm, self.is_moving = move.to_mm, True
+        self.is_moving = True
         self._next_status_s = 0.0
 
     def poll(self) -> list[StagePosition]:
@@ -114,16 +116,18 @@ class ZaberStage:
             self._link.clock.sleep_s(POLL_S)
             reply = self._command("")
         self.is_position_known = self.is_position_known and not reply.is_busy and not reply.warning.startswith("F")
-        self.position_mm = self.position * self._microstep_mm
+        self.position_mm = self._read("pos", "position") * self._microstep_mm
 
     def close(self) -> None:
         self._link.close()
 
-    def ask(self, words: str) -> str:
-        return self._command(words).data
-
-    def tell(self, words: str) -> None:
-        self._command(words)
+    def _read(self, setting: str, quantity: str) -> float:
+        answer = self._command(f"get {setting}").data
+        try:
+            return float(answer)
+        except ValueError as error:
+            about = {"quantity": quantity, "answer": repr(answer[:40])}
+            raise BadReply(reason("rig.number.reads", device=STAGE, **about)) from error
 
     def _command(self, words: str) -> zaber.Reply:
         message_id = self._send(words)

@@ -67,7 +67,6 @@ class StageTrack:
     t_s: Array
     position_mm: Array
     residual_mm: float
-    largest_residual_mm: float
 
     def at(self, host_s: Array) -> Array:
         """Return positions in mm at host times."""
@@ -116,7 +115,7 @@ def reconstruct(polls: Sequence[StagePosition], moves: Sequence[DrivenMove]) -> 
         position_mm.append(move.path.position_mm(since_s))
     nodes_s, nodes_mm = np.concatenate(t_s), np.concatenate(position_mm)
     residual = poll_mm - np.interp(poll_s, nodes_s, nodes_mm)
-    return StageTrack(nodes_s, nodes_mm, float(np.sqrt(np.mean(residual**2))), float(np.max(np.abs(residual))))
+    return StageTrack(nodes_s, nodes_mm, float(np.sqrt(np.mean(residual**2))))
 
 
 def _follows(move: DrivenMove, start_s: float, poll_s: Array, poll_mm: Array) -> bool:

@@ -2,28 +2,14 @@
 
 import os
 import socket
-from typing import Protocol
+from contextlib import suppress
+from typing import TypeAlias
 
 from softcal.station.wire.transport import BLE
 
 
-class Medium(Protocol):
-    """The device's end of a byte stream that the host opens by its `port`."""
-
-    port: str
-
-    def read(self) -> bytes:
-        """Return everything the host has written."""
-
-    def write(self, content: bytes) -> None:
-        """Hand bytes to the host; a host that does not read loses some, as on a real port."""
-
-    def hang_up(self) -> None:
-        """End it for good: the host's port is dead."""
-
-
 class PtyEnd:
-    """A serial line: a pseudo terminal (Linux and macOS)."""
+    """A serial line: a pseudo terminal (Linux and macOS). What the host does not read is lost, as on a real port."""
 
     def __init__(self) -> None:
         import pty  # Not on Windows.
@@ -46,10 +32,8 @@ class PtyEnd:
             return content
 
     def write(self, content: bytes) -> None:
-        try:
+        with suppress(BlockingIOError):
             os.write(self._master, content)
-        except BlockingIOError:
-            pass  # A host that does not read loses bytes, as on a real port.
 
     def hang_up(self) -> None:
         os.close(self._slave)
@@ -109,6 +93,10 @@ class SocketEnd:
         if self._host is not None:
             self._host.close()
             self._host = None
+
+
+Medium: TypeAlias = PtyEnd | SocketEnd
+"""The device's end of a byte stream that the host opens by its `port`."""
 
 
 def serial_line() -> Medium:
