@@ -1,4 +1,4 @@
-"""The host's clock, and device time to host time: offset and drift from pairs of (device, arrival)."""
+"""The host's clock, and device time to host time: offset and drift from (device, arrival) pairs."""
 
 import time
 from dataclasses import dataclass
@@ -80,7 +80,7 @@ def _turns_down(x: Array, y: Array, a: int, b: int, c: int) -> bool:
 
 
 def unwrap_ms(previous_ms: int, reported_ms: int) -> int:
-    """Return a 32-bit millisecond counter as a number that goes on past its wrap; the last one is unwrapped."""
+    """Return a 32-bit counter of ms so that it goes on past its wrap; the last one is unwrapped."""
     step = (reported_ms - previous_ms) % WRAP_MS
     return previous_ms + (step if step < WRAP_MS // 2 else step - WRAP_MS)
 

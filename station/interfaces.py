@@ -1,4 +1,4 @@
-"""What the acquisition needs of a clock, a stage, a load cell and a sensor readout, whatever their dialect."""
+"""What a run needs of a clock, a stage, a load cell and a readout, whatever their dialect."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -10,7 +10,7 @@ from softcal.core.words.reason import Reason
 
 
 class Held(DeviceError):
-    """Somebody holds the stage at the machine (hold button): it stands, and nothing may move it by itself."""
+    """Somebody holds the stage by the button at the machine: nothing may move it by itself."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Sample:
 
 @dataclass(frozen=True)
 class StagePosition:
-    """Where the stage was when it answered a status poll (middle of question and answer, host clock)."""
+    """Where the stage was in the middle between status poll and answer, host clock."""
 
     host_s: float
     position_mm: float
@@ -90,7 +90,7 @@ class Stage(Protocol):
 
     @property
     def is_position_known(self) -> bool:
-        """Whether the axis was homed and nothing happened since that could have lost the position."""
+        """Whether the axis was homed and nothing since can have lost the position."""
 
     @property
     def is_moving(self) -> bool:
@@ -132,14 +132,14 @@ class Stage(Protocol):
 
 @runtime_checkable
 class RoughLift(Protocol):
-    """A stage that can go away from the unit although its exact position was lost in a stop that cut its motion."""
+    """A stage that can go away from the unit though a stop cut its motion and lost its position."""
 
     @property
     def can_lift_roughly(self) -> bool:
-        """Whether the position was lost by our own stop alone, so that its count is still nearly right."""
+        """Whether our own stop alone lost the position, so that its count is nearly right."""
 
     def lift_roughly(self, distance_mm: float, speed_mm_s: float) -> None:
-        """Begin to go away from the unit, but not into the switch; `poll` follows it. The position stays unknown."""
+        """Begin to go away, not into the switch; `poll` follows it. The position stays unknown."""
 
 
 @runtime_checkable
@@ -147,7 +147,7 @@ class RunsOn(Protocol):
     """A stage that is fed in pieces, so that it stops by itself when nothing comes any more."""
 
     def runs_on_s(self, speed_mm_s: float) -> float:
-        """Return after how long it stands, at most, once the host is gone in a move at this speed."""
+        """Return after how long it stands, at most, when the host dies at this speed."""
 
     def runs_on_mm(self, move: Move) -> float:
         """Return how far it still goes, at most, once the host is gone in this move."""

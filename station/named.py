@@ -12,7 +12,7 @@ _NAMES = {
 
 
 def named(name: str, port: str = "") -> Reason:
-    """Return the name of a device as a value of a sentence, with its port where two must be told apart."""
+    """Return the name of a device for a sentence, with its port where two must be told apart."""
     if not name:
         return plain(port)
     device = _NAMES.get(name) or plain(name)

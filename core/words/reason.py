@@ -21,7 +21,7 @@ DOUBT = "doubt."
 """How the codes of reasons begin that set an audit aside."""
 
 PLAIN = "plain"
-"""Code of a sentence that was kept as a sentence: by an older version, or quoted from a file or device."""
+"""Code of a sentence that was kept as one: by an older version, or of a file or a device."""
 
 ENGLISH: Mapping[str, str] = {PLAIN: "{text}", **UNIT_SENTENCES, **GAP_SENTENCES, **SENTENCES}
 """One sentence a code. Values stand in braces with their format; a value that is a reason is a phrase of its own."""
@@ -103,7 +103,7 @@ def plain(text: str) -> Reason:
 
 
 def to_kept(why: Reason | str) -> object:
-    """Return what a table keeps of a reason: its code and values, or the sentence where it is one."""
+    """Return what a table keeps of a reason: its code and values, or its sentence."""
     found = Reason.of(why)
     return str(found) if found.code == PLAIN else found.to_json()
 
@@ -124,7 +124,7 @@ def unpacked(message: str) -> tuple[Reason, ...]:
 
 
 def several(reasons: Sequence[Reason], code: str = "and") -> Reason:
-    """Return reasons as one; the code is that of the sentence that holds a `first` one and the `rest`."""
+    """Return reasons as one, by a sentence that holds a `first` one and the `rest`."""
     first, *rest = reasons
     return reason(code, first=first, rest=several(rest, code)) if rest else first
 

@@ -1,4 +1,4 @@
-"""The devices of one station, opened together: real ones, or simulated ones behind the same drivers."""
+"""The devices of a station, opened together: real ones, or simulated ones behind their drivers."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager

@@ -43,7 +43,7 @@ class Offer:
 
 
 def offers() -> list[Offer]:
-    """Return every driver, shipped ones first; one that cannot be loaded is in the list with its fault."""
+    """Return every driver, shipped ones first; one that cannot be loaded has its fault."""
     return [*_shipped(), *(_load(role, point) for role in GROUPS for point in installed(GROUPS[role]))]
 
 

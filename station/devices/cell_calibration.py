@@ -1,4 +1,4 @@
-"""The load cell's scale from dead weights: a straight line through weight and reading, and what it leaves over."""
+"""The load cell's scale from dead weights: a line through weight and reading, and its errors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ class CellCalibration:
 
 
 def read_steady(reader: ForceReader, clock: Clock) -> tuple[float, float]:
-    """Return mean and standard deviation of some seconds of readings, after the weight has settled."""
+    """Return mean and standard deviation of some seconds after the weight has settled."""
     reader.start()
     _collect(reader, clock, SETTLE_S)
     values = _collect(reader, clock, READ_S)

@@ -1,4 +1,4 @@
-"""What belongs to one station and to no run: ports, dialects, capacities, safety bounds, from one TOML file."""
+"""What belongs to a station and to no run, from a TOML file: ports, dialects, safety bounds."""
 
 import inspect
 import math
@@ -199,7 +199,7 @@ def read_station_file(path: Path) -> StationConfig:
 
 
 def station_from_table(content: dict[str, Any]) -> StationConfig:
-    """Return the station that nested tables describe; unknown keys are errors that list the known ones."""
+    """Return the station of nested tables; unknown keys are errors that list the known ones."""
     unknown = set(content) - set(_SECTIONS) - {"name"}
     if unknown:
         raise InputError(reason("station_file.unknown_top", key=repr(min(unknown)), known=", ".join(_SECTIONS)))
@@ -220,7 +220,7 @@ def station_from_table(content: dict[str, Any]) -> StationConfig:
 
 
 def station_toml(config: StationConfig, choices: str = "") -> str:
-    """Return the station file of a configuration, every key in it and what it means, to be read and edited."""
+    """Return the station file of a configuration: every key, and what it means."""
     document = tomlkit.document()
     document["name"] = config.name
     for name in _SECTIONS:

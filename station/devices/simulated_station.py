@@ -1,4 +1,4 @@
-"""A whole simulated station: one rig, three devices on three lines, one world in which time passes."""
+"""A whole simulated station: one rig, three devices on three lines, one world of time."""
 
 from collections.abc import Sequence
 from typing import TypeVar
@@ -117,7 +117,7 @@ class SimulatedStation:
 
 
 def wire_for(driver: AnyDriver, rng: np.random.Generator) -> Wire:
-    """Return a line of the kind a driver speaks over: a serial line, Bluetooth, or a socket for all others."""
+    """Return a line of the kind a driver speaks over: serial, Bluetooth, or a socket for all others."""
     match driver.wires[0]:
         case "serial":
             return Wire(rng)

@@ -1,4 +1,4 @@
-"""Which moves a stage may be given: the same rule for every controller, asked before a byte is written."""
+"""Which moves a stage may be given: one rule for all controllers, before a byte is written."""
 
 from softcal.core.errors import CommandRefused
 from softcal.core.words.reason import Reason, reason

@@ -1,4 +1,4 @@
-"""The sensor's readout: an Arduino that prints raw converter counts, one or several channels a line."""
+"""The sensor's readout: an Arduino that prints raw counts, one or several channels a line."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Driver of a Mark-10 ESM301 or ESM303 stand with its gauge, both on the stand's one port (frames/esm.py)."""
+"""Driver of a Mark-10 ESM301 or ESM303 stand and its gauge, both on one port (frames/esm.py)."""
 
 from collections import deque
 from collections.abc import Callable
@@ -60,7 +60,7 @@ class EsmGaugeConfig(ForceConfig):
 
 
 class SharedPort:
-    """Questions and answers of stage and gauge on one port: the stand answers in the order it was asked."""
+    """Questions of stage and gauge on one port: the stand answers in the order it was asked."""
 
     def __init__(self, link: Link) -> None:
         self.link = link
@@ -72,7 +72,7 @@ class SharedPort:
         self.link.write(question)
 
     def read(self) -> None:
-        """Hand out the answers that have arrived; `NoReply` where a question was not answered in time."""
+        """Hand out what has arrived; `NoReply` where a question was not answered in time."""
         for line in self.link.read_lines():
             if self._open:
                 asked_s, take = self._open.popleft()
@@ -81,7 +81,7 @@ class SharedPort:
             raise NoReply(reason("esm.no_answer", seconds=SILENCE_S))
 
     def resynchronise(self) -> None:
-        """Begin again after an answer was lost: without it every answer would be taken for the one before."""
+        """Begin again after an answer was lost: the next would be taken for the one before."""
         self._open.clear()
         self.link.clock.sleep_s(SILENCE_S)
         self.link.discard()

@@ -181,7 +181,7 @@ class GrblStage:
         raise NoReply(reason("grbl.none", port=self._link.port))
 
     def _send_due(self) -> None:
-        """Send the pieces that are due, and after the last one the line that proves the end of the move."""
+        """Send the pieces that are due, and at last the line that proves the end of the move."""
         now_s = self._link.clock.now_s()
         while self._feed:
             ends_mm = self._feed.due_mm(now_s)

@@ -57,7 +57,7 @@ class GrblSettings:
         return self.values[ACCELERATION + self.index]
 
     def unsafe(self) -> list[tuple[str, Reason]]:
-        """Return each setting that takes safety away as `$n=value`, and the command that mends it."""
+        """Return each setting that takes safety away as `$n=value`, and what mends it."""
         found = []
         for number, is_safe, cure in SAFE:
             shown = number + (self.index if number == ACCELERATION else 0)

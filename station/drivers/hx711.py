@@ -1,4 +1,4 @@
-"""A load cell behind an HX711 whose Arduino prints raw 24-bit counts (Avia Semiconductor, HX711 data sheet)."""
+"""A load cell behind an HX711: its Arduino prints 24-bit counts (Avia, HX711 data sheet)."""
 
 from dataclasses import dataclass
 

@@ -23,7 +23,7 @@ class LoadstarConfig(SerialCellConfig):
 
 
 class LoadstarCell(LineCell):
-    """Streamed readings as N, in whatever unit it is calibrated; 9600 baud, 230400 in the high-speed model."""
+    """Streamed readings as N, whatever their unit; 9600 baud, 230400 in the high-speed model."""
 
     def __init__(self, link: Link, capacity_N: float, sign: float = 1.0, rate_Hz: float = 80.0) -> None:
         super().__init__(link, capacity_N, sign, rate_Hz)
@@ -46,7 +46,7 @@ class LoadstarCell(LineCell):
         return loadstar.parse_N(text, self.native_unit)
 
     def _stop_stream(self) -> None:
-        """The first carriage return ends a stream or a line of before; the second must be answered."""
+        """The first carriage return ends what was before; the second must be answered."""
         self._link.write(loadstar.PING)
         self._link.clock.sleep_s(0.2)
         self._link.discard()

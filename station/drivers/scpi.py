@@ -108,7 +108,7 @@ def _readout(
     per_unit: float,
     full_scale: float,
 ) -> AskedReader:
-    """Return what asks for one quantity of a bench instrument that names one of some models, at a steady rate."""
+    """Return what asks a bench instrument of these models for one quantity, at a steady rate."""
     link.discard()
     identity = _answer(link, "*IDN?").strip()
     fields = [field.strip() for field in identity.split(",")]

@@ -1,4 +1,4 @@
-"""What load cells on a serial line share: the keys of their section, and readings that come line by line."""
+"""What load cells on a serial line share: their keys, and readings line by line."""
 
 from abc import abstractmethod
 from collections.abc import Callable

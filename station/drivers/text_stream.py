@@ -22,7 +22,7 @@ LONGEST_STEP_MS = 5000
 
 
 class LineReader(ABC):
-    """A device that sends a reading a line by itself; the first line after a start is cut more often than not."""
+    """A device that sends a reading a line by itself; the first one after a start is often cut."""
 
     name: str
     unit: str
@@ -36,7 +36,7 @@ class LineReader(ABC):
         self._is_synchronised, self._bad_in_a_row = False, 0
 
     def poll(self) -> list[Sample]:
-        """Return the samples that arrived, oldest first; `BadReply`: nothing but noise, or what ends the readings."""
+        """Return the samples that came, oldest first; `BadReply` where that is nothing but noise."""
         samples = []
         for line in self._link.read_lines():
             if not self._is_synchronised:

@@ -62,7 +62,7 @@ class ForceBounds:
 
     @property
     def unknown_mm_s(self) -> float:
-        """Fastest speed at a depth where this unit was not pressed yet, whatever force it may show there."""
+        """Fastest speed where this unit was not pressed yet, whatever force it may show there."""
         return self.noticed_mm_s(self.limit_N)
 
     def noticed_mm_s(self, force_N: float) -> float:

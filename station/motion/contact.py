@@ -17,10 +17,10 @@ from softcal.station.interfaces import Sample
 UNLOADED_SAMPLES = 25
 
 OUTPUT_AHEAD = 4.0
-"""When the output has changed by so many thresholds and the force by none, the load cell is dead."""
+"""When the output has changed by so many thresholds and the force by none, the cell is dead."""
 
 REACH_MM, GRID_MM = 1.5, 0.02
-"""The contact is looked for within REACH_MM above the deepest point of the search, first on a grid."""
+"""The contact is sought within REACH_MM above the deepest point of the search, first on a grid."""
 
 POWERS = (1.0, 1.25, 1.5, 1.75, 2.0)
 """Force laws from a flat pad to a cone, to begin with."""
@@ -29,7 +29,7 @@ CURVED = 9.0
 """A curve must leave this much less than a line, in variances of one sample."""
 
 SURE_MM = 0.0033
-"""A contact with a larger standard deviation is touched again, more slowly: three of them are 10 µm."""
+"""A contact of a larger standard deviation is touched again, more slowly: three are 10 µm."""
 
 FINEST_MM_S = 0.08
 """No touch is slower than this: a soft cone would take half a minute."""
@@ -126,7 +126,7 @@ class ContactSearch:
         return False
 
     def touch(self, stage_at: Callable[[Array], Array]) -> Touch:
-        """Return what was read since the search began; `stage_at`: host times -> stage positions in mm."""
+        """Return what was read since then; `stage_at`: host times -> stage positions in mm."""
         samples = self._cell if self._has_force else self._output
         host_s = np.array([sample.host_s for sample in samples])
         if samples[0].device_s is not None:
@@ -164,7 +164,7 @@ class _Start(NamedTuple):
 
 
 def _start(stage_mm: Array, values: Array, power: float) -> _Start:
-    """Return the foot on a coarse grid that explains most of the values with this power, and how much that is."""
+    """Return the foot on a grid that explains most of the values with this power, and how much."""
     deepest_mm = float(np.max(stage_mm))
     shallowest_mm = max(float(np.min(stage_mm)), deepest_mm - REACH_MM)
     candidates_mm = np.arange(shallowest_mm, deepest_mm, GRID_MM)
@@ -197,7 +197,7 @@ def _fitted(stage_mm: Array, values: Array, start: _Start, is_straight: bool) ->
 
 
 def slower_mm_s(speed_mm_s: float, doubt_mm: float) -> float:
-    """Return the speed of a search that is sure enough: noise is averaged over as many more readings."""
+    """Return the speed of a search that is sure enough: more readings average the noise."""
     return max(FINEST_MM_S, speed_mm_s * (SURE_MM / doubt_mm) ** 2)
 
 

@@ -39,7 +39,7 @@ class PieceFeed:
         return bool(self._pieces)
 
     def due_mm(self, now_s: float) -> float | None:
-        """Return where the next piece ends when it may be sent; None while it is too early, or none is left."""
+        """Return where the next piece ends when it may be sent; None if too early, or none is left."""
         if not self._pieces:
             return None
         starts_s, ends_mm = self._pieces[0]
@@ -53,7 +53,7 @@ class PieceFeed:
 
 
 def runs_on_mm(move: Move, acceleration_mm_s2: float) -> float:
-    """Return how far a stage that is fed in pieces still goes, at most, once the host is gone in a move."""
+    """Return how far a stage fed in pieces still goes, at most, when the host dies in a move."""
     fed_s = _ahead_s(move.speed_mm_s, acceleration_mm_s2) + PIECE_S
     return min(move.ahead_mm, move.speed_mm_s * fed_s)
 

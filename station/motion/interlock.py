@@ -138,6 +138,6 @@ class Interlock:
         self.state = state
 
     def check_move(self, is_down: bool) -> None:
-        """Raise `ValueError` where the stage may not go down, or up; a defect of softcal, nothing was sent."""
+        """Raise `ValueError` where the stage may not go down, or up: a defect; nothing was sent."""
         if not (self.row.moves.are_down or (self.row.moves is Moves.UP and not is_down)):
             raise ValueError(f"a move {'down' if is_down else 'up'} while {self.state}")

@@ -17,7 +17,7 @@ from softcal.station.motion.safety import LASTS_S
 from softcal.station.record.trajectory import DrivenMove, Trapezoid
 
 TICK_S = 0.005
-"""How often the devices are read while something may move; far below every latency that is promised."""
+"""How often devices are read while something may move; far below every promised latency."""
 
 RETRACT_MM_S = 5.0
 PATIENCE_S = 1.5
@@ -93,7 +93,7 @@ class Motion(Interlock):
             raise
 
     def home(self, on_wait: Callable[[], None]) -> None:
-        """Home the stage; what `on_wait` raises, called every few milliseconds, ends that. `NoReply`: too late."""
+        """Home the stage; what `on_wait` raises ends that, and `NoReply` when it takes too long."""
         self.enter(State.HOMING)
         end_s = self._clock.now_s() + self.row.late_s
 

@@ -1,4 +1,4 @@
-"""Safety bounds, checked on every sample while the stage moves. What is not right raises; nothing here moves."""
+"""Safety bounds, checked on every sample while the stage moves; nothing here moves."""
 
 import math
 from collections import deque
@@ -46,7 +46,7 @@ class ForceWatch:
         self._recent: deque[tuple[float, float]] = deque(maxlen=SLOPE_SAMPLES)
 
     def check(self, sample: Sample) -> None:
-        """Raise `SafetyStop` when the force is, or by the time the stage can brake will be, above the limit."""
+        """Raise `SafetyStop` when the force is above the limit, or will be before the stage brakes."""
         force_N = sample.values[0] - self.zero_N
         time_s = sample.host_s if sample.device_s is None else sample.device_s
         self._recent.append((time_s, force_N))
@@ -68,7 +68,7 @@ class FollowWatch:
         self._contact_N = contact_N
         self._missing_since_s: float | None = None
         self._felt_mm, self._turned_mm = 0.0, math.inf
-        """Deepest with a force since the stage was last above the contact, and shallowest since there is none."""
+        """Deepest with a force since the stage was last above the contact; shallowest since without."""
 
     def check(self, force_N: float, pressed_mm: float, now_s: float) -> None:
         """Raise `BadReply` when a stage well below the contact meets no force for a while."""
@@ -124,7 +124,7 @@ class StuckWatch:
         self._shallow_mm, self._deep_mm = float("inf"), float("-inf")
 
     def check(self, value: float, pressed_mm: float) -> None:
-        """Raise `BadReply` when the stage has moved far below the contact and the channel has not followed."""
+        """Raise `BadReply` when the stage moved far on the unit and the channel has not followed."""
         self._recent.append(value)
         if pressed_mm <= 0.0:
             self._forget()
@@ -167,7 +167,7 @@ class StreamWatch:
         self._earliest_s, self._old_since_s = float("inf"), float("inf")
 
     def check(self, sample: Sample) -> None:
-        """Raise `BadReply` when the channel is at its rail, or comes at another rate than declared."""
+        """Raise `BadReply` when the channel is at its rail, or comes at another rate."""
         self._seen_s = sample.host_s
         if self._rails:
             self._check_rails(sample, self._rails)
@@ -181,7 +181,7 @@ class StreamWatch:
             raise NoReply(reason("rig.silent", device=named(self._reader.name), seconds=now_s - self._seen_s))
 
     def _check_age(self, host_s: float, device_s: float) -> None:
-        """A line may begin to hold readings back: against the earliest arrivals of before, these are old."""
+        """A line may begin to hold readings back: they are old by the earliest ones of before."""
         allowed_s = CLOCK_SHARE * (device_s - self._times[-2]) if len(self._times) > 1 else 0.0
         self._earliest_s = min(self._earliest_s + allowed_s, host_s - device_s)
         age_s = host_s - device_s - self._earliest_s

@@ -1,4 +1,4 @@
-"""A profile as what the stage is told: moves from rest to rest and holds, checked before anything moves."""
+"""A profile as moves from rest to rest and holds, checked before anything moves."""
 
 from softcal.core.errors import CommandRefused
 from softcal.core.profiles import Profile
@@ -8,7 +8,7 @@ from softcal.station.interfaces import Hold, Move, Step
 
 
 def check_profile(bench: Bench, profile: Profile) -> None:
-    """Raise `CommandRefused` when a profile would leave the bounds of stage or station at any contact position."""
+    """Raise `CommandRefused` when a profile could leave the bounds of stage or station."""
     bounds, fixture = bench.config.safety, bench.config.fixture
     fastest_mm_s = min(bounds.speed_mm_s, bench.stage.max_speed_mm_s)
     deepest_mm = min(bounds.deepest_mm, bench.stage.travel_mm)

@@ -149,7 +149,7 @@ class WatchedBench:
         self.enter(State.LISTENING)
 
     def expect_nothing(self) -> None:
-        """Take the present force as that of an empty path: whatever adds the touch force to it is in the way."""
+        """Take the present force as that of an empty path: the touch force more is in the way."""
         self.known.free_N = self.motion.zero_N = unloaded(self.readings.force[-10:])
         self.motion.free_output = unloaded(self.readings.output[-10:])
         self.enter(State.APPROACHING)
@@ -232,7 +232,7 @@ class WatchedBench:
 
     @property
     def noticed_N(self) -> float:
-        """The force at which whatever is met stops the stage: the touch; the limit, or what a step lets expect."""
+        """The force that stops the stage: the touch; else the limit, or what a step lets expect."""
         return self.bounds.touch_N if self.motion.row.moves is Moves.FREE else self._expected_N
 
     def expect_rise(self, last_N: float) -> float:
@@ -252,7 +252,7 @@ class WatchedBench:
         return self.readings.force[-1].values[0] - self._force_watch.zero_N if self.readings.force else 0.0
 
     def _look_ahead(self) -> None:
-        """How long the force may still grow: until a stop holds, or until the move ends by itself."""
+        """How long the force may still grow: until a stop holds, or the move ends by itself."""
         speed_mm_s = self.motion.speed_mm_s
         if not self.motion.is_lowering or speed_mm_s == 0.0:
             self._force_watch.ahead_s = 0.0
@@ -298,7 +298,7 @@ class WatchedBench:
             self._jump_watch.check(newton, self.bench.stage.is_moving, sample.host_s, self.latest_s)
 
     def pressed_mm(self, ago_s: float = 0.0) -> float:
-        """How far the stage was below the contact so long ago; 0 above it, or before it was found."""
+        """How far the stage was below the contact so long ago; 0 above it, or without one."""
         contact_mm = self.known.contact_mm
         if contact_mm is None or not self.readings.polls:
             return 0.0

@@ -21,7 +21,7 @@ RELAXED_POWERS, RELAXATION_S, EVERY_RELAXATION_S = (1, 3), (0.1, 0.5, 3.0), (0.0
 the delay is known, faster and slower terms (none slower than the run) leave less that does not belong to the cell."""
 
 GRID_S = 0.01
-"""The law of the depth is laid out at these steps; faster than that no soft unit and no load cell follows."""
+"""Steps of the law of the depth; no soft unit and no load cell follows faster than that."""
 
 LATE_S, EARLY_S, PERIOD_SHARE = 0.01, 0.12, 0.25
 """A cell may seem this much later than declared, or this much earlier (a unit that relaxes within 0.1 s still makes it
@@ -46,7 +46,7 @@ ODD_S, ODD_BESIDE_S, ODD, ODD_TIMES, ODD_LEAST, ODD_ROUNDS = 0.1, 0.6, 0.3, 15.0
 of it and ODD_TIMES the RMS of the rest of the run (all but ODD_BESIDE_S on either side). Good rigs show 0.22 and 10."""
 
 FOLLOWS = 0.7
-"""Share of an output's variance that goes with the depth, at least; 0.84 is the least of a good rig."""
+"""Least share of an output's variance that goes with the depth; good rigs show 0.84 and more."""
 
 BIT_LEVELS, BIT_SPAN, BIT_ROUNDING = 16, 2, 0.01
 """Different readings that are needed to know a converter's step, how many times a bit's weight they must run through,

@@ -1,4 +1,4 @@
-"""What one finished run gives: channels on the sensor's own clock, and the facts about how they were aligned."""
+"""What a finished run gives: channels on the sensor's own clock, and how they were aligned."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ LONGEST_GAP_S = 0.25
 """Force is read between two samples of the load cell no further apart than this: one of a cell at 10 Hz may be lost."""
 
 FIT_SAMPLES = 3000
-"""Enough of a run for a fit of force and depth: how late the load cell is, and whether one law holds."""
+"""Enough of a run for a fit of force and depth: how late the cell is, whether one law holds."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class StationRecording:
         )
 
     def labelled_recording(self, channel: int = 0, serial: str | None = None) -> LabelledRecording:
-        """Return one channel with the force beside it; `ValueError` where the run kept no reference."""
+        """Return a channel with the force beside it; `ValueError` where none was kept."""
         if self.force_N is None:
             raise ValueError(f"{self.serial}: recorded without a reference")
         return LabelledRecording(self.output_recording(channel, serial), self.force_N, "N")
@@ -215,7 +215,7 @@ def device_times_s(samples: Sequence[Sample]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Channel:
-    """(n,) times by the device's own clock and by the host's, (n, channels) values, and the fit of that clock."""
+    """(n,) times by the device's and the host's clock, (n, channels) values, the fit of the clock."""
 
     device_s: Array
     host_s: Array
@@ -270,7 +270,7 @@ def _enough(samples: Indices) -> Indices:
 
 
 def _check_cell(cell: _Channel, sensor: _Channel, track: StageTrack, facts: RunFacts, late_s: float) -> None:
-    """Compare all presses, the slow one before the profile too: a gain may change while the first one begins."""
+    """Compare all presses, also the slow one before the profile: a gain may change in between."""
     force_s, force_N = cell.host_s - late_s, cell.values[:, 0] - facts.zero_N
     inside = _in_presses(force_s, facts)
     if not len(inside):
@@ -282,7 +282,7 @@ def _check_cell(cell: _Channel, sensor: _Channel, track: StageTrack, facts: RunF
 
 
 def _force_at(host_s: Array, cell: _Channel, facts: RunFacts, late_s: float) -> Array:
-    """Return the force at host times, zero subtracted, from a load cell whose readings are late by so much."""
+    """Return the force at host times, zero subtracted, of a load cell that is late by so much."""
     force_s = cell.host_s - late_s
     # One sample beyond either end is needed, too; what lies before it is homing and the search for contact.
     first, last = np.searchsorted(force_s, (host_s[0], host_s[-1]))

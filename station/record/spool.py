@@ -92,7 +92,7 @@ class Spool:
             self._check()
 
     def append(self, output: Sequence[Sample], cell: Sequence[Sample], polls: Sequence[StagePosition]) -> None:
-        """Add what was read since the last call; `DeviceError` where an earlier line could not be written."""
+        """Add what was read; `DeviceError` where an earlier line could not be written."""
         self._check()
         if output or cell or polls:
             self._put(
@@ -132,7 +132,7 @@ class Spool:
 
 
 def read_spool(path: Path) -> SpooledRun:
-    """Read a spool up to its first damaged line; `InputError`: it cannot be read, or is no spool at all."""
+    """Read a spool up to its first damaged line; `InputError` where it is none."""
     try:
         lines = path.read_bytes().split(b"\n")
     except OSError as error:

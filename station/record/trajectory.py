@@ -12,7 +12,7 @@ from softcal.station.interfaces import StagePosition
 
 @dataclass(frozen=True)
 class Trapezoid:
-    """A straight move from rest to rest: accelerate, cruise, brake; short moves do not reach the cruise speed."""
+    """A straight move from rest to rest: accelerate, brake, and cruise where it is long enough."""
 
     start_mm: float
     end_mm: float
@@ -74,7 +74,7 @@ class StageTrack:
 
 
 NODE_S = 0.002
-"""Distance of the nodes inside a move; the straight line between them is off by less than a·NODE_S²/8."""
+"""Distance of the nodes in a move; a straight line between them is off by < a·NODE_S²/8."""
 
 
 FOLLOWS_MM, OVERTAKEN_S = 0.1, 0.15

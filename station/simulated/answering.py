@@ -1,4 +1,4 @@
-"""What every far end of a line does, and the one that is enough for most instruments of a laboratory."""
+"""What every far end of a line does, and the one that is enough for most instruments."""
 
 import math
 from collections.abc import Callable

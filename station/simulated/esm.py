@@ -1,4 +1,4 @@
-"""A Mark-10 ESM stand with its gauge at the far end of one serial line (ESM303 User's Guide, section 6.2)."""
+"""A Mark-10 ESM stand with its gauge at the far end of a line (ESM303 User's Guide, 6.2)."""
 
 import re
 

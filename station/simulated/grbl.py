@@ -115,7 +115,7 @@ class SimulatedGrbl(FarEnd):
         self.is_locked_until_reset = True
 
     def dip_power(self) -> None:
-        """The supply drops for a moment: the controller starts again and knows nothing of its position."""
+        """The supply drops for a moment: it starts again and knows nothing of its position."""
         self.axis.flush()
         self._start_again()
         self.believe_zero_here()

@@ -11,7 +11,7 @@ REGISTERS = {"_RANGE": 10.0, "_RESOLUTION_INDEX": 0.0}
 
 
 class SimulatedLabjack(SimulatedAnswers):
-    """Answers `number NAME[=value] …` with `number value … checksum`, as Modbus answers by transaction."""
+    """Answers `number NAME[=value] …` with `number value … checksum`, as Modbus does."""
 
     def __init__(self, wire: Wire, inputs_V: Callable[[float], tuple[float, ...]]) -> None:
         super().__init__(wire, self._reply)

@@ -41,7 +41,7 @@ class PtyEnd:
 
 
 class SocketEnd:
-    """An instrument on the network: a TCP server on this machine that talks to one host at a time."""
+    """An instrument on the network: a TCP server that talks to one host at a time."""
 
     def __init__(self) -> None:
         self._server = socket.create_server(("127.0.0.1", 0))
@@ -100,12 +100,12 @@ Medium: TypeAlias = PtyEnd | SocketEnd
 
 
 def serial_line() -> Medium:
-    """Return what stands for a serial line on this machine: a socket where there are no pseudo terminals."""
+    """Return what stands for a serial line: a socket where there are no pseudo terminals."""
     return PtyEnd() if os.name == "posix" else SocketEnd()
 
 
 class BleEnd(SocketEnd):
-    """The end of a board behind Bluetooth, whose packets come over the air; a host finds it by its `port`."""
+    """A board behind Bluetooth, whose packets come over the air; a host finds it by its `port`."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""One axis in time: a queue of straight moves, constant acceleration, look-ahead, feed hold. No wire here."""
+"""One axis in time: queued straight moves, constant acceleration, look-ahead, feed hold."""
 
 import math
 from collections import deque

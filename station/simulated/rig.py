@@ -1,4 +1,4 @@
-"""The one physical rig behind all simulated devices: where the stage is decides what force and output are."""
+"""The physical rig behind all simulated devices: where the stage is decides force and output."""
 
 from collections.abc import Callable, Sequence
 from typing import Protocol
@@ -13,7 +13,7 @@ SINK_MM_N = 0.02
 
 
 class Physics(Protocol):
-    """A unit under the stage that remembers its past; `softcal.core.twin.simulate.TwinStream` is one."""
+    """A unit that remembers its past; `softcal.core.twin.simulate.TwinStream` is one."""
 
     def advance(self, t_s: Array, stage_mm: Array) -> tuple[Array, Array]:
         """Go on in time and return (force_N, output_V) as load cell and converter read them."""

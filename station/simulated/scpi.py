@@ -104,7 +104,7 @@ class SimulatedDmm(SimulatedScpi):
 
 
 class SimulatedLcr(SimulatedScpi):
-    """An E4980A: a trigger measures, `FETC?` answers; (simulated time) -> primary parameter, F or ohm."""
+    """An E4980A: a trigger measures, `FETC?` answers; (simulated time) -> F or ohm."""
 
     def __init__(self, wire: Wire, value: Callable[[float], float]) -> None:
         settings = {"FORM": "ASC", "FUNC:IMP": "CPD", "FUNC:IMP:RANG:AUTO": "ON", "FUNC:IMP:RANG": "100"}

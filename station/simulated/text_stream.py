@@ -1,4 +1,4 @@
-"""An Arduino at the far end: a readout or a load-cell amplifier that prints `ms,value` by its own clock."""
+"""An Arduino at the far end: a readout or an amplifier that prints `ms,value` by its own clock."""
 
 from collections.abc import Callable
 

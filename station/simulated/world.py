@@ -36,7 +36,7 @@ class World:
         self._far_ends.append(far_end)
 
     def at(self, time_s: float, happening: Callable[[], None]) -> None:
-        """Let something happen at a simulated time, for example a fault; any thread may ask for it."""
+        """Let something happen at a simulated time, such as a fault; any thread may ask."""
         with self._lock:
             heappush(self._planned, (time_s, next(self._order), happening))
 
@@ -56,7 +56,7 @@ class World:
 
     @contextmanager
     def in_background(self, step_s: float = 0.002) -> Iterator[None]:
-        """Let time pass by itself, at the real rate: for far ends that a program outside softcal talks to."""
+        """Let time pass at the real rate: for far ends that a program outside softcal talks to."""
         stop = threading.Event()
 
         def run() -> None:

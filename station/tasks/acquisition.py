@@ -40,11 +40,11 @@ SEARCH_WAY_MM = 0.05
 """A contact that is there after less than this cannot be located: nothing was read above it."""
 
 ROUNDING_MM, REST_S = 1e-6, 0.3
-"""Positions that differ by less are one. After a move the channels are read at rest for so long, at least."""
+"""Positions that differ by less are one. After a move channels are read at rest for so long."""
 
 
 class ZeroMoved(BadReply):
-    """The unloaded load cell does not read zero, before or after a run: its readings are not to be trusted."""
+    """The unloaded load cell does not read zero, before or after a run: do not trust its readings."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ class _Run:
         return assemble(Raw(self._readings.output, self._readings.force, self._readings.polls), facts)
 
     def _approach(self) -> None:
-        """Go to where no unit reaches, so slowly that a hand or a part that is in the way anyhow takes no harm."""
+        """Go to where no unit reaches, so slowly that a hand that is in the way takes no harm."""
         self._enter(READING)
         self._motion.wait(REST_S)
         self.watched.expect_nothing()
@@ -303,7 +303,7 @@ class _Run:
         return True
 
     def _measure_latency(self, began: int, force_N: Array, at: Callable[[Array], Array], contact_mm: float) -> None:
-        """See how late the load cell is in the slow press, by its own clock: lines arrive late by chance, too."""
+        """See how late the cell is in the slow press, by its own clock: lines come late, too."""
         force = self._bench.config.force
         if force is None or self._bench.force is None:
             return

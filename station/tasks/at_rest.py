@@ -1,4 +1,4 @@
-"""The sensor read at rest, under a load that a person put on the unit. Nothing is ever told to the stage here."""
+"""The sensor read at rest, under a load that a person put on. Nothing is told to the stage here."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""What is on the other end of a serial port: listen first, ask only then, and never move anything."""
+"""What is on the other end of a port: listen first, ask only then, and never move anything."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -101,7 +101,7 @@ def _heard(link: Link) -> tuple[list[Line], float]:
 
 
 def _told_apart(banner: str, largest: int, smallest: int, rate_Hz: float) -> tuple[str, str, Reason]:
-    """Return role, dialect and the reason why: a banner decides, else what only one kind of device can send."""
+    """Return role, dialect and why: a banner decides, else what only one kind of device sends."""
     if "load cell" in banner:
         return "force", "hx711", reason("port.said", said=banner)
     if banner:

@@ -16,7 +16,7 @@ HOME_S, READ_S, SETTLE_S, RETURN_S = 5.0, 2.0, 1.0, 3.5
 """Homing, about; reading the unloaded channels; settling before a profile; lifting and the zero return, about."""
 
 FREE_MM, TOUCH_MM = 1.0, 0.3
-"""So far below the approach a unit lies, about; a second touch goes so far at a quarter of the speed."""
+"""So far below the approach a unit lies, about; a second touch goes so far, four times slower."""
 
 STEP_MM, FEEL_S = 0.4, 10.0
 """A slow press that would take longer than this goes in steps: how fast the next one may be is known when the force of

@@ -21,7 +21,7 @@ LOOK_S = 0.001
 """How often the readers are read: arrival times are no finer than this."""
 
 STEP_MM, STEP_S = 2.0, 10.0
-"""The stage goes down by at most so much, and for at most so long: what is in the way is to be met slowly."""
+"""The stage goes down by so much and for so long at most: what is in the way is met slowly."""
 
 GONE_S, GONE_SHARE = 1.0, 0.25
 """The stage is told nothing for so long, from this share of its way on: longer than all that was sent ahead takes."""
@@ -183,7 +183,7 @@ def _go_out_and_back(watched: WatchedBench) -> _Way:
 
 
 def _ran_on_mm(watched: WatchedBench, to_mm: float, speed_mm_s: float) -> float:
-    """Go there, leave the stage alone on the way as if its host had died, and return how far it went meanwhile."""
+    """Go there, leave the stage alone on the way as if its host had died; return how far it went."""
     stage, clock, polls = watched.bench.stage, watched.bench.clock, watched.readings.polls
     from_mm = stage.position_mm + GONE_SHARE * (to_mm - stage.position_mm)
     gone: list[tuple[float, float]] = []  # (from when, until when it was left alone)
@@ -205,7 +205,7 @@ def _ran_on_mm(watched: WatchedBench, to_mm: float, speed_mm_s: float) -> float:
 
 
 def _safety_findings(watched: WatchedBench, way: _Way) -> Iterator[SelfTestItem]:
-    """What a stop holds on this rig, in figures: also when the host dies, at most and as measured."""
+    """What a stop holds on this rig, also when the host dies: at most and as measured."""
     bounds, stage = watched.bounds, watched.bench.stage
     for setting, mend in stage.unsafe_settings() if isinstance(stage, Advises) else ():
         yield SelfTestItem(named("stage"), Reason("check.setting"), plain(setting), mend)

@@ -1,4 +1,4 @@
-"""The resident owner of a station: one order at a time, one sentence for every stop. No database, no page here."""
+"""The owner of a station: one order at a time, one sentence for every stop. No database here."""
 
 import math
 import re
@@ -54,7 +54,7 @@ CHECK_S = 12.0
 """How long a self-test takes, about."""
 
 SILENT_S = 2.0
-"""Between runs a stream that says nothing for so long is gone; in a run the safety bounds are far tighter."""
+"""A stream that is silent for so long between runs is gone; in a run the bounds are far tighter."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class StationService:
         )
 
     def start(self) -> None:
-        """Open the ports; a device that is missing leaves the station stopped, with all of them named."""
+        """Open the ports; where devices are missing the station stops, and names them all."""
         self._open.close()
         self._bench, self.state = None, StationState.STARTING
         try:
@@ -133,7 +133,7 @@ class StationService:
         self.reasons = self.gate.reasons
 
     def watch(self, seconds: float) -> None:
-        """Let a little time pass between orders and read what comes: a device that is gone is seen now."""
+        """Let a little time pass between orders and read: a device that is gone is seen now."""
         bench = self._bench
         if bench is None or self.state not in (StationState.READY, StationState.CLOSED):
             return
@@ -153,7 +153,7 @@ class StationService:
             self.state, self.reasons = StationState.STOPPED, (error.reason,)
 
     def acknowledge(self) -> None:
-        """Somebody has read why the station stopped: open the ports again; the next run homes first."""
+        """Open the ports again: somebody has read why it stopped; the next run homes first."""
         self.start()
 
     def perform(self, order: Order) -> StationRecording | RestReading | None:
@@ -194,7 +194,7 @@ class StationService:
         return None
 
     def spool_path(self, order: Order) -> Path:
-        """Return where the samples of an order go; the host removes it once the recording is stored."""
+        """Return where the samples of an order go, until the host has stored the recording."""
         name = re.sub(r"[^A-Za-z0-9-]", "_", order.order_id)[:64]
         return self._spool_folder / f"{check_serial(order.serial)}-{name}.spool"
 
@@ -299,7 +299,7 @@ class _Relay:
             self._hooks.report(Progress(self._order.order_id, RunState.RUNNING, READING, fraction, remaining_s))
 
     def _signal(self) -> Signal:
-        """Return the newest stretch; before the load cell's first sample there is no force to draw."""
+        """Return the newest stretch; before the cell's first sample there is no force to draw."""
         points = [point for point in self._points if point[3] is not None] or list(self._points)
         if not points:
             return Signal()

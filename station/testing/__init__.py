@@ -25,7 +25,7 @@ __all__ = ["Check", "Nonconformity", "DriverRig", "checks"]
 
 @dataclass(frozen=True)
 class Check:
-    """One thing a driver must do, said in a sentence; call it to see whether it does, on a rig of its own."""
+    """One thing a driver must do; call it to see whether it does, on a rig of its own."""
 
     driver: AnyDriver
     sentence: str

@@ -1,4 +1,4 @@
-"""Everything that can break on a station, as switches of the simulated one: what, in which phase, and how."""
+"""Everything that can break on a station, as switches of the simulated one, and in which phase."""
 
 import math
 from collections.abc import Callable, Mapping

@@ -1,4 +1,4 @@
-"""A simulated station as a service owns it: every order finds its unit in the fixture, faults come on demand."""
+"""A simulated station of a service: every order finds its unit, faults come on demand."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -60,7 +60,7 @@ class SimulatedLine:
             self._release(phase)
 
     def inject(self, name: str) -> Reason:
-        """Break something in the phase the fault's name says, in this run or the next; return what will happen."""
+        """Break something in the phase of its name, now or in the next run; return what will happen."""
         fault = NAMES.get(name)
         if fault is None:
             raise InputError(reason("fault.unknown", name=repr(name), known=", ".join(NAMES)))

@@ -1,4 +1,4 @@
-"""What a load cell and a sensor readout must do: true readings in time, and never a reading that is none."""
+"""What a load cell and a readout must do: true readings in time, never one that is none."""
 
 from collections.abc import Callable, Sequence
 

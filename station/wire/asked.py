@@ -8,7 +8,7 @@ from softcal.station.interfaces import Sample
 from softcal.station.wire.link import Link
 
 LATE_S = 0.25
-"""An answer that is out when reading begins again is waited for so long: it belongs to a question of before."""
+"""An answer still due when reading begins anew is awaited so long: its question is an old one."""
 
 
 class AskedReader:

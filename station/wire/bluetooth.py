@@ -1,4 +1,4 @@
-"""A UART over Bluetooth Low Energy: the Nordic UART Service of most boards and modules, through Bleak."""
+"""A UART over Bluetooth Low Energy: the Nordic UART Service of most boards, through Bleak."""
 
 import asyncio
 import importlib

@@ -59,14 +59,14 @@ class Link:
             raise NoReply(reason("rig.port", device=self._label, why=_why_closed(port, error))) from error
 
     def write(self, content: bytes) -> None:
-        """Write bytes; real-time bytes go out before this returns. `NoReply` where the port is gone."""
+        """Write bytes; they go out before this returns. `NoReply` where the port is gone."""
         try:
             self._transport.write(content)
         except OSError as error:
             raise self._gone() from error
 
     def read_lines(self) -> list[Line]:
-        """Return the whole lines that have arrived; `NoReply`: the port is gone, or what comes has no line ends."""
+        """Return the whole lines that came; `NoReply`: the port is gone, or there are no line ends."""
         self._receive()
         lines = list(self._lines)
         self._lines.clear()
@@ -130,7 +130,7 @@ def is_device(port: str) -> bool:
 
 
 def available_ports() -> list[str]:
-    """Return the serial ports of this machine that belong to a USB device, in the system's order."""
+    """Return the serial ports of USB devices of this machine, in the system's order."""
     return [port.device for port in list_ports.comports() if port.vid is not None]
 
 

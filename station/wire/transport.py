@@ -21,7 +21,7 @@ BLE = "ble://"
 
 CONNECT_S = 3.0
 VISA_ANSWER_S = 2.0
-"""A question that a VISA device leaves open for so long is given up; whoever asked has given up before."""
+"""A question that is open for so long is given up; whoever asked has given up before."""
 
 
 class Transport(Protocol):
@@ -174,7 +174,7 @@ class VisaTransport(Arriving):
         self._to_send.put(content)
 
     def close(self) -> None:
-        """End the session; an open question is waited for, so that the next one gets its own answer."""
+        """End the session after an open question: the next one is to get its own answer."""
         if not self._thread.is_alive() and self._session is None:
             return
         self._to_send.put(None)

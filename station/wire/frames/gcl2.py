@@ -1,4 +1,4 @@
-"""Mark-10 Gauge Control Language 2: readings, settings, errors of a force gauge (GCL2 manual). No I/O here."""
+"""Mark-10 Gauge Control Language 2: readings, settings, errors (GCL2 manual). No I/O here."""
 
 import re
 from dataclasses import dataclass

@@ -74,7 +74,7 @@ class GrblStatus:
 
 @dataclass(frozen=True)
 class Greeting:
-    """What a controller says after power-up or reset; in mid-run it means that everything queued is gone."""
+    """What a controller says after a reset; in mid-run it means that all that was queued is gone."""
 
     text: str
 
@@ -102,7 +102,7 @@ _GREETING = re.compile(r"grbl(hal)? \d", re.IGNORECASE)
 
 
 def parse(line: bytes) -> Reply:
-    """Return what one line of the controller means, its end taken off; `BadReply`: noise, or no word of GRBL's."""
+    """Return what a line means, its end taken off; `BadReply`: noise, or no word of GRBL's."""
     try:
         text = line.decode("ascii")
         if text == "ok":

@@ -1,4 +1,4 @@
-"""Weighing indicators that print `ST,GS,+  4.876kg` (the common A&D, OHAUS and Chinese format). No I/O here."""
+"""Weighing indicators that print `ST,GS,+  4.876kg` (A&D, OHAUS and many others). No I/O here."""
 
 import re
 

@@ -71,7 +71,7 @@ def format_command(command: Command) -> bytes:
 
 
 def parse_command(line: bytes) -> tuple[Command, bool]:
-    """Return a command and whether it came with a checksum; `BadReply`: none, or a checksum that does not match."""
+    """Return a command and whether it had a checksum; `BadReply`: none, or a wrong checksum."""
     if not line.startswith(b"/"):
         raise BadReply(reason("zaber.no_command", line=repr(line[:40])))
     content, has_checksum = _without_checksum(line)
@@ -92,7 +92,7 @@ def format_reply(reply: Reply, has_checksum: bool) -> bytes:
 
 
 def parse_reply(line: bytes) -> Reply | None:
-    """Return a reply; None for an info or alert line; `BadReply`: noise, or a checksum that does not match."""
+    """Return a reply; None for an info or alert line; `BadReply`: noise, or a wrong checksum."""
     if line[:1] in (b"#", b"!"):
         _without_checksum(line)
         return None
