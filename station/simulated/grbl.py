@@ -18,19 +18,8 @@ SEEK_MM_S, FEED_MM_S = 25.0, 2.0
 SEGMENTS_S = 0.06
 """Motion that is already cut into steps when a feed hold comes: it still runs out (stepper.c, segment buffer)."""
 
-DEFAULTS = {
-    10: 1.0,
-    13: 0.0,
-    20: 0.0,
-    21: 0.0,
-    22: 0.0,
-    24: 25.0,
-    25: 500.0,
-    27: 1.0,
-    112: 500.0,
-    122: 10.0,
-    132: 200.0,
-}
+DEFAULTS = {10: 1.0, 13: 0.0, 20: 0.0, 21: 0.0, 22: 0.0, 24: 25.0, 25: 500.0, 27: 1.0}
+DEFAULTS |= {112: 500.0, 122: 10.0, 132: 200.0}
 """A fresh controller (defaults.h, generic), the pressing axis."""
 
 _WORD = re.compile(rb"([A-Z])(-?[\d.]+)")

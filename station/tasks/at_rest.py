@@ -48,18 +48,14 @@ def read_at_rest(
             if gone_s >= settle_s:
                 kept.append(sample.values)
         watch.check_silence(clock.now_s())
-        _pass_by(bench)
+        # Nothing old may wait in the lines of stage and load cell.
+        bench.stage.poll()
+        if bench.force is not None:
+            try:
+                bench.force.poll()
+            except BadReply:
+                bench.force.start()  # A hand at the unit may saturate the cell; no load is read from it here.
         on_look(min(gone_s / total_s, 1.0), max(0.0, total_s - gone_s))
     if not kept:
         watch.check_silence(float("inf"))
     return RestReading(serial, np.array(kept, np.float64), readout.unit)
-
-
-def _pass_by(bench: Bench) -> None:
-    """Take what stage and load cell say meanwhile, so that nothing old waits in their lines."""
-    bench.stage.poll()
-    if bench.force is not None:
-        try:
-            bench.force.poll()
-        except BadReply:
-            bench.force.start()  # A hand at the unit may saturate the cell; no load is read from it here.

@@ -1,9 +1,9 @@
 """One device, its simulated far end on a real wire, and the truth it should tell."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -18,6 +18,8 @@ from softcal.station.interfaces import Clock, Reader, Sample, Stage, StagePositi
 from softcal.station.simulated.motion import Axis
 from softcal.station.simulated.wire import Wire
 from softcal.station.simulated.world import World
+
+T = TypeVar("T")
 
 TICK_S = 0.005
 """How often the acquisition reads its devices."""
@@ -82,28 +84,24 @@ class DriverRig:
         self._stack.callback(device.close)
         return device
 
-    @contextmanager
-    def reader(self) -> Iterator[Reader]:
+    def reader(self) -> Reader:
         """Open a load cell or readout and let it run in."""
         reader: Reader = self.open()
         reader.start()
         self.collect(reader, 0.5)
-        yield reader
+        return reader
 
-    @contextmanager
-    def homed(self) -> Iterator[Stage]:
+    def homed(self) -> Stage:
         """Open a stage and home it."""
         stage: Stage = self.open()
         stage.home()
-        yield stage
+        return stage
 
     def collect(self, reader: Reader, seconds: float) -> list[Sample]:
         """Return what a reader delivers over a while, read as the acquisition reads."""
-        samples: list[Sample] = []
-        end_s = self.clock.now_s() + seconds
-        while self.clock.now_s() < end_s:
-            self.clock.sleep_s(TICK_S)
-            samples += reader.poll()
+        samples, error = self.fault_within(seconds, reader.poll)
+        if error is not None:
+            raise error
         return samples
 
     def watch(self, stage: Stage, seconds: float, is_over: Callable[[], bool] = lambda: False) -> list[StagePosition]:
@@ -116,16 +114,17 @@ class DriverRig:
             self.truth.append((self.clock.now_s(), self.position_mm()))
         return polls
 
-    def fault_within(self, seconds: float, read: Callable[[], Sequence[object]]) -> DeviceError | None:
-        """Read until that raises a `DeviceError`; None when it raises none."""
+    def fault_within(self, seconds: float, read: Callable[[], Sequence[T]]) -> tuple[list[T], DeviceError | None]:
+        """Return what was read until that raised a `DeviceError`, and the error; None when it raised none."""
+        found: list[T] = []
         end_s = self.clock.now_s() + seconds
         while self.clock.now_s() < end_s:
             self.clock.sleep_s(TICK_S)
             try:
-                read()
+                found += read()
             except DeviceError as error:
-                return error
-        return None
+                return found, error
+        return found, None
 
     def position_mm(self) -> float:
         """Return where the stage truly is."""
@@ -140,9 +139,8 @@ class DriverRig:
         return abs(self.position_mm() - before_mm) < 1e-6
 
     def _live(self, driver: AnyDriver, wire: Wire) -> Simulated[Any]:
-        around = Surroundings(
-            wire, self.axis, self._force_N, self._outputs_V, ReadoutMetadata(), self._rng, self.wire.port
-        )
+        electronics, port = ReadoutMetadata(), self.wire.port
+        around = Surroundings(wire, self.axis, self._value, self._outputs_V, electronics, self._rng, port)
         simulated: Simulated[Any] = driver.simulate(around)
         if simulated.far_end is not None:
             self.world.add(simulated.far_end)
@@ -150,9 +148,6 @@ class DriverRig:
 
     def _value(self, now_s: float) -> float:
         return self.level(now_s) if callable(self.level) else self.level
-
-    def _force_N(self, now_s: float) -> float:
-        return self._value(now_s)
 
     def _outputs_V(self, now_s: float) -> tuple[float, ...]:
         return (self._value(now_s),)
