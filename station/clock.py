@@ -41,7 +41,6 @@ class ClockFit:
     latest_s: float
 
     def to_host(self, device_s: Array) -> Array:
-        """Carry device time stamps to the host's clock."""
         return self.offset_s + self.rate * device_s
 
 

@@ -74,8 +74,7 @@ class Clock(Protocol):
     def now_s(self) -> float:
         """Return seconds since an arbitrary start; never goes backward."""
 
-    def sleep_s(self, seconds: float) -> None:
-        """Let time pass."""
+    def sleep_s(self, seconds: float) -> None: ...
 
 
 class Stage(Protocol):
@@ -126,8 +125,7 @@ class Stage(Protocol):
             DeviceError: it does not answer; it was told to stop all the same.
         """
 
-    def close(self) -> None:
-        """Give the port back."""
+    def close(self) -> None: ...
 
 
 @runtime_checkable
@@ -174,8 +172,7 @@ class Reader(Protocol):
     def poll(self) -> Sequence[Sample]:
         """Return the samples that arrived since the last call, oldest first."""
 
-    def close(self) -> None:
-        """Give the port back."""
+    def close(self) -> None: ...
 
 
 class ForceReader(Reader, Protocol):

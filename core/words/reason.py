@@ -50,12 +50,11 @@ class Reason:
         return self.said(ENGLISH)
 
     def said(self, sentences: Mapping[str, str]) -> str:
-        """Return the sentence in one language, by code as `ENGLISH`; what a language lacks is said in English."""
+        """Return the sentence by sentences of a language; what that lacks is said in English."""
         values = {name: v.said(sentences) if isinstance(v, Reason) else v for name, v in self.values.items()}
         return filled(sentences.get(self.code, ENGLISH[self.code]), values)
 
     def to_json(self) -> dict[str, object]:
-        """Return it as JSON values; `of` reads it back."""
         values = {name: v.to_json() if isinstance(v, Reason) else v for name, v in self.values.items()}
         return {"code": self.code, "values": values}
 
@@ -141,7 +140,7 @@ def joined(reasons: Iterable[Reason]) -> str:
 
 
 def in_words(values: Mapping[str, object], *names: str) -> dict[str, object]:
-    """Return a record whose values of these names, which are reasons, are in English, with all of them as `reasons`."""
+    """Return a record whose reasons of these names are in English, with all of them as `reasons`."""
     why = {name: value for name in names if isinstance(value := values[name], Reason)}
     return {
         **values,

@@ -45,7 +45,7 @@ class Bench:
 
 @contextmanager
 def open_bench(config: StationConfig, clock: Clock | None = None) -> Iterator[Bench]:
-    """Open every device of a station and give all ports back at the end; `DeviceError` names all that are missing."""
+    """Open every device, and give all ports back at the end; `DeviceError` names all that are missing."""
     clock = clock or HostClock()
     with ExitStack() as stack:
         missing: list[Reason] = []

@@ -48,7 +48,7 @@ def offers() -> list[Offer]:
 
 
 def driver_of(role: Role, kind: str) -> AnyDriver:
-    """Return the driver of a kind; `InputError`: there is none, two packages offer it, or its package is broken."""
+    """Return the driver of a kind; `InputError`: there is none, there are two, or it is broken."""
     points = installed(GROUPS[role])
     found = [offer for offer in _shipped() if (offer.role, offer.kind) == (role, kind)]
     found += [_load(role, point) for point in points if point.name == kind]

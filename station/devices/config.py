@@ -75,7 +75,6 @@ class ForceConfig(DeviceConfig):
 
     @property
     def is_latency_stated(self) -> bool:
-        """Whether the station file says how late its readings are."""
         return self.latency_s != UNKNOWN_S
 
 
@@ -241,7 +240,7 @@ def station_toml(config: StationConfig, choices: str = "") -> str:
 
 
 def meanings(kind: type[Any]) -> list[str]:
-    """Return what the keys of a section mean, from where they are documented: first the common ones, then its own."""
+    """Return what the keys of a section mean, as they are documented: common ones, then its own."""
     lines = []
     for each in reversed(kind.__mro__):
         text = inspect.cleandoc(each.__doc__ or "") if is_dataclass(each) else ""
@@ -251,7 +250,7 @@ def meanings(kind: type[Any]) -> list[str]:
 
 
 def with_own_keys(config: DeviceConfig) -> DeviceConfig:
-    """Return the section of a device with its driver's own keys, at their defaults where only common ones are given."""
+    """Return the section of a device with its driver's own keys, at their defaults if not given."""
     from softcal.station.devices.catalogue import driver_of  # The catalogue needs this module.
 
     kind: type[DeviceConfig] = driver_of(config.role, config.kind).config

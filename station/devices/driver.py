@@ -103,7 +103,6 @@ class Driver(Generic[C, D]):
 
     @property
     def role(self) -> Role:
-        """Whether it drives a stage, a load cell or a readout."""
         return self.config.role
 
     @property
@@ -113,7 +112,7 @@ class Driver(Generic[C, D]):
 
     @property
     def described_keys(self) -> list[tuple[str, str, str, str]]:
-        """Its keys as (name, type, default, unit): a default as the station file has it, "needed" without one."""
+        """Its keys as (name, type, default, unit), as the station file has them, "needed" without a default."""
         types, names = (
             get_type_hints(self.config),
             {float: "number", int: "whole number", str: "text", bool: "true/false"},
@@ -123,7 +122,7 @@ class Driver(Generic[C, D]):
 
 
 def opens(name: str, make: Callable[[Link, Any], D]) -> Callable[[Any, Opening], D]:
-    """Return what opens a device on a port with a baud rate; the port is given back when another device is there."""
+    """Return what opens a device on a port; the port is given back when another device is there."""
 
     def opened(config: Any, opening: Opening) -> D:
         with link_for_driver(config.port, opening.clock, config.baud_rate, name) as link:

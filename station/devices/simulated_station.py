@@ -84,17 +84,14 @@ class SimulatedStation:
 
     @property
     def stage(self) -> SimulatedGrbl:
-        """The far end of a GRBL stage, with its fault switches."""
         return _switches_of(SimulatedGrbl, self._far_ends[0])
 
     @property
     def force(self) -> SimulatedTextStream:
-        """The far end of an HX711 load cell, with its fault switches."""
         return _switches_of(SimulatedTextStream, self._far_ends[1])
 
     @property
     def readout(self) -> SimulatedTextStream:
-        """The far end of an Arduino readout, with its fault switches."""
         return _switches_of(SimulatedTextStream, self._far_ends[2])
 
     def far_end(self, kind: type[_E], role: Role) -> _E:

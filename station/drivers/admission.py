@@ -9,7 +9,7 @@ SPEED_ROUNDING = 1e-6
 
 
 def admit(stage: Stage, move: Move, slowest_mm_s: float = 0.0) -> None:
-    """Raise `CommandRefused` for a move that may not begin; the controller can keep speeds from `slowest_mm_s` on."""
+    """Raise `CommandRefused` for a move that may not begin; the controller keeps `slowest_mm_s`."""
     if not stage.is_position_known:
         raise CommandRefused(Reason("rig.not_homed"))
     if stage.is_moving:

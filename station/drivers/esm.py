@@ -87,7 +87,7 @@ class SharedPort:
         self.link.discard()
 
     def answer(self, question: bytes) -> bytes:
-        """Ask and wait for the answer; those to questions of before are handed out on the way."""
+        """Ask and wait for the answer; older ones are handed out on the way."""
         answers: list[bytes] = []
         self.ask(question, lambda line, asked_s: answers.append(line.text))
         while not answers:
@@ -241,7 +241,6 @@ class EsmGauge:
         self._next_s = 0.0
 
     def poll(self) -> list[Sample]:
-        """Return the readings that arrived, in N, and ask for the next one when it is time."""
         self._port.read()
         now_s = self._port.link.clock.now_s()
         if now_s >= self._next_s:

@@ -170,7 +170,7 @@ class GrblStage:
         self._link.close()
 
     def _wake(self) -> str:
-        """Reset the controller and return its greeting; the boot loader of an Arduino swallows the first tries."""
+        """Reset the controller and return its greeting; a boot loader swallows the first tries."""
         for _ in range(4):
             self._link.discard()
             self._link.write(grbl.RESET)
@@ -255,7 +255,7 @@ class GrblStage:
         self._asked_s = None
 
     def _has_stopped(self, answers_before: int) -> bool:
-        """Poll until it says that it stands; answers to polls from before the stop may still come and prove nothing."""
+        """Poll until it says that it stands; answers to polls from before the stop prove nothing."""
         self._is_alarmed = False
         heard_s = self._link.clock.now_s()
         end_s = heard_s + 2 * SILENCE_S + MARGIN * self._peak_mm_s / self.acceleration_mm_s2

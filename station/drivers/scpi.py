@@ -133,7 +133,7 @@ def _answer(link: Link, question: str) -> str:
 
 
 def parse_reading(line: bytes) -> float:
-    """Return the first number of an answer, a third one is the status of an LCR meter; `BadReply` where it is none."""
+    """Return the first number of an answer; `BadReply` by the third, an LCR meter's status."""
     fields = line.split(b",")
     try:
         value = float(fields[0])

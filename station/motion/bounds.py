@@ -70,7 +70,7 @@ class ForceBounds:
         return self.reaction.fastest_mm_s((self.ceiling_N - force_N) / self.stiffest_N_mm)
 
     def rise_N(self, last_N: float) -> float:
-        """Return by how much the force may grow over the next step of a slow press, `last_N` over the one before."""
+        """Return what the force may grow by over the next step of a slow press, `last_N` over the last."""
         return max(RISE * self.limit_N, RISES * last_N)
 
     def known_mm_s(self, force_N: float, stiffness_N_mm: float) -> float:
@@ -86,7 +86,7 @@ class ForceBounds:
         return (self.ceiling_N - force_N) / self.stiffest_N_mm - speed_mm_s * unseen_s
 
     def gone_N(self, speed_mm_s: float, ran_on_mm: float) -> float:
-        """Return the force at most where the host dies at the limit: what it has not seen, and what still runs out."""
+        """Return the force at most where the host dies at the limit: unseen, and what runs out."""
         unseen_s = self.reaction.delay_s - REACTION_S
         return self.limit_N + self.stiffest_N_mm * (speed_mm_s * unseen_s + ran_on_mm)
 

@@ -42,7 +42,7 @@ STRETCH_MM = 0.1
 
 @dataclass(frozen=True)
 class Foot:
-    """Where values begin to rise or fall: stage position and its standard deviation, from the noise the fit leaves."""
+    """Where values begin to rise or fall, and its standard deviation, from what the fit leaves."""
 
     at_mm: float
     doubt_mm: float
@@ -202,7 +202,7 @@ def slower_mm_s(speed_mm_s: float, doubt_mm: float) -> float:
 
 
 def stiffest_N_mm(stage_mm: Array, force_N: Array) -> float:
-    """Return the steepest slope of force against position, both (n,), in a slow press, over stretches of STRETCH_MM."""
+    """Return the steepest slope of force against position, both (n,), over stretches of STRETCH_MM."""
     bins = np.floor((stage_mm - np.min(stage_mm)) / STRETCH_MM).astype(int)
     means = np.array([(stage_mm[bins == k].mean(), force_N[bins == k].mean()) for k in np.unique(bins)])
     if len(means) < 2:

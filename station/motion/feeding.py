@@ -46,7 +46,6 @@ class PieceFeed:
         return ends_mm if now_s - self._began_s - starts_s >= -self._ahead_s else None
 
     def sent(self, now_s: float) -> None:
-        """Take note that the next piece was sent."""
         starts_s, _ = self._pieces.popleft()
         # After a stall of the host the stage has paused; what follows must not run ahead of it.
         self._began_s += max(0.0, now_s - self._began_s - starts_s)

@@ -70,12 +70,10 @@ class Motion(Interlock):
 
     @property
     def left_mm(self) -> float:
-        """How far the move in progress still goes."""
         return 0.0 if self._path is None else abs(self._path.end_mm - self._stage.position_mm)
 
     @property
     def is_lowering(self) -> bool:
-        """Whether the stage goes towards the unit."""
         return self._path is not None and self._path.end_mm > self._path.start_mm
 
     def supervise(self, action: Callable[[], _T]) -> _T:
@@ -105,7 +103,12 @@ class Motion(Interlock):
         self._stage.home(watch)
 
     def go(self, to_mm: float, speed_mm_s: float, is_over: Callable[[], bool] | None = None) -> DrivenMove:
-        """Go to a position, or until `is_over`, and stand there; `SafetyStop`: deeper than allowed; `NoReply`: late."""
+        """Go to a position, or until `is_over`, and stand there.
+
+        Raises:
+            SafetyStop: deeper than allowed; nothing was sent.
+            NoReply: late.
+        """
         deepest_mm = self._bench.config.safety.deepest_mm
         if to_mm > deepest_mm:
             raise SafetyStop(reason("rig.too_deep", to_mm=to_mm, deepest_mm=deepest_mm))
@@ -125,7 +128,6 @@ class Motion(Interlock):
         return DrivenMove(path, began_s, self._clock.now_s())
 
     def wait(self, seconds: float) -> None:
-        """Stand and watch for so long."""
         end_s = self._clock.now_s() + seconds
         while self._clock.now_s() < end_s:
             self._tick()

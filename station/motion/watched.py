@@ -62,7 +62,6 @@ class Learned:
 
     @property
     def names(self) -> list[str]:
-        """What is known."""
         return [name for name, value in vars(self).items() if value is not None]
 
 
@@ -101,7 +100,6 @@ class WatchedBench:
 
     @property
     def fastest_mm_s(self) -> float:
-        """Fastest speed down in this state."""
         bounds, moves = self.bounds, self.motion.row.moves
         by_force = {Moves.KNOWN: self.known.safe_mm_s, Moves.NONE: 0.0, Moves.HOME: 0.0, Moves.UP: 0.0}
         fastest_mm_s = by_force.get(moves, bounds.noticed_mm_s(self.noticed_N))
@@ -114,7 +112,6 @@ class WatchedBench:
         self.motion.enter(state, self.known.names)
 
     def start(self) -> None:
-        """Begin to read, and to watch."""
         bench, now_s = self.bench, self.bench.clock.now_s()
         bench.readout.start()
         self._streams["readout"] = StreamWatch(bench.readout, bench.config.safety, now_s, bench.readout.range)
@@ -142,7 +139,7 @@ class WatchedBench:
         self.start()
 
     def home(self) -> None:
-        """Home the stage, and begin to read anew; `SafetyStop`: the force grows although it goes away from the unit."""
+        """Home the stage, and begin to read anew; `SafetyStop` where the force grows meanwhile."""
         self._lowest_N = float("inf")
         self.motion.home(self._look_while_homing)
         self.start()  # A reset of the controller may have taken longer than any silence that is allowed.
@@ -178,7 +175,7 @@ class WatchedBench:
         self.bounds = replace(self.bounds, reaction=replace(self.bounds.reaction, delay_s=delay_s))
 
     def expect_press(self, contact_mm: float, felt_mm: float, safe_mm_s: float) -> None:
-        """Take the surface as a cell shows it whose lateness is known, and how deep and how fast it may be pressed."""
+        """Take the surface as a cell shows it whose lateness is known, and how deep and fast to press."""
         self.known.contact_mm, self.known.felt_mm, self.known.safe_mm_s = contact_mm, felt_mm, safe_mm_s
         self._expected_N = self.bounds.limit_N
         self.enter(State.PRESSING)
@@ -189,7 +186,7 @@ class WatchedBench:
         self._take(self.bench.stage.poll())
 
     def leave_stage_alone(self, seconds: float) -> None:
-        """StageWatch the channels and tell the stage nothing, as if its host had died."""
+        """Watch the channels and tell the stage nothing, as if its host had died."""
         end_s = self.bench.clock.now_s() + seconds
         while self.bench.clock.now_s() < end_s:
             self.bench.clock.sleep_s(TICK_S)

@@ -93,14 +93,14 @@ def lag_s(t_s: Array, force_N: Array, stage_mm_at: Callable[[Array], Array], con
 
 
 def check_lag(found_s: float, declared_s: float, period_s: float) -> None:
-    """Raise `BadReply` when the load cell, read every `period_s`, is later or earlier than its station file says."""
+    """Raise `BadReply` when a cell, read every `period_s`, is later or earlier than stated."""
     off_s, slack_s = found_s - declared_s, PERIOD_SHARE * period_s
     if off_s > LATE_S + slack_s or off_s < -EARLY_S - slack_s:
         raise BadReply(reason("rig.behind", found_s=found_s, declared_s=declared_s, latency_s=max(0.0, found_s)))
 
 
 def check_gain(stage_mm: Array, force_N: Array) -> None:
-    """Raise `BadReply` when at equal depths, (n,), 0 at the start of the profile, one press shows far more force."""
+    """Raise `BadReply` when at equal depths, (n,), one press shows far more force than another."""
     ratio = _ratio(press_gains(stage_mm, force_N))
     if ratio > GAIN:
         raise BadReply(reason("rig.gain", ratio=ratio))
@@ -138,7 +138,7 @@ def check_law(
 
 
 def _explained(t_s: Array, basis: Array, values: Array) -> Array:
-    """Return what share of a law's misfit a gain, a zero or a delay that changes explains, at each of the moments."""
+    """Return what share of a law's misfit a gain, a zero or a delay explains that changes, by moment."""
     q, _ = np.linalg.qr(basis)
     fitted = q @ (q.T @ values)
     left, is_after, squares = values - fitted, t_s[:, None] > _moments(t_s), []
@@ -175,7 +175,7 @@ def _check_moments(t_s: Array, basis: Array, force_N: Array) -> None:
 
 
 def check_output_gain(stage_mm: Array, output: Array) -> None:
-    """Raise `BadReply` when without a load cell one press changes the output far more than another at equal depths."""
+    """Raise `BadReply` when at equal depths one press changes the output far more than another."""
     is_up = stage_mm <= SHALLOW * np.max(stage_mm)
     change = output - (np.median(output[is_up]) if np.any(is_up) else output[0])
     ratio = _ratio(press_gains(stage_mm, change * np.sign(np.sum(change))))
@@ -255,12 +255,11 @@ def _median(values: Array) -> float:
 
 
 def _basis(t_s: Array, grid_s: Array, value: Array, relaxation_s: Sequence[float]) -> Array:
-    """Return a law of a depth, or of a force, at instants."""
     return np.column_stack([np.interp(t_s, grid_s, column) for column in _law(value, relaxation_s)])
 
 
 def _law(value: Array, relaxation_s: Sequence[float]) -> list[Array]:
-    """Return what a force may be made of by the depth, or an output by the force: powers, and those that relax."""
+    """Return what a force may be made of by the depth, or an output by the force: also relaxed powers."""
     share = value / max(float(np.max(value)), 1e-9)
     columns = [share**power for power in POWERS]
     for time_s in relaxation_s:

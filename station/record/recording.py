@@ -86,7 +86,6 @@ class StationRecording:
     alignment: Alignment
 
     def output_recording(self, channel: int = 0, serial: str | None = None) -> OutputRecording:
-        """Return one channel without any reference."""
         return OutputRecording(
             serial or self.serial,
             self.t_s,
@@ -260,7 +259,6 @@ def _behind_s(cell: _Channel, track: StageTrack, facts: RunFacts) -> float:
 
 
 def _in_presses(force_s: Array, facts: RunFacts) -> Indices:
-    """Return the samples from the slow press before the profile to its end."""
     return np.flatnonzero((force_s >= facts.moves[0][4]) & (force_s <= facts.span_s[1]))
 
 

@@ -44,7 +44,6 @@ class SpooledRun:
 
     @property
     def is_whole(self) -> bool:
-        """Whether the run was finished and every line is intact."""
         return str(self.end) == str(Reason("spool.done")) and not self.damaged
 
 

@@ -21,12 +21,10 @@ class Trapezoid:
 
     @cached_property
     def peak_mm_s(self) -> float:
-        """The highest speed that is reached."""
         return float(min(self.speed_mm_s, np.sqrt(self.acceleration_mm_s2 * abs(self.end_mm - self.start_mm))))
 
     @cached_property
     def duration_s(self) -> float:
-        """From rest to rest."""
         if self.peak_mm_s == 0.0:
             return 0.0
         return float(abs(self.end_mm - self.start_mm) / self.peak_mm_s + self.peak_mm_s / self.acceleration_mm_s2)
@@ -69,7 +67,6 @@ class StageTrack:
     residual_mm: float
 
     def at(self, host_s: Array) -> Array:
-        """Return positions in mm at host times."""
         return np.interp(host_s, self.t_s, self.position_mm)
 
 

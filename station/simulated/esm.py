@@ -43,7 +43,6 @@ class SimulatedEsm(FarEnd):
             self._motion = "S"
 
     def press_panel(self) -> None:
-        """Somebody presses stop at the stand."""
         self.axis.brake()
 
     def _do(self, found: re.Match[bytes], now_s: float) -> str:

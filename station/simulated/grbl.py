@@ -95,7 +95,6 @@ class SimulatedGrbl(FarEnd):
         self.wire.deliver(now_s)
 
     def hit_limit(self) -> None:
-        """A hard limit switch closes."""
         self.axis.flush()
         self._lines.clear()
         self._waiting = None

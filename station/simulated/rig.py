@@ -54,7 +54,6 @@ class SimulatedRig:
         self._read_s, self._force_N, self._outputs_V = -1.0, 0.0, (0.0,) * len(units)
 
     def read(self, now_s: float) -> tuple[float, tuple[float, ...]]:
-        """Return force in N and the output of each unit in V at this instant."""
         self.axis.advance(now_s)
         if now_s > self._read_s:
             self._press(now_s)

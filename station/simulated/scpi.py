@@ -117,7 +117,6 @@ class SimulatedLcr(SimulatedScpi):
         super().__init__(wire, "Keysight Technologies,E4980A,MY54300001,B.07.03", settings, measure, 0.0056)
 
     def measured(self, header: str, now_s: float) -> bool:
-        """Whether it is a trigger it waits for, or the question for its result."""
         if header == "TRIG:IMM" and self.settings["TRIG:SOUR"] == "BUS" and self.settings["INIT:CONT"] == "ON":
             self._is_triggered = True
         elif header == "FETC?":

@@ -63,7 +63,6 @@ class SimulatedZaber(FarEnd):
         self.warning = "FS"
 
     def turn_knob(self) -> None:
-        """Somebody turns the manual knob in a move."""
         self.axis.flush()
         self.warning = "NC"
 

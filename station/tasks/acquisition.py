@@ -220,7 +220,7 @@ class _Run:
         return zero_N
 
     def _find_contact(self) -> Touch:
-        """Lower slowly until force (or output, without a load cell) changes; return what shows where the contact is."""
+        """Lower slowly until force, or output without a cell, changes; return what shows the contact."""
         self._enter(SEARCHING)
         bench, fixture = self._bench, self._bench.config.fixture
         read, latest_s = self._readings, self.watched.latest_s

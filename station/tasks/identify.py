@@ -87,7 +87,7 @@ def _is_indicator(line: bytes) -> bool:
 
 
 def _heard(link: Link) -> tuple[list[Line], float]:
-    """Return all lines, heard until some came (BOOT_S at most) and for LISTEN_S more, and how many came a second."""
+    """Return all lines: until some came (BOOT_S at most) and LISTEN_S more; and how many a second."""
     end_s = link.clock.now_s() + BOOT_S
     heard: list[Line] = []
     while len(heard) < FEW_LINES and link.clock.now_s() < end_s:
@@ -116,7 +116,7 @@ def _told_apart(banner: str, largest: int, smallest: int, rate_Hz: float) -> tup
 def _answer(
     link: Link, question: bytes, parse: Callable[[bytes], T | None], within_s: float = QUICK_S, is_first: bool = False
 ) -> T | None:
-    """Return the first answer that reads, or the first one at all where no other dialect can have earned one before."""
+    """Return the first answer that reads; or the first at all, where none can be another dialect's."""
     link.discard()
     link.write(question)
     end_s = link.clock.now_s() + within_s

@@ -64,7 +64,7 @@ def unit_s(config: StationConfig, bounds: ForceBounds, profile: Profile) -> floa
 
 
 def shorter(config: StationConfig, bounds: ForceBounds, profile: Profile) -> Iterator[tuple[str, float, float]]:
-    """Yield keys of the station file with the value that would shorten a run, and how long a unit would take then."""
+    """Yield keys of the station file, a value that would shorten a run, and the seconds of a unit then."""
     if config.force is not None and not config.force.is_latency_stated:
         prompt = replace(bounds.reaction, delay_s=bounds.reaction.delay_s - LATEST_S)
         yield "latency_s", 0.0, unit_s(config, replace(bounds, reaction=prompt), profile)

@@ -96,7 +96,6 @@ def self_test(
 
 
 def _seconds_findings(bench: Bench, profile: Profile) -> Iterator[SelfTestItem]:
-    """How long a unit takes, and what would shorten it."""
     config, bounds = bench.config, bounds_of(bench)
     phases = seconds_of(config, bounds, profile, config.fixture.approach_mm)
     all_s = sum(phases.values())

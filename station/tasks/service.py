@@ -104,7 +104,6 @@ class StationService:
 
     @property
     def rig(self) -> RigFacts:
-        """What the gate may want to know of the rig."""
         # Opening its port resets an Arduino's clock though its cell stays powered: the longer of the two is true.
         powered_s = max(self._cell_clock_s, time.monotonic() - self._started_s)
         is_homed = self._bench is not None and self._bench.stage.is_position_known
@@ -308,7 +307,7 @@ class _Relay:
 
 
 def _with_latency(bench: Bench, behind_s: float) -> Bench:
-    """Hold later runs to how late a good one found the load cell, if nobody stated it, until the ports open again."""
+    """Hold later runs to how late a good one found the cell, until the ports open again."""
     force = bench.config.force
     if force is None or force.is_latency_stated or not math.isfinite(behind_s):
         return bench

@@ -32,7 +32,6 @@ class Check:
     examine: Callable[[DriverRig], None]
 
     def __call__(self) -> None:
-        """Raise `Nonconformity` when the driver does something else."""
         with DriverRig(self.driver) as rig:
             self.examine(rig)
 

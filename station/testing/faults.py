@@ -90,12 +90,10 @@ def _unplug(wire: str) -> Inject:
 
 
 def _force(change: Callable[[float], float]) -> Inject:
-    """The load cell shows something else than the force."""
     return _set("rig", "force_fault", lambda now_s, force_N: change(force_N))
 
 
 def _output(change: Callable[[float], float]) -> Inject:
-    """The readout shows something else than the sensor's output."""
     return _set("rig", "output_fault", lambda now_s, output_V: change(output_V))
 
 

@@ -48,7 +48,6 @@ class SimulatedLine:
         self._release("")
 
     def put_on(self, load: float) -> None:
-        """Put a weight of so many N on the unit."""
         if self._station is not None:
             self._station.rig.weight_N = load
         self._release("")

@@ -92,7 +92,6 @@ class DriverRig:
         return reader
 
     def homed(self) -> Stage:
-        """Open a stage and home it."""
         stage: Stage = self.open()
         stage.home()
         return stage
@@ -115,7 +114,7 @@ class DriverRig:
         return polls
 
     def fault_within(self, seconds: float, read: Callable[[], Sequence[T]]) -> tuple[list[T], DeviceError | None]:
-        """Return what was read until that raised a `DeviceError`, and the error; None when it raised none."""
+        """Return what was read until that raised a `DeviceError`, and the error; None for none."""
         found: list[T] = []
         end_s = self.clock.now_s() + seconds
         while self.clock.now_s() < end_s:
@@ -127,7 +126,6 @@ class DriverRig:
         return found, None
 
     def position_mm(self) -> float:
-        """Return where the stage truly is."""
         self.axis.advance(self.world.now_s())
         return self.axis.position_mm
 

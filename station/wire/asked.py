@@ -47,7 +47,7 @@ class AskedReader:
         self._asked_s, self._next_s = None, self._link.clock.now_s()
 
     def poll(self) -> list[Sample]:
-        """Return the readings that arrived, and ask for the next one when it is time; `BadReply` where one is none."""
+        """Return the readings that came, and ask anew when it is time; `BadReply` where one is none."""
         samples = []
         for line in self._link.read_lines():
             if self._asked_s is None:

@@ -52,7 +52,6 @@ class BleTransport(Arriving):
             raise OSError(f"{type(error).__name__}: {error}".rstrip(": ")) from error
 
     def close(self) -> None:
-        """End the connection and its thread."""
         if self._is_closed:
             return
         self._is_closed = True

@@ -84,7 +84,6 @@ class Link:
             self.clock.sleep_s(POLL_S)
 
     def discard(self) -> None:
-        """Throw away everything that has arrived, an unfinished line included."""
         self._receive()
         self._lines.clear()
         self._rest = b""
@@ -115,7 +114,7 @@ class Link:
 
 @contextmanager
 def link_for_driver(port: str, clock: Clock, baud_rate: int, name: str) -> Iterator[Link]:
-    """Open a port for a driver that is being made; give it back when the device there is not what was expected."""
+    """Open a port for a driver that is being made; give it back when another device is there."""
     link = Link(port, clock, baud_rate, name)
     try:
         yield link

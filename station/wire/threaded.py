@@ -95,7 +95,7 @@ class ThreadedReader:
         return []
 
     def close(self) -> None:
-        """End the thread and give the device back; a call that hangs is left behind and cannot stop the program."""
+        """End the thread and give the device back; a call that hangs is left behind."""
         if self._is_closed:
             return
         self._is_closed = True

@@ -31,7 +31,7 @@ class Transport(Protocol):
         """Send bytes; raise `OSError` when the device is gone."""
 
     def read(self) -> bytes:
-        """Return everything that has arrived, b"" when nothing has; raise `OSError` when the device is gone."""
+        """Return what has arrived, b"" for nothing; raise `OSError` when the device is gone."""
 
     def close(self) -> None:
         """Give the wire back; closing twice is fine."""
@@ -59,7 +59,7 @@ class Arriving:
 
 
 def wire_of(port: str) -> WireKind:
-    """Return what a port of a station file names: `tcp://host:5025`, `ble://AA:BB:…`, `USB0::…`, or a serial port."""
+    """Return what a port names: `tcp://host:5025`, `ble://AA:BB:…`, `USB0::…`, or a serial port."""
     if port.startswith("tcp://"):
         return "tcp"
     if port.startswith(BLE):
@@ -68,7 +68,7 @@ def wire_of(port: str) -> WireKind:
 
 
 def open_transport(port: str, baud_rate: int) -> Transport:
-    """Open what a port names; `OSError`: it cannot be, or its library is missing; `ValueError`: it names nothing."""
+    """Open what a port names; `OSError`: it cannot be opened; `ValueError`: it names nothing."""
     match wire_of(port):
         case "tcp":
             return TcpTransport(port)
@@ -89,7 +89,6 @@ class SerialTransport:
         self._serial = serial.Serial(port, baud_rate, timeout=0, write_timeout=1.0, exclusive=True)
 
     def write(self, content: bytes) -> None:
-        """Send bytes; real-time bytes go out before this returns."""
         self._serial.write(content)
 
     def read(self) -> bytes:
@@ -105,7 +104,7 @@ class SerialTransport:
 
 
 class TcpTransport:
-    """A TCP socket, `tcp://host:port`: an instrument on the network (port 5025), a serial server, a controller."""
+    """A TCP socket, `tcp://host:port`: an instrument, a serial server, a controller."""
 
     def __init__(self, address: str) -> None:
         found = _TCP.fullmatch(address)
@@ -169,7 +168,6 @@ class VisaTransport(Arriving):
         self._thread.start()
 
     def write(self, content: bytes) -> None:
-        """Hand a message to the thread that talks."""
         self._raise_fault()
         self._to_send.put(content)
 
@@ -199,7 +197,7 @@ class VisaTransport(Arriving):
                 return
 
     def _is_cleared(self, session: Any) -> bool:
-        """Whether the device took a clear: an answer that comes too late must not be taken for that of the next."""
+        """Whether the device took a clear: a late answer must not be taken for the next one."""
         try:
             session.clear()
         except (*self._errors, TypeError):  # pyvisa-py reads a socket that `close` has taken away meanwhile.

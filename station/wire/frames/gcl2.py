@@ -55,7 +55,7 @@ def parse_settings(line: bytes) -> GaugeSettings:
 
 
 def check_settings(line: bytes) -> None:
-    """Refuse a gauge whose answer to `LIST` says other readings than those of now in N, or without unit or sign."""
+    """Refuse a gauge whose answer to `LIST` says other readings than signed ones in N."""
     settings = parse_settings(line)
     if (settings.mode, settings.unit) != ("CUR", "N"):
         raise NoReply(reason("gauge.mode", mode=settings.mode, unit=settings.unit))

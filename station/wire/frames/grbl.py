@@ -31,7 +31,6 @@ class GrblRefusal:
 
     @property
     def reason(self) -> Reason:
-        """What the controller objects to."""
         return reason("grbl.error", code=self.code, why=ERRORS.get(self.code, MANUAL))
 
 
@@ -48,7 +47,6 @@ class Alarm:
 
     @property
     def reason(self) -> Reason:
-        """Why it stopped."""
         return reason("grbl.alarmed", code=self.code, why=ALARMS.get(self.code, MANUAL))
 
 

@@ -13,7 +13,7 @@ OVERLOADED = Reason("indicator.overloaded")
 
 
 def parse_N(line: bytes) -> float:
-    """Return a reading in N, stable or not: a press is never stable; `BadReply`: overload, a cut line, or noise."""
+    """Return a reading in N, stable or not: presses never are; `BadReply`: overload, cut, noise."""
     try:
         fields = _LINE.fullmatch(line.decode("ascii").strip())
     except UnicodeDecodeError as error:

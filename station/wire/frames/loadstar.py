@@ -13,7 +13,7 @@ KNOWN_MODELS = (b"DI-100", b"DI-1000")
 
 
 def parse_N(line: bytes, unit: str) -> float:
-    """Return a streamed value such as `-0.000456` in N; `BadReply`: a cut line, noise, or `E`, which is its error."""
+    """Return a streamed value such as `-0.000456` in N; `BadReply`: cut, noise, or `E` for error."""
     try:
         return in_newtons(float(line.decode("ascii").strip()), unit)
     except ValueError as error:
