@@ -24,6 +24,7 @@ import io
 import re
 import subprocess
 import tarfile
+import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -35,7 +36,8 @@ LONG = 25
 
 ROOT = Path(__file__).parents[1]
 SPOKEN = tuple(f"core/words/{name}.py" for name in ("sentences", "gap_sentences", "rig_sentences"))
-"""Where the sentences of all reasons stand."""
+DRIVERS = "station/drivers/"
+"""Where the sentences of all reasons stand: pages, and a TOML file beside each driver."""
 
 NESTED = {
     "source": ("part.predicted", "part.measured"),
@@ -192,13 +194,20 @@ class Spoken:
 def reasons(place: str) -> dict[str, str]:
     """Return the sentences of all reasons of a folder or of a revision: code → English."""
     said: dict[str, str] = {}
-    for name in SPOKEN:
+    if Path(place).is_dir():
+        names = [path.relative_to(place).as_posix() for path in Path(place).glob("station/drivers/*.toml")]
+    else:
+        names = [name for name in _git("ls-tree", "--name-only", place, DRIVERS).split() if name.endswith(".toml")]
+    for name in (*SPOKEN, *names):
         text = (
             (Path(place) / name).read_text(encoding="utf-8")
             if Path(place).is_dir()
             else _git("show", f"{place}:{name}")
         )
-        page = re.search(r'= sentences\("""\n(.*?)\n"""\)', text, re.DOTALL)
+        if name.endswith(".toml"):
+            said |= tomllib.loads(text)
+            continue
+        page = re.search(r'sentences\("""\n(.*?)\n"""\)', text, re.DOTALL)
         for line in page[1].replace("\n  ", " ").splitlines() if page else ():
             if line and not line.startswith("#"):
                 code, said[code] = line.split(": ", 1)

@@ -23,7 +23,7 @@ from common.fault_trial import (
     run_with_full_disk,
 )
 
-from softcal.station.simulated.faults import FAULTS
+from softcal.station.testing.faults import FAULTS
 
 HEADER = (
     "| fault | seen in | after, s | stage stands after, s | largest force, N | recorded | what the operator reads |"

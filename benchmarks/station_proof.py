@@ -19,13 +19,13 @@ import numpy as np
 from common.proof_trial import GoodRig, draw_good_rig, press_good_rig
 
 from softcal.core.errors import SoftcalError
+from softcal.station.devices.simulated_station import SimulatedStation
 from softcal.station.interfaces import Sample
 from softcal.station.record.recording import Raw, RunFacts, assemble
 from softcal.station.record.spool import SpooledRun, read_spool
-from softcal.station.simulated.faults import hang
-from softcal.station.simulated.station import SimulatedStation
 from softcal.station.tasks.acquisition import RunProgress
 from softcal.station.tasks.seconds import PRESSING
+from softcal.station.testing.faults import hang
 
 LATER_S = (-0.15, 0.02, 0.03, 0.05, 0.1)
 GAINS = (0.5, 0.6, 0.7, 0.8, 1.5, 2.0)

@@ -23,11 +23,11 @@ from softcal.core.quality.gate import Gate
 from softcal.core.simulated_lot import twin_of
 from softcal.core.twin.spread import draw_lot
 from softcal.station.devices.bench import open_simulated_bench
-from softcal.station.simulated.faults import HOMING
-from softcal.station.simulated.line import NAMES, SimulatedLine
-from softcal.station.simulated.station import SimulatedStation
+from softcal.station.devices.simulated_station import SimulatedStation
 from softcal.station.tasks.acquisition import record
 from softcal.station.tasks.service import Hooks, StationService
+from softcal.station.testing.faults import HOMING
+from softcal.station.testing.line import NAMES, SimulatedLine
 
 UNITS_PER_H = 90
 """About so many are pressed; faults are drawn among them."""

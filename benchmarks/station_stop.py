@@ -32,7 +32,7 @@ from softcal.core.quality.gate import Gate
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
 from softcal.station.devices.bench import Bench, open_simulated_bench
-from softcal.station.simulated.station import SimulatedStation
+from softcal.station.devices.simulated_station import SimulatedStation
 from softcal.station.tasks.service import Hooks, StationService
 
 STATION, LOT = "line-1", "L1"

@@ -1,4 +1,4 @@
-"""The host's clock, and device time to host time: offset and drift from pairs of (device, arrival)."""
+"""The host's clock, and device time to host time: offset and drift from (device, arrival) pairs."""
 
 import time
 from dataclasses import dataclass
@@ -41,7 +41,6 @@ class ClockFit:
     latest_s: float
 
     def to_host(self, device_s: Array) -> Array:
-        """Carry device time stamps to the host's clock."""
         return self.offset_s + self.rate * device_s
 
 
@@ -53,10 +52,6 @@ def fit_clock(device_s: Array, host_s: Array) -> ClockFit:
 
     Args:
         device_s: (n,) device time stamps, unwrapped, strictly increasing, n >= 2.
-        host_s: (n,) host time at which each line was read.
-
-    Raises:
-        ValueError: fewer than two pairs.
     """
     if len(device_s) < 2:
         raise ValueError(f"{len(device_s)} pairs of device and host time; at least 2 are needed")
@@ -84,12 +79,7 @@ def _turns_down(x: Array, y: Array, a: int, b: int, c: int) -> bool:
 
 
 def unwrap_ms(previous_ms: int, reported_ms: int) -> int:
-    """Return the reported 32-bit millisecond counter as a number that goes on past its wrap.
-
-    Args:
-        previous_ms: the last unwrapped value.
-        reported_ms: 0 ... 2**32 - 1 as the device prints it.
-    """
+    """Return a 32-bit counter of ms so that it goes on past its wrap; the last one is unwrapped."""
     step = (reported_ms - previous_ms) % WRAP_MS
     return previous_ms + (step if step < WRAP_MS // 2 else step - WRAP_MS)
 
@@ -119,8 +109,6 @@ def residual_offset_s(leading: Array, following: Array, rate_Hz: float, reach_s:
 
     Args:
         leading: (n,) signal on a uniform grid.
-        following: (n,) signal on the same grid.
-        reach_s: largest offset that is looked for.
 
     Returns:
         Offset in s, positive when `following` is late; NaN where one of them never changes.

@@ -1,4 +1,4 @@
-"""What the acquisition needs of a clock, a stage, a load cell and a sensor readout, whatever their dialect."""
+"""What a run needs of a clock, a stage, a load cell and a readout, whatever their dialect."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -10,7 +10,7 @@ from softcal.core.words.reason import Reason
 
 
 class Held(DeviceError):
-    """Somebody holds the stage at the machine (hold button): it stands, and nothing may move it by itself."""
+    """Somebody holds the stage by the button at the machine: nothing may move it by itself."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Sample:
 
 @dataclass(frozen=True)
 class StagePosition:
-    """Where the stage was when it answered a status poll (middle of question and answer, host clock)."""
+    """Where the stage was in the middle between status poll and answer, host clock."""
 
     host_s: float
     position_mm: float
@@ -73,11 +73,8 @@ class Clock(Protocol):
 
     def now_s(self) -> float:
         """Return seconds since an arbitrary start; never goes backward."""
-        ...
 
-    def sleep_s(self, seconds: float) -> None:
-        """Let time pass."""
-        ...
+    def sleep_s(self, seconds: float) -> None: ...
 
 
 class Stage(Protocol):
@@ -92,25 +89,33 @@ class Stage(Protocol):
 
     @property
     def is_position_known(self) -> bool:
-        """Whether the axis was homed and nothing happened since that could have lost the position."""
-        ...
+        """Whether the axis was homed and nothing since can have lost the position."""
 
     @property
     def is_moving(self) -> bool:
         """Whether the last move that was begun has not yet been confirmed as finished."""
-        ...
 
     def home(self, on_wait: OnWait = ignore_wait) -> None:
-        """Find the homing switch and wait until it is done; what `on_wait` raises ends the wait, not yet the motion."""
-        ...
+        """Find the homing switch and wait until it is done; what `on_wait` raises ends the wait, not yet the motion.
+
+        Raises:
+            DeviceError: the switch is missing or stuck, or something blocks the stage; the position stays unknown.
+        """
 
     def begin(self, move: Move) -> None:
-        """Start a move and return at once; `poll` feeds it."""
-        ...
+        """Start a move and return at once; `poll` feeds it.
+
+        Raises:
+            CommandRefused: not homed, still moving, or beyond travel or speed; nothing was sent.
+        """
 
     def poll(self) -> Sequence[StagePosition]:
-        """Read what the controller said, feed the move in progress, ask for the position when it is time."""
-        ...
+        """Read what the controller said, feed the move in progress, ask for the position when it is time.
+
+        Raises:
+            NoReply: the port is gone, or a question was not answered.
+            DeviceError: stopped short, stalled, moved by hand, an alarm, a restart: the position may be lost.
+        """
 
     def stop(self) -> None:
         """Stop at once by a path that waits behind nothing; the position stays known where the device allows it.
@@ -119,25 +124,20 @@ class Stage(Protocol):
             Held: it stands, and somebody holds it at the machine.
             DeviceError: it does not answer; it was told to stop all the same.
         """
-        ...
 
-    def close(self) -> None:
-        """Give the port back."""
-        ...
+    def close(self) -> None: ...
 
 
 @runtime_checkable
 class RoughLift(Protocol):
-    """A stage that can go away from the unit although its exact position was lost in a stop that cut its motion."""
+    """A stage that can go away from the unit though a stop cut its motion and lost its position."""
 
     @property
     def can_lift_roughly(self) -> bool:
-        """Whether the position was lost by our own stop alone, so that its count is still nearly right."""
-        ...
+        """Whether our own stop alone lost the position, so that its count is nearly right."""
 
     def lift_roughly(self, distance_mm: float, speed_mm_s: float) -> None:
-        """Begin to go away from the unit; `poll` follows it. The position stays unknown."""
-        ...
+        """Begin to go away, not into the switch; `poll` follows it. The position stays unknown."""
 
 
 @runtime_checkable
@@ -145,12 +145,10 @@ class RunsOn(Protocol):
     """A stage that is fed in pieces, so that it stops by itself when nothing comes any more."""
 
     def runs_on_s(self, speed_mm_s: float) -> float:
-        """Return after how long it stands, at most, once the host is gone in a move at this speed."""
-        ...
+        """Return after how long it stands, at most, when the host dies at this speed."""
 
     def runs_on_mm(self, move: Move) -> float:
         """Return how far it still goes, at most, once the host is gone in this move."""
-        ...
 
 
 @runtime_checkable
@@ -159,7 +157,6 @@ class Advises(Protocol):
 
     def unsafe_settings(self) -> Sequence[tuple[str, Reason]]:
         """Return each setting that takes safety away, and what to do about it."""
-        ...
 
 
 class Reader(Protocol):
@@ -171,15 +168,11 @@ class Reader(Protocol):
 
     def start(self) -> None:
         """Throw away what lies in the buffers and begin to count."""
-        ...
 
     def poll(self) -> Sequence[Sample]:
         """Return the samples that arrived since the last call, oldest first."""
-        ...
 
-    def close(self) -> None:
-        """Give the port back."""
-        ...
+    def close(self) -> None: ...
 
 
 class ForceReader(Reader, Protocol):

@@ -7,16 +7,12 @@ _NAMES = {
     "load cell": Reason("device.cell"),
     "sensor readout": Reason("device.readout"),
     "gauge": Reason("device.gauge"),
+    "readers": Reason("device.readers"),
 }
 
 
 def named(name: str, port: str = "") -> Reason:
-    """Return the name of a device as a value of a sentence.
-
-    Args:
-        name: as the device has it; a driver of somebody else may call its device otherwise, that name is kept.
-        port: where it is, for a message that must tell two apart.
-    """
+    """Return the name of a device for a sentence, with its port where two must be told apart."""
     if not name:
         return plain(port)
     device = _NAMES.get(name) or plain(name)

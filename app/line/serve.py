@@ -94,7 +94,7 @@ def serve(registry: Registry, serving: Serving, spools: Path, goes_on: Callable[
 def _rig(serving: Serving) -> tuple[StationConfig, Fixture, Callable[[], AbstractContextManager[Bench]]]:
     if serving.simulated_seed is not None:
         from softcal.core.simulated_lot import twin_of
-        from softcal.station.simulated.line import SimulatedLine
+        from softcal.station.testing.line import SimulatedLine
 
         line = SimulatedLine(partial(twin_of, serving.simulated_seed), serving.simulated_seed, serving.speed)
         return SIMULATED_RIG, line, line.open

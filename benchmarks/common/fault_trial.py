@@ -10,11 +10,11 @@ from softcal.core.errors import DeviceError
 from softcal.core.profiles import Profile, moves
 from softcal.core.words.reason import Reason
 from softcal.station.devices.bench import Bench, open_simulated_bench
+from softcal.station.devices.simulated_station import SimulatedStation
 from softcal.station.motion.motion import TICK_S
 from softcal.station.record.spool import Spool, read_spool
-from softcal.station.simulated.faults import MOMENTS, PRESS, RETURN, Fault
-from softcal.station.simulated.station import SimulatedStation
 from softcal.station.tasks.acquisition import RunProgress, record
+from softcal.station.testing.faults import MOMENTS, PRESS, RETURN, Fault
 
 PROFILE: Profile = moves("trial", [0.0, 3.0, 0.0, 3.0, 0.0], [2.0, 2.0, 2.0, 10.0, 10.0], [1.0, 1.0, 0.5, 0.0, 1.0])
 

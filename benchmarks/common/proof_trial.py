@@ -13,10 +13,10 @@ from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import EffectSetting, Twin, TwinStream
 from softcal.station.devices.bench import Bench, open_bench, simulated_config
 from softcal.station.devices.config import UNKNOWN_S
+from softcal.station.devices.simulated_station import SimulatedStation
 from softcal.station.record.recording import StationRecording
 from softcal.station.record.spool import Spool
 from softcal.station.simulated.rig import Physics
-from softcal.station.simulated.station import SimulatedStation
 from softcal.station.tasks.acquisition import RunProgress, record
 
 CELL_HZ = (10.0, 20.0, 80.0)

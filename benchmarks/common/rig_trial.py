@@ -13,7 +13,7 @@ from softcal.core.profiles import Profile
 from softcal.core.twin.simulate import Twin
 from softcal.station.devices.bench import Bench, open_bench, simulated_config
 from softcal.station.devices.config import UNKNOWN_S
-from softcal.station.simulated.station import SimulatedStation
+from softcal.station.devices.simulated_station import SimulatedStation
 from softcal.station.tasks.acquisition import RunProgress, record
 
 GONE_S = 10.0

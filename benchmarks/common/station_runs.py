@@ -16,7 +16,7 @@ from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply, 
 from softcal.core.words.reason import Reason, plain
 from softcal.station.devices.config import FixtureConfig, ForceConfig, SafetyConfig
 from softcal.station.interfaces import Held, Move, OnWait, Sample, StagePosition
-from softcal.station.motion.interlock import TABLE, Interlock, Moves, StageWatch, State
+from softcal.station.motion.interlock import TABLE, Moves, StageWatch, State
 from softcal.station.motion.motion import Cancelled, Motion
 
 MOST_FAULTS = 3
@@ -226,11 +226,11 @@ class _Clock:
             raise _Endless
 
 
-class _SeenInterlock(Interlock):
+class _SeenMotion(Motion):
     """Keeps which way it went from which state."""
 
-    def __init__(self, told: "Told") -> None:
-        super().__init__()
+    def __init__(self, bench: Any, tick: Callable[[], None], told: "Told") -> None:
+        super().__init__(bench, tick)
         self._told = told
 
     def enter(self, state: State, known: Collection[str] = ()) -> None:
@@ -258,8 +258,8 @@ def run_once(given: Sequence[int]) -> tuple[Told, list[tuple[int, int]]]:
         if looks % POLLS == 1 and looks < 16 * POLLS:
             _watch(choices.pick(5), stage, motion.row.watches)
 
-    motion = Motion(bench, tick)
-    motion._interlock, motion.zero_N, motion.free_output = _SeenInterlock(told), 0.0, 0.0
+    motion = _SeenMotion(bench, tick, told)
+    motion.zero_N = motion.free_output = 0.0
 
     def look() -> None:
         told.states.add((motion.state, stage.is_moving, stage.is_position_known, told.held_at is not None))

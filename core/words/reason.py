@@ -21,7 +21,7 @@ DOUBT = "doubt."
 """How the codes of reasons begin that set an audit aside."""
 
 PLAIN = "plain"
-"""Code of a sentence that was kept as a sentence: by an older version, or quoted from a file or device."""
+"""Code of a sentence that was kept as one: by an older version, or of a file or a device."""
 
 ENGLISH: Mapping[str, str] = {PLAIN: "{text}", **UNIT_SENTENCES, **GAP_SENTENCES, **SENTENCES}
 """One sentence a code. Values stand in braces with their format; a value that is a reason is a phrase of its own."""
@@ -50,16 +50,11 @@ class Reason:
         return self.said(ENGLISH)
 
     def said(self, sentences: Mapping[str, str]) -> str:
-        """Return the sentence in one language.
-
-        Args:
-            sentences: by code, as `ENGLISH`; what a language lacks is said in English.
-        """
+        """Return the sentence by sentences of a language; what that lacks is said in English."""
         values = {name: v.said(sentences) if isinstance(v, Reason) else v for name, v in self.values.items()}
         return filled(sentences.get(self.code, ENGLISH[self.code]), values)
 
     def to_json(self) -> dict[str, object]:
-        """Return it as JSON values; `of` reads it back."""
         values = {name: v.to_json() if isinstance(v, Reason) else v for name, v in self.values.items()}
         return {"code": self.code, "values": values}
 
@@ -107,7 +102,7 @@ def plain(text: str) -> Reason:
 
 
 def to_kept(why: Reason | str) -> object:
-    """Return what a table keeps of a reason: its code and values, or the sentence where it is one."""
+    """Return what a table keeps of a reason: its code and values, or its sentence."""
     found = Reason.of(why)
     return str(found) if found.code == PLAIN else found.to_json()
 
@@ -128,11 +123,7 @@ def unpacked(message: str) -> tuple[Reason, ...]:
 
 
 def several(reasons: Sequence[Reason], code: str = "and") -> Reason:
-    """Return reasons as one, where a single one is wanted.
-
-    Args:
-        code: of the sentence that holds a `first` one and the `rest`.
-    """
+    """Return reasons as one, by a sentence that holds a `first` one and the `rest`."""
     first, *rest = reasons
     return reason(code, first=first, rest=several(rest, code)) if rest else first
 
@@ -149,7 +140,7 @@ def joined(reasons: Iterable[Reason]) -> str:
 
 
 def in_words(values: Mapping[str, object], *names: str) -> dict[str, object]:
-    """Return a record whose values of these names, which are reasons, are in English, with all of them as `reasons`."""
+    """Return a record whose reasons of these names are in English, with all of them as `reasons`."""
     why = {name: value for name in names if isinstance(value := values[name], Reason)}
     return {
         **values,

@@ -1,8 +1,18 @@
-"""What stations, their gates and the registry say, in English: one sentence a code. `core.words.reason` reads it."""
+"""What stations, their gates and the registry say, in English: one sentence a code. `core.words.reason` reads it.
+
+What a single driver says stands beside it, in `station/drivers/*.toml`.
+"""
+
+import tomllib
+from pathlib import Path
 
 from softcal.core.words.sentences import sentences
 
-SENTENCES = sentences("""
+PAGES = sorted((Path(__file__).parents[2] / "station" / "drivers").glob("*.toml"))
+
+_OF_DRIVERS = {code: said for page in PAGES for code, said in tomllib.loads(page.read_text("utf-8")).items()}
+
+SENTENCES = _OF_DRIVERS | sentences("""
 # How a device is called.
 device.stage: stage
 device.cell: load cell
@@ -169,153 +179,6 @@ part.stage: a stage
 part.cell: a load cell
 part.readout: a sensor readout
 part.and: {first} and {rest}
-
-# Text lines of a readout or load-cell amplifier.
-stream.checksum: a stream line reads {line}; its checksum should be {checksum}
-stream.line: a stream line reads {line}; `ms,value` in whole numbers was expected
-stream.time: a stream line has the time {device_ms} ms; a 32-bit counter was expected
-
-# GRBL.
-grbl.safe.1: send $1=255 once; the motor lets go at rest and the stage may sink
-grbl.safe.20: send $20=1 once; nothing keeps the stage inside its travel
-grbl.safe.21: send $21=1 once; a limit switch does not stop the stage
-grbl.safe.acceleration: send ${number}=200 once; the stage brakes slowly and must go slowly
-grbl.no_status: stage: no status for {seconds:g} s; check power and cable of the controller, then
-  home
-grbl.held.now: stage: somebody holds it at the machine; let its hold button go, look at the rig,
-  then start
-grbl.lost: stage: where it is is not known well enough to lift it; home it
-grbl.none: stage ({port}): no GRBL controller answers; check power, cable and baud rate (115200)
-grbl.settings: stage: the settings dump lacks {missing}; is this GRBL 1.1?
-grbl.setting: {setting}: {cure}
-grbl.homing_off: stage: homing is disabled; send $22=1 once, wire the switch, then try again
-grbl.inches: stage: positions are reported in inches; send $13=0 once, then try again
-grbl.refused: stage: the controller answered {reply}; check the settings of the controller
-grbl.alarm: stage: {reply}; look at the rig, then home it
-grbl.restarted: stage: the controller started again by itself, its position is lost; check its
-  supply, then home
-grbl.held: stage: held by the button at the machine; let it go, look at the rig, then start again
-grbl.door: stage: the safety door is open; close it, then start again
-grbl.state: stage: the controller is in {state}; look at the rig, then home it
-grbl.no_position: stage: a status report has no position; set $10=1 so that machine positions are
-  reported
-grbl.homing_refused: stage: homing was refused: {reply}; check the settings of the controller
-grbl.part.restarted: the controller started again
-grbl.homing_failed: stage: homing failed: {why}; check the homing switch and its cable
-grbl.error.1: expected a command letter
-grbl.error.2: bad number format
-grbl.error.3: unknown $ command
-grbl.error.5: homing is not enabled ($22=0)
-grbl.error.7: settings could not be read and were set to their defaults
-grbl.error.8: only possible when idle
-grbl.error.9: locked: home first or unlock
-grbl.error.10: soft limits need homing
-grbl.error.15: target beyond the travel
-grbl.error.20: unsupported command
-grbl.error.22: no feed rate was given
-grbl.alarm.1: hard limit switch hit
-grbl.alarm.2: target beyond the travel (soft limit)
-grbl.alarm.3: reset while moving, position lost
-grbl.alarm.4: probe already closed
-grbl.alarm.5: probe did not close
-grbl.alarm.6: homing was reset
-grbl.alarm.7: safety door opened while homing
-grbl.alarm.8: homing switch did not open again, it is stuck
-grbl.alarm.9: homing switch was not found
-grbl.error: error:{code} ({why})
-grbl.alarmed: ALARM:{code} ({why})
-grbl.noise: GRBL answered {line}, which is no GRBL reply
-grbl.manual: see the GRBL manual
-
-# Zaber stages.
-zaber.no_status: stage: no status for {seconds:g} s; check its power and cable, then home
-zaber.rejected: stage: {words} was rejected: {why}; nothing moved by it
-zaber.warning: stage: warning {code} ({why}); look at the rig, then home it
-zaber.position: stage: its position reads {answer}; a number was expected
-zaber.flag.FF: critical system error
-zaber.flag.FN: peripheral not supported
-zaber.flag.FZ: peripheral inactive
-zaber.flag.FH: hardware emergency stop
-zaber.flag.FV: overvoltage or undervoltage
-zaber.flag.FO: driver disabled
-zaber.flag.FC: current inrush error
-zaber.flag.FM: motor temperature error
-zaber.flag.FD: driver disabled by a fault
-zaber.flag.FQ: encoder error
-zaber.flag.FI: index error
-zaber.flag.FA: analog encoder error
-zaber.flag.FR: overdrive limit exceeded
-zaber.flag.FS: stalled and stopped
-zaber.flag.FB: stream bounds error
-zaber.flag.FP: interpolated path deviation
-zaber.flag.FE: limit error
-zaber.flag.FT: excessive twist
-zaber.flag.WS: stalled, position recovered
-zaber.flag.WR: no reference position
-zaber.flag.WH: not homed
-zaber.flag.NC: moved by its knob
-zaber.flag.NI: movement interrupted
-zaber.no_command: {line} is no Zaber command
-zaber.noise: Zaber answered {line}, which is no Zaber reply
-zaber.checksum: {line}: the checksum should be {checksum}
-
-# Mark-10 stands.
-esm.no_answer: stage: no answer for {seconds:g} s; check the stand's power and cable, then home
-esm.no_upper_limit: stage: homing failed: the upper limit was not reached; look for what blocks it
-esm.travel: stage: travel reads {travel_mm:.2f} mm after it was zeroed; switch the stand to mm
-esm.stopped_at: stage: stopped at {position_mm:.2f} mm on its way to {target_mm:.2f} mm (limit
-  switch, or somebody at its panel); look at the stand, then start the run again
-esm.no_stand: load cell ({port}): it is the gauge of an ESM stand, and no stand is open on this
-  port; ask the engineer to check [stage] in the station file
-esm.status: stage: answered {line}; a status such as `S M UL` was expected
-esm.travel_line: stage: answered {line}; a travel such as `-7.52 mm` was expected
-
-# Mark-10 gauges.
-gauge.mode: load cell: the gauge stays in {mode} and {unit}; switch it to CUR and N
-gauge.settings: load cell: readings lack unit or sign; switch both on in the gauge's menu
-gcl2.error.10: illegal command
-gcl2.error.11: not applicable in this state
-gcl2.error.12: invalid specifier
-gcl2.error.22: value too large
-gcl2.error: gauge: {code} ({why}); check its settings
-gcl2.reading: gauge answered {line}; a reading such as `-18.78 lbF` was expected
-gcl2.no_unit: gauge: readings come without their unit; switch off 'Numeric only' in its menu
-gcl2.list: gauge answered {line} to LIST; `V1.00;LBF;CUR;...` was expected
-gcl2.noise: gauge answered {line}, which is noise
-
-# Other load cells.
-hx711.saturated: {device}: its converter is at the end of its range; the cell is overloaded, or its
-  bridge is not connected; check cable and load, then zero it (reads {count:.0f})
-loadstar.model: load cell: {model} is no DI-100 or DI-1000; ask the engineer to check force.kind in
-  the station file
-loadstar.answer: load cell: answered {answer}, a Loadstar interface says 'A'; check port and baud
-  rate
-loadstar.line: load cell sent {line}; a number such as -0.000456 was expected
-indicator.noise: indicator sent {line}, which is noise
-indicator.line: indicator sent {line}; `ST,GS,+  4.876kg` was expected
-indicator.overloaded: load cell: overloaded (OL); unload it and have its calibration checked
-
-# SCPI instruments.
-scpi.source: its signal source is overloaded
-scpi.level: it cannot keep the level
-scpi.no_data: no data
-scpi.other: {device}: {identity} is none of {models}; check port and kind
-scpi.settings: {device}: does not take its settings: {error}; ask the engineer to check them in the
-  station file
-labjack.missing: {device}: LabJack's library cannot be loaded: {error}; install LJM (labjack.com)
-  and `pip install 'softcal[labjack]'`
-labjack.none: {device}: no LabJack answers: {error}; check its cable, its serial number or address
-labjack.refused: {device}: it does not take {name} = {value:g}: {error}; choose another value
-labjack.other: {device}: {name} was set to {value:g} and reads {found:g}; choose a value this
-  LabJack has
-labjack.reading: {device}: it gave {values}, which is no voltage; check its inputs
-scpi.reading: {device}: a reading reads {line}; a number was expected
-scpi.status: {device}: {why}; check the unit's connector and the range
-scpi.overload: {device}: overload; check the unit's connector; if it comes back, ask the engineer
-  for a larger range (full_scale)
-scpi.whole: {device}: {text} was read where a whole number was expected
-scpi.overloaded: overload
-scpi.status.other: status {status}
 
 # The station file.
 station_file.no_port: [{section}] port is empty; write the port of that device there

@@ -1,9 +1,7 @@
 """What softcal says of units and verdicts, in English, and how a page of sentences is read for `core.words.reason`."""
 
-from collections.abc import Mapping
 
-
-def sentences(page: str) -> Mapping[str, str]:
+def sentences(page: str) -> dict[str, str]:
     """Return the sentences of a page by code: a line is `code: sentence` and goes on where the next one is indented."""
     lines = page.replace("\n  ", " ").splitlines()
     return dict(line.split(": ", 1) for line in lines if line and not line.startswith("#"))

@@ -1,9 +1,9 @@
-"""The devices of one station, opened together: real ones, or simulated ones behind the same drivers."""
+"""The devices of a station, opened together: real ones, or simulated ones behind their drivers."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from softcal.station.interfaces import Clock, ForceReader, Readout, Stage
 
 if TYPE_CHECKING:
     from softcal.core.twin.simulate import Twin
-    from softcal.station.simulated.station import SimulatedStation
+    from softcal.station.devices.simulated_station import SimulatedStation
 
 SIMULATED_NAME = "simulated"
 """Name of every simulated station: nothing it measures is traceable."""
@@ -43,39 +43,25 @@ class Bench:
     force: ForceReader | None
 
 
-class _Device(Protocol):
-    def close(self) -> None: ...
-
-
-_D = TypeVar("_D", bound=_Device)
-
-
 @contextmanager
 def open_bench(config: StationConfig, clock: Clock | None = None) -> Iterator[Bench]:
-    """Open every device of a station and give all ports back at the end.
-
-    Raises:
-        DeviceError: names all devices that are missing, not only the first.
-    """
+    """Open every device, and give all ports back at the end; `DeviceError` names all that are missing."""
     clock = clock or HostClock()
     with ExitStack() as stack:
         missing: list[Reason] = []
 
-        def opened(make: Callable[[], _D]) -> _D | None:
+        def opened(device_config: DeviceConfig, stage: Stage | None = None) -> Any:
             try:
-                device = make()
+                device = _open(device_config, Opening(clock, stage))
             except DeviceError as error:
                 missing.append(error.reason)
                 return None
             stack.callback(device.close)
             return device
 
-        stage: Stage | None = opened(lambda: _open(config.stage, Opening(clock)))
-        opening, force_config = Opening(clock, stage), config.force
-        readout: Readout | None = opened(lambda: _open(config.readout, opening))
-        force: ForceReader | None = None
-        if force_config is not None:
-            force = opened(lambda: _open(force_config, opening))
+        stage: Stage | None = opened(config.stage)
+        readout: Readout | None = opened(config.readout, stage)
+        force: ForceReader | None = opened(config.force, stage) if config.force is not None else None
         if missing or stage is None or readout is None:
             raise NoReply(several(missing))
         yield Bench(config, clock, stage, readout, force)
@@ -94,11 +80,8 @@ def open_simulated_bench(
     """Open the same drivers on simulated far ends, each behind its own serial line.
 
     Args:
-        unit: the unit under the stage; None for a nominal one. `SimulatedStation.mount` changes it.
-        seed: of noise, delays and mounting.
         time_factor: simulated seconds per real second at most; None runs as fast as the computer can. A driver that
             reads in a thread of its own makes simulated time real time.
-        stage_kind, force_kind, readout_kind: which drivers, as in a station file.
         beside: more units under the same stage, each on a channel of its own.
 
     Returns:
@@ -106,7 +89,7 @@ def open_simulated_bench(
     """
     # The simulator is an extra: a real rig does without it.
     from softcal.core.twin.simulate import Twin
-    from softcal.station.simulated.station import SimulatedStation
+    from softcal.station.devices.simulated_station import SimulatedStation
 
     twin = unit or Twin()
     rng = np.random.default_rng(seed)
@@ -136,24 +119,13 @@ def simulated_config(station: "SimulatedStation") -> StationConfig:
 
 @contextmanager
 def open_force(config: ForceConfig, clock: Clock) -> Iterator[ForceReader]:
-    """Open the load cell alone.
-
-    Raises:
-        DeviceError: it is missing.
-    """
-    reader: ForceReader = _open(config, Opening(clock))
-    try:
+    """Open the load cell alone; `DeviceError` where it is missing."""
+    with closing(_open(config, Opening(clock))) as reader:
         yield reader
-    finally:
-        reader.close()
 
 
 def open_readout(config: ReadoutConfig, clock: Clock) -> Readout:
-    """Open the sensor's readout alone; whoever opened it closes it.
-
-    Raises:
-        DeviceError: it is missing.
-    """
+    """Open the readout alone, which whoever opened it closes; `DeviceError` where it is missing."""
     readout: Readout = _open(config, Opening(clock))
     return readout
 

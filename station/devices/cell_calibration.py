@@ -1,4 +1,4 @@
-"""The load cell's scale from dead weights: a straight line through weight and reading, and what it leaves over."""
+"""The load cell's scale from dead weights: a line through weight and reading, and its errors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,9 +22,7 @@ class CellCalibration:
     Args:
         mass_kg: (n,) weights put on, 0 for the unloaded cell.
         reading: (n,) mean reading of each, in the scale the reader had.
-        noise: (n,) standard deviation of the reading.
         per_N, zero: reading = zero + per_N · force.
-        largest_error_N: largest distance of a point from the line.
     """
 
     mass_kg: Array
@@ -36,11 +34,7 @@ class CellCalibration:
 
 
 def read_steady(reader: ForceReader, clock: Clock) -> tuple[float, float]:
-    """Return mean and standard deviation of some seconds of readings, after the weight has settled.
-
-    Raises:
-        BadReply: too few readings came.
-    """
+    """Return mean and standard deviation of some seconds after the weight has settled."""
     reader.start()
     _collect(reader, clock, SETTLE_S)
     values = _collect(reader, clock, READ_S)

@@ -1,4 +1,4 @@
-"""What belongs to one station and to no run: ports, dialects, capacities, safety bounds, from one TOML file."""
+"""What belongs to a station and to no run, from a TOML file: ports, dialects, safety bounds."""
 
 import inspect
 import math
@@ -6,6 +6,7 @@ import tomllib
 from collections.abc import Iterable
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from difflib import get_close_matches
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, get_type_hints
@@ -74,7 +75,6 @@ class ForceConfig(DeviceConfig):
 
     @property
     def is_latency_stated(self) -> bool:
-        """Whether the station file says how late its readings are."""
         return self.latency_s != UNKNOWN_S
 
 
@@ -157,32 +157,21 @@ class StationConfig:
     name: str = "station"
 
     def __post_init__(self) -> None:
-        self._check_ports()
-        if self.force is not None:
-            _within("safety.force_N", self.safety.force_N, 0.0, LARGEST_LIMIT * self.force.capacity_N)
-            _within("fixture.touch_N", self.fixture.touch_N, 0.0, self.safety.force_N)
-            if self.force.is_latency_stated:
-                _within("force.latency_s", self.force.latency_s, 0.0, LATEST_S)
-        _within("safety.stiffest_N_mm", self.safety.stiffest_N_mm, 0.1, 1e5)
-        _within("safety.silence_s", self.safety.silence_s, 0.15, 1.0)
-        _within("fixture.approach_mm", self.fixture.approach_mm, 0.0, self.safety.deepest_mm)
-        _within("fixture.search_mm_s", self.fixture.search_mm_s, 0.01, self.safety.speed_mm_s)
-
-    def _check_ports(self) -> None:
         devices = {"stage": self.stage, "readout": self.readout} | ({"force": self.force} if self.force else {})
         for (name, device), (other, beside) in combinations(devices.items(), 2):
             may_share = device.shares_port and beside.shares_port and device.kind == beside.kind
             if device.port and device.port == beside.port and not may_share:
-                raise InputError(
-                    reason(
-                        "station_file.same_port",
-                        name=name,
-                        other=other,
-                        port=repr(device.port),
-                        kind=repr(device.kind),
-                        kind2=repr(beside.kind),
-                    )
-                )
+                about = {"port": repr(device.port), "kind": repr(device.kind), "kind2": repr(beside.kind)}
+                raise InputError(reason("station_file.same_port", name=name, other=other, **about))
+        if self.force is not None:
+            check_within("safety.force_N", self.safety.force_N, 0.0, LARGEST_LIMIT * self.force.capacity_N)
+            check_within("fixture.touch_N", self.fixture.touch_N, 0.0, self.safety.force_N)
+            if self.force.is_latency_stated:
+                check_within("force.latency_s", self.force.latency_s, 0.0, LATEST_S)
+        check_within("safety.stiffest_N_mm", self.safety.stiffest_N_mm, 0.1, 1e5)
+        check_within("safety.silence_s", self.safety.silence_s, 0.15, 1.0)
+        check_within("fixture.approach_mm", self.fixture.approach_mm, 0.0, self.safety.deepest_mm)
+        check_within("fixture.search_mm_s", self.fixture.search_mm_s, 0.01, self.safety.speed_mm_s)
 
 
 _T = TypeVar("_T")
@@ -209,14 +198,20 @@ def read_station_file(path: Path) -> StationConfig:
 
 
 def station_from_table(content: dict[str, Any]) -> StationConfig:
-    """Return the station that nested tables describe; unknown keys are errors that list the known ones."""
+    """Return the station of nested tables; unknown keys are errors that list the known ones."""
     unknown = set(content) - set(_SECTIONS) - {"name"}
     if unknown:
         raise InputError(reason("station_file.unknown_top", key=repr(min(unknown)), known=", ".join(_SECTIONS)))
     for needed in ("stage", "readout"):
         if needed not in content:
             raise InputError(reason("station_file.no_section", section=needed))
-    sections = {name: _section(name, content[name]) for name in _SECTIONS if name in content}
+    sections: dict[str, Any] = {}
+    for name, kind in _SECTIONS.items():
+        if name in content and not isinstance(content[name], dict):
+            raise InputError(reason("station_file.no_table", name=name))
+        if name in content:
+            make = device_section if name in _DEVICES else partial(filled, kind=kind)
+            sections[name] = make(name, table=content[name])
     config = StationConfig(name=str(content.get("name", "station")), **sections)
     if config.force is None and not config.safety.without_cell:
         raise InputError(Reason("station_file.no_force"))
@@ -224,11 +219,7 @@ def station_from_table(content: dict[str, Any]) -> StationConfig:
 
 
 def station_toml(config: StationConfig, choices: str = "") -> str:
-    """Return the station file of a configuration, every key in it and what it means, to be read and edited.
-
-    Args:
-        choices: what stands beside a port that is still open.
-    """
+    """Return the station file of a configuration: every key, and what it means."""
     document = tomlkit.document()
     document["name"] = config.name
     for name in _SECTIONS:
@@ -249,7 +240,7 @@ def station_toml(config: StationConfig, choices: str = "") -> str:
 
 
 def meanings(kind: type[Any]) -> list[str]:
-    """Return what the keys of a section mean, from where they are documented: first the common ones, then its own."""
+    """Return what the keys of a section mean, as they are documented: common ones, then its own."""
     lines = []
     for each in reversed(kind.__mro__):
         text = inspect.cleandoc(each.__doc__ or "") if is_dataclass(each) else ""
@@ -259,30 +250,17 @@ def meanings(kind: type[Any]) -> list[str]:
 
 
 def with_own_keys(config: DeviceConfig) -> DeviceConfig:
-    """Return the section of a device with its driver's own keys, at their defaults where only common ones are given.
-
-    Raises:
-        InputError: there is no such driver.
-    """
+    """Return the section of a device with its driver's own keys, at their defaults if not given."""
     from softcal.station.devices.catalogue import driver_of  # The catalogue needs this module.
 
     kind: type[DeviceConfig] = driver_of(config.role, config.kind).config
     return config if isinstance(config, kind) else kind(**vars(config))
 
 
-def _section(name: str, table: object) -> Any:
-    if not isinstance(table, dict):
-        raise InputError(reason("station_file.no_table", name=name))
-    if name not in _DEVICES:
-        return filled(name, _SECTIONS[name], table)
-    return device_section(name, table)
-
-
 def device_section(name: str, table: dict[str, Any]) -> DeviceConfig:
     """Return the section of one device as its driver understands it.
 
     Args:
-        name: of the section: stage, force, readout.
         table: its keys; a kind that is not given is that of the section.
 
     Raises:
@@ -294,29 +272,18 @@ def device_section(name: str, table: dict[str, Any]) -> DeviceConfig:
     kind = table.get("kind", common.kind)
     driver = driver_of(common.role, str(kind))
     config: DeviceConfig = filled(name, driver.config, {**table, "kind": kind})
-    if not config.port and "library" not in driver.wires:
+    if "library" in driver.wires:
+        return config
+    if not config.port:
         raise InputError(reason("station_file.no_port", section=name))
-    if "library" not in driver.wires and wire_of(config.port) not in driver.wires:
-        raise InputError(
-            reason(
-                "station_file.wrong_wire",
-                section=name,
-                port=repr(config.port),
-                wire=wire_of(config.port),
-                kind=repr(kind),
-                wires=", ".join(driver.wires),
-            )
-        )
+    if (wire := wire_of(config.port)) not in driver.wires:
+        about = {"port": repr(config.port), "kind": repr(kind), "wires": ", ".join(driver.wires)}
+        raise InputError(reason("station_file.wrong_wire", section=name, wire=wire, **about))
     return config
 
 
 def filled(name: str, kind: type[_T], table: dict[str, Any]) -> _T:
-    """Return the values of one section.
-
-    Args:
-        name: of the section.
-        kind: the dataclass that declares its keys.
-        table: the keys as TOML gives them.
+    """Return the values of one section, its keys as TOML gives them.
 
     Raises:
         InputError: an unknown key, which lists the known ones; a missing one; a value of the wrong type.
@@ -326,25 +293,14 @@ def filled(name: str, kind: type[_T], table: dict[str, Any]) -> _T:
     values = {}
     for key, value in table.items():
         if key not in known:
-            raise InputError(
-                reason(
-                    "station_file.unknown_key",
-                    section=name,
-                    key=repr(key),
-                    known=", ".join(known),
-                    similar=_similar(key, known),
-                )
-            )
+            close = get_close_matches(key, known, 1)
+            about = {"known": ", ".join(known), "similar": f"; did you mean {close[0]}?" if close else ""}
+            raise InputError(reason("station_file.unknown_key", section=name, key=repr(key), **about))
         values[key] = _typed(f"{name}.{key}", value, types[key])
     for key, each in known.items():
         if key not in values and each.default is MISSING and each.default_factory is MISSING:
             raise InputError(reason("station_file.no_key", section=name, key=key))
     return kind(**values)
-
-
-def _similar(key: str, known: Iterable[str]) -> str:
-    close = get_close_matches(key, known, 1)
-    return f"; did you mean {close[0]}?" if close else ""
 
 
 def _typed(name: str, value: object, kind: object) -> object:
@@ -356,6 +312,22 @@ def _typed(name: str, value: object, kind: object) -> object:
     raise InputError(reason("station_file.wrong_type", name=name, value=repr(value), expected=expected))
 
 
-def _within(name: str, value: float, low: float, high: float) -> None:
+def check_within(name: str, value: float, low: float, high: float) -> None:
+    """Raise `InputError` where the value of a key is outside of [low, high]."""
     if not low <= value <= high:
         raise InputError(reason("station_file.outside", name=name, value=value, low=low, high=high))
+
+
+def check_positive(name: str, value: float) -> None:
+    """Raise `InputError` where the value of a key is not above 0."""
+    if not value > 0:
+        raise InputError(reason("station_file.positive", name=name, value=value))
+
+
+def check_known(name: str, value: str | float, known: Iterable[str | float]) -> None:
+    """Raise `InputError` where the value of a key is none of those that are known."""
+    known = tuple(known)
+    if value not in known:
+        shown = repr(value) if isinstance(value, str) else f"{value:g}"
+        listed = ", ".join(each if isinstance(each, str) else f"{each:g}" for each in known)
+        raise InputError(reason("station_file.known", name=name, value=shown, known=listed))

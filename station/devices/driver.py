@@ -5,17 +5,18 @@ from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, get_type_hints
 
+import numpy as np
+
 from softcal.station.devices.config import DeviceConfig, ForceConfig, ReadoutConfig, Role, StageConfig
 from softcal.station.interfaces import Clock, ForceReader, Readout, Stage
+from softcal.station.simulated.answering import FarEnd
+from softcal.station.simulated.motion import Axis
+from softcal.station.simulated.wire import Wire
+from softcal.station.wire.link import Link, link_for_driver
 from softcal.station.wire.transport import WireKind
 
-if TYPE_CHECKING:
-    import numpy as np
-
+if TYPE_CHECKING:  # The simulator is an extra: a real rig does without it.
     from softcal.core.twin.parameters import ReadoutMetadata
-    from softcal.station.simulated.motion import Axis
-    from softcal.station.simulated.wire import Wire
-    from softcal.station.simulated.world import FarEnd
 
 BASES: tuple[type[DeviceConfig], ...] = (StageConfig, ForceConfig, ReadoutConfig)
 
@@ -28,7 +29,6 @@ class Opening:
     """What a driver finds when it is opened.
 
     Args:
-        clock: stamps what is read; waiting on it is what lets simulated time pass.
         stage: the station's stage where it is open already, for a cell or readout behind the same port.
     """
 
@@ -46,16 +46,15 @@ class Surroundings:
         force_N: (simulated time in s) -> what presses on the load cell, N.
         outputs_V: (simulated time in s) -> output of each sensor, V.
         electronics: rate and range of the sensor's readout.
-        rng: draws noise and clock errors.
         stage_port: of the stage, for a device behind it.
     """
 
-    wire: "Wire"
-    axis: "Axis"
+    wire: Wire
+    axis: Axis
     force_N: Callable[[float], float]
     outputs_V: Callable[[float], tuple[float, ...]]
     electronics: "ReadoutMetadata"
-    rng: "np.random.Generator"
+    rng: np.random.Generator
     stage_port: str = ""
 
 
@@ -70,7 +69,7 @@ class Simulated(Generic[C]):
     """
 
     config: C
-    far_end: "FarEnd | None"
+    far_end: FarEnd | None
     reading_per_V: float = 1.0
 
 
@@ -79,17 +78,12 @@ class Driver(Generic[C, D]):
     """One kind of device that a station can use.
 
     Args:
-        kind: its name in the station file.
-        what: the instruments it is for, in a few words.
         config: a frozen dataclass of its keys, derived from `StageConfig`, `ForceConfig` or `ReadoutConfig`; it checks
             its values by raising `InputError`.
         open: opens the device or raises `DeviceError`, with everything it opened given back.
         simulate: makes the device for the simulated station and for the test kit.
         wires: what `port` may name, the simulated device stands behind the first of them.
         is_threaded: whether it reads in a thread of its own; then simulated time is real time.
-
-    Raises:
-        ValueError: the declaration is none.
     """
 
     kind: str
@@ -109,7 +103,6 @@ class Driver(Generic[C, D]):
 
     @property
     def role(self) -> Role:
-        """Whether it drives a stage, a load cell or a readout."""
         return self.config.role
 
     @property
@@ -119,13 +112,23 @@ class Driver(Generic[C, D]):
 
     @property
     def described_keys(self) -> list[tuple[str, str, str, str]]:
-        """Its keys as (name, type, default, unit): a default as the station file has it, "needed" without one."""
+        """Its keys as (name, type, default, unit), as the station file has them, "needed" without a default."""
         types, names = (
             get_type_hints(self.config),
             {float: "number", int: "whole number", str: "text", bool: "true/false"},
         )
         defaults = {f.name: "needed" if f.default is MISSING else json.dumps(f.default) for f in fields(self.config)}
         return [(key, names.get(types[key], str(types[key])), value, unit_of(key)) for key, value in defaults.items()]
+
+
+def opens(name: str, make: Callable[[Link, Any], D]) -> Callable[[Any, Opening], D]:
+    """Return what opens a device on a port; the port is given back when another device is there."""
+
+    def opened(config: Any, opening: Opening) -> D:
+        with link_for_driver(config.port, opening.clock, config.baud_rate, name) as link:
+            return make(link, config)
+
+    return opened
 
 
 UNITS = {

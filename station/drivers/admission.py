@@ -1,4 +1,4 @@
-"""Which moves a stage may be given: the same rule for every controller, asked before a byte is written."""
+"""Which moves a stage may be given: one rule for all controllers, before a byte is written."""
 
 from softcal.core.errors import CommandRefused
 from softcal.core.words.reason import Reason, reason
@@ -9,16 +9,7 @@ SPEED_ROUNDING = 1e-6
 
 
 def admit(stage: Stage, move: Move, slowest_mm_s: float = 0.0) -> None:
-    """Take a move as one that may begin.
-
-    Args:
-        stage: at rest, homed.
-        move: where to, how fast.
-        slowest_mm_s: that the controller can keep.
-
-    Raises:
-        CommandRefused: not homed, still moving, or beyond travel or speed; nothing was sent.
-    """
+    """Raise `CommandRefused` for a move that may not begin; the controller keeps `slowest_mm_s`."""
     if not stage.is_position_known:
         raise CommandRefused(Reason("rig.not_homed"))
     if stage.is_moving:

@@ -1,4 +1,4 @@
-"""Driver of a Mark-10 ESM301 or ESM303 stand with its gauge, both on the stand's one port (frames/esm.py)."""
+"""Driver of a Mark-10 ESM301 or ESM303 stand and its gauge, both on one port (frames/esm.py)."""
 
 from collections import deque
 from collections.abc import Callable
@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from softcal.core.errors import BadReply, DeviceError, NoReply
 from softcal.core.words.reason import Reason, reason
 from softcal.station.devices.config import ForceConfig, StageConfig
-from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings
+from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings, opens
 from softcal.station.drivers.admission import admit
 from softcal.station.interfaces import Move, OnWait, Sample, StagePosition, ignore_wait
+from softcal.station.simulated.esm import SimulatedEsm
+from softcal.station.simulated.force_gauge import SimulatedMark10
 from softcal.station.wire.frames import esm, gcl2
-from softcal.station.wire.link import POLL_S, Line, Link, link_for_driver
+from softcal.station.wire.link import POLL_S, Line, Link
 
 STOPS_WITHIN_S = 1.0
 SILENCE_S = 0.25
@@ -58,7 +60,7 @@ class EsmGaugeConfig(ForceConfig):
 
 
 class SharedPort:
-    """Questions and answers of stage and gauge on one port: the stand answers in the order it was asked."""
+    """Questions of stage and gauge on one port: the stand answers in the order it was asked."""
 
     def __init__(self, link: Link) -> None:
         self.link = link
@@ -70,11 +72,7 @@ class SharedPort:
         self.link.write(question)
 
     def read(self) -> None:
-        """Hand out the answers that have arrived.
-
-        Raises:
-            NoReply: the port is gone, or a question was not answered in time.
-        """
+        """Hand out what has arrived; `NoReply` where a question was not answered in time."""
         for line in self.link.read_lines():
             if self._open:
                 asked_s, take = self._open.popleft()
@@ -83,17 +81,13 @@ class SharedPort:
             raise NoReply(reason("esm.no_answer", seconds=SILENCE_S))
 
     def resynchronise(self) -> None:
-        """Begin again after an answer was lost: without it every answer would be taken for the one before."""
+        """Begin again after an answer was lost: the next would be taken for the one before."""
         self._open.clear()
         self.link.clock.sleep_s(SILENCE_S)
         self.link.discard()
 
     def answer(self, question: bytes) -> bytes:
-        """Ask and wait for the answer; those to questions of before are handed out on the way.
-
-        Raises:
-            NoReply: none came.
-        """
+        """Ask and wait for the answer; older ones are handed out on the way."""
         answers: list[bytes] = []
         self.ask(question, lambda line, asked_s: answers.append(line.text))
         while not answers:
@@ -109,8 +103,6 @@ class EsmStage:
 
     Args:
         link: the stand's port; PC control must be installed and the console chosen in its menu.
-        travel_mm: length that may be used below the switch.
-        acceleration_mm_s2: of the crosshead; only the reconstruction of corners depends on it.
 
     Raises:
         NoReply: no stand answers.
@@ -130,14 +122,7 @@ class EsmStage:
         esm.parse_status(self.port.answer(esm.STATUS))
 
     def home(self, on_wait: OnWait = ignore_wait) -> None:
-        """Drive up to the upper limit switch, and call that 0.
-
-        Args:
-            on_wait: called at every look; what it raises ends the wait.
-
-        Raises:
-            DeviceError: the crosshead stopped before the switch, or did not get there in time.
-        """
+        """Drive up to the upper limit switch, and call that 0."""
         self.is_position_known = self.is_moving = False
         self._tell(esm.STOP, esm.MANUAL_MODE, esm.speed(HOMING_MM_S), esm.PROGRAMMED_SPEED, esm.UP)
         end_s = self.port.link.clock.now_s() + HOMING_S
@@ -156,11 +141,6 @@ class EsmStage:
         self.is_position_known = True
 
     def begin(self, move: Move) -> None:
-        """Start a move and return at once.
-
-        Raises:
-            CommandRefused: not homed, still moving, or beyond travel or speed; nothing was sent.
-        """
         admit(self, move, esm.SPEED_MM_MIN[0] / 60.0)
         to_mm = round(move.to_mm, 2)
         self._target_mm, self._began_s = to_mm, self.port.link.clock.now_s()
@@ -179,12 +159,6 @@ class EsmStage:
         self.is_moving = True
 
     def poll(self) -> list[StagePosition]:
-        """Read what the stand said, and ask for travel and status when it is time.
-
-        Raises:
-            NoReply: the port is gone, or a question was not answered.
-            DeviceError: the crosshead stopped short of its target.
-        """
         self.port.read()
         now_s = self.port.link.clock.now_s()
         if now_s >= self._next_status_s:
@@ -195,11 +169,6 @@ class EsmStage:
         return positions
 
     def stop(self) -> None:
-        """Stop; the stand takes the command at any time.
-
-        Raises:
-            NoReply: the stand does not answer; it was told to stop all the same.
-        """
         self.is_moving = False
         self._tell(esm.STOP)
         try:
@@ -209,10 +178,6 @@ class EsmStage:
             self.is_position_known, was_homed = False, self.is_position_known
             self._await_standstill()
             self.is_position_known = was_homed
-
-    def gauge(self, capacity_N: float, sign: float, rate_Hz: float) -> "EsmGauge":
-        """Return the gauge that sits on the crosshead, behind the same port."""
-        return EsmGauge(self.port, capacity_N, sign, rate_Hz)
 
     def close(self) -> None:
         self.port.link.close()
@@ -252,10 +217,7 @@ class EsmGauge:
     """The gauge on the stand, asked through the stand's port; it has no clock of its own.
 
     Args:
-        port: the stand's port.
-        capacity_N: rated load.
         sign: 1 where compression reads positive, −1 where the polarity is inverted.
-        rate_Hz: questions per second.
 
     Raises:
         NoReply: no gauge answers behind the stand.
@@ -279,12 +241,6 @@ class EsmGauge:
         self._next_s = 0.0
 
     def poll(self) -> list[Sample]:
-        """Return the readings that arrived, in N, and ask for the next one when it is time.
-
-        Raises:
-            NoReply: the port is gone, or a question was not answered.
-            BadReply: the gauge answers with an error code, or without its unit.
-        """
         self._port.read()
         now_s = self._port.link.clock.now_s()
         if now_s >= self._next_s:
@@ -302,21 +258,17 @@ class EsmGauge:
         self._samples.append(Sample((asked_s + line.host_s) / 2, None, (force_N,)))
 
 
-def _open(config: EsmConfig, opening: Opening) -> EsmStage:
-    with link_for_driver(config.port, opening.clock, config.baud_rate, "stage") as link:
-        return EsmStage(link, config.travel_mm, config.acceleration_mm_s2)
+def _open(link: Link, config: EsmConfig) -> EsmStage:
+    return EsmStage(link, config.travel_mm, config.acceleration_mm_s2)
 
 
 def _open_gauge(config: EsmGaugeConfig, opening: Opening) -> EsmGauge:
     if not isinstance(opening.stage, EsmStage) or opening.stage.port.link.port != config.port:
         raise NoReply(reason("esm.no_stand", port=config.port))
-    return opening.stage.gauge(config.capacity_N, config.sign, config.rate_Hz)
+    return EsmGauge(opening.stage.port, config.capacity_N, config.sign, config.rate_Hz)
 
 
 def _simulate(around: Surroundings) -> Simulated[EsmConfig]:
-    from softcal.station.simulated.esm import SimulatedEsm
-    from softcal.station.simulated.force_gauge import SimulatedMark10
-
     gauge = SimulatedMark10(around.wire, around.force_N)
     return Simulated(EsmConfig(around.wire.port), SimulatedEsm(around.wire, around.axis, gauge))
 
@@ -326,6 +278,6 @@ def _simulate_gauge(around: Surroundings) -> Simulated[EsmGaugeConfig]:
 
 
 DRIVERS = (
-    Driver("esm", "Mark-10 ESM301 and ESM303 stands under PC control", EsmConfig, _open, _simulate),
+    Driver("esm", "Mark-10 ESM301 and ESM303 stands under PC control", EsmConfig, opens("stage", _open), _simulate),
     Driver("esm", "the gauge on a Mark-10 stand", EsmGaugeConfig, _open_gauge, _simulate_gauge),
 )

@@ -3,17 +3,18 @@
 from collections import deque
 from dataclasses import dataclass
 
-from softcal.core.errors import BadReply, CommandRefused, DeviceError, InputError, NoReply
+from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply
 from softcal.core.words.reason import Reason, reason
-from softcal.station.devices.config import StageConfig
-from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings
+from softcal.station.devices.config import StageConfig, check_known
+from softcal.station.devices.driver import Driver, Simulated, opens
 from softcal.station.drivers.admission import admit
 from softcal.station.drivers.grbl_settings import ANSWER_S, read_settings
 from softcal.station.interfaces import Held, Move, OnWait, StagePosition, ignore_wait
 from softcal.station.motion.feeding import PieceFeed, runs_on_mm, runs_on_s
 from softcal.station.record.trajectory import Trapezoid
+from softcal.station.simulated.grbl import SimulatedGrbl
 from softcal.station.wire.frames import grbl
-from softcal.station.wire.link import POLL_S, Line, Link, link_for_driver
+from softcal.station.wire.link import POLL_S, Line, Link
 
 STATUS_S = 0.1
 """Status polls: ten a second is the controller's limit."""
@@ -38,9 +39,6 @@ class GrblConfig(StageConfig):
         baud_rate: of its port.
         axis: letter of the axis that presses.
         is_reversed: whether pressing is the negative machine direction.
-
-    Raises:
-        InputError: there is no such axis.
     """
 
     kind: str = "grbl"
@@ -49,16 +47,13 @@ class GrblConfig(StageConfig):
     is_reversed: bool = True
 
     def __post_init__(self) -> None:
-        if self.axis not in ("X", "Y", "Z"):
-            raise InputError(reason("station_file.known", name="stage.axis", value=repr(self.axis), known="X, Y, Z"))
+        check_known("stage.axis", self.axis, ("X", "Y", "Z"))
 
 
 class GrblStage:
     """One axis of a GRBL controller, positive when it compresses, 0 at the homing switch.
 
     Args:
-        link: its port.
-        axis: letter of the axis.
         is_reversed: whether pressing is the negative machine direction, as for a Z axis that homes at the top.
 
     Raises:
@@ -91,18 +86,13 @@ class GrblStage:
         return bool(self._feed is not None or self._in_flight)
 
     def home(self, on_wait: OnWait = ignore_wait) -> None:
-        """Find the homing switch and wait until it is done.
-
-        Args:
-            on_wait: called every few milliseconds; what it raises ends the wait.
-
-        Raises:
-            DeviceError: the switch is missing or stuck; the position stays unknown.
-        """
         self.is_position_known = self.can_lift_roughly = False
         self._forget_motion()
         self._link.discard()
-        self._unlock_after_alarm()
+        self._link.write(grbl.RESET)  # A hard-limit alarm ignores even homing until a reset.
+        self._wait_for_greeting(ANSWER_S)
+        self._link.clock.sleep_s(0.05)
+        self._link.discard()
         self._link.write(grbl.HOME)
         self._is_homing = True
         self._wait_until_homed(on_wait)
@@ -110,11 +100,6 @@ class GrblStage:
         self._await_status()
 
     def begin(self, move: Move) -> None:
-        """Start a move and return at once; `poll` feeds it.
-
-        Raises:
-            CommandRefused: not homed, still moving, or beyond travel or speed; nothing was sent.
-        """
         admit(self, move)
         path = Trapezoid(self.position_mm, move.to_mm, move.speed_mm_s, self.acceleration_mm_s2)
         self._target_mm, self._speed_mm_s = move.to_mm, move.speed_mm_s
@@ -123,12 +108,6 @@ class GrblStage:
         self._send_due()
 
     def poll(self) -> list[StagePosition]:
-        """Read what the controller said, feed the move in progress, ask for the position when it is time.
-
-        Raises:
-            NoReply: the port is gone, or a status poll was not answered.
-            DeviceError: alarm, door, or the controller started again: the position may be lost.
-        """
         positions = [p for line in self._link.read_lines() if (p := self._take(line)) is not None]
         now_s = self._link.clock.now_s()
         if self._asked_s is not None and now_s - self._asked_s > SILENCE_S:
@@ -143,10 +122,6 @@ class GrblStage:
 
         A reset after a complete hold keeps the position; one in motion would lose it. How long braking takes follows
         from the speed and the deceleration of the drive; only a stage that is far beyond it is cut off in motion.
-
-        Raises:
-            Held: it stands, and somebody holds the button at the machine.
-            NoReply: the controller does not answer; it was told to stop all the same.
         """
         answers_before = 0 if self._asked_s is None else 1
         self._forget_motion()
@@ -167,14 +142,6 @@ class GrblStage:
             raise Held(Reason("grbl.held.now"))
 
     def lift_roughly(self, distance_mm: float, speed_mm_s: float) -> None:
-        """Begin to go away from the unit after a stop that had to cut the motion; `poll` follows it.
-
-        Args:
-            distance_mm: at most; the homing switch is kept off.
-
-        Raises:
-            CommandRefused: the position was lost otherwise; nothing was sent.
-        """
         distance_mm = min(distance_mm, self.position_mm - OFF_SWITCH_MM)
         if not self.can_lift_roughly or distance_mm <= 0.0:
             raise CommandRefused(Reason("grbl.lost"))
@@ -191,7 +158,6 @@ class GrblStage:
             self._link.write(line)
 
     def unsafe_settings(self) -> list[tuple[str, Reason]]:
-        """Return each setting that takes safety away as `$n=value`, and the command that mends it."""
         return self.settings.unsafe()
 
     def runs_on_s(self, speed_mm_s: float) -> float:
@@ -204,7 +170,7 @@ class GrblStage:
         self._link.close()
 
     def _wake(self) -> str:
-        """Reset the controller and return its greeting; the boot loader of an Arduino swallows the first tries."""
+        """Reset the controller and return its greeting; a boot loader swallows the first tries."""
         for _ in range(4):
             self._link.discard()
             self._link.write(grbl.RESET)
@@ -215,7 +181,7 @@ class GrblStage:
         raise NoReply(reason("grbl.none", port=self._link.port))
 
     def _send_due(self) -> None:
-        """Send the pieces that are due, and after the last one the line that proves the end of the move."""
+        """Send the pieces that are due, and at last the line that proves the end of the move."""
         now_s = self._link.clock.now_s()
         while self._feed:
             ends_mm = self._feed.due_mm(now_s)
@@ -289,11 +255,7 @@ class GrblStage:
         self._asked_s = None
 
     def _has_stopped(self, answers_before: int) -> bool:
-        """Poll until the controller says that it stands still; False when it does not say so in time.
-
-        Args:
-            answers_before: answers to polls from before the stop that may still come; they prove nothing.
-        """
+        """Poll until it says that it stands; answers to polls from before the stop prove nothing."""
         self._is_alarmed = False
         heard_s = self._link.clock.now_s()
         end_s = heard_s + 2 * SILENCE_S + MARGIN * self._peak_mm_s / self.acceleration_mm_s2
@@ -304,7 +266,9 @@ class GrblStage:
                 reply = grbl.parse(line.text)
             except (BadReply, NoReply):
                 continue
-            if isinstance(reply, (grbl.Alarm, grbl.Greeting)) or _is_locked(reply):
+            # Something other than a hold ended the motion: then nothing moves by itself.
+            is_locked = isinstance(reply, grbl.GrblStatus) and reply.state in ("Alarm", "Door", "Sleep", "Home")
+            if isinstance(reply, grbl.Alarm | grbl.Greeting) or is_locked:
                 self._is_alarmed = True
                 return False
             if isinstance(reply, grbl.GrblStatus):
@@ -317,13 +281,6 @@ class GrblStage:
             self._link.clock.sleep_s(0.02)
         self._is_alarmed = self._link.clock.now_s() >= heard_s + 2 * SILENCE_S
         return False
-
-    def _unlock_after_alarm(self) -> None:
-        """A hard-limit alarm ignores even homing until a reset."""
-        self._link.write(grbl.RESET)
-        self._wait_for_greeting(ANSWER_S)
-        self._link.clock.sleep_s(0.05)
-        self._link.discard()
 
     def _wait_for_greeting(self, within_s: float) -> str:
         end_s = self._link.clock.now_s() + within_s
@@ -345,35 +302,24 @@ class GrblStage:
                 reply = grbl.parse(line.text)
                 if isinstance(reply, grbl.Ok):
                     return
-                self._check_homing(reply)
+                if isinstance(reply, grbl.GrblRefusal):
+                    self._is_homing = False
+                    raise CommandRefused(reason("grbl.homing_refused", reply=reply.reason))
+                if isinstance(reply, grbl.Alarm | grbl.Greeting):
+                    self._is_homing = False
+                    why = reply.reason if isinstance(reply, grbl.Alarm) else Reason("grbl.part.restarted")
+                    raise DeviceError(reason("grbl.homing_failed", why=why))
             self._link.clock.sleep_s(POLL_S)
             on_wait()
         raise NoReply(reason("rig.not_home", seconds=HOMING_S))
 
-    def _check_homing(self, reply: grbl.Reply) -> None:
-        if isinstance(reply, grbl.GrblRefusal):
-            self._is_homing = False
-            raise CommandRefused(reason("grbl.homing_refused", reply=reply.reason))
-        if isinstance(reply, (grbl.Alarm, grbl.Greeting)):
-            self._is_homing = False
-            why = reply.reason if isinstance(reply, grbl.Alarm) else Reason("grbl.part.restarted")
-            raise DeviceError(reason("grbl.homing_failed", why=why))
 
-
-def _is_locked(reply: grbl.Reply) -> bool:
-    """Whether a reply says that something other than a hold ended the motion: then nothing moves by itself."""
-    return isinstance(reply, grbl.GrblStatus) and reply.state in ("Alarm", "Door", "Sleep", "Home")
-
-
-def _open(config: GrblConfig, opening: Opening) -> GrblStage:
-    with link_for_driver(config.port, opening.clock, config.baud_rate, "stage") as link:
-        return GrblStage(link, config.axis, config.is_reversed)
-
-
-def _simulate(around: Surroundings) -> Simulated[GrblConfig]:
-    from softcal.station.simulated.grbl import SimulatedGrbl
-
-    return Simulated(GrblConfig(around.wire.port), SimulatedGrbl(around.wire, around.axis))
-
-
-DRIVERS = (Driver("grbl", "GRBL 1.1 and grblHAL controllers", GrblConfig, _open, _simulate),)
+DRIVERS = (
+    Driver(
+        "grbl",
+        "GRBL 1.1 and grblHAL controllers",
+        GrblConfig,
+        opens("stage", lambda link, config: GrblStage(link, config.axis, config.is_reversed)),
+        lambda around: Simulated(GrblConfig(around.wire.port), SimulatedGrbl(around.wire, around.axis)),
+    ),
+)

@@ -43,21 +43,18 @@ class GrblSettings:
 
     @property
     def travel_mm(self) -> float:
-        """How far the axis goes."""
         return self.values[TRAVEL + self.index]
 
     @property
     def max_speed_mm_s(self) -> float:
-        """How fast it goes; the controller says it in mm/min."""
         return self.values[SPEED + self.index] / 60.0
 
     @property
     def acceleration_mm_s2(self) -> float:
-        """How it speeds up and brakes."""
         return self.values[ACCELERATION + self.index]
 
     def unsafe(self) -> list[tuple[str, Reason]]:
-        """Return each setting that takes safety away as `$n=value`, and the command that mends it."""
+        """Return each setting that takes safety away as `$n=value`, and what mends it."""
         found = []
         for number, is_safe, cure in SAFE:
             shown = number + (self.index if number == ACCELERATION else 0)

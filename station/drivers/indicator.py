@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass
 
-from softcal.station.devices.driver import Driver, Simulated, Surroundings
-from softcal.station.drivers.serial_cell import LineCell, SerialCellConfig, opens
+from softcal.station.devices.driver import Driver
+from softcal.station.drivers.serial_cell import LineCell, SerialCellConfig, opens_cell, simulates
+from softcal.station.simulated.force_gauge import SimulatedIndicator
 from softcal.station.wire.frames.indicator import OVERLOADED, parse_N
 
 
@@ -23,18 +24,6 @@ class IndicatorCell(LineCell):
         return parse_N(text)
 
 
-def _simulate(around: Surroundings) -> Simulated[IndicatorConfig]:
-    from softcal.station.simulated.force_gauge import SimulatedIndicator
-
-    return Simulated(IndicatorConfig(around.wire.port), SimulatedIndicator(around.wire, around.force_N))
-
-
-DRIVERS = (
-    Driver(
-        "indicator",
-        "weighing indicators that print `ST,GS,+  4.876kg`",
-        IndicatorConfig,
-        opens(IndicatorCell),
-        _simulate,
-    ),
-)
+_WHAT = "weighing indicators that print `ST,GS,+  4.876kg`"
+_SIMULATE = simulates(IndicatorConfig, SimulatedIndicator)
+DRIVERS = (Driver("indicator", _WHAT, IndicatorConfig, opens_cell(IndicatorCell), _SIMULATE),)

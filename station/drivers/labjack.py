@@ -6,13 +6,15 @@ Registers: LabJack T-Series Datasheet, 14 Analog Inputs. Every reading is asked 
 import importlib
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
-from softcal.core.errors import BadReply, CommandRefused, InputError, NoReply
+from softcal.core.errors import BadReply, CommandRefused, NoReply
 from softcal.core.words.reason import reason
-from softcal.station.devices.config import ReadoutConfig
+from softcal.station.devices.config import ReadoutConfig, check_known, check_within
 from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.named import named
+from softcal.station.simulated.labjack import SimulatedLabjack, SimulatedLjm
 from softcal.station.wire.threaded import Reading, ThreadedReader
 
 NAME = "sensor readout"
@@ -29,9 +31,6 @@ class LabjackConfig(ReadoutConfig):
         first_input: number of the first analog input; further channels are the next ones.
         full_scale_V: range of the inputs: 10, 1, 0.1 or 0.01.
         resolution: resolution index of the converter; 0 is the device's own choice.
-
-    Raises:
-        InputError: an input or a range that cannot be.
     """
 
     kind: str = "labjack"
@@ -41,25 +40,16 @@ class LabjackConfig(ReadoutConfig):
     resolution: int = 0
 
     def __post_init__(self) -> None:
-        if self.full_scale_V not in RANGES_V:
-            known = ", ".join(f"{value:g}" for value in RANGES_V)
-            raise InputError(
-                reason("station_file.known", name="readout.full_scale_V", value=f"{self.full_scale_V:g}", known=known)
-            )
-        for name, value, high in (("first_input", self.first_input, 254), ("resolution", self.resolution, 12)):
-            if not 0 <= value <= high:
-                raise InputError(reason("station_file.outside", name=f"readout.{name}", value=value, low=0, high=high))
+        check_known("readout.full_scale_V", self.full_scale_V, RANGES_V)
+        check_within("readout.first_input", self.first_input, 0, 254)
+        check_within("readout.resolution", self.resolution, 0, 12)
 
     @property
     def inputs(self) -> list[str]:
         return [f"AIN{self.first_input + channel}" for channel in range(self.channels)]
 
     def library(self) -> Any:
-        """Return LabJack's module.
-
-        Raises:
-            NoReply: it, or the LJM library below it, is not installed.
-        """
+        """Return LabJack's module; `NoReply`: it, or the LJM library below it, is not installed."""
         try:
             return importlib.import_module("labjack.ljm")
         except Exception as error:  # It raises a kind of its own where LJM itself is missing.
@@ -67,12 +57,7 @@ class LabjackConfig(ReadoutConfig):
 
 
 def open_labjack(config: LabjackConfig, opening: Opening) -> ThreadedReader:
-    """Open the inputs a station file describes, and set their range.
-
-    Raises:
-        NoReply: no such LabJack, or its library is missing.
-        CommandRefused: it does not take a setting.
-    """
+    """Open the inputs a station file describes, and set their range."""
     ljm = config.library()
     try:
         handle = ljm.openS(config.device, "ANY", config.port)
@@ -93,17 +78,8 @@ def open_labjack(config: LabjackConfig, opening: Opening) -> ThreadedReader:
         return Reading(values)
 
     # The converter reads a little beyond its range: at the range itself the sensor is at the rail.
-    limits = (-config.full_scale_V, config.full_scale_V)
-    return ThreadedReader(
-        NAME,
-        "V",
-        config.rate_Hz,
-        opening.clock,
-        read,
-        lambda: ljm.close(handle),
-        channels=config.channels,
-        limits=limits,
-    )
+    reader = partial(ThreadedReader, channels=config.channels, limits=(-config.full_scale_V, config.full_scale_V))
+    return reader(NAME, "V", config.rate_Hz, opening.clock, read, lambda: ljm.close(handle))
 
 
 def _set(ljm: Any, handle: int, name: str, value: float, port: str) -> None:
@@ -118,22 +94,23 @@ def _set(ljm: Any, handle: int, name: str, value: float, port: str) -> None:
         raise CommandRefused(reason("labjack.other", device=named(NAME, port), name=name, value=value, found=found))
 
 
-def _simulate(around: Surroundings) -> Simulated[LabjackConfig]:
-    from softcal.station.simulated.labjack import SimulatedLabjack, SimulatedLabjackConfig
+@dataclass(frozen=True)
+class _SimulatedLabjackConfig(LabjackConfig):
+    """The same section, with the simulated library behind it.
 
+    Args:
+        device, first_input, full_scale_V, resolution: as of `LabjackConfig`.
+    """
+
+    def library(self) -> Any:
+        return SimulatedLjm()
+
+
+def _simulate(around: Surroundings) -> Simulated[LabjackConfig]:
     rate_Hz, channels = around.electronics.sample_rate_Hz, len(around.outputs_V(0.0))
-    config = SimulatedLabjackConfig(around.wire.port, rate_Hz=rate_Hz, channels=channels)
+    config = _SimulatedLabjackConfig(around.wire.port, rate_Hz=rate_Hz, channels=channels)
     return Simulated(config, SimulatedLabjack(around.wire, around.outputs_V))
 
 
-DRIVERS = (
-    Driver(
-        "labjack",
-        "LabJack T4, T7, T8: analog inputs",
-        LabjackConfig,
-        open_labjack,
-        _simulate,
-        ("library",),
-        is_threaded=True,
-    ),
-)
+_WHAT = "LabJack T4, T7, T8: analog inputs"
+DRIVERS = (Driver("labjack", _WHAT, LabjackConfig, open_labjack, _simulate, ("library",), is_threaded=True),)

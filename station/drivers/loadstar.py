@@ -1,11 +1,13 @@
 """Driver of a Loadstar DI-100 or DI-1000 interface that streams its readings (frames/loadstar.py has the source)."""
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 from softcal.core.errors import NoReply
 from softcal.core.words.reason import reason
-from softcal.station.devices.driver import Driver, Simulated, Surroundings
-from softcal.station.drivers.serial_cell import LineCell, SerialCellConfig, opens
+from softcal.station.devices.driver import Driver
+from softcal.station.drivers.serial_cell import LineCell, SerialCellConfig, opens_cell, simulates
+from softcal.station.simulated.force_gauge import SimulatedLoadstar
 from softcal.station.wire.frames import loadstar
 from softcal.station.wire.link import Link
 
@@ -21,12 +23,7 @@ class LoadstarConfig(SerialCellConfig):
 
 
 class LoadstarCell(LineCell):
-    """Streamed readings as N, in whatever unit the interface is calibrated; 9600 baud, 230400 in the high-speed model.
-
-    Raises:
-        NoReply: no such interface answers.
-        BadReply: it is calibrated in a unit that is none of force.
-    """
+    """Streamed readings as N, whatever their unit; 9600 baud, 230400 in the high-speed model."""
 
     def __init__(self, link: Link, capacity_N: float, sign: float = 1.0, rate_Hz: float = 80.0) -> None:
         super().__init__(link, capacity_N, sign, rate_Hz)
@@ -41,17 +38,15 @@ class LoadstarCell(LineCell):
         self._link.write(loadstar.STREAM)
 
     def close(self) -> None:
-        try:
+        with suppress(NoReply):  # It is gone, and its stream with it.
             self._link.write(loadstar.PING)
-        except NoReply:
-            pass  # It is gone, and its stream with it.
         super().close()
 
     def _force_N(self, text: bytes) -> float:
         return loadstar.parse_N(text, self.native_unit)
 
     def _stop_stream(self) -> None:
-        """The first carriage return ends a stream or a line of before; the second must be answered."""
+        """The first carriage return ends what was before; the second must be answered."""
         self._link.write(loadstar.PING)
         self._link.clock.sleep_s(0.2)
         self._link.discard()
@@ -65,10 +60,5 @@ class LoadstarCell(LineCell):
         return self._link.next_line(ANSWER_S).text.decode("ascii", "replace").strip()
 
 
-def _simulate(around: Surroundings) -> Simulated[LoadstarConfig]:
-    from softcal.station.simulated.force_gauge import SimulatedLoadstar
-
-    return Simulated(LoadstarConfig(around.wire.port), SimulatedLoadstar(around.wire, around.force_N))
-
-
-DRIVERS = (Driver("loadstar", "Loadstar DI-100 and DI-1000", LoadstarConfig, opens(LoadstarCell), _simulate),)
+_SIMULATE = simulates(LoadstarConfig, SimulatedLoadstar)
+DRIVERS = (Driver("loadstar", "Loadstar DI-100 and DI-1000", LoadstarConfig, opens_cell(LoadstarCell), _SIMULATE),)

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, InputError, NoReply
 from softcal.core.words.reason import Reason, reason
-from softcal.station.devices.config import ReadoutConfig
-from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings
-from softcal.station.interfaces import Sample
+from softcal.station.devices.config import ReadoutConfig, check_known, check_positive, check_within
+from softcal.station.devices.driver import Driver, Simulated, Surroundings, opens
 from softcal.station.named import named
+from softcal.station.simulated.scpi import SimulatedDmm, SimulatedLcr
 from softcal.station.wire.asked import AskedReader
-from softcal.station.wire.link import Link, link_for_driver
+from softcal.station.wire.link import Link
 from softcal.station.wire.transport import WireKind
 
 NAME = "sensor readout"
@@ -46,9 +46,6 @@ class DmmConfig(ReadoutConfig):
         quantity: voltage, resistance or resistance_4w.
         full_scale: of the fixed range, V or ohm; the instrument takes the range that holds it.
         cycles: mains cycles each reading is integrated over: 0.02, 0.2, 1, 10 or 100.
-
-    Raises:
-        InputError: an unknown quantity, or a rate the integration leaves no time for.
     """
 
     kind: str = "scpi_dmm"
@@ -58,25 +55,13 @@ class DmmConfig(ReadoutConfig):
     cycles: float = 0.2
 
     def __post_init__(self) -> None:
-        _known("readout.quantity", self.quantity, DMM_QUANTITIES)
-        _one_channel(self)
-        if self.cycles not in (0.02, 0.2, 1.0, 10.0, 100.0):
-            raise InputError(
-                reason(
-                    "station_file.known", name="readout.cycles", value=f"{self.cycles:g}", known="0.02, 0.2, 1, 10, 100"
-                )
-            )
+        check_known("readout.quantity", self.quantity, DMM_QUANTITIES)
+        _check_one_channel(self)
+        check_known("readout.cycles", self.cycles, (0.02, 0.2, 1.0, 10.0, 100.0))
         if self.rate_Hz * self.cycles / MAINS_HZ > 0.8:
-            raise InputError(
-                reason(
-                    "station_file.dmm_rate",
-                    rate_Hz=self.rate_Hz,
-                    cycles=self.cycles,
-                    most_Hz=0.8 * MAINS_HZ / self.cycles,
-                )
-            )
-        if not self.full_scale > 0:
-            raise InputError(reason("station_file.positive", name="readout.full_scale", value=self.full_scale))
+            most_Hz = 0.8 * MAINS_HZ / self.cycles
+            raise InputError(reason("station_file.dmm_rate", rate_Hz=self.rate_Hz, cycles=self.cycles, most_Hz=most_Hz))
+        check_positive("readout.full_scale", self.full_scale)
 
 
 @dataclass(frozen=True)
@@ -89,9 +74,6 @@ class LcrConfig(ReadoutConfig):
         full_scale: largest value, pF or ohm; beyond it the recording is refused.
         frequency_Hz, level_V: of the measuring signal.
         impedance_ohm: fixed measuring range of the instrument, ohm; 0 lets it choose, which costs time.
-
-    Raises:
-        InputError: an unknown quantity, or a signal the instrument cannot give.
     """
 
     kind: str = "scpi_lcr"
@@ -103,100 +85,55 @@ class LcrConfig(ReadoutConfig):
     impedance_ohm: float = 0.0
 
     def __post_init__(self) -> None:
-        _known("readout.quantity", self.quantity, LCR_QUANTITIES)
-        _one_channel(self)
-        if not 20.0 <= self.frequency_Hz <= 2e6:
-            raise InputError(
-                reason("station_file.outside", name="readout.frequency_Hz", value=self.frequency_Hz, low=20, high=2e6)
-            )
+        check_known("readout.quantity", self.quantity, LCR_QUANTITIES)
+        _check_one_channel(self)
+        check_within("readout.frequency_Hz", self.frequency_Hz, 20, 2e6)
         if not 0.0 < self.level_V <= 20.0:
             raise InputError(reason("station_file.level", level_V=self.level_V))
-        if not self.full_scale > 0:
-            raise InputError(reason("station_file.positive", name="readout.full_scale", value=self.full_scale))
+        check_positive("readout.full_scale", self.full_scale)
 
 
-class ScpiReadout:
-    """One quantity of a bench instrument, asked at a steady rate.
+def _check_one_channel(config: ReadoutConfig) -> None:
+    if config.channels != 1:
+        raise InputError(reason("station_file.one_channel", channels=config.channels, kind=str(config.kind)))
 
-    Args:
-        link: its port.
-        models: what its `*IDN?` may name.
-        setup: commands that make it measure the quantity on demand.
-        question: asks for one fresh reading.
-        unit: of the reading; `per_unit` turns the instrument's own into it.
-        full_scale: largest reading.
-        rate_Hz: readings per second.
 
-    Raises:
-        NoReply: no such instrument answers.
-        CommandRefused: it does not take its settings.
-    """
+def _readout(
+    link: Link,
+    config: ReadoutConfig,
+    models: tuple[str, ...],
+    setup: tuple[str, ...],
+    question: bytes,
+    unit: str,
+    per_unit: float,
+    full_scale: float,
+) -> AskedReader:
+    """Return what asks a bench instrument of these models for one quantity, at a steady rate."""
+    link.discard()
+    identity = _answer(link, "*IDN?").strip()
+    fields = [field.strip() for field in identity.split(",")]
+    if len(fields) < 2 or fields[1] not in models:
+        raise NoReply(reason("scpi.other", device=named(NAME), identity=repr(identity[:60]), models=", ".join(models)))
+    # One command a line: over USB-TMC each line is a message of its own.
+    for command in ("*RST", "*CLS", *setup):
+        link.write(command.encode() + b"\n")
+    error = _answer(link, "SYST:ERR?")
+    if int_of(error.split(",")[0]) != 0:
+        raise CommandRefused(reason("scpi.settings", device=named(NAME), error=error[:80]))
 
-    name = NAME
-    channels = 1
+    def parse(line: bytes) -> tuple[float, ...]:
+        return (per_unit * parse_reading(line),)
 
-    def __init__(
-        self,
-        link: Link,
-        models: tuple[str, ...],
-        setup: tuple[str, ...],
-        question: str,
-        unit: str,
-        per_unit: float,
-        full_scale: float,
-        rate_Hz: float,
-    ) -> None:
-        self._link, self.unit, self.rate_Hz, self._per_unit = link, unit, rate_Hz, per_unit
-        self.range = (-full_scale, full_scale)
-        self.identity = self._identified(models)
-        self._set(setup)
-        self._reader = AskedReader(NAME, unit, rate_Hz, link, question.encode() + b"\n", self._parse)
+    return AskedReader(NAME, unit, config.rate_Hz, link, question, parse, limits=(-full_scale, full_scale))
 
-    def start(self) -> None:
-        self._reader.start()
 
-    def poll(self) -> list[Sample]:
-        """Return the readings that arrived since the last call.
-
-        Raises:
-            NoReply: the port is gone.
-            BadReply: overload, or no number.
-        """
-        return self._reader.poll()
-
-    def close(self) -> None:
-        self._reader.close()
-
-    def _identified(self, models: tuple[str, ...]) -> str:
-        self._link.discard()
-        self._link.write(b"*IDN?\n")
-        identity = self._link.next_line(ANSWER_S).text.decode("ascii", "replace").strip()
-        fields = [field.strip() for field in identity.split(",")]
-        if len(fields) < 2 or fields[1] not in models:
-            raise NoReply(
-                reason("scpi.other", device=named(NAME), identity=repr(identity[:60]), models=", ".join(models))
-            )
-        return identity
-
-    def _set(self, setup: tuple[str, ...]) -> None:
-        # One command a line: over USB-TMC each line is a message of its own.
-        for command in ("*RST", "*CLS", *setup):
-            self._link.write(command.encode() + b"\n")
-        self._link.write(b"SYST:ERR?\n")
-        error = self._link.next_line(ANSWER_S).text.decode("ascii", "replace")
-        if int_of(error.split(",")[0]) != 0:
-            raise CommandRefused(reason("scpi.settings", device=named(NAME), error=error[:80]))
-
-    def _parse(self, line: bytes) -> tuple[float, ...]:
-        return (self._per_unit * parse_reading(line),)
+def _answer(link: Link, question: str) -> str:
+    link.write(question.encode() + b"\n")
+    return link.next_line(ANSWER_S).text.decode("ascii", "replace")
 
 
 def parse_reading(line: bytes) -> float:
-    """Return the first number of an answer; a third one is the status of an LCR meter.
-
-    Raises:
-        BadReply: no number, overload, or a status that says the number is none.
-    """
+    """Return the first number of an answer; `BadReply` by the third, an LCR meter's status."""
     fields = line.split(b",")
     try:
         value = float(fields[0])
@@ -204,24 +141,15 @@ def parse_reading(line: bytes) -> float:
         raise BadReply(reason("scpi.reading", device=named(NAME), line=repr(line[:40]))) from error
     status = int_of(fields[2].decode("ascii", "replace")) if len(fields) > 2 else 0
     if status:
-        raise BadReply(
-            reason(
-                "scpi.status",
-                device=named(NAME),
-                why=LCR_STATUS.get(status) or reason("scpi.status.other", status=status),
-            )
-        )
+        why = LCR_STATUS.get(status) or reason("scpi.status.other", status=status)
+        raise BadReply(reason("scpi.status", device=named(NAME), why=why))
     if not abs(value) < OVERLOAD:
         raise BadReply(reason("scpi.overload", device=named(NAME)))
     return value
 
 
 def int_of(text: str) -> int:
-    """Return a whole number as SCPI writes it.
-
-    Raises:
-        BadReply: it is none.
-    """
+    """Return a whole number as SCPI writes it; `BadReply` where it is none."""
     try:
         return int(float(text))
     except (ValueError, OverflowError) as error:
@@ -246,61 +174,30 @@ def lcr_setup(config: LcrConfig) -> tuple[str, ...]:
     return ("FORM ASC", f"FUNC:IMP {function}", ranges, *signal, "APER SHOR,1", "TRIG:SOUR BUS", "INIT:CONT ON")
 
 
-def _open_dmm(config: DmmConfig, opening: Opening) -> ScpiReadout:
-    unit = DMM_QUANTITIES[config.quantity][1]
-    with link_for_driver(config.port, opening.clock, config.baud_rate, NAME) as link:
-        return ScpiReadout(
-            link, DMM_MODELS, dmm_setup(config), "READ?", unit, 1.0, 1.2 * config.full_scale, config.rate_Hz
-        )
+def _dmm(link: Link, config: DmmConfig) -> AskedReader:
+    unit, most = DMM_QUANTITIES[config.quantity][1], 1.2 * config.full_scale
+    return _readout(link, config, DMM_MODELS, dmm_setup(config), b"READ?\n", unit, 1.0, most)
 
 
-def _open_lcr(config: LcrConfig, opening: Opening) -> ScpiReadout:
+def _lcr(link: Link, config: LcrConfig) -> AskedReader:
     _, unit, per_unit = LCR_QUANTITIES[config.quantity]
-    with link_for_driver(config.port, opening.clock, config.baud_rate, NAME) as link:
-        return ScpiReadout(
-            link,
-            LCR_MODELS,
-            lcr_setup(config),
-            "TRIG:IMM;:FETC?",
-            unit,
-            per_unit,
-            config.full_scale,
-            config.rate_Hz,
-        )
+    question = b"TRIG:IMM;:FETC?\n"
+    return _readout(link, config, LCR_MODELS, lcr_setup(config), question, unit, per_unit, config.full_scale)
 
 
 def _simulate_dmm(around: Surroundings) -> Simulated[DmmConfig]:
-    from softcal.station.simulated.scpi import SimulatedDmm
-
-    def ohm(now_s: float) -> float:
-        return 1000.0 * around.outputs_V(now_s)[0]
-
     config = DmmConfig(around.wire.port, rate_Hz=around.electronics.sample_rate_Hz)
-    return Simulated(config, SimulatedDmm(around.wire, ohm), reading_per_V=1000.0)
+    return Simulated(config, SimulatedDmm(around.wire, lambda now_s: 1000.0 * around.outputs_V(now_s)[0]), 1000.0)
 
 
 def _simulate_lcr(around: Surroundings) -> Simulated[LcrConfig]:
-    from softcal.station.simulated.scpi import SimulatedLcr
-
-    def farad(now_s: float) -> float:
-        return 100e-12 * around.outputs_V(now_s)[0]
-
     config = LcrConfig(around.wire.port, rate_Hz=around.electronics.sample_rate_Hz)
-    return Simulated(config, SimulatedLcr(around.wire, farad), reading_per_V=100.0)
+    return Simulated(config, SimulatedLcr(around.wire, lambda now_s: 100e-12 * around.outputs_V(now_s)[0]), 100.0)
 
 
-def _known(name: str, value: str, known: dict[str, tuple[str, str]] | dict[str, tuple[str, str, float]]) -> None:
-    if value not in known:
-        raise InputError(reason("station_file.known", name=name, value=repr(value), known=", ".join(known)))
-
-
-def _one_channel(config: ReadoutConfig) -> None:
-    if config.channels != 1:
-        raise InputError(reason("station_file.one_channel", channels=config.channels, kind=str(config.kind)))
-
-
+_DMM, _LCR = "SCPI multimeters: Keysight 34461A and its family", "SCPI LCR meters: Keysight E4980A, E4980AL"
 _WIRES: tuple[WireKind, ...] = ("tcp", "visa", "serial")
 DRIVERS = (
-    Driver("scpi_dmm", "SCPI multimeters: Keysight 34461A and its family", DmmConfig, _open_dmm, _simulate_dmm, _WIRES),
-    Driver("scpi_lcr", "SCPI LCR meters: Keysight E4980A, E4980AL", LcrConfig, _open_lcr, _simulate_lcr, _WIRES),
+    Driver("scpi_dmm", _DMM, DmmConfig, opens(NAME, _dmm), _simulate_dmm, _WIRES),
+    Driver("scpi_lcr", _LCR, LcrConfig, opens(NAME, _lcr), _simulate_lcr, _WIRES),
 )

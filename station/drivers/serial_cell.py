@@ -1,19 +1,20 @@
-"""What load cells on a serial line share: the keys of their section, and readings that come line by line."""
+"""What load cells on a serial line share: their keys, and readings line by line."""
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any
 
 from softcal.core.errors import BadReply
 from softcal.core.words.reason import Reason
 from softcal.station.devices.config import ForceConfig
-from softcal.station.devices.driver import Opening
-from softcal.station.drivers.text_stream import BAD_IN_A_ROW
-from softcal.station.interfaces import Sample
-from softcal.station.wire.link import Link, link_for_driver
+from softcal.station.devices.driver import Opening, Simulated, Surroundings, opens
+from softcal.station.drivers.text_stream import LineReader
+from softcal.station.interfaces import ForceReader, Sample
+from softcal.station.simulated.force_gauge import SimulatedGauge
+from softcal.station.wire.link import Line, Link
 
-Cell = TypeVar("Cell")
+NAME = "load cell"
 
 
 @dataclass(frozen=True)
@@ -30,65 +31,43 @@ class SerialCellConfig(ForceConfig):
     sign: float = 1.0
 
 
-def opens(cell: Callable[[Link, float, float, float], Cell]) -> Callable[[SerialCellConfig, Opening], Cell]:
+def opens_cell(
+    cell: Callable[[Link, float, float, float], ForceReader],
+) -> Callable[[SerialCellConfig, Opening], ForceReader]:
     """Return what opens a cell that is made of its port, capacity, sign and rate."""
-
-    def opened(config: SerialCellConfig, opening: Opening) -> Cell:
-        with link_for_driver(config.port, opening.clock, config.baud_rate, LineCell.name) as link:
-            return cell(link, config.capacity_N, config.sign, config.rate_Hz)
-
-    return opened
+    return opens(NAME, lambda link, config: cell(link, config.capacity_N, config.sign, config.rate_Hz))
 
 
-class LineCell(ABC):
+def simulates(config: type[SerialCellConfig], gauge: type[SimulatedGauge]) -> Callable[[Surroundings], Simulated[Any]]:
+    """Return what makes the simulated cell."""
+    return lambda around: Simulated(config(around.wire.port), gauge(around.wire, around.force_N))
+
+
+class LineCell(LineReader):
     """A cell that sends a reading a line by itself; each kind says by `_force_N` what a line reads.
 
     The lines carry no time: where cell and unit meet within some milliseconds matters, use a cell with a clock.
 
     Args:
-        link: its port.
-        capacity_N: rated load.
         sign: 1 where compression reads positive, −1 otherwise.
-        rate_Hz: lines per second it sends.
     """
 
-    name = "load cell"
+    name = NAME
     unit = "N"
     fatal: Reason | None = None
     """What ends the readings at the first line that says so; other lines may be noise."""
 
     def __init__(self, link: Link, capacity_N: float, sign: float = 1.0, rate_Hz: float = 50.0) -> None:
-        self._link, self.capacity_N, self._sign, self.rate_Hz = link, capacity_N, sign, rate_Hz
-        self._is_synchronised = False
-        self._bad_in_a_row = 0
+        super().__init__(link, rate_Hz)
+        self.capacity_N, self._sign = capacity_N, sign
 
-    def start(self) -> None:
-        self._link.discard()
-        self._is_synchronised, self._bad_in_a_row = False, 0
-
-    def poll(self) -> list[Sample]:
-        """Return the readings that arrived, in N.
-
-        Raises:
-            NoReply: the port is gone.
-            BadReply: overload, or nothing but noise or errors.
-        """
-        samples = []
-        for line in self._link.read_lines():
-            if not self._is_synchronised:
-                self._is_synchronised = True  # The first line is cut more often than not.
-                continue
-            try:
-                samples.append(Sample(line.host_s, None, (self._sign * self._force_N(line.text),)))
-                self._bad_in_a_row = 0
-            except BadReply as error:
-                self._bad_in_a_row += 1
-                if error.reason == self.fatal or self._bad_in_a_row >= BAD_IN_A_ROW:
-                    raise
-        return samples
-
-    def close(self) -> None:
-        self._link.close()
+    def _sample(self, line: Line) -> Sample | None:
+        try:
+            return Sample(line.host_s, None, (self._sign * self._force_N(line.text),))
+        except BadReply as error:
+            if self._is_noise() and error.reason != self.fatal:
+                return None
+            raise
 
     @abstractmethod
     def _force_N(self, text: bytes) -> float:

@@ -2,25 +2,26 @@
 
 from dataclasses import dataclass
 
-from softcal.core.errors import BadReply, CommandRefused, DeviceError, InputError, NoReply
+from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply
 from softcal.core.words.reason import reason
-from softcal.station.devices.config import StageConfig
-from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings
+from softcal.station.devices.config import StageConfig, check_positive
+from softcal.station.devices.driver import Driver, Simulated, opens
 from softcal.station.drivers.admission import admit
 from softcal.station.interfaces import Move, OnWait, StagePosition, ignore_wait
-from softcal.station.wire.command import Control, Measurement
+from softcal.station.named import named
+from softcal.station.simulated.zaber import SimulatedZaber
 from softcal.station.wire.frames import zaber
-from softcal.station.wire.link import POLL_S, Link, link_for_driver
+from softcal.station.wire.frames.zaber import ACCELERATION_UNIT, SPEED_UNIT
+from softcal.station.wire.link import POLL_S, Link
 
 ANSWER_S = 0.5
 SILENCE_S = 0.25
 STATUS_S = 0.04
 HOMING_S = 60.0
 
-SPEED_UNIT = 1.6384
-"""A speed setting is microsteps per second times this; an acceleration setting is that per 10 000 s of second."""
-
-ACCELERATION_UNIT = 1.6384 / 10_000
+STAGE = named("stage")
+SPEEDS = (1.0, 1e9)
+"""Settings of the speed that may be sent."""
 
 
 @dataclass(frozen=True)
@@ -31,9 +32,6 @@ class ZaberConfig(StageConfig):
         baud_rate: of its port.
         microstep_mm: travel per microstep, from the data sheet.
         device, axis: its address in the chain, and which of its axes presses.
-
-    Raises:
-        InputError: a travel per microstep that is none.
     """
 
     kind: str = "zaber"
@@ -43,30 +41,13 @@ class ZaberConfig(StageConfig):
     axis: int = 1
 
     def __post_init__(self) -> None:
-        if not self.microstep_mm > 0:
-            raise InputError(reason("station_file.positive", name="stage.microstep_mm", value=self.microstep_mm))
+        check_positive("stage.microstep_mm", self.microstep_mm)
 
 
 class ZaberStage:
-    """One axis of a Zaber device, positive when it compresses, 0 at its home.
-
-    Args:
-        link: its port.
-        microstep_mm: travel per microstep, from the stage's data sheet (0.1905 µm is 0.0001905).
-        device, axis: addresses.
-
-    Raises:
-        NoReply: no Zaber device answers.
-    """
+    """One axis of a Zaber device, positive when it compresses, 0 at its home."""
 
     name = "stage"
-
-    position = Measurement("get pos", unit="microsteps", doc="Measure the position in microsteps.")
-    limit_max = Measurement("get limit.max", unit="microsteps", doc="Measure the end of the travel in microsteps.")
-    acceleration = Measurement("get accel", unit="settings", doc="Measure the acceleration setting.")
-    speed = Control(
-        "get maxspeed", "set maxspeed {:.0f}", unit="settings", limits=(1.0, 1e9), doc="Control the speed setting."
-    )
 
     def __init__(self, link: Link, microstep_mm: float, device: int = 1, axis: int = 1) -> None:
         self._link, self._microstep_mm, self._device, self._axis = link, microstep_mm, device, axis
@@ -74,21 +55,12 @@ class ZaberStage:
         self.is_position_known = self.is_moving = False
         self._asked: tuple[int, float] | None = None
         self._next_status_s = 0.0
-        self.travel_mm = self.limit_max * microstep_mm
-        self.max_speed_mm_s = self.speed / SPEED_UNIT * microstep_mm
-        self.acceleration_mm_s2 = self.acceleration / ACCELERATION_UNIT * microstep_mm
-        self.position_mm = self.position * microstep_mm
-        self._target_mm = self.position_mm
+        self.travel_mm = self._read("limit.max", "limit_max") * microstep_mm
+        self.max_speed_mm_s = self._read("maxspeed", "speed") / SPEED_UNIT * microstep_mm
+        self.acceleration_mm_s2 = self._read("accel", "acceleration") / ACCELERATION_UNIT * microstep_mm
+        self.position_mm = self._read("pos", "position") * microstep_mm
 
     def home(self, on_wait: OnWait = ignore_wait) -> None:
-        """Find the home sensor and wait until it is done.
-
-        Args:
-            on_wait: called at every look; what it raises ends the wait.
-
-        Raises:
-            DeviceError: the axis stalled or cannot be homed.
-        """
         self.is_position_known = False
         self._forget()
         self._command("home")
@@ -99,29 +71,24 @@ class ZaberStage:
             self._link.clock.sleep_s(STATUS_S)
             on_wait()
         self._check(reply)
-        self.position_mm = self.position * self._microstep_mm
+        self.position_mm = self._read("pos", "position") * self._microstep_mm
         self.is_position_known = True
 
     def begin(self, move: Move) -> None:
-        """Start a move and return at once.
-
-        Raises:
-            CommandRefused: not homed, still moving, or beyond travel or speed; nothing was sent.
-        """
         admit(self, move)
         self._forget()
-        self.speed = max(1.0, move.speed_mm_s / self._microstep_mm * SPEED_UNIT)
+        speed, (low, high) = max(1.0, move.speed_mm_s / self._microstep_mm * SPEED_UNIT), SPEEDS
+        if not low <= speed <= high:
+            about = reason(
+                "rig.outside.quantity", device=STAGE, quantity="speed", value=speed, unit="settings", low=low, high=high
+            )
+            raise CommandRefused(about)
+        self._command(f"set maxspeed {speed:.0f}")
         self._command(f"move abs {round(move.to_mm / self._microstep_mm)}")
-        self._target_mm, self.is_moving = move.to_mm, True
+        self.is_moving = True
         self._next_status_s = 0.0
 
     def poll(self) -> list[StagePosition]:
-        """Read what the device said and ask for the position when it is time.
-
-        Raises:
-            NoReply: the port is gone, or a question was not answered.
-            DeviceError: stalled, interrupted, moved by hand, or a fault: the position may be lost.
-        """
         positions = []
         for line in self._link.read_lines():
             reply = zaber.parse_reply(line.text)
@@ -142,11 +109,6 @@ class ZaberStage:
         return positions
 
     def stop(self) -> None:
-        """Brake; the device answers between moves at any time, so the command waits behind nothing.
-
-        Raises:
-            NoReply: the device does not answer; it was told to stop all the same.
-        """
         self._forget()
         reply = self._command("stop")
         end_s = self._link.clock.now_s() + 2 * ANSWER_S
@@ -154,16 +116,18 @@ class ZaberStage:
             self._link.clock.sleep_s(POLL_S)
             reply = self._command("")
         self.is_position_known = self.is_position_known and not reply.is_busy and not reply.warning.startswith("F")
-        self.position_mm = self.position * self._microstep_mm
+        self.position_mm = self._read("pos", "position") * self._microstep_mm
 
     def close(self) -> None:
         self._link.close()
 
-    def ask(self, words: str) -> str:
-        return self._command(words).data
-
-    def tell(self, words: str) -> None:
-        self._command(words)
+    def _read(self, setting: str, quantity: str) -> float:
+        answer = self._command(f"get {setting}").data
+        try:
+            return float(answer)
+        except ValueError as error:
+            about = {"quantity": quantity, "answer": repr(answer[:40])}
+            raise BadReply(reason("rig.number.reads", device=STAGE, **about)) from error
 
     def _command(self, words: str) -> zaber.Reply:
         message_id = self._send(words)
@@ -200,15 +164,12 @@ def _number(reply: zaber.Reply) -> float:
         raise BadReply(reason("zaber.position", answer=repr(reply.data[:40]))) from error
 
 
-def _open(config: ZaberConfig, opening: Opening) -> ZaberStage:
-    with link_for_driver(config.port, opening.clock, config.baud_rate, "stage") as link:
-        return ZaberStage(link, config.microstep_mm, config.device, config.axis)
-
-
-def _simulate(around: Surroundings) -> Simulated[ZaberConfig]:
-    from softcal.station.simulated.zaber import SimulatedZaber
-
-    return Simulated(ZaberConfig(around.wire.port), SimulatedZaber(around.wire, around.axis))
-
-
-DRIVERS = (Driver("zaber", "Zaber stages, ASCII protocol, firmware 6 and 7", ZaberConfig, _open, _simulate),)
+DRIVERS = (
+    Driver(
+        "zaber",
+        "Zaber stages, ASCII protocol, firmware 6 and 7",
+        ZaberConfig,
+        opens("stage", lambda link, config: ZaberStage(link, config.microstep_mm, config.device, config.axis)),
+        lambda around: Simulated(ZaberConfig(around.wire.port), SimulatedZaber(around.wire, around.axis)),
+    ),
+)

@@ -21,7 +21,6 @@ class Reaction:
 
     Args:
         delay_s: from the force being there to the stage beginning to brake.
-        acceleration_mm_s2: with which it brakes.
     """
 
     delay_s: float
@@ -63,7 +62,7 @@ class ForceBounds:
 
     @property
     def unknown_mm_s(self) -> float:
-        """Fastest speed at a depth where this unit was not pressed yet, whatever force it may show there."""
+        """Fastest speed where this unit was not pressed yet, whatever force it may show there."""
         return self.noticed_mm_s(self.limit_N)
 
     def noticed_mm_s(self, force_N: float) -> float:
@@ -71,7 +70,7 @@ class ForceBounds:
         return self.reaction.fastest_mm_s((self.ceiling_N - force_N) / self.stiffest_N_mm)
 
     def rise_N(self, last_N: float) -> float:
-        """Return by how much the force may grow over the next step of a slow press, `last_N` over the one before."""
+        """Return what the force may grow by over the next step of a slow press, `last_N` over the last."""
         return max(RISE * self.limit_N, RISES * last_N)
 
     def known_mm_s(self, force_N: float, stiffness_N_mm: float) -> float:
@@ -87,7 +86,7 @@ class ForceBounds:
         return (self.ceiling_N - force_N) / self.stiffest_N_mm - speed_mm_s * unseen_s
 
     def gone_N(self, speed_mm_s: float, ran_on_mm: float) -> float:
-        """Return the force at most where the host dies at the limit: what it has not seen, and what still runs out."""
+        """Return the force at most where the host dies at the limit: unseen, and what runs out."""
         unseen_s = self.reaction.delay_s - REACTION_S
         return self.limit_N + self.stiffest_N_mm * (speed_mm_s * unseen_s + ran_on_mm)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -16,10 +17,10 @@ from softcal.station.interfaces import Sample
 UNLOADED_SAMPLES = 25
 
 OUTPUT_AHEAD = 4.0
-"""When the output has changed by so many thresholds and the force by none, the load cell is dead."""
+"""When the output has changed by so many thresholds and the force by none, the cell is dead."""
 
 REACH_MM, GRID_MM = 1.5, 0.02
-"""The contact is looked for within REACH_MM above the deepest point of the search, first on a grid."""
+"""The contact is sought within REACH_MM above the deepest point of the search, first on a grid."""
 
 POWERS = (1.0, 1.25, 1.5, 1.75, 2.0)
 """Force laws from a flat pad to a cone, to begin with."""
@@ -28,7 +29,7 @@ CURVED = 9.0
 """A curve must leave this much less than a line, in variances of one sample."""
 
 SURE_MM = 0.0033
-"""A contact with a larger standard deviation is touched again, more slowly: three of them are 10 µm."""
+"""A contact of a larger standard deviation is touched again, more slowly: three are 10 µm."""
 
 FINEST_MM_S = 0.08
 """No touch is slower than this: a soft cone would take half a minute."""
@@ -41,12 +42,7 @@ STRETCH_MM = 0.1
 
 @dataclass(frozen=True)
 class Foot:
-    """Where values begin to rise or fall.
-
-    Args:
-        at_mm: stage position.
-        doubt_mm: its standard deviation, from the noise that the fit leaves.
-    """
+    """Where values begin to rise or fall, and its standard deviation, from what the fit leaves."""
 
     at_mm: float
     doubt_mm: float
@@ -67,11 +63,7 @@ class Touch:
     values: Array
 
     def foot(self, late_s: float) -> Foot:
-        """Return the stage position at which the signal leaves its unloaded value.
-
-        Args:
-            late_s: how late the readings are, as far as that is known.
-        """
+        """Return where the signal leaves its unloaded value; the readings are late by so much."""
         return bend(self.stage_at(self.host_s - late_s), self.values)
 
 
@@ -79,8 +71,6 @@ class ContactSearch:
     """A search for contact over samples that keep coming.
 
     Args:
-        fixture: what counts as contact.
-        has_force: whether a load cell reads.
         cell, output: everything read so far; both lists grow while the search goes on.
         late_s: how late the load cell may be: so long the output may be ahead of it.
     """
@@ -111,25 +101,20 @@ class ContactSearch:
         Raises:
             BadReply: the output shows contact, the load cell does not.
         """
-        self.has_found = self.has_found or self._is_touched()
-        return self.has_found
-
-    def _is_touched(self) -> bool:
-        """Whether what came since the last call shows the touch that was looked for.
-
-        Raises:
-            BadReply: the output shows contact, the load cell does not.
-        """
+        if self.has_found:
+            return True
         new, self._seen_cell = self._cell[self._seen_cell :], len(self._cell)
         for sample in new:
             change_N = abs(sample.values[0] - self._free_N)
             self._is_felt = self._is_felt or change_N > self._fixture.contact_N
             if change_N > self._fixture.touch_N:
+                self.has_found = True
                 return True
         new, self._seen_output = self._output[self._seen_output :], len(self._output)
         for sample in new:
             change = abs(sample.values[0] - self._free_output)
             if not self._has_force and change > self._fixture.contact_output:
+                self.has_found = True
                 return True
             if self._is_felt or change <= OUTPUT_AHEAD * self._fixture.contact_output:
                 self._ahead_since_s = None
@@ -141,11 +126,7 @@ class ContactSearch:
         return False
 
     def touch(self, stage_at: Callable[[Array], Array]) -> Touch:
-        """Return what was read since the search began.
-
-        Args:
-            stage_at: host times -> stage positions in mm during the search.
-        """
+        """Return what was read since then; `stage_at`: host times -> stage positions in mm."""
         samples = self._cell if self._has_force else self._output
         host_s = np.array([sample.host_s for sample in samples])
         if samples[0].device_s is not None:
@@ -169,20 +150,21 @@ def bend(stage_mm: Array, values: Array) -> Foot:
     """
     starts = [_start(stage_mm, values, power) for power in POWERS]
     line, left_by_line = _fitted(stage_mm, values, starts[0], is_straight=True)
-    curve, left = _fitted(stage_mm, values, max(starts, key=lambda start: start.explained), is_straight=False)
+    curve, left = _fitted(stage_mm, values, max(starts), is_straight=False)
     # A straight line unless a curve is clearly better: a free power costs certainty where it is not needed.
     return curve if left < left_by_line * (1.0 - CURVED / len(values)) else line
 
 
-@dataclass(frozen=True)
-class _Start:
+class _Start(NamedTuple):
+    """Where a fit begins, and how much of the values that explains."""
+
+    explained: float
     at_mm: float
     power: float
-    explained: float
 
 
 def _start(stage_mm: Array, values: Array, power: float) -> _Start:
-    """Return the foot on a coarse grid that explains most of the values with this power, and how much that is."""
+    """Return the foot on a grid that explains most of the values with this power, and how much."""
     deepest_mm = float(np.max(stage_mm))
     shallowest_mm = max(float(np.min(stage_mm)), deepest_mm - REACH_MM)
     candidates_mm = np.arange(shallowest_mm, deepest_mm, GRID_MM)
@@ -190,7 +172,7 @@ def _start(stage_mm: Array, values: Array, power: float) -> _Start:
     shape -= shape.mean(axis=1, keepdims=True)
     explained = (shape @ (values - values.mean())) ** 2 / np.maximum(np.sum(shape**2, axis=1), 1e-300)
     k = int(np.argmax(explained))
-    return _Start(float(candidates_mm[k]), power, float(explained[k]))
+    return _Start(float(explained[k]), float(candidates_mm[k]), power)
 
 
 def _fitted(stage_mm: Array, values: Array, start: _Start, is_straight: bool) -> tuple[Foot, float]:
@@ -215,17 +197,12 @@ def _fitted(stage_mm: Array, values: Array, start: _Start, is_straight: bool) ->
 
 
 def slower_mm_s(speed_mm_s: float, doubt_mm: float) -> float:
-    """Return the speed of a search that is sure enough: noise is averaged over as many more readings."""
+    """Return the speed of a search that is sure enough: more readings average the noise."""
     return max(FINEST_MM_S, speed_mm_s * (SURE_MM / doubt_mm) ** 2)
 
 
 def stiffest_N_mm(stage_mm: Array, force_N: Array) -> float:
-    """Return the steepest slope of force against position, over stretches of STRETCH_MM.
-
-    Args:
-        stage_mm: (n,) positions of a slow press downward.
-        force_N: (n,) force there.
-    """
+    """Return the steepest slope of force against position, both (n,), over stretches of STRETCH_MM."""
     bins = np.floor((stage_mm - np.min(stage_mm)) / STRETCH_MM).astype(int)
     means = np.array([(stage_mm[bins == k].mean(), force_N[bins == k].mean()) for k in np.unique(bins)])
     if len(means) < 2:

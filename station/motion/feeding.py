@@ -23,9 +23,7 @@ class PieceFeed:
     """The pieces of one move that were not sent yet.
 
     Args:
-        path: of the whole move.
         ahead_mm: how far the controller may have been told to go beyond where the stage is.
-        now_s: the move begins now.
     """
 
     def __init__(self, path: Trapezoid, ahead_mm: float, now_s: float) -> None:
@@ -41,21 +39,20 @@ class PieceFeed:
         return bool(self._pieces)
 
     def due_mm(self, now_s: float) -> float | None:
-        """Return where the next piece ends when it may be sent; None while it is too early, or none is left."""
+        """Return where the next piece ends when it may be sent; None if too early, or none is left."""
         if not self._pieces:
             return None
         starts_s, ends_mm = self._pieces[0]
         return ends_mm if now_s - self._began_s - starts_s >= -self._ahead_s else None
 
     def sent(self, now_s: float) -> None:
-        """Take note that the next piece was sent."""
         starts_s, _ = self._pieces.popleft()
         # After a stall of the host the stage has paused; what follows must not run ahead of it.
         self._began_s += max(0.0, now_s - self._began_s - starts_s)
 
 
 def runs_on_mm(move: Move, acceleration_mm_s2: float) -> float:
-    """Return how far a stage that is fed in pieces still goes, at most, once the host is gone in a move."""
+    """Return how far a stage fed in pieces still goes, at most, when the host dies in a move."""
     fed_s = _ahead_s(move.speed_mm_s, acceleration_mm_s2) + PIECE_S
     return min(move.ahead_mm, move.speed_mm_s * fed_s)
 

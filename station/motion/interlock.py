@@ -77,11 +77,8 @@ class StateRow(NamedTuple):
     """One state.
 
     Args:
-        moves: what the stage may do.
-        watches: those that are on.
         needs: what must have been found before (attributes of `station.motion.watched.Learned`).
         late_s: how much longer than planned a move may take; for homing, how long it may take.
-        exits: states that may follow.
     """
 
     moves: Moves
@@ -132,9 +129,6 @@ class Interlock:
     def enter(self, state: State, known: Collection[str] = ()) -> None:
         """Go on to a later state.
 
-        Args:
-            known: what has been found.
-
         Raises:
             ValueError: it may not follow, or what it needs is not known; a defect of softcal, nothing was sent.
         """
@@ -144,6 +138,6 @@ class Interlock:
         self.state = state
 
     def check_move(self, is_down: bool) -> None:
-        """Raise `ValueError` where the stage may not go down, or up; a defect of softcal, nothing was sent."""
+        """Raise `ValueError` where the stage may not go down, or up: a defect; nothing was sent."""
         if not (self.row.moves.are_down or (self.row.moves is Moves.UP and not is_down)):
             raise ValueError(f"a move {'down' if is_down else 'up'} while {self.state}")

@@ -4,19 +4,20 @@ Nothing else in softcal calls `home`, `begin` or `stop` of a stage; `tests/stati
 """
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import TypeVar
 
 from softcal.core.errors import BadReply, DeviceError, NoReply, SafetyStop
 from softcal.core.words.reason import Reason, reason
 from softcal.station.devices.bench import Bench
 from softcal.station.interfaces import Held, Move, RoughLift, RunsOn
-from softcal.station.motion.interlock import Interlock, State, StateRow
+from softcal.station.motion.interlock import Interlock, State
 from softcal.station.motion.safety import LASTS_S
 from softcal.station.record.trajectory import DrivenMove, Trapezoid
 
 TICK_S = 0.005
-"""How often the devices are read while something may move; far below every latency that is promised."""
+"""How often devices are read while something may move; far below every promised latency."""
 
 RETRACT_MM_S = 5.0
 PATIENCE_S = 1.5
@@ -39,11 +40,10 @@ class StoppedByHand(Cancelled):
     """Somebody stopped the run at the keyboard."""
 
 
-class Motion:
-    """The moves of one run.
+class Motion(Interlock):
+    """The moves of one run, as far as its state lets the stage move.
 
     Args:
-        bench: open devices.
         tick: lets a little time pass, reads every device and raises what is wrong; called all through every move.
         ahead_mm: (position to go down to, speed) -> how far ahead its controller may be told to go.
     """
@@ -54,28 +54,14 @@ class Motion:
         tick: Callable[[], None],
         ahead_mm: Callable[[float, float], float] = lambda to_mm, speed_mm_s: math.inf,
     ) -> None:
+        super().__init__()
         self._bench, self._clock, self._stage, self._tick = bench, bench.clock, bench.stage, tick
         self._ahead_mm = ahead_mm
-        self._interlock = Interlock()
         self._path: Trapezoid | None = None
         self._cell: list[tuple[float, float]] = []  # (arrival, value) of every reading since the stop
         self._output: list[tuple[float, float]] = []
         self.zero_N: float | None = None
         self.free_output: float | None = None  # What the sensor shows with nothing on it.
-
-    @property
-    def state(self) -> State:
-        """How far the run is."""
-        return self._interlock.state
-
-    @property
-    def row(self) -> StateRow:
-        """What holds in this state."""
-        return self._interlock.row
-
-    def enter(self, state: State, known: Collection[str] = ()) -> None:
-        """Go on to a later state of the run; what is known decides whether it may begin."""
-        self._interlock.enter(state, known)
 
     @property
     def speed_mm_s(self) -> float:
@@ -84,21 +70,14 @@ class Motion:
 
     @property
     def left_mm(self) -> float:
-        """How far the move in progress still goes."""
         return 0.0 if self._path is None else abs(self._path.end_mm - self._stage.position_mm)
 
     @property
     def is_lowering(self) -> bool:
-        """Whether the stage goes towards the unit."""
         return self._path is not None and self._path.end_mm > self._path.start_mm
 
     def supervise(self, action: Callable[[], _T]) -> _T:
-        """Return what an action gives; whatever it raises, the stage is made safe first and the message says how.
-
-        Raises:
-            DeviceError: as raised, with what became of the stage.
-            StoppedByHand: Ctrl-C.
-        """
+        """Return what an action gives; whatever it raises, the stage is made safe first and the message says how."""
         try:
             result = action()
             self.enter(State.OVER)
@@ -112,14 +91,7 @@ class Motion:
             raise
 
     def home(self, on_wait: Callable[[], None]) -> None:
-        """Home the stage.
-
-        Args:
-            on_wait: called every few milliseconds; what it raises ends the homing.
-
-        Raises:
-            DeviceError: as the stage, or it took too long.
-        """
+        """Home the stage; what `on_wait` raises ends that, and `NoReply` when it takes too long."""
         self.enter(State.HOMING)
         end_s = self._clock.now_s() + self.row.late_s
 
@@ -136,13 +108,14 @@ class Motion:
         Raises:
             SafetyStop: deeper than allowed; nothing was sent.
             NoReply: late.
-            DeviceError: whatever tick and stage raise.
         """
-        self._check_depth(to_mm)
+        deepest_mm = self._bench.config.safety.deepest_mm
+        if to_mm > deepest_mm:
+            raise SafetyStop(reason("rig.too_deep", to_mm=to_mm, deepest_mm=deepest_mm))
         path = Trapezoid(self._stage.position_mm, to_mm, speed_mm_s, self._stage.acceleration_mm_s2)
         began_s = self._clock.now_s()
         is_down = to_mm > self._stage.position_mm
-        self._interlock.check_move(is_down)
+        self.check_move(is_down)
         self._path = path
         self._stage.begin(Move(to_mm, speed_mm_s, self._ahead_mm(to_mm, speed_mm_s) if is_down else math.inf))
         while self._stage.is_moving:
@@ -155,7 +128,6 @@ class Motion:
         return DrivenMove(path, began_s, self._clock.now_s())
 
     def wait(self, seconds: float) -> None:
-        """Stand and watch for so long."""
         end_s = self._clock.now_s() + seconds
         while self._clock.now_s() < end_s:
             self._tick()
@@ -172,8 +144,10 @@ class Motion:
         self._path, self._cell, self._output = None, [], []
         try:
             return self._stop_and_lift(cause)
-        except KeyboardInterrupt:
-            return self._stop_again()
+        except KeyboardInterrupt:  # A second interruption: stand, wherever it is.
+            is_told = self.state is not State.STOPPING
+            self._stop_quietly()
+            return self._left(Reason("left.told" if is_told else "left.there"))
 
     def _brake(self, path: Trapezoid, began_s: float) -> DrivenMove:
         move = DrivenMove(path, began_s, self._clock.now_s())
@@ -183,11 +157,6 @@ class Motion:
         self._path = None
         return move
 
-    def _check_depth(self, to_mm: float) -> None:
-        deepest_mm = self._bench.config.safety.deepest_mm
-        if to_mm > deepest_mm:
-            raise SafetyStop(reason("rig.too_deep", to_mm=to_mm, deepest_mm=deepest_mm))
-
     def _stop_and_lift(self, cause: BaseException) -> Reason:
         try:
             self._stage.stop()
@@ -195,7 +164,9 @@ class Motion:
             return self._left(Reason("left.held"))
         except DeviceError:
             self.enter(State.STOPPED)
-            return self._unreachable()
+            if not isinstance(self._stage, RunsOn):
+                return Reason("left.unreachable")
+            return reason("left.runs_on", seconds=self._stage.runs_on_s(self._bench.config.safety.speed_mm_s))
         if isinstance(cause, Held):
             return self._left(Reason("left.held"))
         if not isinstance(cause, (Exception, KeyboardInterrupt)):
@@ -225,7 +196,7 @@ class Motion:
         return self._confirmed()
 
     def _begin_lift(self, path: Trapezoid) -> None:
-        self._interlock.check_move(path.end_mm > path.start_mm)
+        self.check_move(path.end_mm > path.start_mm)
         if not self._stage.is_position_known and isinstance(self._stage, RoughLift):
             self._stage.lift_roughly(path.start_mm - path.end_mm, path.speed_mm_s)
         else:
@@ -234,10 +205,8 @@ class Motion:
     def _follow_lift(self, end_s: float) -> None:
         while self._stage.is_moving:
             self._clock.sleep_s(TICK_S)
-            try:
+            with suppress(BadReply):  # A line with noise says nothing about the lift; silence and alarms do.
                 self._stage.poll()
-            except BadReply:
-                pass  # A line with noise says nothing about the lift; silence and alarms do.
             self._listen()
             if self._clock.now_s() > end_s:
                 raise NoReply(Reason("rig.late.lifting"))
@@ -258,23 +227,9 @@ class Motion:
         self.enter(State.STOPPED)
         return Reason("left.lifted" if self._stage.is_position_known else "left.lifted_roughly")
 
-    def _stop_again(self) -> Reason:
-        """A second interruption: stand, wherever it is."""
-        is_told = self.state is not State.STOPPING
-        self._stop_quietly()
-        return self._left(Reason("left.told" if is_told else "left.there"))
-
     def _stop_quietly(self) -> None:
-        try:
+        with suppress(DeviceError):  # It was told to stop all the same.
             self._stage.stop()
-        except DeviceError:
-            pass  # It was told to stop all the same.
-
-    def _unreachable(self) -> Reason:
-        if isinstance(self._stage, RunsOn):
-            s = self._stage.runs_on_s(self._bench.config.safety.speed_mm_s)
-            return reason("left.runs_on", seconds=s)
-        return Reason("left.unreachable")
 
     def _left(self, state: Reason) -> Reason:
         """Return what became of a stage that stays where it is, with what stands on the unit."""

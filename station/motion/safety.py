@@ -1,4 +1,4 @@
-"""Safety bounds, checked on every sample while the stage moves. What is not right raises; nothing here moves."""
+"""Safety bounds, checked on every sample while the stage moves; nothing here moves."""
 
 import math
 from collections import deque
@@ -34,7 +34,6 @@ class ForceWatch:
     """Force limit of one load cell.
 
     Args:
-        bounds: the station's safety bounds.
         zero_N: reading of the unloaded cell, subtracted from every sample.
 
     `ahead_s` is to be kept up to date: for how long the force may still grow at its present rate, until the stage has
@@ -47,7 +46,7 @@ class ForceWatch:
         self._recent: deque[tuple[float, float]] = deque(maxlen=SLOPE_SAMPLES)
 
     def check(self, sample: Sample) -> None:
-        """Raise `SafetyStop` when the force is, or by the time the stage can brake will be, above the limit."""
+        """Raise `SafetyStop` when the force is above the limit, or will be before the stage brakes."""
         force_N = sample.values[0] - self.zero_N
         time_s = sample.host_s if sample.device_s is None else sample.device_s
         self._recent.append((time_s, force_N))
@@ -63,17 +62,13 @@ class ForceWatch:
 
 
 class FollowWatch:
-    """Whether there is a force where the stage presses.
-
-    Args:
-        contact_N: change of force that is contact.
-    """
+    """Whether there is a force where the stage presses."""
 
     def __init__(self, contact_N: float) -> None:
         self._contact_N = contact_N
         self._missing_since_s: float | None = None
         self._felt_mm, self._turned_mm = 0.0, math.inf
-        """Deepest with a force since the stage was last above the contact, and shallowest since there is none."""
+        """Deepest with a force since the stage was last above the contact; shallowest since without."""
 
     def check(self, force_N: float, pressed_mm: float, now_s: float) -> None:
         """Raise `BadReply` when a stage well below the contact meets no force for a while."""
@@ -102,8 +97,7 @@ class JumpWatch:
     def check(self, force_N: float, is_moving: bool, now_s: float, latest_s: float) -> None:
         """Raise `BadReply` when one sample differs from the one before by what no unit at rest can do.
 
-        Args:
-            latest_s: how late the sample may be: so long ago the stage must have stood, too.
+        The sample may be `latest_s` late: so long ago the stage must have stood, too.
         """
         if is_moving:
             self._moved_s = now_s
@@ -117,9 +111,7 @@ class StuckWatch:
     """Whether a channel still follows the stage: one that is frozen, a cell that hangs, a motor without supply.
 
     Args:
-        name: of the device, as messages call it.
         noise: standard deviation of the channel while nothing is pressed; 0 where any change will do.
-        rate_Hz: of the channel.
         stuck_mm: how far the stage may move on the unit before the channel must follow.
     """
 
@@ -132,12 +124,7 @@ class StuckWatch:
         self._shallow_mm, self._deep_mm = float("inf"), float("-inf")
 
     def check(self, value: float, pressed_mm: float) -> None:
-        """Raise `BadReply` when the stage has moved far on the unit and the channel has not followed.
-
-        Args:
-            value: of the channel.
-            pressed_mm: how far the stage is below the contact, 0 above it.
-        """
+        """Raise `BadReply` when the stage moved far on the unit and the channel has not followed."""
         self._recent.append(value)
         if pressed_mm <= 0.0:
             self._forget()
@@ -163,9 +150,6 @@ class StreamWatch:
     """Whether a stream still comes, and at its rate.
 
     Args:
-        reader: the device that is watched.
-        bounds: the station's safety bounds.
-        now_s: host time at which watching begins.
         rails: lowest and highest possible value of a readout, where staying there means a broken wire.
     """
 
@@ -183,11 +167,7 @@ class StreamWatch:
         self._earliest_s, self._old_since_s = float("inf"), float("inf")
 
     def check(self, sample: Sample) -> None:
-        """Take one sample.
-
-        Raises:
-            BadReply: the channel is at its rail, or comes at another rate than declared.
-        """
+        """Raise `BadReply` when the channel is at its rail, or comes at another rate."""
         self._seen_s = sample.host_s
         if self._rails:
             self._check_rails(sample, self._rails)
@@ -201,7 +181,7 @@ class StreamWatch:
             raise NoReply(reason("rig.silent", device=named(self._reader.name), seconds=now_s - self._seen_s))
 
     def _check_age(self, host_s: float, device_s: float) -> None:
-        """A line may begin to hold readings back: against the earliest arrivals of before, these are old."""
+        """A line may begin to hold readings back: they are old by the earliest ones of before."""
         allowed_s = CLOCK_SHARE * (device_s - self._times[-2]) if len(self._times) > 1 else 0.0
         self._earliest_s = min(self._earliest_s + allowed_s, host_s - device_s)
         age_s = host_s - device_s - self._earliest_s

@@ -1,4 +1,4 @@
-"""A profile as what the stage is told: moves from rest to rest and holds, checked before anything moves."""
+"""A profile as moves from rest to rest and holds, checked before anything moves."""
 
 from softcal.core.errors import CommandRefused
 from softcal.core.profiles import Profile
@@ -8,29 +8,20 @@ from softcal.station.interfaces import Hold, Move, Step
 
 
 def check_profile(bench: Bench, profile: Profile) -> None:
-    """Raise `CommandRefused` when a profile would leave the bounds of stage or station at any contact position."""
+    """Raise `CommandRefused` when a profile could leave the bounds of stage or station."""
     bounds, fixture = bench.config.safety, bench.config.fixture
     fastest_mm_s = min(bounds.speed_mm_s, bench.stage.max_speed_mm_s)
     deepest_mm = min(bounds.deepest_mm, bench.stage.travel_mm)
-    for segment in steps_of(profile):
-        if isinstance(segment, Move) and segment.speed_mm_s > fastest_mm_s * (1 + 1e-9):
-            raise CommandRefused(
-                reason(
-                    "rig.profile.speed",
-                    profile=repr(profile.name),
-                    speed_mm_s=segment.speed_mm_s,
-                    most_mm_s=fastest_mm_s,
-                )
-            )
-        if isinstance(segment, Move) and not -fixture.clearance_mm <= segment.to_mm <= deepest_mm - fixture.approach_mm:
-            raise CommandRefused(
-                reason(
-                    "rig.profile.depth",
-                    profile=repr(profile.name),
-                    to_mm=segment.to_mm,
-                    most_mm=deepest_mm - fixture.approach_mm,
-                )
-            )
+    name, most_mm = repr(profile.name), deepest_mm - fixture.approach_mm
+    for move in steps_of(profile):
+        if not isinstance(move, Move):
+            continue
+        speed_mm_s, to_mm = move.speed_mm_s, move.to_mm
+        if speed_mm_s > fastest_mm_s * (1 + 1e-9):
+            speeds = {"speed_mm_s": speed_mm_s, "most_mm_s": fastest_mm_s}
+            raise CommandRefused(reason("rig.profile.speed", profile=name, **speeds))
+        if not -fixture.clearance_mm <= to_mm <= most_mm:
+            raise CommandRefused(reason("rig.profile.depth", profile=name, to_mm=to_mm, most_mm=most_mm))
 
 
 def steps_of(profile: Profile) -> list[Step]:

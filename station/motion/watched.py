@@ -62,7 +62,6 @@ class Learned:
 
     @property
     def names(self) -> list[str]:
-        """What is known."""
         return [name for name, value in vars(self).items() if value is not None]
 
 
@@ -70,8 +69,6 @@ class WatchedBench:
     """The devices of a station with the watches on that `interlock.TABLE` names.
 
     Args:
-        bench: open devices.
-        spool: where everything that is read goes as it comes.
         on_tick: called after every look at the devices; what it raises stops the stage.
     """
 
@@ -103,7 +100,6 @@ class WatchedBench:
 
     @property
     def fastest_mm_s(self) -> float:
-        """Fastest speed down in this state."""
         bounds, moves = self.bounds, self.motion.row.moves
         by_force = {Moves.KNOWN: self.known.safe_mm_s, Moves.NONE: 0.0, Moves.HOME: 0.0, Moves.UP: 0.0}
         fastest_mm_s = by_force.get(moves, bounds.noticed_mm_s(self.noticed_N))
@@ -116,7 +112,6 @@ class WatchedBench:
         self.motion.enter(state, self.known.names)
 
     def start(self) -> None:
-        """Begin to read, and to watch."""
         bench, now_s = self.bench, self.bench.clock.now_s()
         bench.readout.start()
         self._streams["readout"] = StreamWatch(bench.readout, bench.config.safety, now_s, bench.readout.range)
@@ -128,9 +123,6 @@ class WatchedBench:
         """Wait until every channel speaks, before anything moves.
 
         A board that is reset when its port is opened says nothing before it has booted.
-
-        Raises:
-            NoReply: one stays silent.
         """
         silent, end_s = set(self._streams), self.bench.clock.now_s() + BOOT_S
         while silent and self.bench.clock.now_s() < end_s:
@@ -147,18 +139,14 @@ class WatchedBench:
         self.start()
 
     def home(self) -> None:
-        """Home the stage while the force is watched, and begin to read anew.
-
-        Raises:
-            SafetyStop: the force grows although homing goes away from the unit.
-        """
+        """Home the stage, and begin to read anew; `SafetyStop` where the force grows meanwhile."""
         self._lowest_N = float("inf")
         self.motion.home(self._look_while_homing)
         self.start()  # A reset of the controller may have taken longer than any silence that is allowed.
         self.enter(State.LISTENING)
 
     def expect_nothing(self) -> None:
-        """Take the present force as that of an empty path: whatever adds the touch force to it is in the way."""
+        """Take the present force as that of an empty path: the touch force more is in the way."""
         self.known.free_N = self.motion.zero_N = unloaded(self.readings.force[-10:])
         self.motion.free_output = unloaded(self.readings.output[-10:])
         self.enter(State.APPROACHING)
@@ -187,7 +175,7 @@ class WatchedBench:
         self.bounds = replace(self.bounds, reaction=replace(self.bounds.reaction, delay_s=delay_s))
 
     def expect_press(self, contact_mm: float, felt_mm: float, safe_mm_s: float) -> None:
-        """Take the surface as a cell shows it whose lateness is known, and how deep and how fast it may be pressed."""
+        """Take the surface as a cell shows it whose lateness is known, and how deep and fast to press."""
         self.known.contact_mm, self.known.felt_mm, self.known.safe_mm_s = contact_mm, felt_mm, safe_mm_s
         self._expected_N = self.bounds.limit_N
         self.enter(State.PRESSING)
@@ -198,7 +186,7 @@ class WatchedBench:
         self._take(self.bench.stage.poll())
 
     def leave_stage_alone(self, seconds: float) -> None:
-        """StageWatch the channels and tell the stage nothing, as if its host had died."""
+        """Watch the channels and tell the stage nothing, as if its host had died."""
         end_s = self.bench.clock.now_s() + seconds
         while self.bench.clock.now_s() < end_s:
             self.bench.clock.sleep_s(TICK_S)
@@ -225,15 +213,12 @@ class WatchedBench:
             _, cell = self._read(())
         except BadReply:
             return self._on_tick()  # Homing may begin under an overload: it is what takes it off.
-        if StageWatch.RISE in self.motion.row.watches:
-            for sample in cell:
-                self._check_rise(sample.values[0])
+        for sample in cell if StageWatch.RISE in self.motion.row.watches else ():
+            force_N = sample.values[0]
+            self._lowest_N = min(self._lowest_N, force_N)
+            if force_N > self._lowest_N + SUDDEN_N:
+                raise SafetyStop(reason("rig.homing.rises", force_N=force_N - self._lowest_N))
         self._on_tick()
-
-    def _check_rise(self, force_N: float) -> None:
-        self._lowest_N = min(self._lowest_N, force_N)
-        if force_N > self._lowest_N + SUDDEN_N:
-            raise SafetyStop(reason("rig.homing.rises", force_N=force_N - self._lowest_N))
 
     def _ahead_mm(self, to_mm: float, speed_mm_s: float) -> float:
         if speed_mm_s > self.fastest_mm_s * (1.0 + 1e-9):
@@ -244,14 +229,13 @@ class WatchedBench:
 
     @property
     def noticed_N(self) -> float:
-        """The force at which whatever is met stops the stage: the touch; the limit, or what a step lets expect."""
+        """The force that stops the stage: the touch; else the limit, or what a step lets expect."""
         return self.bounds.touch_N if self.motion.row.moves is Moves.FREE else self._expected_N
 
     def expect_rise(self, last_N: float) -> float:
         """Take what the force may grow to over the next step of a slow press; return the present force.
 
-        Args:
-            last_N: by how much it grew over the step before; inf for any force up to the limit.
+        It grew by `last_N` over the step before; inf for any force up to the limit.
         """
         self._expected_N = min(self.bounds.limit_N, self._force_N + self.bounds.rise_N(last_N))
         return self._force_N
@@ -265,7 +249,7 @@ class WatchedBench:
         return self.readings.force[-1].values[0] - self._force_watch.zero_N if self.readings.force else 0.0
 
     def _look_ahead(self) -> None:
-        """How long the force may still grow: until a stop holds, or until the move ends by itself."""
+        """How long the force may still grow: until a stop holds, or the move ends by itself."""
         speed_mm_s = self.motion.speed_mm_s
         if not self.motion.is_lowering or speed_mm_s == 0.0:
             self._force_watch.ahead_s = 0.0
@@ -293,29 +277,25 @@ class WatchedBench:
                     watch.check(sample.values[0], pressed_mm)
             if StageWatch.STREAM in on and name in self._streams:
                 self._streams[name].check_silence(now_s)
-        if StageWatch.DEPTH in on:
-            self._check_depth()
+        deepest_mm = self.bench.config.safety.deepest_mm
+        at_mm = self.readings.polls[-1].position_mm if self.readings.polls else -math.inf
+        if StageWatch.DEPTH in on and at_mm > deepest_mm + 0.01:
+            raise SafetyStop(reason("rig.deepest", at_mm=at_mm, deepest_mm=deepest_mm))
 
     def _check_force(self, sample: Sample) -> None:
         on, newton = self.motion.row.watches, sample.values[0]
         if StageWatch.FORCE in on:
             self._force_watch.check(sample)
-        if StageWatch.FREE in on:
-            self._check_free(newton)
+        added_N = newton - (self.known.free_N or 0.0)
+        if StageWatch.FREE in on and self.motion.is_lowering and added_N > self.bench.config.fixture.touch_N:
+            raise SafetyStop(reason("rig.in_the_way", position_mm=self.bench.stage.position_mm, force_N=added_N))
         if StageWatch.FOLLOW in on:
             self._follow_watch.check(newton - self._force_watch.zero_N, self.pressed_mm(self.late_s), sample.host_s)
         if StageWatch.JUMP in on:
             self._jump_watch.check(newton, self.bench.stage.is_moving, sample.host_s, self.latest_s)
 
-    def _check_free(self, force_N: float) -> None:
-        touch_N, free_N = self.bench.config.fixture.touch_N, self.known.free_N or 0.0
-        if self.motion.is_lowering and force_N - free_N > touch_N:
-            raise SafetyStop(
-                reason("rig.in_the_way", position_mm=self.bench.stage.position_mm, force_N=force_N - free_N)
-            )
-
     def pressed_mm(self, ago_s: float = 0.0) -> float:
-        """How far the stage was below the contact so long ago; 0 above it, or before it was found."""
+        """How far the stage was below the contact so long ago; 0 above it, or without one."""
         contact_mm = self.known.contact_mm
         if contact_mm is None or not self.readings.polls:
             return 0.0
@@ -323,12 +303,6 @@ class WatchedBench:
         newest = self.readings.polls[-1]
         poll = next((p for p in reversed(self.readings.polls) if p.host_s <= then_s), newest) if ago_s else newest
         return max(0.0, poll.position_mm - contact_mm)
-
-    def _check_depth(self) -> None:
-        deepest_mm = self.bench.config.safety.deepest_mm
-        if self.readings.polls and self.readings.polls[-1].position_mm > deepest_mm + 0.01:
-            at_mm = self.readings.polls[-1].position_mm
-            raise SafetyStop(reason("rig.deepest", at_mm=at_mm, deepest_mm=deepest_mm))
 
 
 def bounds_of(bench: Bench) -> ForceBounds:

@@ -21,7 +21,7 @@ RELAXED_POWERS, RELAXATION_S, EVERY_RELAXATION_S = (1, 3), (0.1, 0.5, 3.0), (0.0
 the delay is known, faster and slower terms (none slower than the run) leave less that does not belong to the cell."""
 
 GRID_S = 0.01
-"""The law of the depth is laid out at these steps; faster than that no soft unit and no load cell follows."""
+"""Steps of the law of the depth; no soft unit and no load cell follows faster than that."""
 
 LATE_S, EARLY_S, PERIOD_SHARE = 0.01, 0.12, 0.25
 """A cell may seem this much later than declared, or this much earlier (a unit that relaxes within 0.1 s still makes it
@@ -46,7 +46,7 @@ ODD_S, ODD_BESIDE_S, ODD, ODD_TIMES, ODD_LEAST, ODD_ROUNDS = 0.1, 0.6, 0.3, 15.0
 of it and ODD_TIMES the RMS of the rest of the run (all but ODD_BESIDE_S on either side). Good rigs show 0.22 and 10."""
 
 FOLLOWS = 0.7
-"""Share of an output's variance that goes with the depth, at least; 0.84 is the least of a good rig."""
+"""Least share of an output's variance that goes with the depth; good rigs show 0.84 and more."""
 
 BIT_LEVELS, BIT_SPAN, BIT_ROUNDING = 16, 2, 0.01
 """Different readings that are needed to know a converter's step, how many times a bit's weight they must run through,
@@ -66,7 +66,6 @@ def lag_s(t_s: Array, force_N: Array, stage_mm_at: Callable[[Array], Array], con
     Args:
         t_s, force_N: (n,) samples of the load cell, host clock.
         stage_mm_at: host times -> stage positions, same origin as contact_mm.
-        contact_mm: where the unit's surface is.
 
     Returns:
         Delay in s, positive when the force is late; NaN where the run does not tell: too shallow, too slow, too noisy.
@@ -94,26 +93,14 @@ def lag_s(t_s: Array, force_N: Array, stage_mm_at: Callable[[Array], Array], con
 
 
 def check_lag(found_s: float, declared_s: float, period_s: float) -> None:
-    """Raise `BadReply` when the load cell is later, or earlier, than its station file says.
-
-    Args:
-        period_s: between two of its samples.
-    """
+    """Raise `BadReply` when a cell, read every `period_s`, is later or earlier than stated."""
     off_s, slack_s = found_s - declared_s, PERIOD_SHARE * period_s
     if off_s > LATE_S + slack_s or off_s < -EARLY_S - slack_s:
         raise BadReply(reason("rig.behind", found_s=found_s, declared_s=declared_s, latency_s=max(0.0, found_s)))
 
 
 def check_gain(stage_mm: Array, force_N: Array) -> None:
-    """Compare the presses of a run with each other at equal depths.
-
-    Args:
-        stage_mm: (n,) depth, 0 at the start of the profile.
-        force_N: (n,) force there.
-
-    Raises:
-        BadReply: at equal depths one press shows far more force than another.
-    """
+    """Raise `BadReply` when at equal depths, (n,), one press shows far more force than another."""
     ratio = _ratio(press_gains(stage_mm, force_N))
     if ratio > GAIN:
         raise BadReply(reason("rig.gain", ratio=ratio))
@@ -130,7 +117,6 @@ def check_law(
         t_s, force_N: (n,) samples of the load cell, host clock, its lateness and its zero taken off.
         output: (n,) of the first sensor there.
         stage_mm_at: host times -> stage positions, same origin as contact_mm.
-        contact_mm: where the unit's surface is.
 
     Raises:
         BadReply: one change of the cell explains what is off in force and output, or the force leaves the law for a
@@ -152,7 +138,7 @@ def check_law(
 
 
 def _explained(t_s: Array, basis: Array, values: Array) -> Array:
-    """Return what share of a law's misfit a gain, a zero or a delay that changes explains, at each of the moments."""
+    """Return what share of a law's misfit a gain, a zero or a delay explains that changes, by moment."""
     q, _ = np.linalg.qr(basis)
     fitted = q @ (q.T @ values)
     left, is_after, squares = values - fitted, t_s[:, None] > _moments(t_s), []
@@ -189,15 +175,7 @@ def _check_moments(t_s: Array, basis: Array, force_N: Array) -> None:
 
 
 def check_output_gain(stage_mm: Array, output: Array) -> None:
-    """Compare the presses of a run without a load cell by what the output does at equal depths.
-
-    Args:
-        stage_mm: (n,) depth, 0 at the start of the profile.
-        output: (n,) of the first sensor.
-
-    Raises:
-        BadReply: at equal depths one press changes the output far more than another: the stage was not there.
-    """
+    """Raise `BadReply` when at equal depths one press changes the output far more than another."""
     is_up = stage_mm <= SHALLOW * np.max(stage_mm)
     change = output - (np.median(output[is_up]) if np.any(is_up) else output[0])
     ratio = _ratio(press_gains(stage_mm, change * np.sign(np.sum(change))))
@@ -206,16 +184,9 @@ def check_output_gain(stage_mm: Array, output: Array) -> None:
 
 
 def check_follows(t_s: Array, output: Array, stage_mm_at: Callable[[Array], Array], contact_mm: float) -> None:
-    """See whether the output of every sensor follows the depth at all: an input that floats does not.
+    """Raise `BadReply` when less than FOLLOWS of the variance of an output, (n, channels), goes with the depth.
 
-    Args:
-        t_s: (n,) instants.
-        output: (n, channels) of the sensors.
-        stage_mm_at: instants -> stage positions, same origin as contact_mm.
-        contact_mm: where the unit's surface is.
-
-    Raises:
-        BadReply: less than FOLLOWS of an output's variance goes with the depth.
+    An input that floats does not follow. Positions are those of `lag_s`.
     """
     grid_s = np.arange(t_s[0], t_s[-1] + GRID_S, GRID_S)
     depth_mm = np.maximum(0.0, stage_mm_at(grid_s) - contact_mm)
@@ -230,13 +201,9 @@ def check_follows(t_s: Array, output: Array, stage_mm_at: Callable[[Array], Arra
 
 
 def check_bits(output: Array) -> None:
-    """Look for a line of the converter that hangs: a bit that is always the same where it should change.
+    """Raise `BadReply` when a line of the converter hangs: a bit of the output, (n, channels), that never changes.
 
-    Args:
-        output: (n, channels) of the sensors; readings of a converter are whole multiples of its step.
-
-    Raises:
-        BadReply: one bit never changes although the readings run through several times its weight.
+    Readings of a converter are whole multiples of its step, and run through several times the bit's weight.
     """
     for values in output.T:
         levels = np.unique(values)
@@ -288,12 +255,11 @@ def _median(values: Array) -> float:
 
 
 def _basis(t_s: Array, grid_s: Array, value: Array, relaxation_s: Sequence[float]) -> Array:
-    """Return a law of a depth, or of a force, at instants."""
     return np.column_stack([np.interp(t_s, grid_s, column) for column in _law(value, relaxation_s)])
 
 
 def _law(value: Array, relaxation_s: Sequence[float]) -> list[Array]:
-    """Return what a force may be made of by the depth, or an output by the force: powers, and those that relax."""
+    """Return what a force may be made of by the depth, or an output by the force: also relaxed powers."""
     share = value / max(float(np.max(value)), 1e-9)
     columns = [share**power for power in POWERS]
     for time_s in relaxation_s:

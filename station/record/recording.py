@@ -1,4 +1,4 @@
-"""What one finished run gives: channels on the sensor's own clock, and the facts about how they were aligned."""
+"""What a finished run gives: channels on the sensor's own clock, and how they were aligned."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ LONGEST_GAP_S = 0.25
 """Force is read between two samples of the load cell no further apart than this: one of a cell at 10 Hz may be lost."""
 
 FIT_SAMPLES = 3000
-"""Enough of a run for a fit of force and depth: how late the load cell is, and whether one law holds."""
+"""Enough of a run for a fit of force and depth: how late the cell is, whether one law holds."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,6 @@ class StationRecording:
         force_N: (n,) force beside it, zero subtracted; None for a unit without reference.
         contact_mm: where contact was found, from the homing switch.
         zero_N, zero_return_N: the unloaded load cell before the run, and its change over the run.
-        lost: samples missing in `t_s`.
-        alignment: how the channels were brought together.
     """
 
     serial: str
@@ -88,7 +86,6 @@ class StationRecording:
     alignment: Alignment
 
     def output_recording(self, channel: int = 0, serial: str | None = None) -> OutputRecording:
-        """Return one channel without any reference."""
         return OutputRecording(
             serial or self.serial,
             self.t_s,
@@ -99,11 +96,7 @@ class StationRecording:
         )
 
     def labelled_recording(self, channel: int = 0, serial: str | None = None) -> LabelledRecording:
-        """Return one channel with the force beside it.
-
-        Raises:
-            ValueError: the run kept no reference.
-        """
+        """Return a channel with the force beside it; `ValueError` where none was kept."""
         if self.force_N is None:
             raise ValueError(f"{self.serial}: recorded without a reference")
         return LabelledRecording(self.output_recording(channel, serial), self.force_N, "N")
@@ -141,11 +134,7 @@ class RunFacts:
 
 @dataclass(frozen=True)
 class Raw:
-    """Everything a run read, as it came.
-
-    Args:
-        output, force: samples of the readout and of the load cell (empty without one).
-    """
+    """Everything a run read, as it came; no force without a load cell."""
 
     output: Sequence[Sample]
     force: Sequence[Sample]
@@ -159,29 +148,30 @@ def assemble(raw: Raw, facts: RunFacts) -> StationRecording:
         BadReply: too many samples were lost, a device clock is far off, or the load cell does not tell the stage's
             story (late, another gain from press to press).
     """
-    sensor_s, output = _columns(raw.output)
-    sensor = _fitted(sensor_s, raw.output, facts.sensor)
+    sensor = _channel(raw.output, facts.sensor)
     begun_s, ended_s = facts.span_s
-    chosen = (sensor.to_host(sensor_s) >= begun_s) & (sensor.to_host(sensor_s) <= ended_s)
-    sensor_s, output = sensor_s[chosen], output[chosen]
+    chosen = (sensor.host_s >= begun_s) & (sensor.host_s <= ended_s)
+    sensor_s, host_s, output = sensor.device_s[chosen], sensor.host_s[chosen], sensor.values[chosen]
     lost = _count_lost(sensor_s, facts)
-    host_s = sensor.to_host(sensor_s)
     moves = [DrivenMove(Trapezoid(*row[:4]), *row[4:]) for row in facts.moves]
     track = reconstruct([poll for poll in raw.polls if poll.host_s >= moves[0].begun_s], moves)
     stage_mm = track.at(host_s) - facts.zero_mm
     check_bits(output)
     check_follows(host_s, output, track.at, facts.contact_mm)
-    cell = _fitted(_columns(raw.force)[0], raw.force, "load cell") if raw.force else None
-    force_N, behind_s = None, float("nan")
-    if cell is None:
+    force_N, behind_s, offset_s, cell_drift, cell_late_s = None, *(float("nan"),) * 4
+    if not raw.force:
         check_output_gain(stage_mm, output[:, 0])
     else:
-        behind_s = _behind_s(raw.force, cell, track, facts)
-        late_s = facts.force_late_s
+        cell = _channel(raw.force, "load cell")
+        behind_s, late_s = _behind_s(cell, track, facts), facts.force_late_s
         if not facts.is_latency_stated and abs(behind_s - late_s) > LATE_S:
             late_s = behind_s
-        _check_cell(raw, cell, sensor, track, facts, late_s)
-        force_N = _force_at(host_s, raw.force, cell, facts, late_s)
+        _check_cell(cell, sensor, track, facts, late_s)
+        force_N = _force_at(host_s, cell, facts, late_s)
+        offset_s = residual_offset_s(force_N, output[:, 0], facts.sample_rate_Hz)
+        cell_drift, cell_late_s = cell.clock.rate - 1, cell.clock.late_s
+    stage_offset_s = residual_offset_s(np.maximum(stage_mm, 0.0), output[:, 0], facts.sample_rate_Hz)
+    late, offsets = (sensor.clock.late_s, cell_late_s), (offset_s, stage_offset_s)
     return StationRecording(
         facts.serial,
         facts.profile,
@@ -195,7 +185,7 @@ def assemble(raw: Raw, facts: RunFacts) -> StationRecording:
         facts.zero_N,
         facts.zero_return_N,
         lost,
-        _alignment(sensor, cell, track, output[:, 0], stage_mm, force_N, facts.sample_rate_Hz, behind_s),
+        Alignment(sensor.clock.rate - 1, cell_drift, *late, *offsets, track.residual_mm, behind_s),
     )
 
 
@@ -218,25 +208,36 @@ def restore(run: SpooledRun) -> StationRecording:
 
 def device_times_s(samples: Sequence[Sample]) -> Array:
     """Return (n,) when samples were taken, host clock: by the device's clock where it has one."""
-    device_s, _ = _columns(samples)
-    if samples[0].device_s is None:
-        return device_s
-    return fit_clock(device_s, np.array([sample.host_s for sample in samples])).to_host(device_s)
+    device_s = _times_s(samples)
+    return _clock_of(samples, device_s).to_host(device_s)
 
 
-def _columns(samples: Sequence[Sample]) -> tuple[Array, Array]:
-    """Return (n,) device times, the host's where the device has no clock, and (n, channels) values."""
-    times = np.array([s.host_s if s.device_s is None else s.device_s for s in samples])
-    return times, np.array([s.values for s in samples])
+@dataclass(frozen=True, eq=False)
+class _Channel:
+    """(n,) times by the device's and the host's clock, (n, channels) values, the fit of the clock."""
+
+    device_s: Array
+    host_s: Array
+    values: Array
+    clock: ClockFit
 
 
-def _fitted(device_s: Array, samples: Sequence[Sample], name: str) -> ClockFit:
+def _channel(samples: Sequence[Sample], name: str) -> _Channel:
+    device_s = _times_s(samples)
+    clock = _clock_of(samples, device_s)
+    if abs(clock.rate - 1) > CLOCK_SHARE:
+        raise BadReply(reason("rig.clock", device=named(name), percent=100 * (clock.rate - 1)))
+    return _Channel(device_s, clock.to_host(device_s), np.array([sample.values for sample in samples]), clock)
+
+
+def _times_s(samples: Sequence[Sample]) -> Array:
+    return np.array([sample.host_s if sample.device_s is None else sample.device_s for sample in samples])
+
+
+def _clock_of(samples: Sequence[Sample], device_s: Array) -> ClockFit:
     if samples[0].device_s is None:
         return ClockFit(0.0, 1.0, 0.0, 0.0)
-    fit = fit_clock(device_s, np.array([sample.host_s for sample in samples]))
-    if abs(fit.rate - 1) > CLOCK_SHARE:
-        raise BadReply(reason("rig.clock", device=named(name), percent=100 * (fit.rate - 1)))
-    return fit
+    return fit_clock(device_s, np.array([sample.host_s for sample in samples]))
 
 
 def _count_lost(sensor_s: Array, facts: RunFacts) -> int:
@@ -247,22 +248,17 @@ def _count_lost(sensor_s: Array, facts: RunFacts) -> int:
     return lost
 
 
-def _behind_s(samples: Sequence[Sample], cell: ClockFit, track: StageTrack, facts: RunFacts) -> float:
-    """Return how late the load cell is behind the stage, and check it against what was stated.
-
-    The slow press before the profile counts, too: presses at one speed cannot tell a delay from a loop of the unit's.
-    """
-    device_s, force_N = _columns(samples)
-    force_s = cell.to_host(device_s)
-    inside = _enough(_in_presses(force_s, facts))
-    found_s = lag_s(force_s[inside], force_N[inside, 0], track.at, facts.contact_mm)
+def _behind_s(cell: _Channel, track: StageTrack, facts: RunFacts) -> float:
+    """Return how late the load cell is behind the stage, and check it against what was stated."""
+    # The slow press before the profile counts, too: one speed cannot tell a delay from a loop of the unit's.
+    inside = _enough(_in_presses(cell.host_s, facts))
+    found_s = lag_s(cell.host_s[inside], cell.values[inside, 0], track.at, facts.contact_mm)
     if facts.is_latency_stated:
-        check_lag(found_s, facts.force_late_s, float(np.median(np.diff(device_s))))
+        check_lag(found_s, facts.force_late_s, float(np.median(np.diff(cell.device_s))))
     return found_s
 
 
 def _in_presses(force_s: Array, facts: RunFacts) -> Indices:
-    """Return the samples from the slow press before the profile to its end."""
     return np.flatnonzero((force_s >= facts.moves[0][4]) & (force_s <= facts.span_s[1]))
 
 
@@ -271,49 +267,24 @@ def _enough(samples: Indices) -> Indices:
     return samples[:: max(1, len(samples) // FIT_SAMPLES)]
 
 
-def _check_cell(raw: Raw, cell: ClockFit, sensor: ClockFit, track: StageTrack, facts: RunFacts, late_s: float) -> None:
-    """Compare all presses, the slow one before the profile too: a gain may change while the first one begins."""
-    device_s, force_N = _columns(raw.force)
-    force_s = cell.to_host(device_s) - late_s
+def _check_cell(cell: _Channel, sensor: _Channel, track: StageTrack, facts: RunFacts, late_s: float) -> None:
+    """Compare all presses, also the slow one before the profile: a gain may change in between."""
+    force_s, force_N = cell.host_s - late_s, cell.values[:, 0] - facts.zero_N
     inside = _in_presses(force_s, facts)
     if not len(inside):
         return
-    check_gain(track.at(force_s[inside]) - facts.zero_mm, force_N[inside, 0] - facts.zero_N)
+    check_gain(track.at(force_s[inside]) - facts.zero_mm, force_N[inside])
     inside = _enough(inside)
-    sensor_s, output = _columns(raw.output)
-    shown = np.interp(force_s[inside], sensor.to_host(sensor_s), output[:, 0])
-    check_law(force_s[inside], force_N[inside, 0] - facts.zero_N, shown, track.at, facts.contact_mm)
+    shown = np.interp(force_s[inside], sensor.host_s, sensor.values[:, 0])
+    check_law(force_s[inside], force_N[inside], shown, track.at, facts.contact_mm)
 
 
-def _force_at(host_s: Array, samples: Sequence[Sample], cell: ClockFit, facts: RunFacts, late_s: float) -> Array:
-    """Return the force at host times, zero subtracted, from a load cell whose readings are late by so much."""
-    device_s, force_N = _columns(samples)
-    force_s = cell.to_host(device_s) - late_s
+def _force_at(host_s: Array, cell: _Channel, facts: RunFacts, late_s: float) -> Array:
+    """Return the force at host times, zero subtracted, of a load cell that is late by so much."""
+    force_s = cell.host_s - late_s
     # One sample beyond either end is needed, too; what lies before it is homing and the search for contact.
     first, last = np.searchsorted(force_s, (host_s[0], host_s[-1]))
     longest_s = float(np.max(np.diff(force_s[max(0, first - 1) : last + 1]), initial=0.0))
     if longest_s > LONGEST_GAP_S:
         raise BadReply(reason("rig.gap", seconds=longest_s))
-    return np.interp(host_s, force_s, force_N[:, 0]) - facts.zero_N
-
-
-def _alignment(
-    sensor: ClockFit,
-    cell: ClockFit | None,
-    track: StageTrack,
-    output: Array,
-    stage_mm: Array,
-    force_N: Array | None,
-    rate_Hz: float,
-    force_behind_s: float,
-) -> Alignment:
-    return Alignment(
-        sensor.rate - 1,
-        float("nan") if cell is None else cell.rate - 1,
-        sensor.late_s,
-        float("nan") if cell is None else cell.late_s,
-        float("nan") if force_N is None else residual_offset_s(force_N, output, rate_Hz),
-        residual_offset_s(np.maximum(stage_mm, 0.0), output, rate_Hz),
-        track.residual_mm,
-        force_behind_s,
-    )
+    return np.interp(host_s, force_s, cell.values[:, 0]) - facts.zero_N

@@ -44,7 +44,6 @@ class SpooledRun:
 
     @property
     def is_whole(self) -> bool:
-        """Whether the run was finished and every line is intact."""
         return str(self.end) == str(Reason("spool.done")) and not self.damaged
 
 
@@ -52,7 +51,6 @@ class Spool:
     """A spool being written. A thread of its own writes and syncs: a slow disk never makes the stage wait.
 
     Args:
-        path: new file; its folder is made.
         header: serial, profile, station, time: texts that say what this is.
 
     Raises:
@@ -78,7 +76,10 @@ class Spool:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        end = Reason("spool.done") if error is None else reason("spool.aborted", why=_why(error))
+        end = Reason("spool.done")
+        if error is not None:
+            said = reason_of(error)
+            end = reason("spool.aborted", why=said if str(said) else plain(type(error).__name__))
         self._put({"end": end.to_json()})
         self._lines.put(None)
         self._thread.join()
@@ -90,11 +91,7 @@ class Spool:
             self._check()
 
     def append(self, output: Sequence[Sample], cell: Sequence[Sample], polls: Sequence[StagePosition]) -> None:
-        """Add what was read since the last call.
-
-        Raises:
-            DeviceError: an earlier line could not be written (disk full, disk gone).
-        """
+        """Add what was read; `DeviceError` where an earlier line could not be written."""
         self._check()
         if output or cell or polls:
             self._put(
@@ -114,7 +111,8 @@ class Spool:
             raise DeviceError(reason("file.full", path=str(self.path), error=reason_of(self._error))) from self._error
 
     def _put(self, value: dict[str, Any]) -> None:
-        self._lines.put(_line(value))
+        text = json.dumps(value, separators=(",", ":")).encode()
+        self._lines.put(b"%08x %s\n" % (zlib.crc32(text), text))
 
     def _write_lines(self) -> None:
         is_open = True
@@ -132,17 +130,8 @@ class Spool:
                 self._error = self._error or error
 
 
-def _line(value: dict[str, Any]) -> bytes:
-    text = json.dumps(value, separators=(",", ":")).encode()
-    return b"%08x %s\n" % (zlib.crc32(text), text)
-
-
 def read_spool(path: Path) -> SpooledRun:
-    """Read a spool up to its first damaged line.
-
-    Raises:
-        InputError: the file cannot be read, or is no spool at all.
-    """
+    """Read a spool up to its first damaged line; `InputError` where it is none."""
     try:
         lines = path.read_bytes().split(b"\n")
     except OSError as error:
@@ -168,11 +157,6 @@ def _run_of(values: Sequence[dict[str, Any]], damaged: int) -> SpooledRun:
     header = {key: str(text) for key, text in values[0].items() if key != "schema"}
     facts: dict[str, Any] = next((value["facts"] for value in values if "facts" in value), {})
     return SpooledRun(header, tuple(output), tuple(force), tuple(polls), facts, end, damaged)
-
-
-def _why(error: BaseException) -> Reason:
-    said = reason_of(error)
-    return said if str(said) else plain(type(error).__name__)
 
 
 def _intact(lines: Sequence[bytes]) -> tuple[list[dict[str, Any]], int]:

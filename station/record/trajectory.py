@@ -12,11 +12,7 @@ from softcal.station.interfaces import StagePosition
 
 @dataclass(frozen=True)
 class Trapezoid:
-    """A straight move from rest to rest: accelerate, cruise, brake.
-
-    Args:
-        speed_mm_s: cruise speed; short moves do not reach it.
-    """
+    """A straight move from rest to rest: accelerate, brake, and cruise where it is long enough."""
 
     start_mm: float
     end_mm: float
@@ -25,12 +21,10 @@ class Trapezoid:
 
     @cached_property
     def peak_mm_s(self) -> float:
-        """The highest speed that is reached."""
         return float(min(self.speed_mm_s, np.sqrt(self.acceleration_mm_s2 * abs(self.end_mm - self.start_mm))))
 
     @cached_property
     def duration_s(self) -> float:
-        """From rest to rest."""
         if self.peak_mm_s == 0.0:
             return 0.0
         return float(abs(self.end_mm - self.start_mm) / self.peak_mm_s + self.peak_mm_s / self.acceleration_mm_s2)
@@ -71,15 +65,13 @@ class StageTrack:
     t_s: Array
     position_mm: Array
     residual_mm: float
-    largest_residual_mm: float
 
     def at(self, host_s: Array) -> Array:
-        """Return positions in mm at host times."""
         return np.interp(host_s, self.t_s, self.position_mm)
 
 
 NODE_S = 0.002
-"""Distance of the nodes inside a move; the straight line between them is off by less than a·NODE_S²/8."""
+"""Distance of the nodes in a move; a straight line between them is off by < a·NODE_S²/8."""
 
 
 FOLLOWS_MM, OVERTAKEN_S = 0.1, 0.15
@@ -94,9 +86,6 @@ def reconstruct(polls: Sequence[StagePosition], moves: Sequence[DrivenMove]) -> 
     commanded as, shifted in time to where its polls say it was; one with too few polls moves with its neighbours. A
     poll whose line came late says nothing. A move that did not go as commanded (the host came late with the next
     piece) is drawn through its polls.
-
-    Args:
-        polls: status polls of the run, in time order.
 
     Raises:
         ValueError: no polls.
@@ -123,7 +112,7 @@ def reconstruct(polls: Sequence[StagePosition], moves: Sequence[DrivenMove]) -> 
         position_mm.append(move.path.position_mm(since_s))
     nodes_s, nodes_mm = np.concatenate(t_s), np.concatenate(position_mm)
     residual = poll_mm - np.interp(poll_s, nodes_s, nodes_mm)
-    return StageTrack(nodes_s, nodes_mm, float(np.sqrt(np.mean(residual**2))), float(np.max(np.abs(residual))))
+    return StageTrack(nodes_s, nodes_mm, float(np.sqrt(np.mean(residual**2))))
 
 
 def _follows(move: DrivenMove, start_s: float, poll_s: Array, poll_mm: Array) -> bool:

@@ -1,32 +1,70 @@
-"""A device that answers lines of text at the far end of a line: enough for most instruments of a laboratory."""
+"""What every far end of a line does, and the one that is enough for most instruments."""
 
+import math
 from collections.abc import Callable
 
+from softcal.station.simulated.motion import Axis
 from softcal.station.simulated.wire import Wire
 
 
-class SimulatedAnswers:
-    """Answers every line it gets.
+class FarEnd:
+    """A device in simulated time: takes what the host writes, and says something by itself where that is due.
 
     Args:
         wire: the line; its fault switches are this device's.
+        line_end: ends the lines that the host writes.
+        axis: the drive of a stage; at rest for good where the device has none.
+    """
+
+    def __init__(self, wire: Wire, line_end: bytes = b"\n", axis: Axis | None = None) -> None:
+        self.wire, self.axis, self._line_end = wire, axis or Axis(1.0), line_end
+        self._received = b""
+        self.due_s = math.inf
+        """When the device does something by itself."""
+
+    def receive(self, now_s: float) -> None:
+        """Take the bytes the host has written and act on them."""
+        if content := self.wire.receive():
+            self.axis.advance(now_s)
+            self.take(content, now_s)
+
+    def take(self, content: bytes, now_s: float) -> None:
+        """Take bytes as they come: here line by line."""
+        *lines, self._received = (self._received + content).split(self._line_end)
+        for line in lines:
+            self.take_line(line, now_s)
+
+    def take_line(self, line: bytes, now_s: float) -> None:
+        """Take one line, its end taken off."""
+
+    def next_event_s(self) -> float:
+        """Return the time of the next thing that happens by itself."""
+        return min(self.due_s, self.axis.next_event_s(), self.wire.next_arrival_s())
+
+    def advance(self, now_s: float) -> None:
+        """Do everything that is due until now, bytes that have reached the host included."""
+        self.axis.advance(now_s)
+        while self.due_s <= now_s:
+            self.do_due()
+        self.wire.deliver(now_s)
+
+    def do_due(self) -> None:
+        """Do what is due at `due_s`, and put that off to the next time."""
+        self.due_s = math.inf
+
+
+class SimulatedAnswers(FarEnd):
+    """Answers every line it gets.
+
+    Args:
         answer: (words, simulated time in s) -> answer; "" for none.
-        line_end: ends what the host writes and what it reads.
     """
 
     def __init__(self, wire: Wire, answer: Callable[[str, float], str], line_end: bytes = b"\n") -> None:
-        self.wire, self._answer, self._line_end = wire, answer, line_end
-        self._received = b""
+        super().__init__(wire, line_end)
+        self._answer = answer
 
-    def receive(self, now_s: float) -> None:
-        *lines, self._received = (self._received + self.wire.receive()).split(self._line_end)
-        for line in lines:
-            text = self._answer(line.decode("ascii", "replace").strip(), now_s)
-            if text:
-                self.wire.send(text.encode() + self._line_end, now_s)
-
-    def next_event_s(self) -> float:
-        return self.wire.next_arrival_s()
-
-    def advance(self, now_s: float) -> None:
-        self.wire.deliver(now_s)
+    def take_line(self, line: bytes, now_s: float) -> None:
+        text = self._answer(line.decode("ascii", "replace").strip(), now_s)
+        if text:
+            self.wire.send(text.encode() + self._line_end, now_s)

@@ -1,7 +1,8 @@
-"""A Mark-10 ESM stand with its gauge at the far end of one serial line (ESM303 User's Guide, section 6.2)."""
+"""A Mark-10 ESM stand with its gauge at the far end of a line (ESM303 User's Guide, 6.2)."""
 
 import re
 
+from softcal.station.simulated.answering import FarEnd
 from softcal.station.simulated.force_gauge import SimulatedMark10
 from softcal.station.simulated.motion import Axis, QueuedMove
 from softcal.station.simulated.wire import Wire
@@ -11,31 +12,24 @@ _COMMAND = re.compile(
 )
 
 
-class SimulatedEsm:
+class SimulatedEsm(FarEnd):
     """A crosshead that goes down from its upper limit switch, and a gauge on it.
 
     Faults are switches: `is_switch_missing`, `press_panel()`, and all the wire can do.
 
     Args:
-        wire: the serial line.
         axis: the drive; its position counts downward from the upper limit switch, mm.
-        gauge: what answers behind the stand.
-        travel_mm: where the lower limit switch is.
     """
 
     def __init__(self, wire: Wire, axis: Axis, gauge: SimulatedMark10, travel_mm: float = 300.0) -> None:
-        self.wire, self.axis, self._gauge, self._travel_mm = wire, axis, gauge, travel_mm
+        super().__init__(wire, axis=axis)
+        self._gauge, self._travel_mm = gauge, travel_mm
         self.is_switch_missing = False
         self.mode, self._zero_mm, self._speed_mm_s = "M", axis.position_mm, 1.0
         self.lower_mm, self.upper_mm = 0.0, 0.0
         self._motion = "S"
-        self._received = b""
 
-    def receive(self, now_s: float) -> None:
-        content = self.wire.receive()
-        if not content:
-            return
-        self.axis.advance(now_s)
+    def take(self, content: bytes, now_s: float) -> None:
         self._received += content
         while found := _COMMAND.match(self._received):
             self._received = self._received[found.end() :]
@@ -43,17 +37,12 @@ class SimulatedEsm:
             if answer:
                 self.wire.send(answer.encode() + b"\r\n", now_s)
 
-    def next_event_s(self) -> float:
-        return min(self.axis.next_event_s(), self.wire.next_arrival_s())
-
     def advance(self, now_s: float) -> None:
-        self.axis.advance(now_s)
+        super().advance(now_s)
         if not self.axis.is_moving:
             self._motion = "S"
-        self.wire.deliver(now_s)
 
     def press_panel(self) -> None:
-        """Somebody presses stop at the stand."""
         self.axis.brake()
 
     def _do(self, found: re.Match[bytes], now_s: float) -> str:

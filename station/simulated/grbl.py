@@ -5,6 +5,7 @@ import re
 from collections import deque
 from collections.abc import Callable
 
+from softcal.station.simulated.answering import FarEnd
 from softcal.station.simulated.motion import Axis, QueuedMove
 from softcal.station.simulated.wire import Wire
 from softcal.station.wire.frames import grbl
@@ -17,39 +18,27 @@ SEEK_MM_S, FEED_MM_S = 25.0, 2.0
 SEGMENTS_S = 0.06
 """Motion that is already cut into steps when a feed hold comes: it still runs out (stepper.c, segment buffer)."""
 
-DEFAULTS = {
-    10: 1.0,
-    13: 0.0,
-    20: 0.0,
-    21: 0.0,
-    22: 0.0,
-    24: 25.0,
-    25: 500.0,
-    27: 1.0,
-    112: 500.0,
-    122: 10.0,
-    132: 200.0,
-}
+DEFAULTS = {10: 1.0, 13: 0.0, 20: 0.0, 21: 0.0, 22: 0.0, 24: 25.0, 25: 500.0, 27: 1.0}
+DEFAULTS |= {112: 500.0, 122: 10.0, 132: 200.0}
 """A fresh controller (defaults.h, generic), the pressing axis."""
 
 _WORD = re.compile(rb"([A-Z])(-?[\d.]+)")
 _REAL_TIME = b"?!~\x18\x84\x85"
 
 
-class SimulatedGrbl:
+class SimulatedGrbl(FarEnd):
     """A controller whose Z axis presses downward: machine Z runs from 0 at the homing switch to −travel.
 
     Faults are switches: `switch` ("good", "missing", "stuck"), `delay_reply_s`, `hit_limit()`, `dip_power()`,
     `open_door()`, `press_emergency_stop()`, `press_hold()` and `release_hold()`, and everything the wire can do.
 
     Args:
-        wire: the serial line.
         axis: the drive; its position counts downward from the switch, mm.
-        travel_mm: length of the axis ($132).
     """
 
     def __init__(self, wire: Wire, axis: Axis, travel_mm: float = 40.0) -> None:
-        self.wire, self.axis, self.travel_mm = wire, axis, travel_mm
+        super().__init__(wire, axis=axis)
+        self.travel_mm = travel_mm
         self.settings = DEFAULTS | {20: 1.0, 21: 1.0, 22: 1.0, 112: 1500.0}
         self.settings |= {122: axis.acceleration_mm_s2, 132: travel_mm}
         self.switch = "good"
@@ -60,7 +49,6 @@ class SimulatedGrbl:
         self.was_moving_at_stop = False
         self.believe_zero_here()
         self._now_s = 0.0
-        self._received = bytearray()
         self._lines: deque[bytes] = deque()
         self._waiting: Callable[[], bool] | None = None
         self._dwell_until_s = self._holds_at_s = math.inf
@@ -74,19 +62,18 @@ class SimulatedGrbl:
         self._offset_mm = -self.axis.position_mm
 
     def receive(self, now_s: float) -> None:
-        """Take what the host has written: real-time bytes at once, lines into the buffer."""
         self._now_s = now_s
-        content = self.wire.receive()
-        if not content:
-            return
-        self.axis.advance(now_s)
+        super().receive(now_s)
+
+    def take(self, content: bytes, now_s: float) -> None:
+        """Take real-time bytes at once, lines into the buffer."""
         for code in content:
             byte = bytes([code])
             if byte in _REAL_TIME:
                 self._real_time(byte)
             elif byte in b"\r\n":
-                self._lines.append(bytes(self._received))
-                self._received.clear()
+                self._lines.append(self._received)
+                self._received = b""
             elif sum(map(len, self._lines)) + len(self._received) < RECEIVE_BYTES - 1:
                 self._received += byte
         self._work()
@@ -108,7 +95,6 @@ class SimulatedGrbl:
         self.wire.deliver(now_s)
 
     def hit_limit(self) -> None:
-        """A hard limit switch closes."""
         self.axis.flush()
         self._lines.clear()
         self._waiting = None
@@ -117,7 +103,7 @@ class SimulatedGrbl:
         self.is_locked_until_reset = True
 
     def dip_power(self) -> None:
-        """The supply drops for a moment: the controller starts again and knows nothing of its position."""
+        """The supply drops for a moment: it starts again and knows nothing of its position."""
         self.axis.flush()
         self._start_again()
         self.believe_zero_here()
@@ -185,7 +171,7 @@ class SimulatedGrbl:
 
     def _start_again(self) -> None:
         self._lines.clear()
-        self._received.clear()
+        self._received = b""
         self._waiting = None
         self._dwell_until_s = self._holds_at_s = math.inf
         self.is_locked_until_reset = False

@@ -2,10 +2,7 @@
 
 import socket
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
 
-from softcal.station.drivers.labjack import LabjackConfig
 from softcal.station.simulated.answering import SimulatedAnswers
 from softcal.station.simulated.wire import Wire
 
@@ -14,11 +11,7 @@ REGISTERS = {"_RANGE": 10.0, "_RESOLUTION_INDEX": 0.0}
 
 
 class SimulatedLabjack(SimulatedAnswers):
-    """Answers `number NAME[=value] …` with `number value … checksum`, as Modbus answers by transaction.
-
-    Args:
-        inputs_V: (simulated time in s) -> voltage of each analog input.
-    """
+    """Answers `number NAME[=value] …` with `number value … checksum`, as Modbus does."""
 
     def __init__(self, wire: Wire, inputs_V: Callable[[float], tuple[float, ...]]) -> None:
         super().__init__(wire, self._reply)
@@ -102,16 +95,3 @@ class SimulatedLjm:
                     if len(values) != count:
                         raise self.LJMError("LJME_INVALID_RESPONSE")
                     return [float(value) for value in values]
-
-
-@dataclass(frozen=True)
-class SimulatedLabjackConfig(LabjackConfig):
-    """The section of the station file, with the simulated library behind it.
-
-    Args:
-        device, first_input, full_scale_V, resolution: as of `LabjackConfig`.
-    """
-
-    def library(self) -> Any:
-        """Return what stands in the place of LabJack's module."""
-        return SimulatedLjm()

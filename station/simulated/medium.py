@@ -2,31 +2,14 @@
 
 import os
 import socket
-from typing import Protocol
+from contextlib import suppress
+from typing import TypeAlias
 
 from softcal.station.wire.transport import BLE
 
 
-class Medium(Protocol):
-    """The device's end of a byte stream that the host opens by its `port`."""
-
-    port: str
-
-    def read(self) -> bytes:
-        """Return everything the host has written."""
-        ...
-
-    def write(self, content: bytes) -> None:
-        """Hand bytes to the host; a host that does not read loses some, as on a real port."""
-        ...
-
-    def hang_up(self) -> None:
-        """End it for good: the host's port is dead."""
-        ...
-
-
 class PtyEnd:
-    """A serial line: a pseudo terminal (Linux and macOS)."""
+    """A serial line: a pseudo terminal (Linux and macOS). What the host does not read is lost, as on a real port."""
 
     def __init__(self) -> None:
         import pty  # Not on Windows.
@@ -49,10 +32,8 @@ class PtyEnd:
             return content
 
     def write(self, content: bytes) -> None:
-        try:
+        with suppress(BlockingIOError):
             os.write(self._master, content)
-        except BlockingIOError:
-            pass  # A host that does not read loses bytes, as on a real port.
 
     def hang_up(self) -> None:
         os.close(self._slave)
@@ -60,7 +41,7 @@ class PtyEnd:
 
 
 class SocketEnd:
-    """An instrument on the network: a TCP server on this machine that talks to one host at a time."""
+    """An instrument on the network: a TCP server that talks to one host at a time."""
 
     def __init__(self) -> None:
         self._server = socket.create_server(("127.0.0.1", 0))
@@ -114,13 +95,17 @@ class SocketEnd:
             self._host = None
 
 
+Medium: TypeAlias = PtyEnd | SocketEnd
+"""The device's end of a byte stream that the host opens by its `port`."""
+
+
 def serial_line() -> Medium:
-    """Return what stands for a serial line on this machine: a socket where there are no pseudo terminals."""
+    """Return what stands for a serial line: a socket where there are no pseudo terminals."""
     return PtyEnd() if os.name == "posix" else SocketEnd()
 
 
 class BleEnd(SocketEnd):
-    """The end of a board behind Bluetooth, whose packets come over the air; a host finds it by its `port`."""
+    """A board behind Bluetooth, whose packets come over the air; a host finds it by its `port`."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""One axis in time: a queue of straight moves, constant acceleration, look-ahead, feed hold. No wire here."""
+"""One axis in time: queued straight moves, constant acceleration, look-ahead, feed hold."""
 
 import math
 from collections import deque
@@ -125,7 +125,7 @@ class Axis:
         self._phases.extend(_trapezoid(distance, entry, block.speed_mm_s, leave, self.acceleration_mm_s2, direction))
 
     def _exit_speed(self, direction: float, distance: float, entry: float) -> float:
-        """The fastest speed at the end of this block from which the rest of the queue can still be stopped in."""
+        """The fastest speed at the end of this block from which the rest of the queue can stop."""
         room, speed, previous = 0.0, math.inf, self.queue[0].target_mm
         for block in list(self.queue)[1:]:
             step = (block.target_mm - previous) * direction

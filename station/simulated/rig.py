@@ -1,4 +1,4 @@
-"""The one physical rig behind all simulated devices: where the stage is decides what force and output are."""
+"""The physical rig behind all simulated devices: where the stage is decides force and output."""
 
 from collections.abc import Callable, Sequence
 from typing import Protocol
@@ -13,11 +13,10 @@ SINK_MM_N = 0.02
 
 
 class Physics(Protocol):
-    """A unit under the stage that remembers its past; `softcal.core.twin.simulate.TwinStream` is one."""
+    """A unit that remembers its past; `softcal.core.twin.simulate.TwinStream` is one."""
 
     def advance(self, t_s: Array, stage_mm: Array) -> tuple[Array, Array]:
         """Go on in time and return (force_N, output_V) as load cell and converter read them."""
-        ...
 
 
 class SimulatedRig:
@@ -55,7 +54,6 @@ class SimulatedRig:
         self._read_s, self._force_N, self._outputs_V = -1.0, 0.0, (0.0,) * len(units)
 
     def read(self, now_s: float) -> tuple[float, tuple[float, ...]]:
-        """Return force in N and the output of each unit in V at this instant."""
         self.axis.advance(now_s)
         if now_s > self._read_s:
             self._press(now_s)

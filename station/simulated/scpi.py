@@ -1,25 +1,25 @@
 """Bench instruments that speak SCPI at the far end of a socket: a multimeter and an LCR meter."""
 
+import math
 import re
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable
 
+from softcal.station.simulated.answering import FarEnd
 from softcal.station.simulated.wire import Wire
 
 OVERLOAD = "+9.90000000E+37"
 
 
-class SimulatedScpi(ABC):
+class SimulatedScpi(FarEnd):
     """An instrument that measures for a while before it answers.
 
     Faults are switches: `is_overloaded`, `refuses` (a command it calls undefined), and all the wire can do.
 
     Args:
-        identity: answer to `*IDN?`.
         settings: header -> value after a reset; other headers are undefined.
         measure: (simulated time) -> answer to one reading.
-        measure_s: how long a reading takes.
     """
 
     def __init__(
@@ -30,35 +30,27 @@ class SimulatedScpi(ABC):
         measure: Callable[[float], str],
         measure_s: float,
     ) -> None:
-        self.wire, self.identity, self._defaults, self._measure = wire, identity, settings, measure
+        super().__init__(wire)
+        self.identity, self._defaults, self._measure = identity, settings, measure
         self.measure_s, self.settings = measure_s, dict(settings)
         self.is_overloaded, self.refuses = False, ""
         self._errors: deque[str] = deque()
         self._triggered: deque[float] = deque()
-        self._received = b""
 
-    def receive(self, now_s: float) -> None:
-        """Take what the host has written, line by line."""
-        *lines, self._received = (self._received + self.wire.receive()).split(b"\n")
-        for line in lines:
-            for words in line.decode("ascii", "replace").strip().split(";"):
-                self._do(words.strip().lstrip(":"), now_s)
+    def take_line(self, line: bytes, now_s: float) -> None:
+        for words in line.decode("ascii", "replace").strip().split(";"):
+            self._do(words.strip().lstrip(":"), now_s)
 
-    def next_event_s(self) -> float:
-        """Return when the next reading is done, or the next bytes reach the host."""
-        return min(self._triggered[0] if self._triggered else float("inf"), self.wire.next_arrival_s())
-
-    def advance(self, now_s: float) -> None:
-        """Answer the readings that are done and let bytes reach the host."""
-        while self._triggered and self._triggered[0] <= now_s:
-            done_s = self._triggered.popleft()
-            self.wire.send(self._measure(done_s - self.measure_s / 2).encode() + b"\n", done_s)
-        self.wire.deliver(now_s)
+    def do_due(self) -> None:
+        done_s = self._triggered.popleft()
+        self._answer(self._measure(done_s - self.measure_s / 2), done_s)
+        self.due_s = self._triggered[0] if self._triggered else math.inf
 
     def trigger(self, now_s: float) -> None:
         """Begin a reading; it is answered when it is done."""
         busy_until_s = self._triggered[-1] if self._triggered else now_s
         self._triggered.append(max(busy_until_s, now_s) + self.measure_s)
+        self.due_s = self._triggered[0]
 
     def _do(self, words: str, now_s: float) -> None:
         header, _, value = words.partition(" ")
@@ -91,11 +83,7 @@ class SimulatedScpi(ABC):
 
 
 class SimulatedDmm(SimulatedScpi):
-    """A 34461A: `READ?` triggers and answers.
-
-    Args:
-        value: (simulated time) -> what it measures, in its own unit.
-    """
+    """A 34461A: `READ?` triggers and answers with (simulated time) -> what it measures."""
 
     def __init__(self, wire: Wire, value: Callable[[float], float]) -> None:
         functions = ("RES", "FRES", "VOLT:DC")
@@ -116,11 +104,7 @@ class SimulatedDmm(SimulatedScpi):
 
 
 class SimulatedLcr(SimulatedScpi):
-    """An E4980A: a trigger measures, `FETC?` answers once the measurement is done.
-
-    Args:
-        value: (simulated time) -> primary parameter in its own unit, F or ohm.
-    """
+    """An E4980A: a trigger measures, `FETC?` answers; (simulated time) -> F or ohm."""
 
     def __init__(self, wire: Wire, value: Callable[[float], float]) -> None:
         settings = {"FORM": "ASC", "FUNC:IMP": "CPD", "FUNC:IMP:RANG:AUTO": "ON", "FUNC:IMP:RANG": "100"}
@@ -133,13 +117,12 @@ class SimulatedLcr(SimulatedScpi):
         super().__init__(wire, "Keysight Technologies,E4980A,MY54300001,B.07.03", settings, measure, 0.0056)
 
     def measured(self, header: str, now_s: float) -> bool:
-        """Whether it is a trigger it waits for, or the question for its result."""
         if header == "TRIG:IMM" and self.settings["TRIG:SOUR"] == "BUS" and self.settings["INIT:CONT"] == "ON":
             self._is_triggered = True
         elif header == "FETC?":
             if self._is_triggered:
                 self.trigger(now_s)
             else:
-                self.wire.send(b"+9.90000E+37,+9.90000E+37,-1\n", now_s)
+                self._answer("+9.90000E+37,+9.90000E+37,-1", now_s)
             self._is_triggered = False
         return header in ("TRIG:IMM", "FETC?")

@@ -1,7 +1,8 @@
-"""An Arduino at the far end: a readout or a load-cell amplifier that prints `ms,value` by its own clock."""
+"""An Arduino at the far end: a readout or an amplifier that prints `ms,value` by its own clock."""
 
 from collections.abc import Callable
 
+from softcal.station.simulated.answering import FarEnd
 from softcal.station.simulated.wire import Wire
 from softcal.station.wire.frames.text_stream import StreamLine, format_line
 
@@ -9,19 +10,16 @@ CELL_COUNTS_PER_N, CELL_ZERO_COUNTS = 9870.0, 84_210.0
 """Of the simulated load cell behind its HX711."""
 
 
-class SimulatedTextStream:
+class SimulatedTextStream(FarEnd):
     """A device that samples by its own crystal and prints every sample.
 
     Faults are switches: `is_frozen` (the last value for ever), `rate_factor` (0.5 = half rate), `has_checksum`,
     `device_ms` (its clock), `restart()`, and everything the wire can do.
 
     Args:
-        wire: the serial line.
         sample: (true time) -> counts per channel.
-        rate_Hz: samples per device second.
         drift: relative error of the crystal; +1e-3 gains a millisecond a second.
         first_ms: what `millis()` shows at the start; near 2**32 it soon wraps.
-        banner: what the firmware prints when it starts.
     """
 
     def __init__(
@@ -34,39 +32,29 @@ class SimulatedTextStream:
         banner: bytes = b"softcal readout 1\r\n",
         has_checksum: bool = True,
     ) -> None:
-        self.wire, self._sample = wire, sample
+        super().__init__(wire)
+        self._sample = sample
         self.rate_Hz, self._drift, self._banner, self.has_checksum = rate_Hz, drift, banner, has_checksum
         self.rate_factor = 1.0
         self.is_frozen = False
         self.device_ms = float(first_ms)
-        self._due_s = 0.004
+        self.due_s = 0.004
         self._last: tuple[int, ...] = ()
         self._is_first = True
         wire.send(banner, 0.0)
 
-    def receive(self, now_s: float) -> None:
-        self.wire.receive()
-
-    def next_event_s(self) -> float:
-        return min(self._due_s, self.wire.next_arrival_s())
-
-    def advance(self, now_s: float) -> None:
-        while self._due_s <= now_s:
-            self._print(self._due_s)
-            period_s = 1.0 / (self.rate_Hz * self.rate_factor)
-            self.device_ms += 1000 * period_s
-            self._due_s += period_s / (1.0 + self._drift)
-        self.wire.deliver(now_s)
+    def do_due(self) -> None:
+        if not (self.is_frozen and self._last):
+            self._last = self._sample(self.due_s)
+        line = format_line(StreamLine(int(self.device_ms) % 2**32, self._last), self.has_checksum)
+        # Whoever opens a port in mid-stream sees the end of a line first.
+        self.wire.send(line[3:] if self._is_first else line, self.due_s)
+        self._is_first = False
+        period_s = 1.0 / (self.rate_Hz * self.rate_factor)
+        self.device_ms += 1000 * period_s
+        self.due_s += period_s / (1.0 + self._drift)
 
     def restart(self) -> None:
         """The supply drops for a moment: the firmware starts again."""
         self.device_ms = 12.0
-        self.wire.send(self._banner, self._due_s)
-
-    def _print(self, now_s: float) -> None:
-        if not (self.is_frozen and self._last):
-            self._last = self._sample(now_s)
-        line = format_line(StreamLine(int(self.device_ms) % 2**32, self._last), self.has_checksum)
-        # Whoever opens a port in mid-stream sees the end of a line first.
-        self.wire.send(line[3:] if self._is_first else line, now_s)
-        self._is_first = False
+        self.wire.send(self._banner, self.due_s)

@@ -18,11 +18,9 @@ class Wire:
     the next one, `repeat` comes twice, `loss` never.
 
     Args:
-        rng: draws delays and faults.
         delay_s: least time from device to host.
         jitter_s: mean of a random delay on top.
         stall_s: now and then the host gets nothing for this long and then all at once.
-        medium: what carries the bytes; None for a serial line.
     """
 
     def __init__(
@@ -44,7 +42,6 @@ class Wire:
         self._held_back: list[bytes] = []
 
     def receive(self) -> bytes:
-        """Return what the host has written since the last call."""
         return self._medium.read() if self.is_plugged else b""
 
     def send(self, content: bytes, now_s: float) -> None:
@@ -63,7 +60,6 @@ class Wire:
         return self._outbox[0][0] if self._outbox else float("inf")
 
     def deliver(self, now_s: float) -> None:
-        """Let everything that is due reach the host."""
         while self._outbox and self._outbox[0][0] <= now_s:
             content = self._outbox.popleft()[1]
             if self.is_plugged:

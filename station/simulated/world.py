@@ -10,25 +10,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from heapq import heappop, heappush
 from itertools import count
-from typing import Protocol
+
+from softcal.station.simulated.answering import FarEnd
 
 LARGEST_LAG_S = 0.1
-
-
-class FarEnd(Protocol):
-    """Something that lives in simulated time."""
-
-    def receive(self, now_s: float) -> None:
-        """Take the bytes the host has written and act on them."""
-        ...
-
-    def next_event_s(self) -> float:
-        """Return the time of the next thing that happens by itself."""
-        ...
-
-    def advance(self, now_s: float) -> None:
-        """Do everything that is due until now, bytes that have reached the host included."""
-        ...
 
 
 class World:
@@ -51,7 +36,7 @@ class World:
         self._far_ends.append(far_end)
 
     def at(self, time_s: float, happening: Callable[[], None]) -> None:
-        """Let something happen at a simulated time, for example a fault; any thread may ask for it."""
+        """Let something happen at a simulated time, such as a fault; any thread may ask."""
         with self._lock:
             heappush(self._planned, (time_s, next(self._order), happening))
 
@@ -71,7 +56,7 @@ class World:
 
     @contextmanager
     def in_background(self, step_s: float = 0.002) -> Iterator[None]:
-        """Let time pass by itself, at the real rate: for far ends that a program outside softcal talks to."""
+        """Let time pass at the real rate: for far ends that a program outside softcal talks to."""
         stop = threading.Event()
 
         def run() -> None:

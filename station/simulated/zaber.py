@@ -1,32 +1,26 @@
 """A Zaber stage with one axis at the far end of a serial line (Zaber ASCII manual)."""
 
 from softcal.core.errors import BadReply
-from softcal.station.drivers.zaber import ACCELERATION_UNIT, SPEED_UNIT
+from softcal.station.simulated.answering import FarEnd
 from softcal.station.simulated.motion import Axis, QueuedMove
 from softcal.station.simulated.wire import Wire
 from softcal.station.wire.frames import zaber
+from softcal.station.wire.frames.zaber import ACCELERATION_UNIT, SPEED_UNIT
 
 HOMING_MM_S = 10.0
 
 
-class SimulatedZaber:
-    """A device with address 1 and one axis.
+class SimulatedZaber(FarEnd):
+    """A device with address 1 and one axis, whose position counts from home.
 
     Faults are switches: `warning` (sent with every reply), `stall()`, `turn_knob()`, and all the wire can do.
-
-    Args:
-        wire: the serial line.
-        axis: the drive; its position counts from home, mm.
-        travel_mm: length of the axis.
-        microstep_mm: travel per microstep.
     """
 
     def __init__(self, wire: Wire, axis: Axis, travel_mm: float = 40.0, microstep_mm: float = 0.0001905) -> None:
-        self.wire, self.axis, self.microstep_mm = wire, axis, microstep_mm
+        super().__init__(wire, axis=axis)
+        self.microstep_mm = microstep_mm
         self.warning = ""
         self._is_homed = self._is_homing = False
-        self._now_s = 0.0
-        self._received = b""
         self.settings: dict[str, float] = {
             "deviceid": 50081,
             "system.serial": 81234,
@@ -46,30 +40,22 @@ class SimulatedZaber:
             "accel": round(axis.acceleration_mm_s2 / microstep_mm * ACCELERATION_UNIT),
         }
 
-    def receive(self, now_s: float) -> None:
-        self._now_s = now_s
-        content = self.wire.receive()
-        if not content:
+    def take_line(self, line: bytes, now_s: float) -> None:
+        try:
+            command, has_checksum = zaber.parse_command(line.rstrip())
+        except BadReply:
+            return  # A device does not answer what it cannot read.
+        if command.device not in (0, 1):
             return
-        self.axis.advance(now_s)
-        *lines, self._received = (self._received + content).split(b"\n")
-        for line in lines:
-            try:
-                command, has_checksum = zaber.parse_command(line.rstrip())
-            except BadReply:
-                continue  # A device does not answer what it cannot read.
-            if command.device in (0, 1):
-                self._answer(command, has_checksum)
-
-    def next_event_s(self) -> float:
-        return min(self.axis.next_event_s(), self.wire.next_arrival_s())
+        is_ok, data = self._do(command.words)
+        warning = self.warning or ("--" if self._is_homed else "WR")
+        reply = zaber.Reply(1, command.axis, command.message_id, is_ok, self.axis.is_moving, warning, data)
+        self.wire.send(zaber.format_reply(reply, has_checksum), now_s)
 
     def advance(self, now_s: float) -> None:
-        self._now_s = now_s
-        self.axis.advance(now_s)
+        super().advance(now_s)
         if self._is_homing and not self.axis.is_moving:
             self._is_homed, self._is_homing = True, False
-        self.wire.deliver(now_s)
 
     def stall(self) -> None:
         """Something blocks the carriage; the device stops and says so."""
@@ -77,15 +63,8 @@ class SimulatedZaber:
         self.warning = "FS"
 
     def turn_knob(self) -> None:
-        """Somebody turns the manual knob in a move."""
         self.axis.flush()
         self.warning = "NC"
-
-    def _answer(self, command: zaber.Command, has_checksum: bool) -> None:
-        is_ok, data = self._do(command.words)
-        warning = self.warning or ("--" if self._is_homed else "WR")
-        reply = zaber.Reply(1, command.axis, command.message_id, is_ok, self.axis.is_moving, warning, data)
-        self.wire.send(zaber.format_reply(reply, has_checksum), self._now_s)
 
     def _do(self, words: str) -> tuple[bool, str]:
         match words.split():

@@ -12,7 +12,7 @@ from softcal.core.recording import Array
 from softcal.core.words.reason import Reason, reason
 from softcal.station.devices.bench import Bench
 from softcal.station.devices.config import LATEST_S
-from softcal.station.interfaces import Move, OnWait, Step, ignore_wait
+from softcal.station.interfaces import Move, OnWait, ignore_wait
 from softcal.station.motion.contact import AGAIN_MM, SURE_MM, ContactSearch, Touch, slower_mm_s, stiffest_N_mm
 from softcal.station.motion.interlock import State
 from softcal.station.motion.motion import RETRACT_MM_S
@@ -40,11 +40,11 @@ SEARCH_WAY_MM = 0.05
 """A contact that is there after less than this cannot be located: nothing was read above it."""
 
 ROUNDING_MM, REST_S = 1e-6, 0.3
-"""Positions that differ by less are one. After a move the channels are read at rest for so long, at least."""
+"""Positions that differ by less are one. After a move channels are read at rest for so long."""
 
 
 class ZeroMoved(BadReply):
-    """The unloaded load cell does not read zero, before or after a run: its readings are not to be trusted."""
+    """The unloaded load cell does not read zero, before or after a run: do not trust its readings."""
 
 
 @dataclass(frozen=True)
@@ -79,12 +79,9 @@ def record(
     """Press one unit with one profile and return what was read.
 
     Args:
-        bench: open devices.
-        serial: of the unit in the fixture.
         profile: position 0 is `fixture.clearance_mm` above the contact.
         with_reference: keep the load cell's reading in the recording (source unit); it guards the run in any case.
         on_progress: called about every 0.1 s.
-        spool: where everything that is read goes as it comes.
         on_wait: called at every look at the devices; what it raises stops the stage.
 
     Raises:
@@ -144,15 +141,28 @@ class _Run:
         self.watched.expect_press(contact_mm, felt_mm, safe_mm_s)
         # A slow press ended in a rest already.
         self._motion.wait(SETTLE_S - REST_S if felt_mm else SETTLE_S)
-        span_s = self._press(zero_mm)
-        facts = self._facts(span_s, zero_mm, contact_mm, zero_N, self._return(zero_N), with_reference)
+        began_s = self._clock.now_s()
+        self._enter(PRESSING)
+        for step in steps_of(self._profile):
+            if isinstance(step, Move):
+                self._go(zero_mm + step.to_mm, step.speed_mm_s)
+            else:
+                self._motion.wait(step.seconds)
+        span_s = (began_s, self._clock.now_s())
+        zero_return_N = self._return(zero_N)
+        moves = tuple((*astuple(move.path), move.begun_s, move.confirmed_s) for move in self._moves)
+        readout, force = self._bench.readout, self._bench.config.force
+        about = (self._serial, self._profile.name, readout.name, readout.unit, readout.rate_Hz)
+        zeros = (zero_mm, contact_mm, zero_N, zero_return_N)
+        is_stated = force is None or force.is_latency_stated
+        facts = RunFacts(*about, moves, span_s, *zeros, with_reference, self.watched.late_s, is_stated)
         if self._spool is not None:
             self._spool.add_facts(asdict(facts))
         self._tell(1.0, 0.0)
         return assemble(Raw(self._readings.output, self._readings.force, self._readings.polls), facts)
 
     def _approach(self) -> None:
-        """Go to where no unit reaches, so slowly that a hand or a part that is in the way anyhow takes no harm."""
+        """Go to where no unit reaches, so slowly that a hand that is in the way takes no harm."""
         self._enter(READING)
         self._motion.wait(REST_S)
         self.watched.expect_nothing()
@@ -161,39 +171,22 @@ class _Run:
             self._go(approach_mm, self.watched.fastest_mm_s)
             self._motion.wait(REST_S)
 
-    def _press(self, zero_mm: float) -> tuple[float, float]:
-        began_s = self._clock.now_s()
-        self._enter(PRESSING)
-        for step in steps_of(self._profile):
-            self._do(step, zero_mm)
-        return began_s, self._clock.now_s()
-
     def _return(self, zero_N: float) -> float:
         self._enter(RETURNING)
         self._go(self._bench.config.fixture.approach_mm, self._retract_mm_s)
         self._motion.wait(SETTLE_S)
-        return self._zero_return_N(zero_N)
+        if self._bench.force is None:
+            return 0.0
+        recent = [s.values[0] for s in self._readings.force if s.host_s > self._clock.now_s() - 0.7 * SETTLE_S]
+        change_N = float(np.mean(recent)) - zero_N
+        allowed_N = self._bench.config.safety.zero_return_N
+        if abs(change_N) > allowed_N:
+            raise ZeroMoved(reason("rig.zero_moved", change_N=change_N, allowed_N=allowed_N))
+        return change_N
 
     @property
     def _retract_mm_s(self) -> float:
         return min(RETRACT_MM_S, self._stage.max_speed_mm_s)
-
-    def _facts(
-        self,
-        span_s: tuple[float, float],
-        zero_mm: float,
-        contact_mm: float,
-        zero_N: float,
-        zero_return_N: float,
-        with_reference: bool,
-    ) -> RunFacts:
-        readout = self._bench.readout
-        moves = tuple((*astuple(move.path), move.begun_s, move.confirmed_s) for move in self._moves)
-        about = (self._serial, self._profile.name, readout.name, readout.unit, readout.rate_Hz)
-        zeros = (zero_mm, contact_mm, zero_N, zero_return_N)
-        force = self._bench.config.force
-        is_stated = force is None or force.is_latency_stated
-        return RunFacts(*about, moves, span_s, *zeros, with_reference, self.watched.late_s, is_stated)
 
     def _on_tick(self) -> None:
         self._on_wait()
@@ -213,44 +206,21 @@ class _Run:
         self._done = max(self._done, min(0.99, gone_s / self._total_s))
         self._tell(self._done, max(0.0, self._total_s - gone_s))
 
-    def _go(self, to_mm: float, speed_mm_s: float) -> None:
-        self._moves.append(self._motion.go(to_mm, speed_mm_s))
-
-    def _do(self, step: Step, zero_mm: float) -> None:
-        if isinstance(step, Move):
-            self._go(zero_mm + step.to_mm, step.speed_mm_s)
-        else:
-            self._motion.wait(step.seconds)
+    def _go(self, to_mm: float, speed_mm_s: float, is_over: Callable[[], bool] | None = None) -> None:
+        self._moves.append(self._motion.go(to_mm, speed_mm_s, is_over))
 
     def _take_zero(self) -> float:
-        if self._bench.force is None:
-            self._motion.wait(SETTLE_S)
-            self.watched.take_zero(0.0)
-            return 0.0
-        count = len(self._readings.force)
+        count, zero_N = len(self._readings.force), 0.0
         self._motion.wait(SETTLE_S)
-        zero_N = float(np.mean([sample.values[0] for sample in self._readings.force[count:]]))
-        allowed_N = self._bench.config.safety.zero_N
-        if abs(zero_N) > allowed_N:
-            raise ZeroMoved(reason("rig.not_zero", zero_N=zero_N, allowed_N=allowed_N))
+        if self._bench.force is not None:
+            zero_N = float(np.mean([sample.values[0] for sample in self._readings.force[count:]]))
+            if abs(zero_N) > (allowed_N := self._bench.config.safety.zero_N):
+                raise ZeroMoved(reason("rig.not_zero", zero_N=zero_N, allowed_N=allowed_N))
         self.watched.take_zero(zero_N)
         return zero_N
 
-    def _zero_return_N(self, zero_N: float) -> float:
-        if self._bench.force is None:
-            return 0.0
-        recent = [s.values[0] for s in self._readings.force if s.host_s > self._clock.now_s() - 0.7 * SETTLE_S]
-        change_N = float(np.mean(recent)) - zero_N
-        allowed_N = self._bench.config.safety.zero_return_N
-        if abs(change_N) > allowed_N:
-            raise ZeroMoved(reason("rig.zero_moved", change_N=change_N, allowed_N=allowed_N))
-        return change_N
-
     def _find_contact(self) -> Touch:
-        """Lower slowly until force (or output, without a load cell) changes; return what shows where the contact is.
-
-        Where the noise leaves doubt (soft units, round tips) the unit is touched a second time, more slowly.
-        """
+        """Lower slowly until force, or output without a cell, changes; return what shows the contact."""
         self._enter(SEARCHING)
         bench, fixture = self._bench, self._bench.config.fixture
         read, latest_s = self._readings, self.watched.latest_s
@@ -282,13 +252,8 @@ class _Run:
     def _feel(self, zero_mm: float, contact_mm: float, zero_N: float) -> tuple[float, float]:
         """Press once, slowly, as deep as the profile will: only where the unit was felt may the stage go fast.
 
-        Returns:
-            How deep that was (0 where the profile itself is slow enough, or no load cell reads), and the fastest speed
-            down to there that a stop can hold.
-
-        Raises:
-            CommandRefused: the profile is faster than a stop holds on this unit; it was only felt.
-            SafetyStop: the force limit is met above the profile's deepest point.
+        Returns how deep that was (0 where the profile itself is slow enough, or no load cell reads), and the fastest
+        speed down to there that a stop can hold; a profile that is faster is refused, its unit was only felt.
         """
         slow_mm_s = self.watched.fastest_mm_s
         if self._bench.force is None or self._profile.fastest_mm_s <= slow_mm_s:
@@ -320,8 +285,7 @@ class _Run:
     def _feel_down(self, deepest_mm: float) -> bool:
         """Press in steps, each as fast as a stop holds that notices more force than the step before lets expect.
 
-        Returns:
-            Whether it came to the end; no more force than that was met.
+        Returns whether it came to the end; no more force than that was met.
         """
         last_N, before_N, from_mm = 0.0, 0.0, self._stage.position_mm
         slow_mm_s, enough_mm_s = self.watched.fastest_mm_s, (deepest_mm - from_mm) / FEEL_S
@@ -333,13 +297,13 @@ class _Run:
             force_N = self.watched.expect_rise(last_N)
             last_N, before_N = force_N - before_N, force_N
             speed_mm_s = min(enough_mm_s, self.watched.fastest_mm_s)
-            self._moves.append(self._motion.go(to_mm, speed_mm_s, self.watched.has_risen))
+            self._go(to_mm, speed_mm_s, self.watched.has_risen)
             if self.watched.has_risen():
                 return False
         return True
 
     def _measure_latency(self, began: int, force_N: Array, at: Callable[[Array], Array], contact_mm: float) -> None:
-        """See how late the load cell is in the slow press, by its own clock: lines arrive late by chance, too."""
+        """See how late the cell is in the slow press, by its own clock: lines come late, too."""
         force = self._bench.config.force
         if force is None or self._bench.force is None:
             return
@@ -355,33 +319,17 @@ class _Run:
         bounds, fastest_mm_s = self.watched.bounds, self._profile.fastest_mm_s
         known_mm_s = bounds.known_mm_s(force_N, stiffness_N_mm)
         if fastest_mm_s > known_mm_s:
-            raise CommandRefused(
-                reason(
-                    "rig.too_fast",
-                    profile=repr(self._profile.name),
-                    speed_mm_s=fastest_mm_s,
-                    force_N=force_N,
-                    stiffness_N_mm=stiffness_N_mm,
-                    worst_N=bounds.worst_N(fastest_mm_s, force_N, stiffness_N_mm),
-                    ceiling_N=bounds.ceiling_N,
-                    slower_mm_s=known_mm_s,
-                )
-            )
+            felt = {"force_N": force_N, "stiffness_N_mm": stiffness_N_mm}
+            speeds = {"speed_mm_s": fastest_mm_s, "slower_mm_s": known_mm_s, "ceiling_N": bounds.ceiling_N}
+            worst_N = bounds.worst_N(fastest_mm_s, **felt)
+            about = reason("rig.too_fast", profile=repr(self._profile.name), worst_N=worst_N, **felt, **speeds)
+            raise CommandRefused(about)
         return known_mm_s
 
     def _tell(self, fraction: float, remaining_s: float) -> None:
         if self._on_progress is None:
             return
-        output, force, polls = self._readings.output, self._readings.force, self._readings.polls
-        self._on_progress(
-            RunProgress(
-                self._phase,
-                fraction,
-                remaining_s,
-                self._clock.now_s() - self._began_s,
-                output[-1].values[0] if output else None,
-                polls[-1].position_mm if polls else 0.0,
-                force[-1].values[0] if force else None,
-                self._bench.readout.unit,
-            )
-        )
+        read, t_s = self._readings, self._clock.now_s() - self._began_s
+        output, force_N = (samples[-1].values[0] if samples else None for samples in (read.output, read.force))
+        stage_mm, unit = read.polls[-1].position_mm if read.polls else 0.0, self._bench.readout.unit
+        self._on_progress(RunProgress(self._phase, fraction, remaining_s, t_s, output, stage_mm, force_N, unit))

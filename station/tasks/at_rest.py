@@ -1,4 +1,4 @@
-"""The sensor read at rest, under a load that a person put on the unit. Nothing is ever told to the stage here."""
+"""The sensor read at rest, under a load that a person put on. Nothing is told to the stage here."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -16,11 +16,7 @@ from softcal.station.motion.watched import BOOT_S
 
 @dataclass(frozen=True, eq=False)
 class RestReading:
-    """What was read.
-
-    Args:
-        output: (n, channels) in `output_unit`.
-    """
+    """What was read: output (n, channels) in its unit."""
 
     serial: str
     output: Array
@@ -33,13 +29,8 @@ def read_at_rest(
     """Wait until a unit has settled, then read its output.
 
     Args:
-        settle_s: before the reading begins.
         on_look: called at every look with the share that is done and the seconds that are left; what it raises ends
             the reading.
-
-    Raises:
-        CommandRefused: the stage moves.
-        NoReply, BadReply: the readout falls silent or is broken.
     """
     if bench.stage.is_moving:
         raise CommandRefused(Reason("rig.moves"))
@@ -57,18 +48,14 @@ def read_at_rest(
             if gone_s >= settle_s:
                 kept.append(sample.values)
         watch.check_silence(clock.now_s())
-        _pass_by(bench)
+        # Nothing old may wait in the lines of stage and load cell.
+        bench.stage.poll()
+        if bench.force is not None:
+            try:
+                bench.force.poll()
+            except BadReply:
+                bench.force.start()  # A hand at the unit may saturate the cell; no load is read from it here.
         on_look(min(gone_s / total_s, 1.0), max(0.0, total_s - gone_s))
     if not kept:
         watch.check_silence(float("inf"))
     return RestReading(serial, np.array(kept, np.float64), readout.unit)
-
-
-def _pass_by(bench: Bench) -> None:
-    """Take what stage and load cell say meanwhile, so that nothing old waits in their lines."""
-    bench.stage.poll()
-    if bench.force is not None:
-        try:
-            bench.force.poll()
-        except BadReply:
-            bench.force.start()  # A hand at the unit may saturate the cell; no load is read from it here.

@@ -1,6 +1,9 @@
-"""What is on the other end of a serial port: listen first, ask only then, and never move anything."""
+"""What is on the other end of a port: listen first, ask only then, and never move anything."""
 
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,6 +16,8 @@ from softcal.station.wire.frames import esm, gcl2, grbl, loadstar, zaber
 from softcal.station.wire.frames.indicator import OVERLOADED, parse_N
 from softcal.station.wire.frames.text_stream import parse as parse_stream
 from softcal.station.wire.link import POLL_S, Line, Link
+
+T = TypeVar("T")
 
 LISTEN_S, FEW_LINES = 1.0, 5
 ANSWER_S = 2.5
@@ -45,11 +50,7 @@ class DeviceIdentity:
 
 
 def identify(port: str, clock: Clock) -> DeviceIdentity:
-    """Return what answers at a port.
-
-    Raises:
-        NoReply: the port does not exist or belongs to another process.
-    """
+    """Return what answers at a port; `NoReply`: it does not exist or belongs to another process."""
     link = Link(port, clock)
     try:
         unknown = DeviceIdentity(port, "", "", Reason("port.unknown"))
@@ -62,16 +63,13 @@ def _stream(link: Link) -> DeviceIdentity | None:
     banner, lines = "", []
     heard, rate_Hz = _heard(link)
     if any(_is_indicator(line.text) for line in heard[1:3]):
-        return DeviceIdentity(
-            link.port, "force", "indicator", reason("port.said", said=heard[1].text.decode()), rate_Hz, 1
-        )
+        said = reason("port.said", said=heard[1].text.decode())
+        return DeviceIdentity(link.port, "force", "indicator", said, rate_Hz, 1)
     for line in heard:
         if line.text.startswith(b"softcal "):
             banner = line.text.decode("ascii", "replace")
-        try:
+        with suppress(BadReply):
             lines.append(parse_stream(line.text))
-        except BadReply:
-            continue
     if len(lines) < FEW_LINES:
         return None
     rate_Hz = seen_rate_Hz(np.array([line.device_ms for line in lines]) / 1000.0)
@@ -80,11 +78,16 @@ def _stream(link: Link) -> DeviceIdentity | None:
     return DeviceIdentity(link.port, role, kind, why, rate_Hz, len(lines[0].counts))
 
 
-def _heard(link: Link) -> tuple[list[Line], float]:
-    """Listen until some lines came, for BOOT_S at most, then for LISTEN_S; return all lines and how many came a second.
+def _is_indicator(line: bytes) -> bool:
+    try:
+        parse_N(line)
+    except BadReply as error:
+        return error.reason == OVERLOADED
+    return True
 
-    A board may say a line of before, or its greeting, and only then boot.
-    """
+
+def _heard(link: Link) -> tuple[list[Line], float]:
+    """Return all lines: until some came (BOOT_S at most) and LISTEN_S more; and how many a second."""
     end_s = link.clock.now_s() + BOOT_S
     heard: list[Line] = []
     while len(heard) < FEW_LINES and link.clock.now_s() < end_s:
@@ -98,7 +101,7 @@ def _heard(link: Link) -> tuple[list[Line], float]:
 
 
 def _told_apart(banner: str, largest: int, smallest: int, rate_Hz: float) -> tuple[str, str, Reason]:
-    """Return role, dialect and the reason why: a banner decides, else what only one kind of device can send."""
+    """Return role, dialect and why: a banner decides, else what only one kind of device sends."""
     if "load cell" in banner:
         return "force", "hx711", reason("port.said", said=banner)
     if banner:
@@ -110,85 +113,62 @@ def _told_apart(banner: str, largest: int, smallest: int, rate_Hz: float) -> tup
     return "", "", reason("port.either", largest=largest, rate_Hz=rate_Hz)
 
 
+def _answer(
+    link: Link, question: bytes, parse: Callable[[bytes], T | None], within_s: float = QUICK_S, is_first: bool = False
+) -> T | None:
+    """Return the first answer that reads; or the first at all, where none can be another dialect's."""
+    link.discard()
+    link.write(question)
+    end_s = link.clock.now_s() + within_s
+    while link.clock.now_s() < end_s:
+        try:
+            answer = parse(link.next_line(end_s - link.clock.now_s()).text)
+        except BadReply:
+            answer = None
+        except NoReply:
+            return None
+        if answer is not None or is_first:
+            return answer
+    return None
+
+
 def _esm(link: Link) -> DeviceIdentity | None:
     # Asked before all others: the slash of a Zaber command would open the stand's channel to its gauge.
-    link.discard()
-    link.write(esm.STATUS)
-    try:
-        esm.parse_status(link.next_line(QUICK_S).text)
-    except (BadReply, NoReply):
+    if _answer(link, esm.STATUS, esm.parse_status, is_first=True) is None:
         return None
-    link.write(esm.to_gauge("LIST"))
-    try:
-        settings = gcl2.parse_settings(link.next_line(QUICK_S).text)
-    except (BadReply, NoReply):
+    settings = _answer(link, esm.to_gauge("LIST"), gcl2.parse_settings, is_first=True)
+    if settings is None:
         return DeviceIdentity(link.port, "stage", "esm", Reason("port.esm"))
     return DeviceIdentity(link.port, "stage", "esm", reason("port.esm.gauge", unit=settings.unit), 50.0, 1)
 
 
 def _grbl(link: Link) -> DeviceIdentity | None:
-    link.discard()
-    link.write(b"\r\n" + grbl.STATUS)
-    end_s = link.clock.now_s() + ANSWER_S
-    while link.clock.now_s() < end_s:
-        try:
-            reply = grbl.parse(link.next_line(end_s - link.clock.now_s()).text)
-        except BadReply:
-            continue
-        except NoReply:
-            return None
+    def parse(line: bytes) -> Reason | None:
+        reply = grbl.parse(line)
         if isinstance(reply, grbl.Greeting):
-            return DeviceIdentity(link.port, "stage", "grbl", reason("port.said", said=reply.text))
-        if isinstance(reply, grbl.GrblStatus):
-            return DeviceIdentity(link.port, "stage", "grbl", reason("port.grbl", state=reply.state))
-    return None
+            return reason("port.said", said=reply.text)
+        return reason("port.grbl", state=reply.state) if isinstance(reply, grbl.GrblStatus) else None
 
-
-def _is_indicator(line: bytes) -> bool:
-    try:
-        parse_N(line)
-    except BadReply as error:
-        return error.reason == OVERLOADED
-    return True
+    says = _answer(link, b"\r\n" + grbl.STATUS, parse, ANSWER_S)
+    return DeviceIdentity(link.port, "stage", "grbl", says) if says else None
 
 
 def _zaber(link: Link) -> DeviceIdentity | None:
-    link.discard()
-    link.write(b"\n" + zaber.format_command(zaber.Command(1, 0, 1, "get deviceid")))  # the line of before is ended
-    try:
-        reply = zaber.parse_reply(link.next_line(QUICK_S).text)
-    except (BadReply, NoReply):
-        return None
+    question = b"\n" + zaber.format_command(zaber.Command(1, 0, 1, "get deviceid"))  # the line of before is ended
+    reply = _answer(link, question, zaber.parse_reply, is_first=True)
     return DeviceIdentity(link.port, "stage", "zaber", reason("port.zaber", device=reply.data)) if reply else None
 
 
 def _mark10(link: Link) -> DeviceIdentity | None:
-    link.discard()
-    link.write(gcl2.END + gcl2.LIST)
-    end_s = link.clock.now_s() + QUICK_S
-    while link.clock.now_s() < end_s:
-        try:
-            line = link.next_line(end_s - link.clock.now_s())
-            settings = gcl2.parse_settings(line.text)
-        except BadReply:
-            continue  # The bytes of the other dialects have earned an error code first.
-        except NoReply:
-            return None
-        return DeviceIdentity(link.port, "force", "mark10", reason("port.mark10", unit=settings.unit), 50.0, 1)
-    return None
+    settings = _answer(link, gcl2.END + gcl2.LIST, gcl2.parse_settings)
+    says = reason("port.mark10", unit=settings.unit) if settings else None
+    return DeviceIdentity(link.port, "force", "mark10", says, 50.0, 1) if says else None
 
 
 def _loadstar(link: Link) -> DeviceIdentity | None:
-    link.discard()
-    link.write(loadstar.PING + loadstar.MODEL)
-    end_s = link.clock.now_s() + QUICK_S
-    while link.clock.now_s() < end_s:
-        try:
-            line = link.next_line(end_s - link.clock.now_s()).text
-        except NoReply:
-            return None
-        if any(known in line for known in loadstar.KNOWN_MODELS):
-            return DeviceIdentity(
-                link.port, "force", "loadstar", reason("port.loadstar", model=line.decode("ascii", "replace")), 80.0, 1
-            )
-    return None
+    def parse(line: bytes) -> str | None:
+        return line.decode("ascii", "replace") if any(known in line for known in loadstar.KNOWN_MODELS) else None
+
+    model = _answer(link, loadstar.PING + loadstar.MODEL, parse)
+    says = reason("port.loadstar", model=model) if model else None
+    return DeviceIdentity(link.port, "force", "loadstar", says, 80.0, 1) if says else None

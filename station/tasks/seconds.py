@@ -16,7 +16,7 @@ HOME_S, READ_S, SETTLE_S, RETURN_S = 5.0, 2.0, 1.0, 3.5
 """Homing, about; reading the unloaded channels; settling before a profile; lifting and the zero return, about."""
 
 FREE_MM, TOUCH_MM = 1.0, 0.3
-"""So far below the approach a unit lies, about; a second touch goes so far at a quarter of the speed."""
+"""So far below the approach a unit lies, about; a second touch goes so far, four times slower."""
 
 STEP_MM, FEEL_S = 0.4, 10.0
 """A slow press that would take longer than this goes in steps: how fast the next one may be is known when the force of
@@ -29,9 +29,7 @@ SHORTER_N_MM = 100.0
 def seconds_of(config: StationConfig, bounds: ForceBounds, profile: Profile, from_mm: float | None) -> dict[str, float]:
     """Return how long each phase of a run takes at most, about: for a unit whose force grows evenly to the limit.
 
-    Args:
-        bounds: what a stop holds on this rig.
-        from_mm: where the stage stands; None where it must be homed.
+    The stage stands at `from_mm`; None where it must be homed.
     """
     fixture, fastest_mm_s = config.fixture, config.safety.speed_mm_s
     free_mm_s = fastest_mm_s if config.force is None else min(fastest_mm_s, bounds.free_mm_s)
@@ -66,7 +64,7 @@ def unit_s(config: StationConfig, bounds: ForceBounds, profile: Profile) -> floa
 
 
 def shorter(config: StationConfig, bounds: ForceBounds, profile: Profile) -> Iterator[tuple[str, float, float]]:
-    """Yield keys of the station file with the value that would shorten a run, and how long a unit would take then."""
+    """Yield keys of the station file, a value that would shorten a run, and the seconds of a unit then."""
     if config.force is not None and not config.force.is_latency_stated:
         prompt = replace(bounds.reaction, delay_s=bounds.reaction.delay_s - LATEST_S)
         yield "latency_s", 0.0, unit_s(config, replace(bounds, reaction=prompt), profile)

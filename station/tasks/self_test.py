@@ -7,7 +7,7 @@ import numpy as np
 
 from softcal.core.errors import DeviceError
 from softcal.core.profiles import Profile
-from softcal.core.words.reason import Reason, plain, reason
+from softcal.core.words.reason import Reason, Value, plain, reason
 from softcal.station.clock import CLOCK_SHARE, fit_clock, seen_rate_Hz
 from softcal.station.devices.bench import Bench
 from softcal.station.interfaces import Advises, ForceReader, Move, Readout, RunsOn, Sample
@@ -21,12 +21,10 @@ LOOK_S = 0.001
 """How often the readers are read: arrival times are no finer than this."""
 
 STEP_MM, STEP_S = 2.0, 10.0
-"""The stage goes down by at most so much, and for at most so long: what is in the way is to be met slowly."""
+"""The stage goes down by so much and for so long at most: what is in the way is met slowly."""
 
 GONE_S, GONE_SHARE = 1.0, 0.25
 """The stage is told nothing for so long, from this share of its way on: longer than all that was sent ahead takes."""
-
-STAGE = named("stage")
 
 POSITION_MM = 0.02
 RATE_SHARE = 0.05
@@ -37,8 +35,6 @@ class SelfTestItem:
     """One thing the self-test looked at.
 
     Args:
-        device: stage, load cell, sensor readout.
-        value: what was found, with its unit.
         cure: what to do; None when it is good.
     """
 
@@ -52,6 +48,10 @@ class SelfTestItem:
         return self.cure is None
 
 
+def _item(device: str, what: str, found: str, cure: Reason | None = None, /, **values: Value) -> SelfTestItem:
+    return SelfTestItem(named(device), Reason(what), reason(found, **values), cure)
+
+
 def self_test(
     bench: Bench,
     may_move: bool = True,
@@ -63,7 +63,6 @@ def self_test(
     A device that fails is a finding, so that all faults are seen at once.
 
     Args:
-        bench: open devices.
         may_move: home the stage and move it by up to 2 mm, never deeper than the approach.
         on_wait: called all the time; what it raises stops the stage and ends the self-test.
         profile: of the units; then it is said how long one takes.
@@ -86,93 +85,49 @@ def self_test(
     except Cancelled:
         raise
     except DeviceError as error:
-        findings.append(
-            SelfTestItem(Reason("device.readers"), Reason("check.stream"), Reason("found.failed"), error.reason)
-        )
+        findings.append(_item("readers", "check.stream", "found.failed", error.reason))
     for reader in readers:
         findings += _stream_findings(reader, samples[reader.name])
-    if bench.force is not None:
-        findings += _zero_findings(bench, samples[bench.force.name])
+    if bench.force is not None and (weighed := samples[bench.force.name]):
+        zero_N, allowed_N = float(np.mean([sample.values[0] for sample in weighed])), bench.config.safety.zero_N
+        cure = None if abs(zero_N) <= allowed_N else reason("cure.zero", allowed_N=allowed_N)
+        findings.append(_item("load cell", "check.zero", "found.zero", cure, zero_N=zero_N))
     return findings if profile is None else [*findings, *_seconds_findings(bench, profile)]
 
 
 def _seconds_findings(bench: Bench, profile: Profile) -> Iterator[SelfTestItem]:
-    """How long a unit takes, and what would shorten it."""
     config, bounds = bench.config, bounds_of(bench)
     phases = seconds_of(config, bounds, profile, config.fixture.approach_mm)
     all_s = sum(phases.values())
-    found = reason(
-        "found.unit_seconds",
-        all_s=all_s,
-        press_s=profile.duration_s,
-        feel_s=phases[FEELING],
-        stiffest_N_mm=bounds.stiffest_N_mm,
-        profile=profile.name,
-    )
-    yield SelfTestItem(STAGE, Reason("check.unit_seconds"), found)
+    about = {"press_s": profile.duration_s, "feel_s": phases[FEELING], "stiffest_N_mm": bounds.stiffest_N_mm}
+    yield _item("stage", "check.unit_seconds", "found.unit_seconds", all_s=all_s, profile=profile.name, **about)
     for key, value, shorter_s in shorter(config, bounds, profile):
         if shorter_s < all_s - 1.0:
-            found = reason("found.shorter", key=key, value=value, all_s=shorter_s)
-            yield SelfTestItem(STAGE, Reason("check.shorter"), found)
+            yield _item("stage", "check.shorter", "found.shorter", key=key, value=value, all_s=shorter_s)
 
 
-def _stream_findings(reader: ForceReader | Readout, samples: Sequence[Sample]) -> list[SelfTestItem]:
+def _stream_findings(reader: ForceReader | Readout, samples: Sequence[Sample]) -> Iterator[SelfTestItem]:
+    name, unit = reader.name, reader.unit
     if len(samples) < 10:
-        return [
-            SelfTestItem(
-                named(reader.name),
-                Reason("check.stream"),
-                reason("found.samples", count=len(samples)),
-                Reason("cure.no_stream"),
-            )
-        ]
+        yield _item(name, "check.stream", "found.samples", Reason("cure.no_stream"), count=len(samples))
+        return
     values = np.array([sample.values for sample in samples])
     noise = float(np.max(np.std(np.diff(values, axis=0), axis=0))) / np.sqrt(2)
-    findings = [
-        SelfTestItem(
-            named(reader.name),
-            Reason("check.reading"),
-            reason("found.reading", values=", ".join(f"{v:.4g}" for v in values.mean(axis=0)), unit=reader.unit),
-        ),
-        SelfTestItem(named(reader.name), Reason("check.noise"), reason("found.noise", noise=noise, unit=reader.unit)),
-    ]
+    shown = ", ".join(f"{value:.4g}" for value in values.mean(axis=0))
+    yield _item(name, "check.reading", "found.reading", values=shown, unit=unit)
+    yield _item(name, "check.noise", "found.noise", noise=noise, unit=unit)
     if samples[0].device_s is None:
-        return findings
+        return
     device_s = np.array([sample.device_s for sample in samples], dtype=np.float64)
     fit = fit_clock(device_s, np.array([sample.host_s for sample in samples]))
     rate_Hz = seen_rate_Hz(device_s)
     is_right = abs(rate_Hz / reader.rate_Hz - 1) < RATE_SHARE
-    slow = reason("cure.rate", rate_Hz=reader.rate_Hz)
+    slow = None if is_right else reason("cure.rate", rate_Hz=reader.rate_Hz)
+    yield _item(name, "check.rate", "found.rate", slow, rate_Hz=rate_Hz)
     drift = Reason("cure.clock") if abs(fit.rate - 1) > CLOCK_SHARE else None
-    return [
-        *findings,
-        SelfTestItem(
-            named(reader.name), Reason("check.rate"), reason("found.rate", rate_Hz=rate_Hz), None if is_right else slow
-        ),
-        SelfTestItem(
-            named(reader.name),
-            Reason("check.drift"),
-            reason("found.drift", drift_ppm=_ppm(1 - fit.rate), doubt_ppm=_ppm(LOOK_S / LISTEN_S)),
-            drift,
-        ),
-        SelfTestItem(
-            named(reader.name),
-            Reason("check.latency"),
-            reason("found.latency", middle_ms=1000.0 * fit.late_s, most_ms=1000.0 * fit.latest_s),
-        ),
-    ]
-
-
-def _ppm(share: float) -> str:
-    return f"{1e6 * share:.0f}"
-
-
-def _zero_findings(bench: Bench, samples: Sequence[Sample]) -> list[SelfTestItem]:
-    if not samples:
-        return []
-    zero_N, allowed_N = float(np.mean([sample.values[0] for sample in samples])), bench.config.safety.zero_N
-    cure = None if abs(zero_N) <= allowed_N else reason("cure.zero", allowed_N=allowed_N)
-    return [SelfTestItem(named("load cell"), Reason("check.zero"), reason("found.zero", zero_N=zero_N), cure)]
+    drift_ppm, doubt_ppm = (f"{1e6 * share:.0f}" for share in (1 - fit.rate, LOOK_S / LISTEN_S))
+    yield _item(name, "check.drift", "found.drift", drift, drift_ppm=drift_ppm, doubt_ppm=doubt_ppm)
+    yield _item(name, "check.latency", "found.latency", middle_ms=1000.0 * fit.late_s, most_ms=1000.0 * fit.latest_s)
 
 
 def _stage_findings(bench: Bench, on_wait: Callable[[], None]) -> list[SelfTestItem]:
@@ -183,22 +138,14 @@ def _stage_findings(bench: Bench, on_wait: Callable[[], None]) -> list[SelfTestI
     except Cancelled:
         raise
     except DeviceError as error:
-        return [SelfTestItem(STAGE, Reason("check.homing_moving"), Reason("found.failed"), error.reason)]
+        return [_item("stage", "check.homing_moving", "found.failed", error.reason)]
     cure = None if abs(way.error_mm) < POSITION_MM else Reason("cure.return")
+    about = {"way_mm": 2 * way.down_mm, "took_s": way.took_s, "error_mm": way.error_mm}
     return [
-        SelfTestItem(STAGE, Reason("check.homing"), Reason("found.switch")),
-        SelfTestItem(
-            STAGE,
-            Reason("check.travel"),
-            reason("found.travel", travel_mm=stage.travel_mm, speed_mm_s=stage.max_speed_mm_s),
-        ),
-        SelfTestItem(
-            STAGE,
-            Reason("check.return"),
-            reason("found.return", way_mm=2 * way.down_mm, took_s=way.took_s, error_mm=way.error_mm),
-            cure,
-        ),
-        *_safety_findings(bench, watched, way),
+        _item("stage", "check.homing", "found.switch"),
+        _item("stage", "check.travel", "found.travel", travel_mm=stage.travel_mm, speed_mm_s=stage.max_speed_mm_s),
+        _item("stage", "check.return", "found.return", cure, **about),
+        *(_safety_findings(watched, way) if bench.force is not None else ()),
     ]
 
 
@@ -235,7 +182,7 @@ def _go_out_and_back(watched: WatchedBench) -> _Way:
 
 
 def _ran_on_mm(watched: WatchedBench, to_mm: float, speed_mm_s: float) -> float:
-    """Go there, leave the stage alone on the way as if its host had died, and return how far it went meanwhile."""
+    """Go there, leave the stage alone on the way as if its host had died; return how far it went."""
     stage, clock, polls = watched.bench.stage, watched.bench.clock, watched.readings.polls
     from_mm = stage.position_mm + GONE_SHARE * (to_mm - stage.position_mm)
     gone: list[tuple[float, float]] = []  # (from when, until when it was left alone)
@@ -256,44 +203,24 @@ def _ran_on_mm(watched: WatchedBench, to_mm: float, speed_mm_s: float) -> float:
     return max(0.0, later_mm[0] - here_mm)
 
 
-def _safety_findings(bench: Bench, watched: WatchedBench, way: _Way) -> list[SelfTestItem]:
-    """What a stop holds on this rig, in figures."""
-    if bench.force is None:
-        return []
-    bounds, stage = watched.bounds, bench.stage
-    settings = stage.unsafe_settings() if isinstance(stage, Advises) else ()
-    unsafe = [SelfTestItem(STAGE, Reason("check.setting"), plain(value), cure) for value, cure in settings]
-    safe = reason(
-        "found.safe_speed", free_mm_s=bounds.free_mm_s, unknown_mm_s=bounds.unknown_mm_s, ceiling_N=bounds.ceiling_N
-    )
-    findings = [*unsafe, SelfTestItem(STAGE, Reason("check.safe_speed"), safe)]
-    return [*findings, *_gone_findings(watched, stage, way)] if isinstance(stage, RunsOn) else findings
-
-
-def _gone_findings(watched: WatchedBench, stage: RunsOn, way: _Way) -> list[SelfTestItem]:
-    """How far the stage runs on when the host dies, at most and as measured, and what that may add to the force."""
-    bounds, fastest_mm_s = watched.bounds, watched.bench.config.safety.speed_mm_s
-    slow_mm_s = min(bounds.unknown_mm_s, fastest_mm_s)
+def _safety_findings(watched: WatchedBench, way: _Way) -> Iterator[SelfTestItem]:
+    """What a stop holds on this rig, also when the host dies: at most and as measured."""
+    bounds, stage = watched.bounds, watched.bench.stage
+    for setting, mend in stage.unsafe_settings() if isinstance(stage, Advises) else ():
+        yield SelfTestItem(named("stage"), Reason("check.setting"), plain(setting), mend)
+    free_mm_s, unknown_mm_s = bounds.free_mm_s, bounds.unknown_mm_s
+    speeds = {"free_mm_s": free_mm_s, "unknown_mm_s": unknown_mm_s}
+    yield _item("stage", "check.safe_speed", "found.safe_speed", ceiling_N=bounds.ceiling_N, **speeds)
+    if not isinstance(stage, RunsOn):
+        return
+    fast_mm_s = watched.bench.config.safety.speed_mm_s
+    slow_mm_s = min(unknown_mm_s, fast_mm_s)
     slow_mm = stage.runs_on_mm(Move(0.0, slow_mm_s, bounds.ahead_mm(slow_mm_s, bounds.limit_N)))
-    findings = [
-        SelfTestItem(
-            STAGE,
-            Reason("check.runs_on"),
-            reason(
-                "found.runs_on",
-                speed_mm_s=fastest_mm_s,
-                on_s=stage.runs_on_s(fastest_mm_s),
-                way_mm=stage.runs_on_mm(Move(0.0, fastest_mm_s)),
-                slow_mm_s=slow_mm_s,
-                slow_mm=slow_mm,
-                worst_N=bounds.gone_N(slow_mm_s, slow_mm),
-            ),
-        )
-    ]
+    fast = {"speed_mm_s": fast_mm_s, "way_mm": stage.runs_on_mm(Move(0.0, fast_mm_s))}
+    slow = {"slow_mm_s": slow_mm_s, "slow_mm": slow_mm, "worst_N": bounds.gone_N(slow_mm_s, slow_mm)}
+    yield _item("stage", "check.runs_on", "found.runs_on", on_s=stage.runs_on_s(fast_mm_s), **fast, **slow)
     if np.isfinite(way.ran_on_mm):
-        speed_mm_s = way.speed_mm_s
-        most_mm = stage.runs_on_mm(Move(0.0, speed_mm_s, bounds.ahead_mm(speed_mm_s, bounds.touch_N)))
-        found = reason("found.ran_on", way_mm=way.ran_on_mm, speed_mm_s=speed_mm_s, most_mm=most_mm)
-        is_right = way.ran_on_mm <= most_mm + POSITION_MM
-        findings.append(SelfTestItem(STAGE, Reason("check.ran_on"), found, None if is_right else Reason("cure.ran_on")))
-    return findings
+        most_mm = stage.runs_on_mm(Move(0.0, way.speed_mm_s, bounds.ahead_mm(way.speed_mm_s, bounds.touch_N)))
+        cure = None if way.ran_on_mm <= most_mm + POSITION_MM else Reason("cure.ran_on")
+        about = {"way_mm": way.ran_on_mm, "speed_mm_s": way.speed_mm_s, "most_mm": most_mm}
+        yield _item("stage", "check.ran_on", "found.ran_on", cure, **about)

@@ -1,4 +1,4 @@
-"""The resident owner of a station: one order at a time, one sentence for every stop. No database, no page here."""
+"""The owner of a station: one order at a time, one sentence for every stop. No database here."""
 
 import math
 import re
@@ -26,7 +26,7 @@ from softcal.core.quality.reading_at_rest import ReadingConfig
 from softcal.core.words.reason import Reason, reason, root_of, several
 from softcal.station.devices.bench import Bench
 from softcal.station.devices.config import LATEST_S
-from softcal.station.interfaces import Reader, Stage
+from softcal.station.interfaces import Reader
 from softcal.station.motion.motion import Cancelled
 from softcal.station.named import named
 from softcal.station.record.recording import StationRecording
@@ -54,7 +54,7 @@ CHECK_S = 12.0
 """How long a self-test takes, about."""
 
 SILENT_S = 2.0
-"""Between runs a stream that says nothing for so long is gone; in a run the safety bounds are far tighter."""
+"""A stream that is silent for so long between runs is gone; in a run the bounds are far tighter."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,6 @@ class StationService:
 
     Args:
         open_bench: opens the devices; called again after an acknowledged fault, since ports may have died.
-        spool_folder: where samples go as they come.
     """
 
     def __init__(
@@ -105,7 +104,6 @@ class StationService:
 
     @property
     def rig(self) -> RigFacts:
-        """What the gate may want to know of the rig."""
         # Opening its port resets an Arduino's clock though its cell stays powered: the longer of the two is true.
         powered_s = max(self._cell_clock_s, time.monotonic() - self._started_s)
         is_homed = self._bench is not None and self._bench.stage.is_position_known
@@ -114,7 +112,7 @@ class StationService:
         )
 
     def start(self) -> None:
-        """Open the ports; a device that is missing leaves the station stopped, with all of them named."""
+        """Open the ports; where devices are missing the station stops, and names them all."""
         self._open.close()
         self._bench, self.state = None, StationState.STARTING
         try:
@@ -134,13 +132,19 @@ class StationService:
         self.reasons = self.gate.reasons
 
     def watch(self, seconds: float) -> None:
-        """Let a little time pass between orders and read what comes: a device that is gone is seen now."""
+        """Let a little time pass between orders and read: a device that is gone is seen now."""
         bench = self._bench
         if bench is None or self.state not in (StationState.READY, StationState.CLOSED):
             return
         try:
             bench.clock.sleep_s(seconds)
-            _look_at(bench.stage)
+            was_known = bench.stage.is_position_known
+            try:
+                bench.stage.poll()
+            except DeviceError as error:
+                # A stage that was never homed is locked, and says so; that is no news.
+                if was_known or isinstance(error, NoReply):
+                    raise
             for reader in (bench.readout, bench.force):
                 if reader is not None:
                     self._listen(bench, reader)
@@ -148,22 +152,25 @@ class StationService:
             self.state, self.reasons = StationState.STOPPED, (error.reason,)
 
     def acknowledge(self) -> None:
-        """Somebody has read why the station stopped: open the ports again; the next run homes first."""
+        """Open the ports again: somebody has read why it stopped; the next run homes first."""
         self.start()
 
     def perform(self, order: Order) -> StationRecording | RestReading | None:
-        """Perform one order; every outcome but a good recording or reading is reported here.
+        """Perform one order; return what a run that went through recorded, which the host keeps and reports done.
 
-        Returns:
-            What a run that went through recorded: the host keeps it and reports it done. None otherwise.
+        Every other outcome is reported here.
         """
         if order.kind is OrderKind.ACKNOWLEDGE:
             self.acknowledge()
             self._end(order, RunState.DONE, "", (Reason("run.acknowledged"),))
             return None
-        code, refusal = self._refusal(order)
+        if self.state is StationState.STOPPED or self._bench is None:
+            refusal = (*(reason("rig.stopped", why=why) for why in self.reasons), Reason("rig.acknowledge"))
+        else:
+            gate = self._hooks.gate(order.kind, self.rig)
+            refusal = () if gate.is_open else gate.reasons
         if refusal:
-            self._end(order, RunState.ERROR, code, refusal)
+            self._end(order, RunState.ERROR, "E-GATE", refusal)
             return None
         relay = _Relay(order, self._hooks)
         try:
@@ -173,15 +180,20 @@ class StationService:
         except Cancelled as error:
             self._stop(order, RunState.CANCELLED, "E-STOPPED", error)
         except SoftcalError as error:
-            self._remember(error, relay.phase)
-            self._stop(order, RunState.ERROR, _code(error), error)
+            # This closes the gate until a self-test is good.
+            if isinstance(error, ZeroMoved):
+                self._zero_fault = root_of(error.reason)
+            elif relay.phase == HOMING:
+                self._homing_fault = root_of(error.reason)
+            code = next(code for kind, code in CODES.items() if isinstance(error, kind) or kind is DeviceError)
+            self._stop(order, RunState.ERROR, code, error)
         except Exception:
             self.state, self.reasons = StationState.STOPPED, (Reason("rig.defect"),)
             raise
         return None
 
     def spool_path(self, order: Order) -> Path:
-        """Return where the samples of an order go; the host removes it once the recording is stored."""
+        """Return where the samples of an order go, until the host has stored the recording."""
         name = re.sub(r"[^A-Za-z0-9-]", "_", order.order_id)[:64]
         return self._spool_folder / f"{check_serial(order.serial)}-{name}.spool"
 
@@ -206,20 +218,6 @@ class StationService:
         silent_s = now_s - self._heard_s.setdefault(reader.name, now_s)
         if silent_s > SILENT_S:
             raise NoReply(reason("rig.silent.between", device=named(reader.name), seconds=silent_s))
-
-    def _refusal(self, order: Order) -> tuple[str, tuple[Reason, ...]]:
-        """Return code and reasons why an order may not run; both empty when it may."""
-        if self.state is StationState.STOPPED or self._bench is None:
-            return "E-GATE", (*(reason("rig.stopped", why=why) for why in self.reasons), Reason("rig.acknowledge"))
-        gate = self._hooks.gate(order.kind, self.rig)
-        return ("", ()) if gate.is_open else ("E-GATE", gate.reasons)
-
-    def _remember(self, error: SoftcalError, phase: str) -> None:
-        """Keep what closes the gate until a self-test is good."""
-        if isinstance(error, ZeroMoved):
-            self._zero_fault = root_of(error.reason)
-        elif phase == HOMING:
-            self._homing_fault = root_of(error.reason)
 
     def _run(self, order: Order, relay: "_Relay") -> StationRecording | RestReading | None:
         bench = self._bench
@@ -300,7 +298,7 @@ class _Relay:
             self._hooks.report(Progress(self._order.order_id, RunState.RUNNING, READING, fraction, remaining_s))
 
     def _signal(self) -> Signal:
-        """Return the newest stretch; before the load cell's first sample there is no force to draw."""
+        """Return the newest stretch; before the cell's first sample there is no force to draw."""
         points = [point for point in self._points if point[3] is not None] or list(self._points)
         if not points:
             return Signal()
@@ -309,27 +307,9 @@ class _Relay:
 
 
 def _with_latency(bench: Bench, behind_s: float) -> Bench:
-    """Take how late a good run found the load cell, where the station file does not say it: later runs are held to it.
-
-    It is forgotten when the ports are opened again, as after every fault.
-    """
+    """Hold later runs to how late a good one found the cell, until the ports open again."""
     force = bench.config.force
     if force is None or force.is_latency_stated or not math.isfinite(behind_s):
         return bench
     stated = replace(force, latency_s=min(max(0.0, behind_s), LATEST_S))
     return replace(bench, config=replace(bench.config, force=stated))
-
-
-def _look_at(stage: Stage) -> None:
-    was_known = stage.is_position_known
-    try:
-        stage.poll()
-    except NoReply:
-        raise
-    except DeviceError:
-        if was_known:
-            raise  # A stage that was never homed is locked, and says so; that is no news.
-
-
-def _code(error: SoftcalError) -> str:
-    return next(code for kind, code in CODES.items() if isinstance(error, kind) or kind is DeviceError)

@@ -25,20 +25,13 @@ __all__ = ["Check", "Nonconformity", "DriverRig", "checks"]
 
 @dataclass(frozen=True)
 class Check:
-    """One thing a driver must do; call it to see whether it does.
-
-    Args:
-        driver: that is looked at.
-        sentence: what it must do.
-        examine: looks at it on a rig of its own.
-    """
+    """One thing a driver must do; call it to see whether it does, on a rig of its own."""
 
     driver: AnyDriver
     sentence: str
     examine: Callable[[DriverRig], None]
 
     def __call__(self) -> None:
-        """Raise `Nonconformity` when the driver does something else."""
         with DriverRig(self.driver) as rig:
             self.examine(rig)
 

@@ -64,13 +64,7 @@ def _opens_or_refuses(rig: DriverRig, what: str) -> None:
         return
     require(rig.driver.role != "stage", f"{what}: a stage was opened that never answered")
     device.start()
-    samples: list[object] = []
-
-    def read() -> list[object]:
-        samples.extend(found := device.poll())
-        return list(found)
-
-    rig.fault_within(2.0, read)
+    samples, _ = rig.fault_within(2.0, device.poll)
     require(not samples, f"{what}: it delivered {len(samples)} samples, the first {samples[:1]}")
 
 

@@ -1,11 +1,10 @@
-"""What a load cell and a sensor readout must do: true readings in time, and never a reading that is none."""
+"""What a load cell and a readout must do: true readings in time, never one that is none."""
 
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from softcal.core.errors import DeviceError
-from softcal.station.interfaces import Reader, Sample
+from softcal.station.interfaces import Sample
 from softcal.station.testing.rig import DriverRig, require
 
 RATE_SHARE = 0.05
@@ -40,57 +39,57 @@ def _check_true(rig: DriverRig, samples: Sequence[Sample], level: float, when: s
 
 
 def _declares_what_it_is(rig: DriverRig) -> None:
-    with rig.reader() as reader:
-        require(reader.name and reader.unit and reader.rate_Hz > 0, "name, unit and rate_Hz must say what it is")
-        if rig.driver.role == "cell":
-            require(reader.unit == "N", f"a load cell reads in N, not {reader.unit}")
-            require(getattr(reader, "capacity_N", 0) == rig.config.capacity_N, "capacity_N must be that of the file")
-            return
-        low, high = getattr(reader, "range", (0.0, 0.0))
-        require(low < high, f"range must be (lowest, highest) possible reading, not {(low, high)}")
-        require(getattr(reader, "channels", 0) == rig.config.channels, "channels must be those of the file")
+    reader = rig.reader()
+    require(reader.name and reader.unit and reader.rate_Hz > 0, "name, unit and rate_Hz must say what it is")
+    if rig.driver.role == "cell":
+        require(reader.unit == "N", f"a load cell reads in N, not {reader.unit}")
+        require(getattr(reader, "capacity_N", 0) == rig.config.capacity_N, "capacity_N must be that of the file")
+        return
+    low, high = getattr(reader, "range", (0.0, 0.0))
+    require(low < high, f"range must be (lowest, highest) possible reading, not {(low, high)}")
+    require(getattr(reader, "channels", 0) == rig.config.channels, "channels must be those of the file")
 
 
 def _reads_every_level(rig: DriverRig) -> None:
-    with rig.reader() as reader:
-        for level in _levels(rig):
-            rig.level = level
-            rig.collect(reader, 0.5)
-            samples = rig.collect(reader, 0.5)
-            require(samples, f"no sample within 0.5 s at {level:g}")
-            require(len(samples[0].values) == getattr(reader, "channels", 1), "one number per channel was expected")
-            _check_true(rig, samples, level, f"at {level:g}")
+    reader = rig.reader()
+    for level in _levels(rig):
+        rig.level = level
+        rig.collect(reader, 0.5)
+        samples = rig.collect(reader, 0.5)
+        require(samples, f"no sample within 0.5 s at {level:g}")
+        require(len(samples[0].values) == getattr(reader, "channels", 1), "one number per channel was expected")
+        _check_true(rig, samples, level, f"at {level:g}")
 
 
 def _reads_in_time(rig: DriverRig) -> None:
-    with rig.reader() as reader:
-        rig.level = 0.0
-        rig.collect(reader, 0.5)
-        per_s = 0.2 * (SPAN_V if rig.driver.role == "readout" else float(rig.config.capacity_N))
-        began_world_s, began_s = rig.world.now_s(), rig.clock.now_s()
-        rig.level = lambda now_s: per_s * max(0.0, now_s - began_world_s)
-        allowed = _tolerance(rig)
-        for sample in rig.collect(reader, 2.0):
-            newest = per_s * (sample.host_s + EARLIEST_S - began_s) * _unit_per_level(rig) + allowed
-            oldest = per_s * max(0.0, sample.host_s - LATEST_S - began_s) * _unit_per_level(rig) - allowed
-            require(
-                oldest <= sample.values[0] <= newest,
-                f"{sample.host_s - began_s:.3f} s into a ramp it reads {sample.values[0]:.5g}; {oldest:.5g} to "
-                f"{newest:.5g} is possible",
-            )
+    reader = rig.reader()
+    rig.level = 0.0
+    rig.collect(reader, 0.5)
+    per_s = 0.2 * (SPAN_V if rig.driver.role == "readout" else float(rig.config.capacity_N))
+    began_world_s, began_s = rig.world.now_s(), rig.clock.now_s()
+    rig.level = lambda now_s: per_s * max(0.0, now_s - began_world_s)
+    allowed = _tolerance(rig)
+    for sample in rig.collect(reader, 2.0):
+        newest = per_s * (sample.host_s + EARLIEST_S - began_s) * _unit_per_level(rig) + allowed
+        oldest = per_s * max(0.0, sample.host_s - LATEST_S - began_s) * _unit_per_level(rig) - allowed
+        require(
+            oldest <= sample.values[0] <= newest,
+            f"{sample.host_s - began_s:.3f} s into a ramp it reads {sample.values[0]:.5g}; {oldest:.5g} to "
+            f"{newest:.5g} is possible",
+        )
 
 
 def _keeps_its_rate(rig: DriverRig) -> None:
-    with rig.reader() as reader:
-        seconds = 4.0
-        samples = rig.collect(reader, seconds)
-        seen_Hz = len(samples) / seconds
-        require(
-            abs(seen_Hz / reader.rate_Hz - 1) < RATE_SHARE,
-            f"{seen_Hz:.1f} samples a second, {reader.rate_Hz:g} declared",
-        )
-        require(all(np.isfinite(sample.values).all() for sample in samples), "a sample that is no number")
-        _check_times(samples)
+    reader = rig.reader()
+    seconds = 4.0
+    samples = rig.collect(reader, seconds)
+    seen_Hz = len(samples) / seconds
+    require(
+        abs(seen_Hz / reader.rate_Hz - 1) < RATE_SHARE,
+        f"{seen_Hz:.1f} samples a second, {reader.rate_Hz:g} declared",
+    )
+    require(all(np.isfinite(sample.values).all() for sample in samples), "a sample that is no number")
+    _check_times(samples)
 
 
 def _check_times(samples: Sequence[Sample]) -> None:
@@ -103,66 +102,56 @@ def _check_times(samples: Sequence[Sample]) -> None:
 
 def _starts_anew(rig: DriverRig) -> None:
     first, _, last, *_ = _levels(rig)
-    with rig.reader() as reader:
-        rig.level = first
-        rig.collect(reader, 0.3)
-        rig.clock.sleep_s(0.5)  # Nobody reads: readings pile up.
-        rig.level = last
-        rig.clock.sleep_s(0.5)
-        reader.start()
-        samples = rig.collect(reader, 0.5)
-        require(samples, "no sample within 0.5 s of start()")
-        _check_true(rig, samples, last, "after start()")
-
-
-def _under_fault(rig: DriverRig, reader: Reader, seconds: float) -> tuple[list[Sample], DeviceError | None]:
-    samples: list[Sample] = []
-
-    def read() -> list[Sample]:
-        samples.extend(found := reader.poll())
-        return list(found)
-
-    return samples, rig.fault_within(seconds, read)
+    reader = rig.reader()
+    rig.level = first
+    rig.collect(reader, 0.3)
+    rig.clock.sleep_s(0.5)  # Nobody reads: readings pile up.
+    rig.level = last
+    rig.clock.sleep_s(0.5)
+    reader.start()
+    samples = rig.collect(reader, 0.5)
+    require(samples, "no sample within 0.5 s of start()")
+    _check_true(rig, samples, last, "after start()")
 
 
 def _is_silent_with_its_device(rig: DriverRig) -> None:
-    with rig.reader() as reader:
-        rig.wire.is_silent = True
-        silent_s = rig.clock.now_s()
-        samples, _ = _under_fault(rig, reader, 2.0)
-        late = [sample for sample in samples if sample.host_s > silent_s + LATEST_S]
-        require(not late, f"its device is silent, and it delivers {len(late)} samples, the first {late[:1]}")
+    reader = rig.reader()
+    rig.wire.is_silent = True
+    silent_s = rig.clock.now_s()
+    samples, _ = rig.fault_within(2.0, reader.poll)
+    late = [sample for sample in samples if sample.host_s > silent_s + LATEST_S]
+    require(not late, f"its device is silent, and it delivers {len(late)} samples, the first {late[:1]}")
 
 
 def _invents_nothing(fault: str, share: float) -> Callable[[DriverRig], None]:
     def examine(rig: DriverRig) -> None:
         _, _, level, *_ = _levels(rig)
-        with rig.reader() as reader:
-            rig.level = level
-            rig.collect(reader, 0.5)
-            setattr(rig.wire, fault, share)
-            samples, _ = _under_fault(rig, reader, 3.0)
-            _check_true(rig, samples, level, f"with {fault} {share:g} on its line")
-            _check_times(samples)
+        reader = rig.reader()
+        rig.level = level
+        rig.collect(reader, 0.5)
+        setattr(rig.wire, fault, share)
+        samples, _ = rig.fault_within(3.0, reader.poll)
+        _check_true(rig, samples, level, f"with {fault} {share:g} on its line")
+        _check_times(samples)
 
     return examine
 
 
 def _is_deaf_to_noise(rig: DriverRig) -> None:
-    with rig.reader() as reader:
-        rig.wire.garbage = 1.0
-        rig.clock.sleep_s(LATEST_S)
-        _, error = _under_fault(rig, reader, LATEST_S)
-        if error is None:
-            samples, _ = _under_fault(rig, reader, 3.0)
-            require(not samples, f"of nothing but noise it made {len(samples)} samples, the first {samples[:1]}")
+    reader = rig.reader()
+    rig.wire.garbage = 1.0
+    rig.clock.sleep_s(LATEST_S)
+    _, error = rig.fault_within(LATEST_S, reader.poll)
+    if error is None:
+        samples, _ = rig.fault_within(3.0, reader.poll)
+        require(not samples, f"of nothing but noise it made {len(samples)} samples, the first {samples[:1]}")
 
 
 def _notices_that_it_is_gone(rig: DriverRig) -> None:
-    with rig.reader() as reader:
-        rig.wire.unplug()
-        _, error = _under_fault(rig, reader, GONE_S)
-        require(error is not None, f"its device is gone, and for {GONE_S:g} s nothing is said")
+    reader = rig.reader()
+    rig.wire.unplug()
+    _, error = rig.fault_within(GONE_S, reader.poll)
+    require(error is not None, f"its device is gone, and for {GONE_S:g} s nothing is said")
 
 
 READER: dict[str, Callable[[DriverRig], None]] = {

@@ -1,9 +1,9 @@
 """One device, its simulated far end on a real wire, and the truth it should tell."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -13,11 +13,13 @@ from softcal.station.clock import HostClock
 from softcal.station.devices.catalogue import driver_of
 from softcal.station.devices.config import DeviceConfig
 from softcal.station.devices.driver import AnyDriver, Opening, Simulated, Surroundings
+from softcal.station.devices.simulated_station import wire_for
 from softcal.station.interfaces import Clock, Reader, Sample, Stage, StagePosition
 from softcal.station.simulated.motion import Axis
-from softcal.station.simulated.station import wire_for
 from softcal.station.simulated.wire import Wire
 from softcal.station.simulated.world import World
+
+T = TypeVar("T")
 
 TICK_S = 0.005
 """How often the acquisition reads its devices."""
@@ -38,10 +40,6 @@ class DriverRig:
 
     `level` is the truth of a reader: N on a load cell, V at the input of a readout. A function of the simulated time
     may stand in its place. `wire` has the fault switches of the line, `axis` the true motion of a stage.
-
-    Args:
-        driver: that is looked at.
-        seed: of noise and delays.
     """
 
     def __init__(self, driver: AnyDriver, seed: int = 1) -> None:
@@ -86,28 +84,23 @@ class DriverRig:
         self._stack.callback(device.close)
         return device
 
-    @contextmanager
-    def reader(self) -> Iterator[Reader]:
+    def reader(self) -> Reader:
         """Open a load cell or readout and let it run in."""
         reader: Reader = self.open()
         reader.start()
         self.collect(reader, 0.5)
-        yield reader
+        return reader
 
-    @contextmanager
-    def homed(self) -> Iterator[Stage]:
-        """Open a stage and home it."""
+    def homed(self) -> Stage:
         stage: Stage = self.open()
         stage.home()
-        yield stage
+        return stage
 
     def collect(self, reader: Reader, seconds: float) -> list[Sample]:
         """Return what a reader delivers over a while, read as the acquisition reads."""
-        samples: list[Sample] = []
-        end_s = self.clock.now_s() + seconds
-        while self.clock.now_s() < end_s:
-            self.clock.sleep_s(TICK_S)
-            samples += reader.poll()
+        samples, error = self.fault_within(seconds, reader.poll)
+        if error is not None:
+            raise error
         return samples
 
     def watch(self, stage: Stage, seconds: float, is_over: Callable[[], bool] = lambda: False) -> list[StagePosition]:
@@ -120,19 +113,19 @@ class DriverRig:
             self.truth.append((self.clock.now_s(), self.position_mm()))
         return polls
 
-    def fault_within(self, seconds: float, read: Callable[[], Sequence[object]]) -> DeviceError | None:
-        """Read until that raises a `DeviceError`; None when it raises none."""
+    def fault_within(self, seconds: float, read: Callable[[], Sequence[T]]) -> tuple[list[T], DeviceError | None]:
+        """Return what was read until that raised a `DeviceError`, and the error; None for none."""
+        found: list[T] = []
         end_s = self.clock.now_s() + seconds
         while self.clock.now_s() < end_s:
             self.clock.sleep_s(TICK_S)
             try:
-                read()
+                found += read()
             except DeviceError as error:
-                return error
-        return None
+                return found, error
+        return found, None
 
     def position_mm(self) -> float:
-        """Return where the stage truly is."""
         self.axis.advance(self.world.now_s())
         return self.axis.position_mm
 
@@ -144,9 +137,8 @@ class DriverRig:
         return abs(self.position_mm() - before_mm) < 1e-6
 
     def _live(self, driver: AnyDriver, wire: Wire) -> Simulated[Any]:
-        around = Surroundings(
-            wire, self.axis, self._force_N, self._outputs_V, ReadoutMetadata(), self._rng, self.wire.port
-        )
+        electronics, port = ReadoutMetadata(), self.wire.port
+        around = Surroundings(wire, self.axis, self._value, self._outputs_V, electronics, self._rng, port)
         simulated: Simulated[Any] = driver.simulate(around)
         if simulated.far_end is not None:
             self.world.add(simulated.far_end)
@@ -154,9 +146,6 @@ class DriverRig:
 
     def _value(self, now_s: float) -> float:
         return self.level(now_s) if callable(self.level) else self.level
-
-    def _force_N(self, now_s: float) -> float:
-        return self._value(now_s)
 
     def _outputs_V(self, now_s: float) -> tuple[float, ...]:
         return (self._value(now_s),)

@@ -67,60 +67,60 @@ def _homes(rig: DriverRig) -> None:
 
 
 def _goes_where_it_is_told(rig: DriverRig) -> None:
-    with rig.homed() as stage:
-        for to_mm in TARGETS_MM:
-            _go(rig, stage, to_mm)
-            for what, at_mm in (("is", rig.position_mm()), ("says it is", stage.position_mm)):
-                require(abs(at_mm - to_mm) <= POSITION_MM, f"told to go to {to_mm:g} mm it {what} at {at_mm:.3f} mm")
-            require(stage.is_position_known, f"after a move to {to_mm:g} mm its position is unknown")
+    stage = rig.homed()
+    for to_mm in TARGETS_MM:
+        _go(rig, stage, to_mm)
+        for what, at_mm in (("is", rig.position_mm()), ("says it is", stage.position_mm)):
+            require(abs(at_mm - to_mm) <= POSITION_MM, f"told to go to {to_mm:g} mm it {what} at {at_mm:.3f} mm")
+        require(stage.is_position_known, f"after a move to {to_mm:g} mm its position is unknown")
 
 
 def _says_where_it_is(rig: DriverRig) -> None:
-    with rig.homed() as stage:
-        stage.begin(Move(20.0, _speed_mm_s(stage)))
-        rig.truth.clear()
-        polls = rig.watch(stage, 2.0)
-        require(len(polls) >= 8, f"{len(polls)} positions in 2 s; at least 8 were expected")
-        times_s, true_mm = np.array(rig.truth).T
-        for poll in polls[1:]:
-            off_mm = abs(poll.position_mm - float(np.interp(poll.host_s, times_s, true_mm)))
-            allowed_mm = POSITION_MM + POLL_S * _speed_mm_s(stage)
-            require(off_mm <= allowed_mm, f"it says {poll.position_mm:.3f} mm, off by {off_mm:.3f} mm")
+    stage = rig.homed()
+    stage.begin(Move(20.0, _speed_mm_s(stage)))
+    rig.truth.clear()
+    polls = rig.watch(stage, 2.0)
+    require(len(polls) >= 8, f"{len(polls)} positions in 2 s; at least 8 were expected")
+    times_s, true_mm = np.array(rig.truth).T
+    for poll in polls[1:]:
+        off_mm = abs(poll.position_mm - float(np.interp(poll.host_s, times_s, true_mm)))
+        allowed_mm = POSITION_MM + POLL_S * _speed_mm_s(stage)
+        require(off_mm <= allowed_mm, f"it says {poll.position_mm:.3f} mm, off by {off_mm:.3f} mm")
 
 
 def _refuses(rig: DriverRig) -> None:
-    with rig.homed() as stage:
-        fine, before_mm = _speed_mm_s(stage), rig.position_mm()
-        for move, when in (
-            (Move(stage.travel_mm + 1.0, fine), "beyond its travel"),
-            (Move(-1.0, fine), "behind its switch"),
-            (Move(5.0, 2 * stage.max_speed_mm_s), "faster than it can"),
-            (Move(5.0, 0.0), "without a speed"),
-        ):
-            _expect_refusal(stage, move, when)
-        rig.watch(stage, 0.3)
-        require(abs(rig.position_mm() - before_mm) <= POSITION_MM, "it moved although it refused")
-        stage.begin(Move(20.0, fine))
-        _expect_refusal(stage, Move(1.0, fine), "while it moves")
+    stage = rig.homed()
+    fine, before_mm = _speed_mm_s(stage), rig.position_mm()
+    for move, when in (
+        (Move(stage.travel_mm + 1.0, fine), "beyond its travel"),
+        (Move(-1.0, fine), "behind its switch"),
+        (Move(5.0, 2 * stage.max_speed_mm_s), "faster than it can"),
+        (Move(5.0, 0.0), "without a speed"),
+    ):
+        _expect_refusal(stage, move, when)
+    rig.watch(stage, 0.3)
+    require(abs(rig.position_mm() - before_mm) <= POSITION_MM, "it moved although it refused")
+    stage.begin(Move(20.0, fine))
+    _expect_refusal(stage, Move(1.0, fine), "while it moves")
 
 
 def _stops(rig: DriverRig) -> None:
     for moving_s in (0.0, 0.5):
-        with rig.homed() as stage:
-            _go(rig, stage, 2.0)
-            stage.begin(Move(stage.travel_mm, _speed_mm_s(stage)))
-            rig.watch(stage, moving_s)
-            began_s = rig.clock.now_s()
-            stage.stop()
-            took_s, allowed_s = rig.clock.now_s() - began_s, STOP_S + _braking_s(stage)
-            require(took_s <= allowed_s, f"stop() took {took_s:.2f} s, {allowed_s:.2f} s were expected")
-            require(rig.stands(_braking_s(stage)), "after stop() it moves on")
-            require(not stage.is_moving, "is_moving after stop()")
-            rig.fault_within(0.3, stage.poll)  # It may say that the stop cost its position.
-            off_mm = abs(stage.position_mm - rig.position_mm())
-            is_true = not stage.is_position_known or off_mm <= POSITION_MM
-            require(is_true, f"after stop() it says {stage.position_mm:.3f} mm, {rig.position_mm():.3f} mm is true")
-            stage.close()
+        stage = rig.homed()
+        _go(rig, stage, 2.0)
+        stage.begin(Move(stage.travel_mm, _speed_mm_s(stage)))
+        rig.watch(stage, moving_s)
+        began_s = rig.clock.now_s()
+        stage.stop()
+        took_s, allowed_s = rig.clock.now_s() - began_s, STOP_S + _braking_s(stage)
+        require(took_s <= allowed_s, f"stop() took {took_s:.2f} s, {allowed_s:.2f} s were expected")
+        require(rig.stands(_braking_s(stage)), "after stop() it moves on")
+        require(not stage.is_moving, "is_moving after stop()")
+        rig.fault_within(0.3, stage.poll)  # It may say that the stop cost its position.
+        off_mm = abs(stage.position_mm - rig.position_mm())
+        is_true = not stage.is_position_known or off_mm <= POSITION_MM
+        require(is_true, f"after stop() it says {stage.position_mm:.3f} mm, {rig.position_mm():.3f} mm is true")
+        stage.close()
 
 
 def _can_be_broken_off_while_homing(rig: DriverRig) -> None:
@@ -141,34 +141,26 @@ def _can_be_broken_off_while_homing(rig: DriverRig) -> None:
     require(not stage.is_position_known, "its position is called known although homing was broken off")
 
 
-def _under_fault(break_it: Callable[[DriverRig], None], must_stand: bool) -> Callable[[DriverRig], None]:
+def _under_fault(break_it: Callable[[DriverRig], None], must_stand: bool = True) -> Callable[[DriverRig], None]:
     def examine(rig: DriverRig) -> None:
-        with rig.homed() as stage:
-            stage.begin(Move(stage.travel_mm, min(4.0, _speed_mm_s(stage))))
-            rig.watch(stage, 0.5)
-            break_it(rig)
-            error = rig.fault_within(GONE_S, stage.poll)
-            require(error is not None, f"for {GONE_S:g} s in a move nothing is said of it")
-            try:
-                stage.stop()
-            except DeviceError:
-                pass  # It was told, and says that nothing came back.
-            if must_stand:
-                require(rig.stands(STOP_S), "stopped, it moves on")
+        stage = rig.homed()
+        stage.begin(Move(stage.travel_mm, min(4.0, _speed_mm_s(stage))))
+        rig.watch(stage, 0.5)
+        break_it(rig)
+        _, error = rig.fault_within(GONE_S, stage.poll)
+        require(error is not None, f"for {GONE_S:g} s in a move nothing is said of it")
+        try:
+            stage.stop()
+        except DeviceError:
+            pass  # It was told, and says that nothing came back.
+        if must_stand:
+            require(rig.stands(STOP_S), "stopped, it moves on")
 
     return examine
 
 
-def _go_silent(rig: DriverRig) -> None:
-    rig.wire.is_silent = True
-
-
-def _make_noise(rig: DriverRig) -> None:
-    rig.wire.garbage = 1.0
-
-
-def _unplug(rig: DriverRig) -> None:
-    rig.wire.unplug()
+def _set(switch: str, value: object) -> Callable[[DriverRig], None]:
+    return lambda rig: setattr(rig.wire, switch, value)
 
 
 STAGE: dict[str, Callable[[DriverRig], None]] = {
@@ -179,8 +171,8 @@ STAGE: dict[str, Callable[[DriverRig], None]] = {
     "it refuses what it cannot do, and sends nothing": _refuses,
     "it stops at once and stays": _stops,
     "homing can be broken off": _can_be_broken_off_while_homing,
-    "a silent controller is said at once, and told to stop": _under_fault(_go_silent, must_stand=True),
-    "noise is said at once, and the stage stopped": _under_fault(_make_noise, must_stand=True),
-    "a controller that is gone is said at once": _under_fault(_unplug, must_stand=False),
+    "a silent controller is said at once, and told to stop": _under_fault(_set("is_silent", True)),
+    "noise is said at once, and the stage stopped": _under_fault(_set("garbage", 1.0)),
+    "a controller that is gone is said at once": _under_fault(lambda rig: rig.wire.unplug(), must_stand=False),
 }
 """Sentence -> what looks at it."""

@@ -1,1 +1,1 @@
-"""Bytes to and from a device: ports, links, commands, polled readers, frames."""
+"""Bytes to and from a device: ports, links, polled readers, frames."""

@@ -8,7 +8,7 @@ from softcal.station.interfaces import Sample
 from softcal.station.wire.link import Link
 
 LATE_S = 0.25
-"""An answer that is out when reading begins again is waited for so long: it belongs to a question of before."""
+"""An answer still due when reading begins anew is awaited so long: its question is an old one."""
 
 
 class AskedReader:
@@ -18,8 +18,6 @@ class AskedReader:
     for the next one, and the silence is seen by whoever watches. `start` begins anew.
 
     Args:
-        name: how messages call the device.
-        rate_Hz: questions per second.
         parse: one line, its end taken off -> one number per channel; raises `BadReply`.
         channels: numbers per reading.
         limits: of a readout: lowest and highest reading; one that stays there is saturated.
@@ -49,12 +47,7 @@ class AskedReader:
         self._asked_s, self._next_s = None, self._link.clock.now_s()
 
     def poll(self) -> list[Sample]:
-        """Return the readings that arrived, and ask for the next one when it is time.
-
-        Raises:
-            NoReply: the port is gone.
-            BadReply: what came is no reading.
-        """
+        """Return the readings that came, and ask anew when it is time; `BadReply` where one is none."""
         samples = []
         for line in self._link.read_lines():
             if self._asked_s is None:

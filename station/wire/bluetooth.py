@@ -1,12 +1,13 @@
-"""A UART over Bluetooth Low Energy: the Nordic UART Service of most boards and modules, through Bleak."""
+"""A UART over Bluetooth Low Energy: the Nordic UART Service of most boards, through Bleak."""
 
 import asyncio
 import importlib
 import threading
-from collections import deque
 from collections.abc import Coroutine
 from contextlib import suppress
 from typing import Any
+
+from softcal.station.wire.transport import Arriving
 
 NOTIFIES = "6e400003-b5a3-f393-e0a9-e50e24dcca9e"
 TAKES = "6e400002-b5a3-f393-e0a9-e50e24dcca9e"
@@ -18,23 +19,20 @@ PACKET_BYTES = 20
 CONNECT_S, ANSWER_S = 15.0, 1.0
 
 
-class BleTransport:
+class BleTransport(Arriving):
     """Bytes to and from one board; a thread of its own keeps the connection.
-
-    Args:
-        address: of the board: AA:BB:CC:DD:EE:FF, on macOS its identifier.
 
     Raises:
         OSError: Bleak is not installed, there is no Bluetooth, or the board does not answer.
     """
 
     def __init__(self, address: str) -> None:
+        super().__init__()
         try:
             bleak: Any = importlib.import_module("bleak")
         except ImportError as error:
             raise OSError("a Bluetooth address needs Bleak: pip install 'softcal[ble]'") from error
-        self._arrived: deque[bytes] = deque()
-        self._is_gone = self._is_closed = False
+        self._is_closed = False
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name=f"Bluetooth {address}", daemon=True)
         self._thread.start()
@@ -47,25 +45,17 @@ class BleTransport:
 
     def write(self, content: bytes) -> None:
         """Send bytes, in packets that every board takes."""
-        self._raise_gone()
+        self._raise_fault()
         try:
             self._wait(self._send(content), ANSWER_S)
         except Exception as error:  # As above.
             raise OSError(f"{type(error).__name__}: {error}".rstrip(": ")) from error
 
-    def read(self) -> bytes:
-        content = b""
-        while self._arrived:
-            content += self._arrived.popleft()
-        if not content:
-            self._raise_gone()
-        return content
-
     def close(self) -> None:
-        """End the connection and its thread."""
         if self._is_closed:
             return
         self._is_closed = True
+        self._lose(self._client)
         with suppress(Exception):  # It is gone already.
             self._wait(self._client.disconnect(), ANSWER_S)
         self._loop.call_soon_threadsafe(self._loop.stop)
@@ -85,11 +75,7 @@ class BleTransport:
         self._arrived.append(bytes(packet))
 
     def _lose(self, client: object) -> None:
-        self._is_gone = True
+        self._fault = ConnectionResetError("the board ended the connection")
 
     def _wait(self, work: Coroutine[Any, Any, None], within_s: float) -> None:
         asyncio.run_coroutine_threadsafe(work, self._loop).result(within_s)
-
-    def _raise_gone(self) -> None:
-        if self._is_gone or self._is_closed:
-            raise ConnectionResetError("the board ended the connection")

@@ -38,7 +38,6 @@ class Link:
     Args:
         port: a serial port (/dev/ttyACM0, COM5), a socket (tcp://192.168.0.7:5025), a VISA resource or a Bluetooth
             board (ble://AA:BB:CC:DD:EE:FF).
-        clock: the clock that stamps lines and lets time pass while waiting.
         baud_rate: of a serial port, symbols per second, 8N1.
         name: how messages call the device.
 
@@ -60,33 +59,21 @@ class Link:
             raise NoReply(reason("rig.port", device=self._label, why=_why_closed(port, error))) from error
 
     def write(self, content: bytes) -> None:
-        """Write bytes; real-time bytes go out before this returns.
-
-        Raises:
-            NoReply: the port is gone.
-        """
+        """Write bytes; they go out before this returns. `NoReply` where the port is gone."""
         try:
             self._transport.write(content)
         except OSError as error:
             raise self._gone() from error
 
     def read_lines(self) -> list[Line]:
-        """Return the whole lines that have arrived; the beginning of an unfinished one is kept.
-
-        Raises:
-            NoReply: the port is gone, or what comes has no line ends.
-        """
+        """Return the whole lines that came; `NoReply`: the port is gone, or there are no line ends."""
         self._receive()
         lines = list(self._lines)
         self._lines.clear()
         return lines
 
     def next_line(self, within_s: float) -> Line:
-        """Wait for the next line.
-
-        Raises:
-            NoReply: the port is gone, or nothing came in time.
-        """
+        """Wait for the next line; `NoReply`: the port is gone, or nothing came in time."""
         end_s = self.clock.now_s() + within_s
         while True:
             self._receive()
@@ -97,7 +84,6 @@ class Link:
             self.clock.sleep_s(POLL_S)
 
     def discard(self) -> None:
-        """Throw away everything that has arrived, an unfinished line included."""
         self._receive()
         self._lines.clear()
         self._rest = b""
@@ -128,11 +114,7 @@ class Link:
 
 @contextmanager
 def link_for_driver(port: str, clock: Clock, baud_rate: int, name: str) -> Iterator[Link]:
-    """Open a port for a driver that is being made; give it back when the device there is not what was expected.
-
-    Args:
-        port, clock, baud_rate, name: as of `Link`.
-    """
+    """Open a port for a driver that is being made; give it back when another device is there."""
     link = Link(port, clock, baud_rate, name)
     try:
         yield link
@@ -147,7 +129,7 @@ def is_device(port: str) -> bool:
 
 
 def available_ports() -> list[str]:
-    """Return the serial ports of this machine that belong to a USB device, in the system's order."""
+    """Return the serial ports of USB devices of this machine, in the system's order."""
     return [port.device for port in list_ports.comports() if port.vid is not None]
 
 

@@ -33,8 +33,6 @@ class ThreadedReader:
     A call that does not return, and a library that goes on giving the same reading, are stale data: `poll` raises.
 
     Args:
-        name: how messages call the device.
-        rate_Hz: calls per second at most.
         read: one reading; blocks as long as it must. Any error it raises ends the readings.
         close_library: gives the device back; called once, from the thread that closes.
         stale_s: no new reading for so long is an error.
@@ -97,7 +95,7 @@ class ThreadedReader:
         return []
 
     def close(self) -> None:
-        """End the thread and give the device back; a call that hangs is left behind and cannot stop the program."""
+        """End the thread and give the device back; a call that hangs is left behind."""
         if self._is_closed:
             return
         self._is_closed = True

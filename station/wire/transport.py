@@ -5,6 +5,7 @@ import re
 import socket
 import threading
 from collections import deque
+from contextlib import suppress
 from queue import Queue
 from typing import Any, Literal, Protocol, TypeAlias
 
@@ -20,7 +21,7 @@ BLE = "ble://"
 
 CONNECT_S = 3.0
 VISA_ANSWER_S = 2.0
-"""A question that a VISA device leaves open for so long is given up; whoever asked has given up before."""
+"""A question that is open for so long is given up; whoever asked has given up before."""
 
 
 class Transport(Protocol):
@@ -28,19 +29,37 @@ class Transport(Protocol):
 
     def write(self, content: bytes) -> None:
         """Send bytes; raise `OSError` when the device is gone."""
-        ...
 
     def read(self) -> bytes:
-        """Return everything that has arrived, b"" when nothing has; raise `OSError` when the device is gone."""
-        ...
+        """Return what has arrived, b"" for nothing; raise `OSError` when the device is gone."""
 
     def close(self) -> None:
         """Give the wire back; closing twice is fine."""
-        ...
+
+
+class Arriving:
+    """Bytes that a thread takes from a device, and what ended it."""
+
+    def __init__(self) -> None:
+        self._arrived: deque[bytes] = deque()
+        self._fault: Exception | None = None
+
+    def read(self) -> bytes:
+        """Return everything that has arrived; where nothing has, raise what ended it."""
+        content = b""
+        while self._arrived:
+            content += self._arrived.popleft()
+        if not content:
+            self._raise_fault()
+        return content
+
+    def _raise_fault(self) -> None:
+        if self._fault is not None:
+            raise OSError(str(self._fault)) from self._fault
 
 
 def wire_of(port: str) -> WireKind:
-    """Return what a port of a station file names: `tcp://host:5025`, `ble://AA:BB:…`, `USB0::…`, or a serial port."""
+    """Return what a port names: `tcp://host:5025`, `ble://AA:BB:…`, `USB0::…`, or a serial port."""
     if port.startswith("tcp://"):
         return "tcp"
     if port.startswith(BLE):
@@ -49,12 +68,7 @@ def wire_of(port: str) -> WireKind:
 
 
 def open_transport(port: str, baud_rate: int) -> Transport:
-    """Open what a port names; the baud rate is for serial ports.
-
-    Raises:
-        OSError: it cannot be opened, or the library it needs is not installed.
-        ValueError: it is written in a way that names nothing.
-    """
+    """Open what a port names; `OSError`: it cannot be opened; `ValueError`: it names nothing."""
     match wire_of(port):
         case "tcp":
             return TcpTransport(port)
@@ -69,17 +83,12 @@ def open_transport(port: str, baud_rate: int) -> Transport:
 
 
 class SerialTransport:
-    """A serial port, 8N1, of which this process is the only owner.
-
-    Raises:
-        OSError: it does not exist, or belongs to another process.
-    """
+    """A serial port, 8N1, of which this process is the only owner."""
 
     def __init__(self, port: str, baud_rate: int) -> None:
         self._serial = serial.Serial(port, baud_rate, timeout=0, write_timeout=1.0, exclusive=True)
 
     def write(self, content: bytes) -> None:
-        """Send bytes; real-time bytes go out before this returns."""
         self._serial.write(content)
 
     def read(self) -> bytes:
@@ -90,22 +99,12 @@ class SerialTransport:
         return content
 
     def close(self) -> None:
-        try:
+        with suppress(serial.SerialException, OSError):
             self._serial.close()
-        except (serial.SerialException, OSError):
-            pass
 
 
 class TcpTransport:
-    """A TCP socket: a SCPI instrument on the network (port 5025), a serial server, a networked controller.
-
-    Args:
-        address: `tcp://host:port`.
-
-    Raises:
-        ValueError: it is written otherwise.
-        OSError: nothing answers there.
-    """
+    """A TCP socket, `tcp://host:port`: an instrument, a serial server, a controller."""
 
     def __init__(self, address: str) -> None:
         found = _TCP.fullmatch(address)
@@ -136,7 +135,7 @@ class TcpTransport:
         self._socket.close()
 
 
-class VisaTransport:
+class VisaTransport(Arriving):
     """A VISA resource through PyVISA: USB-TMC, GPIB, LXI.
 
     Such a device speaks when it is asked, and asking blocks: a thread of its own asks. A message with a `?` is a
@@ -151,6 +150,7 @@ class VisaTransport:
     """
 
     def __init__(self, resource: str) -> None:
+        super().__init__()
         try:
             pyvisa: Any = importlib.import_module("pyvisa")
         except ImportError as error:
@@ -164,35 +164,22 @@ class VisaTransport:
         except self._errors as error:
             raise OSError(str(error)) from error
         self._to_send: Queue[bytes | None] = Queue()
-        self._arrived: deque[bytes] = deque()
-        self._fault: Exception | None = None
         self._thread = threading.Thread(target=self._talk, name=f"VISA {resource}", daemon=True)
         self._thread.start()
 
     def write(self, content: bytes) -> None:
-        """Hand a message to the thread that talks."""
         self._raise_fault()
         self._to_send.put(content)
 
-    def read(self) -> bytes:
-        content = b""
-        while self._arrived:
-            content += self._arrived.popleft()
-        if not content:
-            self._raise_fault()
-        return content
-
     def close(self) -> None:
-        """End the session; an open question is waited for, so that the next one gets its own answer."""
+        """End the session after an open question: the next one is to get its own answer."""
         if not self._thread.is_alive() and self._session is None:
             return
         self._to_send.put(None)
         self._thread.join(VISA_ANSWER_S + 1.0)
-        try:
+        with suppress(*self._errors):  # It is gone already.
             self._session.close()
             self._manager.close()
-        except self._errors:
-            pass  # It is gone already.
         self._session = None
 
     def _talk(self) -> None:
@@ -210,13 +197,9 @@ class VisaTransport:
                 return
 
     def _is_cleared(self, session: Any) -> bool:
-        """Whether the device took a clear: an answer that comes too late must not be taken for that of the next."""
+        """Whether the device took a clear: a late answer must not be taken for the next one."""
         try:
             session.clear()
         except (*self._errors, TypeError):  # pyvisa-py reads a socket that `close` has taken away meanwhile.
             return False
         return True
-
-    def _raise_fault(self) -> None:
-        if self._fault is not None:
-            raise OSError(str(self._fault)) from self._fault

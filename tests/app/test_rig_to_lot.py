@@ -171,7 +171,7 @@ import numpy as np
 from softcal.core.twin.spread import draw_lot
 from softcal.station.devices.bench import simulated_config
 from softcal.station.devices.config import station_toml
-from softcal.station.simulated.station import SimulatedStation
+from softcal.station.devices.simulated_station import SimulatedStation
 
 units = draw_lot(np.random.default_rng(5), 4)
 rig = SimulatedStation(units[0], np.random.default_rng(5))

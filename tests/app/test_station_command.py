@@ -21,9 +21,9 @@ from softcal.core.twin.simulate import Twin
 from softcal.core.words.reason import Reason
 from softcal.station.devices.bench import simulated_config
 from softcal.station.devices.config import read_station_file, station_toml
+from softcal.station.devices.simulated_station import SimulatedStation
 from softcal.station.interfaces import Sample, StagePosition
 from softcal.station.record.spool import Spool, read_spool
-from softcal.station.simulated.station import SimulatedStation
 
 SOFTCAL = Path(sys.executable).with_name("softcal")
 

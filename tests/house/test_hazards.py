@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from softcal.station.simulated.faults import FAULTS
+from softcal.station.testing.faults import FAULTS
 
 ROOT = Path(__file__).parents[2]
 ROWS = [

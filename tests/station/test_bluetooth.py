@@ -127,9 +127,10 @@ def test_what_is_written_arrives_whole_and_in_order(bleak):
 
 
 def test_a_board_that_goes_out_of_reach_ends_the_readings(bleak):
-    with DriverRig(DRIVERS[0]) as rig, rig.reader() as reader:
+    with DriverRig(DRIVERS[0]) as rig:
+        reader = rig.reader()
         rig.wire.unplug()
-        assert isinstance(rig.fault_within(1.0, reader.poll), DeviceError)
+        assert isinstance(rig.fault_within(1.0, reader.poll)[1], DeviceError)
 
 
 def test_softcal_calls_bleak_as_bleak_is():

@@ -68,7 +68,14 @@ def test_every_shipped_driver_is_listed_with_its_origin():
 
 @pytest.mark.parametrize(
     "module",
-    ["devices/bench", "devices/catalogue", "devices/driver", "wire/link", "wire/transport", "simulated/station"],
+    [
+        "devices/bench",
+        "devices/catalogue",
+        "devices/driver",
+        "wire/link",
+        "wire/transport",
+        "devices/simulated_station",
+    ],
 )
 def test_what_opens_devices_names_no_driver(module):
     # The default kind of a section stands in config.py, and nowhere else.
@@ -177,7 +184,8 @@ def test_a_declaration_that_is_none_is_refused():
 def test_listing_drivers_needs_neither_torch_nor_streamlit_nor_pyvisa():
     code = (
         "import sys; from softcal.station.devices.catalogue import offers; offers(); "
-        "print([m for m in ('torch', 'streamlit', 'pyvisa', 'softcal.station.simulated.station') if m in sys.modules])"
+        "print([m for m in ('torch', 'streamlit', 'pyvisa', 'softcal.station.devices.simulated_station') "
+        "if m in sys.modules])"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"

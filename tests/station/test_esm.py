@@ -5,7 +5,7 @@ import pytest
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, InputError, NoReply
 from softcal.station.devices.bench import open_bench
 from softcal.station.devices.config import ReadoutConfig, StageConfig, StationConfig
-from softcal.station.drivers.esm import EsmConfig, EsmGaugeConfig, EsmStage
+from softcal.station.drivers.esm import EsmConfig, EsmGauge, EsmGaugeConfig, EsmStage
 from softcal.station.interfaces import Move
 from softcal.station.simulated.esm import SimulatedEsm
 from softcal.station.simulated.force_gauge import SimulatedMark10
@@ -115,7 +115,7 @@ def test_a_stop_at_the_panel_is_no_finished_move(stage, stand):
 def test_the_gauge_answers_through_the_stand_while_it_moves(stage, stand):
     world, far_end = stand
     stage.home()
-    gauge = stage.gauge(50.0, 1.0, 50.0)
+    gauge = EsmGauge(stage.port, 50.0, 1.0, 50.0)
     stage.begin(Move(40.0, 10.0))
     gauge.start()
     samples, polls = [], []

@@ -93,7 +93,9 @@ def test_a_unit_changed_by_hand_in_mid_run_is_still_newtons(rig):
 
 def test_an_indicator_stream_in_newtons_until_it_is_overloaded(rig):
     world, wire, force = rig
-    world.add(SimulatedIndicator(wire, force, capacity_N=2.0))
+    indicator = SimulatedIndicator(wire, force)
+    indicator.capacity_N = 2.0
+    world.add(indicator)
     reader = IndicatorCell(Link(wire.port, world), 20.0)
     samples = collect(world, reader, 1.5)
     assert all(s.values[0] == pytest.approx(s.host_s, abs=0.12) for s in samples)

@@ -14,8 +14,8 @@ from softcal.core.errors import CommandRefused, NoReply
 from softcal.core.profiles import ramps
 from softcal.core.twin.simulate import Twin
 from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.devices.simulated_station import SimulatedStation
 from softcal.station.drivers.grbl import GrblStage
-from softcal.station.simulated.station import SimulatedStation
 from softcal.station.tasks.acquisition import record
 from softcal.station.tasks.identify import identify
 from softcal.station.tasks.self_test import self_test

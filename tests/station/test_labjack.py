@@ -58,7 +58,7 @@ def test_a_voltage_that_is_no_number_is_no_reading():
         reader = rig.open()
         reader.start()
         rig.level = float("nan")
-        assert "nan" in str(rig.fault_within(1.0, reader.poll))
+        assert "nan" in str(rig.fault_within(1.0, reader.poll)[1])
 
 
 @pytest.mark.long

@@ -35,7 +35,7 @@ def goes_on(monkeypatch):
         try:
             return supervise(motion, action)
         except DeviceError:
-            motion._interlock.state = State.WAKING
+            motion.state = State.WAKING
             return supervise(motion, action)
 
     monkeypatch.setattr(Motion, "supervise", supervise_twice)
@@ -219,7 +219,7 @@ def test_a_watch_is_on_where_the_table_names_it_and_nowhere_else(watch, monkeypa
         watched.home()
         watched.motion.wait(0.1)
         watched.known = Learned(0.0, 0.0, 0.5, 1.0, 1.0, 0.0)
-        watched.motion._interlock.state = State.SEARCHING
+        watched.motion.state = State.SEARCHING
         watched.expect_contact(0.5)
         mine = watched._stuck.get(watch, ())
 
@@ -229,7 +229,7 @@ def test_a_watch_is_on_where_the_table_names_it_and_nowhere_else(watch, monkeypa
 
         monkeypatch.setattr(owner, method, stop)
         for state in RUNNING:
-            watched.motion._interlock.state = state
+            watched.motion.state = state
             watched.start()
             assert stops(watched, state) == (watch in TABLE[state].watches), state
 

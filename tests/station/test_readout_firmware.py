@@ -73,7 +73,7 @@ def read(port, count):
         assert time.monotonic() < end_s, f"{len(samples)} of {count} samples came within {LONGEST_S} s"
         time.sleep(0.01)
         samples += reader.poll()
-    unreadable = reader.stream.unreadable
+    unreadable = reader.unreadable
     reader.close()
     return samples, unreadable
 

@@ -12,8 +12,8 @@ from common.rig_trial import RigCase, open_rig
 
 from softcal.core.errors import DeviceError
 from softcal.core.profiles import ramps
-from softcal.station.simulated.faults import FAULTS
 from softcal.station.tasks.acquisition import record
+from softcal.station.testing.faults import FAULTS
 
 OTHERS = tuple(f.inject for f in FAULTS if (f.stage_kind, f.force_kind, f.has_cell) == ("grbl", "hx711", True))
 LIES = (

@@ -10,8 +10,8 @@ from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import said
 from softcal.core.errors import InputError
 from softcal.core.twin.simulate import Twin
-from softcal.station.simulated.faults import FAULTS, HOMING
-from softcal.station.simulated.line import SimulatedLine
+from softcal.station.testing.faults import FAULTS, HOMING
+from softcal.station.testing.line import SimulatedLine
 
 STANDS_WITHIN_S = 0.5
 QUICK, ALL = FAULTS[::8], [fault for k, fault in enumerate(FAULTS) if k % 8]

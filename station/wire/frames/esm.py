@@ -61,11 +61,7 @@ def to_gauge(command: str) -> bytes:
 
 
 def parse_status(line: bytes) -> StandStatus:
-    """Return the answer to `p`.
-
-    Raises:
-        BadReply: not such an answer.
-    """
+    """Return the answer to `p`; `BadReply` where it is none."""
     found = _STATUS.fullmatch(line.decode("ascii", "replace").strip())
     if not found:
         raise BadReply(reason("esm.status", line=repr(line[:40])))
@@ -73,11 +69,7 @@ def parse_status(line: bytes) -> StandStatus:
 
 
 def parse_travel_mm(line: bytes) -> float:
-    """Return the answer to `x` in mm, upward positive.
-
-    Raises:
-        BadReply: not such an answer.
-    """
+    """Return the answer to `x` in mm, upward positive; `BadReply` where it is none."""
     found = _TRAVEL.fullmatch(line.decode("ascii", "replace").strip())
     if not found:
         raise BadReply(reason("esm.travel_line", line=repr(line[:40])))

@@ -22,11 +22,7 @@ NEWTONS = {
 
 
 def in_newtons(value: float, unit: str) -> float:
-    """Return a force in N.
-
-    Raises:
-        BadReply: the unit is not one of force or weight.
-    """
+    """Return a force in N; `BadReply` where the unit is not one of force or weight."""
     factor = NEWTONS.get(unit.lower())
     if factor is None:
         raise BadReply(reason("rig.force_unit", unit=repr(unit)))

@@ -1,4 +1,4 @@
-"""Mark-10 Gauge Control Language 2: readings, settings, errors of a force gauge (GCL2 manual). No I/O here."""
+"""Mark-10 Gauge Control Language 2: readings, settings, errors (GCL2 manual). No I/O here."""
 
 import re
 from dataclasses import dataclass
@@ -10,12 +10,7 @@ from softcal.station.wire.frames.force_unit import in_newtons
 CURRENT, LIST = b"?C\r", b"LIST\r"
 END = b"\r"
 
-ERRORS = {
-    "*10": Reason("gcl2.error.10"),
-    "*11": Reason("gcl2.error.11"),
-    "*12": Reason("gcl2.error.12"),
-    "*22": Reason("gcl2.error.22"),
-}
+ERRORS = {f"*{code}": Reason(f"gcl2.error.{code}") for code in (10, 11, 12, 22)}
 
 _READING = re.compile(r"([+-]?\d+(?:\.\d+)?)(?: ([A-Za-z]+))?")
 
@@ -38,11 +33,7 @@ class GaugeSettings:
 
 
 def parse_reading_N(line: bytes) -> float:
-    """Return a reading in N, compression positive as the gauge shows it.
-
-    Raises:
-        BadReply: an error code, a reading without its unit, or noise.
-    """
+    """Return a reading in N as the gauge shows it; `BadReply`: an error code, no unit, or noise."""
     text = _text(line)
     if text in ERRORS:
         raise BadReply(reason("gcl2.error", code=text, why=ERRORS[text]))
@@ -55,11 +46,7 @@ def parse_reading_N(line: bytes) -> float:
 
 
 def parse_settings(line: bytes) -> GaugeSettings:
-    """Return the answer to `LIST`.
-
-    Raises:
-        BadReply: not such an answer.
-    """
+    """Return the answer to `LIST`; `BadReply` where it is none."""
     fields = _text(line).split(";")
     modes = [field for field in fields if field in ("CUR", "PT", "PC")]
     if len(fields) < 4 or not fields[0].startswith("V") or not modes:
@@ -68,12 +55,7 @@ def parse_settings(line: bytes) -> GaugeSettings:
 
 
 def check_settings(line: bytes) -> None:
-    """Check by the answer to `LIST` that readings are in N, as they are now, with unit and sign.
-
-    Raises:
-        NoReply: mode or unit is another one.
-        CommandRefused: readings without unit or sign, which its menu must change.
-    """
+    """Refuse a gauge whose answer to `LIST` says other readings than signed ones in N."""
     settings = parse_settings(line)
     if (settings.mode, settings.unit) != ("CUR", "N"):
         raise NoReply(reason("gauge.mode", mode=settings.mode, unit=settings.unit))

@@ -13,33 +13,8 @@ STATUS, HOLD, RESUME, RESET, DOOR, JOG_CANCEL = b"?", b"!", b"~", b"\x18", b"\x8
 LINE_LENGTH = 127
 """Usable bytes of the receive buffer."""
 
-ERRORS = {
-    1: Reason("grbl.error.1"),
-    2: Reason("grbl.error.2"),
-    3: Reason("grbl.error.3"),
-    5: Reason("grbl.error.5"),
-    7: Reason("grbl.error.7"),
-    8: Reason("grbl.error.8"),
-    9: Reason("grbl.error.9"),
-    10: Reason("grbl.error.10"),
-    15: Reason("grbl.error.15"),
-    20: Reason("grbl.error.20"),
-    22: Reason("grbl.error.22"),
-}
-
-ALARMS = {
-    1: Reason("grbl.alarm.1"),
-    2: Reason("grbl.alarm.2"),
-    3: Reason("grbl.alarm.3"),
-    4: Reason("grbl.alarm.4"),
-    5: Reason("grbl.alarm.5"),
-    6: Reason("grbl.alarm.6"),
-    7: Reason("grbl.alarm.7"),
-    8: Reason("grbl.alarm.8"),
-    9: Reason("grbl.alarm.9"),
-}
-
-
+ERRORS = {code: Reason(f"grbl.error.{code}") for code in (1, 2, 3, 5, 7, 8, 9, 10, 15, 20, 22)}
+ALARMS = {code: Reason(f"grbl.alarm.{code}") for code in range(1, 10)}
 MANUAL = Reason("grbl.manual")
 
 
@@ -56,7 +31,6 @@ class GrblRefusal:
 
     @property
     def reason(self) -> Reason:
-        """What the controller objects to."""
         return reason("grbl.error", code=self.code, why=ERRORS.get(self.code, MANUAL))
 
 
@@ -73,7 +47,6 @@ class Alarm:
 
     @property
     def reason(self) -> Reason:
-        """Why it stopped."""
         return reason("grbl.alarmed", code=self.code, why=ALARMS.get(self.code, MANUAL))
 
 
@@ -85,7 +58,6 @@ class GrblStatus:
         state: Idle, Run, Hold, Jog, Alarm, Door, Check, Home or Sleep.
         substate: the number after the colon (Hold:0 complete, Hold:1 still stopping), else 0.
         machine_mm: axis positions in machine coordinates, where the report has them.
-        work_mm: axis positions in work coordinates, where the report has them.
         offset_mm: work offset, sent now and then: machine = work + offset.
         pins: letters of the inputs that are active (X Y Z limits, P probe, D door, R reset, H hold, S start).
     """
@@ -100,17 +72,9 @@ class GrblStatus:
 
 @dataclass(frozen=True)
 class Greeting:
-    """What a controller says after power-up or reset; in mid-run it means that everything queued is gone."""
+    """What a controller says after a reset; in mid-run it means that all that was queued is gone."""
 
     text: str
-
-
-@dataclass(frozen=True)
-class GrblProbe:
-    """Where the probe touched, machine coordinates."""
-
-    machine_mm: tuple[float, ...]
-    has_touched: bool
 
 
 @dataclass(frozen=True)
@@ -128,7 +92,7 @@ class GrblNote:
     text: str
 
 
-Reply: TypeAlias = Ok | GrblRefusal | Alarm | GrblStatus | Greeting | GrblProbe | Setting | GrblNote
+Reply: TypeAlias = Ok | GrblRefusal | Alarm | GrblStatus | Greeting | Setting | GrblNote
 
 _STATES = ("Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep", "Tool")
 _SETTING = re.compile(r"\$(\d+)=(-?[\d.]+)")
@@ -136,41 +100,26 @@ _GREETING = re.compile(r"grbl(hal)? \d", re.IGNORECASE)
 
 
 def parse(line: bytes) -> Reply:
-    """Return what one line of the controller means.
-
-    Args:
-        line: without line end; an empty line is a Note.
-
-    Raises:
-        BadReply: noise, or a line that GRBL does not say.
-    """
+    """Return what a line means, its end taken off; `BadReply`: noise, or no word of GRBL's."""
     try:
         text = line.decode("ascii")
-        return _parse(text)
-    except (UnicodeDecodeError, ValueError) as error:
+        if text == "ok":
+            return Ok()
+        if text.startswith("error:"):
+            return GrblRefusal(int(text[6:]))
+        if text.startswith("ALARM:"):
+            return Alarm(int(text[6:]))
+        if text.startswith("<") and text.endswith(">"):
+            return _status(text[1:-1])
+        if _GREETING.match(text):
+            return Greeting(text)
+        if setting := _SETTING.match(text):
+            return Setting(int(setting[1]), float(setting[2]))
+        if text == "" or text.startswith(("[", ">", "$N")):
+            return GrblNote(text)
+        raise ValueError(text)
+    except ValueError as error:  # Not ASCII, or a number that is none.
         raise BadReply(reason("grbl.noise", line=repr(line[:60]))) from error
-
-
-def _parse(text: str) -> Reply:
-    if text == "ok":
-        return Ok()
-    if text.startswith("error:"):
-        return GrblRefusal(int(text[6:]))
-    if text.startswith("ALARM:"):
-        return Alarm(int(text[6:]))
-    if text.startswith("<") and text.endswith(">"):
-        return _status(text[1:-1])
-    if text.startswith("[PRB:") and text.endswith("]"):
-        position, touched = text[5:-1].rsplit(":", 1)
-        return GrblProbe(_numbers(position), touched == "1")
-    if _GREETING.match(text):
-        return Greeting(text)
-    setting = _SETTING.match(text)
-    if setting:
-        return Setting(int(setting[1]), float(setting[2]))
-    if text == "" or text.startswith(("[", ">", "$N")):
-        return GrblNote(text)
-    raise ValueError(text)
 
 
 def _status(text: str) -> GrblStatus:
@@ -179,18 +128,10 @@ def _status(text: str) -> GrblStatus:
     if state not in _STATES:
         raise ValueError(text)
     named = dict(field.split(":", 1) for field in fields if ":" in field)
-    return GrblStatus(
-        state,
-        int(substate or 0),
-        _numbers(named["MPos"]) if "MPos" in named else None,
-        _numbers(named["WPos"]) if "WPos" in named else None,
-        _numbers(named["WCO"]) if "WCO" in named else None,
-        named.get("Pn", ""),
+    machine_mm, work_mm, offset_mm = (
+        tuple(map(float, named[name].split(","))) if name in named else None for name in ("MPos", "WPos", "WCO")
     )
-
-
-def _numbers(text: str) -> tuple[float, ...]:
-    return tuple(float(number) for number in text.split(","))
+    return GrblStatus(state, int(substate or 0), machine_mm, work_mm, offset_mm, named.get("Pn", ""))
 
 
 def move_line(axis: str, machine_mm: float, speed_mm_s: float) -> bytes:

@@ -1,4 +1,4 @@
-"""Weighing indicators that print `ST,GS,+  4.876kg` (the common A&D, OHAUS and Chinese format). No I/O here."""
+"""Weighing indicators that print `ST,GS,+  4.876kg` (A&D, OHAUS and many others). No I/O here."""
 
 import re
 
@@ -13,11 +13,7 @@ OVERLOADED = Reason("indicator.overloaded")
 
 
 def parse_N(line: bytes) -> float:
-    """Return a reading in N; stable or not, since a press is never stable.
-
-    Raises:
-        BadReply: overload, a cut line, or noise.
-    """
+    """Return a reading in N, stable or not: presses never are; `BadReply`: overload, cut, noise."""
     try:
         fields = _LINE.fullmatch(line.decode("ascii").strip())
     except UnicodeDecodeError as error:

@@ -13,14 +13,7 @@ KNOWN_MODELS = (b"DI-100", b"DI-1000")
 
 
 def parse_N(line: bytes, unit: str) -> float:
-    """Return a streamed value such as `3.04` or `-0.000456` in N.
-
-    Args:
-        unit: what the interface answered to `UNITS`.
-
-    Raises:
-        BadReply: `E`, the interface's word for an error, a cut line, or noise.
-    """
+    """Return a streamed value such as `-0.000456` in N; `BadReply`: cut, noise, or `E` for error."""
     try:
         return in_newtons(float(line.decode("ascii").strip()), unit)
     except ValueError as error:
@@ -28,11 +21,7 @@ def parse_N(line: bytes, unit: str) -> float:
 
 
 def parse_unit(line: bytes) -> str:
-    """Return the unit that `UNITS` reports.
-
-    Raises:
-        BadReply: it is not one of force.
-    """
+    """Return the unit that `UNITS` reports; `BadReply` where it is not one of force."""
     unit = line.decode("ascii", "replace").strip()
     in_newtons(1.0, unit)
     return unit

@@ -14,18 +14,14 @@ from softcal.core.words.reason import reason
 
 @dataclass(frozen=True)
 class StreamLine:
-    """One line: the device's own milliseconds (0 ... 2**32 - 1) and one whole number per channel."""
+    """One line: the device's milliseconds (0 ... 2**32 - 1) and a whole number per channel."""
 
     device_ms: int
     counts: tuple[int, ...]
 
 
 def parse(line: bytes) -> StreamLine:
-    """Return what one line says.
-
-    Raises:
-        BadReply: a cut line, a banner, noise, or a checksum that does not match.
-    """
+    """Return what a line says; `BadReply`: cut, a banner, noise, or a wrong checksum."""
     content, star, checksum = line.partition(b"*")
     if star and checksum.upper() != _checksum(content):
         raise BadReply(reason("stream.checksum", line=repr(line[:40]), checksum=_checksum(content).decode()))

@@ -5,34 +5,16 @@ from dataclasses import dataclass
 from softcal.core.errors import BadReply
 from softcal.core.words.reason import Reason, reason
 
-WARNINGS = {
-    "FF": Reason("zaber.flag.FF"),
-    "FN": Reason("zaber.flag.FN"),
-    "FZ": Reason("zaber.flag.FZ"),
-    "FH": Reason("zaber.flag.FH"),
-    "FV": Reason("zaber.flag.FV"),
-    "FO": Reason("zaber.flag.FO"),
-    "FC": Reason("zaber.flag.FC"),
-    "FM": Reason("zaber.flag.FM"),
-    "FD": Reason("zaber.flag.FD"),
-    "FQ": Reason("zaber.flag.FQ"),
-    "FI": Reason("zaber.flag.FI"),
-    "FA": Reason("zaber.flag.FA"),
-    "FR": Reason("zaber.flag.FR"),
-    "FS": Reason("zaber.flag.FS"),
-    "FB": Reason("zaber.flag.FB"),
-    "FP": Reason("zaber.flag.FP"),
-    "FE": Reason("zaber.flag.FE"),
-    "FT": Reason("zaber.flag.FT"),
-    "WS": Reason("zaber.flag.WS"),
-    "WR": Reason("zaber.flag.WR"),
-    "WH": Reason("zaber.flag.WH"),
-    "NC": Reason("zaber.flag.NC"),
-    "NI": Reason("zaber.flag.NI"),
-}
+_FLAGS = "FF FN FZ FH FV FO FC FM FD FQ FI FA FR FS FB FP FE FT WS WR WH NC NI"
+WARNINGS = {flag: Reason(f"zaber.flag.{flag}") for flag in _FLAGS.split()}
 """Warning flags that matter here; a device reports its worst one in every reply."""
 
 NOT_HOMED = ("WR", "WH")
+
+SPEED_UNIT = 1.6384
+"""A speed setting is microsteps per second times this; an acceleration setting is that per 10 000 s of second."""
+
+ACCELERATION_UNIT = SPEED_UNIT / 10_000
 
 
 @dataclass(frozen=True)
@@ -40,7 +22,6 @@ class Command:
     """One command.
 
     Args:
-        device, axis: addresses; 0 is all.
         message_id: echoed by the device; None when it was not given.
         words: the command itself, "" asks only for the status.
     """
@@ -56,7 +37,6 @@ class Reply:
     """One reply.
 
     Args:
-        device, scope: who answers.
         message_id: of the command, where it had one.
         is_ok: OK, or rejected (RJ): then `data` says why.
         is_busy: whether the axis moves.
@@ -91,11 +71,7 @@ def format_command(command: Command) -> bytes:
 
 
 def parse_command(line: bytes) -> tuple[Command, bool]:
-    """Return a command and whether it came with a checksum.
-
-    Raises:
-        BadReply: no command, or a checksum that does not match.
-    """
+    """Return a command and whether it had a checksum; `BadReply`: none, or a wrong checksum."""
     if not line.startswith(b"/"):
         raise BadReply(reason("zaber.no_command", line=repr(line[:40])))
     content, has_checksum = _without_checksum(line)
@@ -116,11 +92,7 @@ def format_reply(reply: Reply, has_checksum: bool) -> bytes:
 
 
 def parse_reply(line: bytes) -> Reply | None:
-    """Return a reply; None for an info or alert line, which asks for nothing.
-
-    Raises:
-        BadReply: noise, or a checksum that does not match.
-    """
+    """Return a reply; None for an info or alert line; `BadReply`: noise, or a wrong checksum."""
     if line[:1] in (b"#", b"!"):
         _without_checksum(line)
         return None

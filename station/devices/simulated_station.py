@@ -1,4 +1,4 @@
-"""A whole simulated station: one rig, three devices on three lines, one world in which time passes."""
+"""A whole simulated station: one rig, three devices on three lines, one world of time."""
 
 from collections.abc import Sequence
 from typing import TypeVar
@@ -10,13 +10,14 @@ from softcal.core.twin.simulate import Twin, TwinStream
 from softcal.station.devices.catalogue import driver_of
 from softcal.station.devices.config import ForceConfig, ReadoutConfig, Role, StageConfig
 from softcal.station.devices.driver import AnyDriver, Simulated, Surroundings
+from softcal.station.simulated.answering import FarEnd
 from softcal.station.simulated.grbl import SimulatedGrbl
 from softcal.station.simulated.medium import BleEnd, SocketEnd
 from softcal.station.simulated.motion import Axis
 from softcal.station.simulated.rig import SimulatedRig
 from softcal.station.simulated.text_stream import CELL_COUNTS_PER_N, CELL_ZERO_COUNTS, SimulatedTextStream
 from softcal.station.simulated.wire import Wire
-from softcal.station.simulated.world import FarEnd, World
+from softcal.station.simulated.world import World
 
 ACCELERATION_MM_S2 = 200.0
 FREE_MM = 4.0
@@ -29,10 +30,8 @@ class SimulatedStation:
     """Stage, load cell and readout around one unit; every part is public so that tests can break it.
 
     Args:
-        unit: the unit under the stage.
         rng: draws noise, delays, clock errors and how units come to lie.
         time_factor: simulated seconds per real second at most; None runs as fast as the computer can.
-        stage_kind, force_kind, readout_kind: which drivers, as in a station file.
         beside: more units under the same stage, each on a channel of its own.
     """
 
@@ -85,17 +84,14 @@ class SimulatedStation:
 
     @property
     def stage(self) -> SimulatedGrbl:
-        """The far end of a GRBL stage, with its fault switches."""
         return _switches_of(SimulatedGrbl, self._far_ends[0])
 
     @property
     def force(self) -> SimulatedTextStream:
-        """The far end of an HX711 load cell, with its fault switches."""
         return _switches_of(SimulatedTextStream, self._far_ends[1])
 
     @property
     def readout(self) -> SimulatedTextStream:
-        """The far end of an Arduino readout, with its fault switches."""
         return _switches_of(SimulatedTextStream, self._far_ends[2])
 
     def far_end(self, kind: type[_E], role: Role) -> _E:
@@ -118,7 +114,7 @@ class SimulatedStation:
 
 
 def wire_for(driver: AnyDriver, rng: np.random.Generator) -> Wire:
-    """Return a line of the kind a driver speaks over: a serial line, Bluetooth, or a socket for all others."""
+    """Return a line of the kind a driver speaks over: serial, Bluetooth, or a socket for all others."""
     match driver.wires[0]:
         case "serial":
             return Wire(rng)

@@ -1,4 +1,4 @@
-"""A simulated station as a service owns it: every order finds its unit in the fixture, faults come on demand."""
+"""A simulated station of a service: every order finds its unit, faults come on demand."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -8,8 +8,8 @@ from softcal.core.errors import InputError
 from softcal.core.twin.simulate import Twin
 from softcal.core.words.reason import Reason, reason
 from softcal.station.devices.bench import Bench, open_simulated_bench
-from softcal.station.simulated.faults import FAULTS, Fault
-from softcal.station.simulated.station import SimulatedStation
+from softcal.station.devices.simulated_station import SimulatedStation
+from softcal.station.testing.faults import FAULTS, Fault
 
 NAMES = {f.name: f for f in FAULTS if (f.stage_kind, f.force_kind, f.has_cell) == ("grbl", "hx711", True)}
 """Faults of the devices that this line has."""
@@ -19,7 +19,6 @@ class SimulatedLine:
     """Opens simulated stations one after the other, as a real one is opened again after a fault.
 
     Args:
-        seed: of noise, delays and mounting.
         time_factor: simulated seconds per real second at most; None runs as fast as the computer can.
     """
 
@@ -49,7 +48,6 @@ class SimulatedLine:
         self._release("")
 
     def put_on(self, load: float) -> None:
-        """Put a weight of so many N on the unit."""
         if self._station is not None:
             self._station.rig.weight_N = load
         self._release("")
@@ -61,11 +59,7 @@ class SimulatedLine:
             self._release(phase)
 
     def inject(self, name: str) -> Reason:
-        """Break something in the phase the fault's name says, in this run or the next; return what will happen.
-
-        Raises:
-            InputError: there is no such fault; the known ones are named.
-        """
+        """Break something in the phase of its name, now or in the next run; return what will happen."""
         fault = NAMES.get(name)
         if fault is None:
             raise InputError(reason("fault.unknown", name=repr(name), known=", ".join(NAMES)))
