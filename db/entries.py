@@ -1,7 +1,7 @@
 """What the registry gives back: frozen values, never rows of a table."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from datetime import date, datetime
 from typing import TYPE_CHECKING
 
@@ -23,7 +23,7 @@ class UnitEntry:
     """A unit of a lot and where it stands.
 
     Args:
-        lot_id, serial: which unit; a serial may stand in two lots.
+        serial: may stand in two lots.
         role: source or target.
         verdict: of the newest result; None while there is none.
         reasons: why, most important first.
@@ -69,7 +69,6 @@ class StoredCalibration:
     Args:
         revision: 1, 2, 3 ... per serial.
         made_at: UTC; never before the revision it follows.
-        actor, reason: who made it, and why.
         rolled_back_to: the older revision this one repeats, for a rollback.
         origin: the registry that wrote it.
         is_current: this is the map in use in its lot. None is while two registries disagree.
@@ -97,9 +96,7 @@ class MadeCalibration:
     """One revision as a report needs it: light, so that a lot of ten thousand fits into memory.
 
     Args:
-        verdict, reasons: what was decided, and why.
         predicted_rmse, before_rmse, after_rmse, own_rmse: in the lot's reference unit; None where there is none.
-        fit_s: seconds the fit took.
         knowledge: how its loads are known.
         decision: what was predicted and what was measured.
         method_id: the method it was made with; empty where an older version kept none.
@@ -171,8 +168,7 @@ class NetworkEntry:
     """What is known of a shared network beside its weights.
 
     Args:
-        id: content hash of the network.
-        input_sha256: content hash of what it was trained from.
+        id, input_sha256: content hashes of the network and of what it was trained from.
         metrics: what the training reached.
         added_at: UTC.
     """
@@ -237,7 +233,7 @@ class LineRulesEntry:
 
 @dataclass(frozen=True)
 class AuditRow:
-    """Who did what, when and why. `key`, `before` and `after` are canonical JSON text; `hash` covers every field."""
+    """Who did what, when and why. `key`, `before`, `after` are canonical JSON text; `hash` covers every field."""
 
     origin: str
     seq: int
@@ -251,9 +247,6 @@ class AuditRow:
     reason: str
     prev_hash: str
     hash: str
-
-    def with_hash(self, value: str) -> "AuditRow":
-        return replace(self, hash=value)
 
 
 @dataclass(frozen=True)

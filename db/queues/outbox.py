@@ -11,9 +11,9 @@ from sqlalchemy import insert, or_, select, update
 
 from softcal.core.errors import InputError
 from softcal.db.entries import AuditRow
-from softcal.db.schema.database import OncePerCut
 from softcal.db.schema.tables import deliveries
 from softcal.db.truth import history
+from softcal.db.truth.registry_base import RegistryBase
 
 Cursor = Mapping[str, int]
 """Number of the last row taken of each chain of the audit trail, by the registry that wrote it."""
@@ -45,7 +45,7 @@ class Delivery:
     held_until: datetime | None
 
 
-class Outbox(OncePerCut):
+class Outbox(RegistryBase):
     """The destinations of a registry's events. Every call is one short transaction."""
 
     def end(self) -> dict[str, int]:
@@ -60,7 +60,7 @@ class Outbox(OncePerCut):
 
     def begin(self, destination: str, cursor: Cursor) -> Delivery:
         """Return where a destination stands; one that is new begins behind `cursor`."""
-        fresh = {"delivered": 0, "failures": 0, "not_before": None, "error": "", "changed_at": self._clock()}
+        fresh = {"delivered": 0, "failures": 0, "not_before": None, "error": "", "changed_at": self.settings.clock()}
         with self.database.writing(in_turn=False) as connection:
             known = select(deliveries).where(deliveries.c.destination == destination)
             if connection.execute(known).first() is None:
@@ -78,17 +78,16 @@ class Outbox(OncePerCut):
         c = deliveries.c
         is_free = or_(c.holder.is_(None), c.holder == holder, c.held_until <= now)
         mine = c.destination == destination
-        with self.database.writing(in_turn=False) as connection:
-            taken = connection.execute(update(deliveries).where(mine, is_free).values(holder=holder, held_until=until))
-            if not taken.rowcount:
-                return None
-            return Delivery(**connection.execute(select(deliveries).where(mine)).mappings().one())
+        take = update(deliveries).where(mine, is_free).values(holder=holder, held_until=until)
+        with self.database.writing(in_turn=False):
+            row = self.database.row(select(deliveries).where(mine)) if self.database.change(take) else None
+            return None if row is None else Delivery(**row)
 
     def release(self, holder: str) -> None:
         """Give back every destination that a process holds."""
-        with self.database.writing(in_turn=False) as connection:
-            free = {"holder": None, "held_until": None}
-            connection.execute(update(deliveries).where(deliveries.c.holder == holder).values(**free))
+        self.database.change(
+            update(deliveries).where(deliveries.c.holder == holder).values(holder=None, held_until=None)
+        )
 
     def moved(self, destination: str, cursor: Cursor, delivered: int, holder: str | None = None) -> None:
         """Write that a destination has everything up to a cursor, `delivered` events of it sent now.
@@ -112,8 +111,7 @@ class Outbox(OncePerCut):
         mine = update(deliveries).where(deliveries.c.destination == destination)
         if holder is not None:
             mine = mine.where(deliveries.c.holder == holder)
-        with self.database.writing(in_turn=False) as connection:
-            connection.execute(mine.values(**values, changed_at=self._clock()))
+        self.database.change(mine.values(**values, changed_at=self.settings.clock()))
 
 
 def cursor_text(cursor: Cursor) -> str:

@@ -7,12 +7,9 @@ import random
 import sqlite3
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from datetime import datetime
-from functools import wraps
 from pathlib import Path
-from types import FunctionType
 from typing import Any, TypeVar, cast
 
 from sqlalchemy import URL, Connection, Engine, Executable, RowMapping, create_engine, event, inspect, make_url, text
@@ -115,14 +112,25 @@ class Database:
         with self.reading() as connection:
             return connection.execute(query).mappings().all()
 
-    def row(self, query: Executable) -> RowMapping | None:
+    def row(self, query: Executable, values: Mapping[str, object] | None = None) -> RowMapping | None:
+        """Return the first row of what a query gives, with values for its parameters; None where it gives nothing."""
         with self.reading() as connection:
-            return connection.execute(query).mappings().first()
+            return connection.execute(query, values).mappings().first()
 
     def values(self, query: Executable) -> list[Any]:
         """Return the first column of what a query gives."""
         with self.reading() as connection:
             return list(connection.execute(query).scalars())
+
+    def value(self, query: Executable, values: Mapping[str, object] | None = None) -> Any:
+        """Return the first value of what a query gives; None where it gives nothing."""
+        with self.reading() as connection:
+            return connection.execute(query, values).scalar()
+
+    def change(self, statement: Executable) -> int:
+        """Do one statement, in no turn or in the transaction that goes on, and return how many rows it changed."""
+        with self.writing(in_turn=False) as connection:
+            return connection.execute(statement).rowcount
 
     @contextmanager
     def writing(self, *, in_turn: bool = True) -> Iterator[Connection]:
@@ -226,33 +234,15 @@ def is_denied(error: Exception) -> bool:
     return "permission denied" in str(error)
 
 
+def given(*pairs: tuple[Any, object]) -> list[Any]:
+    """Return the conditions that columns equal a value, or one of several; None is any value."""
+    wanted = [(column, value) for column, value in pairs if value is not None]
+    return [column.in_(value) if isinstance(value, list | tuple) else column == value for column, value in wanted]
+
+
 def parts(values: Sequence[Part]) -> Iterator[Sequence[Part]]:
     """Cut values into as many as both databases take in one statement."""
     yield from (values[start : start + VALUES_AT_ONCE] for start in range(0, len(values), VALUES_AT_ONCE))
-
-
-class OncePerCut:
-    """Gives every public method a second try where its connection was cut; each is whole transactions.
-
-    A method that makes several transactions repeats those that were kept: they must change nothing the second time.
-    """
-
-    def __init__(self, database: Database, clock: Callable[[], datetime]) -> None:
-        self.database, self._clock = database, clock
-
-    def __init_subclass__(cls, **options: Any) -> None:
-        super().__init_subclass__(**options)
-        for name, method in list(vars(cls).items()):
-            if isinstance(method, FunctionType) and not name.startswith("_"):
-                setattr(cls, name, _once_more(method))
-
-
-def _once_more(method: Callable[..., Any]) -> Callable[..., Any]:
-    @wraps(method)
-    def done(self: OncePerCut, *arguments: Any, **options: Any) -> Any:
-        return self.database.once_more(lambda: method(self, *arguments, **options))
-
-    return done
 
 
 def open_database(url: str, *, create: bool = True) -> Database:

@@ -8,11 +8,11 @@ from typing import Any
 from sqlalchemy import Select, Text, func, select, type_coerce
 
 from softcal.core.errors import InputError
+from softcal.db.schema.database import given
 from softcal.db.schema.tables import adaptations, calibrations
 from softcal.db.truth.registry_base import RegistryBase, of_row
 
 Entry = Mapping[str, Any]
-NEEDED = ("stream", "sample")
 
 
 @dataclass(frozen=True)
@@ -46,29 +46,21 @@ class AdaptationTables(RegistryBase):
         with self.database.writing() as connection:
             c = calibrations.c
             known = select(c.serial).where(c.serial == serial, c.revision == revision).limit(1)
-            if connection.execute(known).first() is None:
+            if self.database.row(known) is None:
                 raise InputError(f"serial {serial!r} has no revision {revision} to adapt")
-            query = select(func.max(adaptations.c.number)).where(
-                adaptations.c.serial == serial, adaptations.c.origin == self.origin
-            )
-            number = int(connection.execute(query).scalar_one() or 0)
-            for entry in entries:
-                number += 1
-                values = {
-                    "serial": serial,
-                    "number": number,
-                    "origin": self.origin,
-                    "revision": revision,
-                    **{name: entry[name] for name in NEEDED},
-                    "made_at": self.settings.clock(),
-                    "entry": dict(entry),
-                }
+            mine = (adaptations.c.serial == serial, adaptations.c.origin == self.origin)
+            last = int(self.database.value(select(func.max(adaptations.c.number)).where(*mine)) or 0)
+            for number, entry in enumerate(entries, last + 1):
+                values = {"serial": serial, "number": number, "origin": self.origin, "revision": revision}
+                values |= {"stream": entry["stream"], "sample": entry["sample"], "entry": dict(entry)}
+                values["made_at"] = self.settings.clock()
                 self._store(connection, adaptations, values, "adapt", actor)
-            return number
+            return last + len(entries)
 
     def last(self, serial: str, revision: int, stream: str) -> Entry | None:
         """Return the newest step of a stream, to go on after a stop; None where it has not begun."""
-        return next(iter(self.database.values(_newest_first(serial, revision, stream).limit(1))), None)
+        entry: Entry | None = self.database.value(_newest_first(serial, revision, stream).limit(1))
+        return entry
 
     def last_checkpoint(self, serial: str, revision: int, stream: str) -> Entry | None:
         """Return the newest step of a stream that holds a `state` to go on from; None where there is none."""
@@ -79,8 +71,8 @@ class AdaptationTables(RegistryBase):
     def all(self, serial: str, stream: str | None = None) -> list[Entry]:
         """Return the steps of a serial, of one stream or of all, in the order they were made."""
         c = adaptations.c
-        query: Select[Any] = select(c.entry).where(c.serial == serial).order_by(c.made_at, c.origin, c.number)
-        return self.database.values(query if stream is None else query.where(c.stream == stream))
+        query = select(c.entry).where(*given((c.serial, serial), (c.stream, stream)))
+        return self.database.values(query.order_by(c.made_at, c.origin, c.number))
 
     def units(self) -> list[AdaptedUnit]:
         """Return the units in use with their newest step, the one adapted last first; a checkpoint is no step."""

@@ -11,12 +11,12 @@ from softcal.core.errors import InputError
 from softcal.core.words.reason import Reason, to_kept
 from softcal.db.entries import StoredCalibration
 from softcal.db.schema.arrays import get_arrays, put_arrays
+from softcal.db.schema.database import given
 from softcal.db.schema.found import found_in
 from softcal.db.schema.tables import calibrations, networks, refusals
 from softcal.db.truth import history
 from softcal.db.truth.in_use import NEWEST_FIRST, InUseTable, heads_of, lots_of, names_several, newest_of_unit
-from softcal.db.truth.lot_pages import standing_units
-from softcal.db.truth.records import PLAIN_FIELDS, record_of
+from softcal.db.truth.lot_pages import PLAIN_FIELDS, record_of, standing_units
 from softcal.db.truth.registry_base import damaged, of_row
 
 if TYPE_CHECKING:
@@ -121,10 +121,9 @@ class CalibrationTables(InUseTable):
     def find(self, serial: str, input_sha256: str, *, lot_id: str | None = None) -> StoredCalibration | None:
         """Return the newest calibration of a serial made from this input, or None: the work is still to be done."""
         c = calibrations.c
-        query = select(calibrations).where(c.serial == serial, c.input_sha256 == input_sha256)
-        query = query if lot_id is None else query.where(c.lot_id == lot_id)
+        named = given((c.serial, serial), (c.input_sha256, input_sha256), (c.lot_id, lot_id))
         with self.database.reading() as connection:
-            row = connection.execute(query.order_by(*NEWEST_FIRST).limit(1)).mappings().first()
+            row = self.database.row(select(calibrations).where(*named).order_by(*NEWEST_FIRST).limit(1))
             return None if row is None else self._stored(connection, row)
 
     def known_inputs(self, lot_id: str, serials: Sequence[str]) -> dict[str, frozenset[str]]:
@@ -132,9 +131,8 @@ class CalibrationTables(InUseTable):
         c = calibrations.c
         query = select(c.serial, c.input_sha256).where(c.lot_id == lot_id, c.serial.in_(serials))
         known: dict[str, set[str]] = {}
-        with self.database.reading() as connection:
-            for serial, sha256 in connection.execute(query):
-                known.setdefault(serial, set()).add(sha256)
+        for row in self.database.rows(query):
+            known.setdefault(row["serial"], set()).add(row["input_sha256"])
         return {serial: frozenset(hashes) for serial, hashes in known.items()}
 
     def get(
@@ -262,9 +260,8 @@ class CalibrationTables(InUseTable):
         self, connection: Connection, lot_id: str, serial: str, revision: int, origin: str | None
     ) -> RowMapping:
         c = calibrations.c
-        query = select(calibrations).where(c.lot_id == lot_id, c.serial == serial, c.revision == revision)
-        query = query if origin is None else query.where(c.origin == origin)
-        rows = connection.execute(query.order_by(c.origin)).mappings().all()
+        named = given((c.lot_id, lot_id), (c.serial, serial), (c.revision, revision), (c.origin, origin))
+        rows = self.database.rows(select(calibrations).where(*named).order_by(c.origin))
         if not rows:
             by = "" if origin is None else f" of registry {origin}"
             raise InputError(f"serial {serial!r} has no revision {revision}{by} in lot {lot_id!r}")

@@ -6,6 +6,7 @@ or put in between is found (after Schneier and Kelsey 1999, Secure audit logs, s
 
 import hashlib
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from datetime import date, datetime
 from heapq import merge
 from itertools import islice
@@ -57,7 +58,7 @@ def append(
         prev_hash=prev_hash,
         hash="",
     )
-    row = row.with_hash(row_hash(row))
+    row = replace(row, hash=row_hash(row))
     connection.execute(INSERT, vars(row))
     connection.info[HAS_TOLD] = True
     heads[origin] = row.seq, row.hash

@@ -24,7 +24,7 @@ from sqlalchemy import (
 )
 
 from softcal.core.errors import InputError
-from softcal.db.schema.database import parts
+from softcal.db.schema.database import given, parts
 from softcal.db.schema.found import found_in
 from softcal.db.schema.tables import calibrations, in_use, limits, lots, refusals, units
 from softcal.db.truth import history
@@ -85,13 +85,11 @@ class InUseTable(RegistryBase):
             refused = newest_refusal(connection, lot_id, serial)
             last = STATEMENTS.where(in_use.c.input_sha256.is_not(None)).limit(1)
             asked = connection.execute(last, {"lot": lot_id, "unit": serial}).mappings().first()
-            is_asked_again = (
-                asked is not None
-                and asked["input_sha256"] == input_sha256
-                and (refused is None or refused < asked["made_at"])
-            )
-            if is_asked_again and work_sha256 in (None, asked and asked["work_sha256"]):
-                return True
+            is_asked_again = False
+            if asked is not None and asked["input_sha256"] == input_sha256:
+                is_asked_again = refused is None or refused < asked["made_at"]
+                if is_asked_again and work_sha256 in (None, asked["work_sha256"]):
+                    return True
             again = {"revision": made["revision"], "made_by": made["origin"]}
             named = dict(heads[0]) if is_asked_again else again
             told = {"work_sha256": work_sha256, "input_sha256": input_sha256, "decided_by": decided_by}
@@ -118,27 +116,20 @@ class InUseTable(RegistryBase):
     def inputs_of_works(self, lot_id: str, works: Mapping[str, str]) -> dict[str, str]:
         """Return the input from which each work was once calibrated, by serial."""
         u = in_use.c
-        found = {}
-        for part in parts(list(works)):
-            query = select(u.serial, u.work_sha256, u.input_sha256).where(u.lot_id == lot_id, u.serial.in_(part))
-            with self.database.reading() as connection:
-                for serial, work, input_sha256 in connection.execute(query.where(u.work_sha256.is_not(None))):
-                    if works[serial] == work:
-                        found[serial] = input_sha256
-        return found
+        columns = select(u.serial, u.work_sha256, u.input_sha256).where(u.lot_id == lot_id)
+        rows = [row for part in parts(list(works)) for row in self.database.rows(columns.where(u.serial.in_(part)))]
+        return {row["serial"]: row["input_sha256"] for row in rows if works[row["serial"]] == row["work_sha256"]}
 
     def was_decided_by(self, decided_by: str, lot_id: str, serial: str) -> bool:
         """Return whether a calibration of a unit was ever put into use by this: a trim, a release, a rollback."""
         told = _of_unit(in_use, in_use.c.number).where(in_use.c.decided_by == decided_by).limit(1)
-        with self.database.reading() as connection:
-            return connection.execute(told, {"lot": lot_id, "unit": serial}).first() is not None
+        return self.database.row(told, {"lot": lot_id, "unit": serial}) is not None
 
     def passed_once(self, lot_id: str) -> frozenset[str]:
         """Return the serials of a lot for which a calibration that passed was in use, now or before."""
         query = select(in_use.c.serial).distinct().join(calibrations, OF_STATEMENT)
         query = query.where(in_use.c.lot_id == lot_id, calibrations.c.verdict == "pass")
-        with self.database.reading() as connection:
-            return frozenset(connection.execute(query).scalars())
+        return frozenset(self.database.values(query))
 
     def lots_of(self, serial: str) -> list[str]:
         with self.database.reading() as connection:
@@ -254,8 +245,7 @@ def conflicts_of(
     )
     query = select(u.lot_id, u.serial).select_from(in_use).join(calibrations, OF_STATEMENT)
     query = query.where(~is_followed.correlate(in_use).exists()).group_by(u.lot_id, u.serial).having(differ)
-    query = query if lot_id is None else query.where(u.lot_id == lot_id)
-    query = query if serials is None else query.where(u.serial.in_(serials))
+    query = query.where(*given((u.lot_id, lot_id), (u.serial, serials)))
     return [(lot, name) for lot, name in connection.execute(query.order_by(u.lot_id, u.serial))]
 
 

@@ -5,10 +5,10 @@ One question in SQL says it for a unit, for a sorted and filtered page of a lot 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from sqlalchemy import (
     ColumnElement,
@@ -29,13 +29,22 @@ from sqlalchemy import (
 from softcal.core.errors import InputError
 from softcal.core.words.reason import DOUBT, Reason, plain
 from softcal.db.entries import UNDECIDED, MadeCalibration, UnitEntry, UnitStanding
-from softcal.db.schema.database import parts
+from softcal.db.schema.database import given, parts
 from softcal.db.schema.tables import calibrations, in_use, refusals, units
 from softcal.db.truth import history
 from softcal.db.truth.in_use import OF_STATEMENT, conflict_line, conflicts_of, limit_in_force, of_this_method
 from softcal.db.truth.judged_against import LimitInForce
-from softcal.db.truth.records import PLAIN_FIELDS, record_of
 from softcal.db.truth.registry_base import RegistryBase, damaged, of_row
+
+if TYPE_CHECKING:
+    from softcal.core.identity import Settings
+    from softcal.core.unit.calibration import CalibrationRecord
+
+PLAIN_FIELDS = tuple(
+    "serial network_id family map_sha256 predicted_rmse before_rmse after_rmse own_rmse fit_s verdict input_sha256 "
+    "recording_sha256".split()
+)
+"""Fields of `CalibrationRecord` that are columns as they are."""
 
 ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
 SORTABLE = ("serial", "verdict", "made_at", "family", *ERRORS)
@@ -266,8 +275,7 @@ class StandingQuery:
         )
         query = select(units.c.lot_id, units.c.serial, units.c.role, *(c.label(name) for name, c in columns.items()))
         query = query.select_from(joined).where(units.c.lot_id == self.lot_id)
-        query = query if role is None else query.where(units.c.role == role)
-        return (query if serials is None else query.where(units.c.serial.in_(serials))).subquery("standing")
+        return query.where(*given((units.c.role, role), (units.c.serial, serials))).subquery("standing")
 
     def entry(self, connection: Connection, row: RowMapping) -> UnitEntry:
         serial = row["serial"]
@@ -291,11 +299,24 @@ def standing_units(
     known = {row["serial"] for row in rows}
     # A damaged index hides rows without a word.
     for results in (in_use, refusals):
-        query = select(results.c.serial).where(results.c.lot_id == lot_id).distinct()
-        found = query if serials is None else query.where(results.c.serial.in_(serials))
-        if lost := sorted({*connection.execute(found).scalars()} - known):
+        query = select(results.c.serial).where(*given((results.c.lot_id, lot_id), (results.c.serial, serials)))
+        if lost := sorted({*connection.execute(query.distinct()).scalars()} - known):
             raise damaged(f"unit {lost[0]} of lot {lot_id} has a result and was not found itself")
     return [(standing.entry(connection, row), bool(row["is_made"])) for row in rows]
+
+
+def record_of(row: RowMapping, arrays: Mapping[str, Any], settings: Settings) -> CalibrationRecord:
+    """Return the calibration of a row, with the arrays and settings that belong to it."""
+    # Whoever lists units needs none.
+    from softcal.core.unit.calibration import CalibrationRecord
+
+    return CalibrationRecord(
+        **{field: row[field] for field in PLAIN_FIELDS},
+        arrays=arrays,
+        settings=settings,
+        reasons=tuple(map(Reason.of, row["reasons"])),
+        evidence=row["evidence"],
+    )
 
 
 def _is_of_unit(table: Table) -> ColumnElement[bool]:

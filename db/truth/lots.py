@@ -2,15 +2,15 @@
 
 from dataclasses import replace
 from datetime import datetime
-from typing import Any
 
-from sqlalchemy import RowMapping, Select, select
+from sqlalchemy import RowMapping, select
 
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.quality.line_rules import LineRules, rules_for
 from softcal.core.words.reason import Reason
 from softcal.db.entries import LimitEntry, LineRulesEntry, RunEntry, UnitEntry
+from softcal.db.schema.database import given
 from softcal.db.schema.tables import calibrations, limits, line_rules, lots, refusals
 from softcal.db.truth.in_use import lots_of
 from softcal.db.truth.lot_pages import standing_units
@@ -87,16 +87,14 @@ class LotTables(RegistryBase):
         """
         c, r = calibrations.c, refusals.c
         columns = (c.serial, c.made_at, c.verdict, c.reasons, c.predicted_rmse, c.recording_sha256)
-        made = _of(select(*columns), calibrations, lot_id, serial)
-        refused = _of(select(r.serial, r.made_at, r.verdict, r.reasons), refusals, lot_id, serial)
-        queries = (made.where(c.rolled_back_to.is_(None)), refused)
+        made = select(*columns).where(c.rolled_back_to.is_(None), *given((c.lot_id, lot_id), (c.serial, serial)))
+        refused = select(r.serial, r.made_at, r.verdict, r.reasons)
+        refused = refused.where(*given((r.lot_id, lot_id), (r.serial, serial)))
+        serials = None if serial is None else [serial]
         with self.database.reading() as connection:
             self._lot_row(connection, lot_id)
-            rows = [dict(row) for query in queries for row in connection.execute(query).mappings()]
-            stands = {
-                unit.serial: unit
-                for unit, _ in standing_units(connection, lot_id, None if serial is None else [serial])
-            }
+            rows = [dict(row) for query in (made, refused) for row in self.database.rows(query)]
+            stands = {unit.serial: unit for unit, _ in standing_units(connection, lot_id, serials)}
         presses: dict[object, RunEntry] = {}
         for number, row in enumerate(sorted(rows, key=lambda row: (row["made_at"], row["serial"]))):
             press = (row["serial"], row.pop("recording_sha256", number))
@@ -207,8 +205,3 @@ class LotTables(RegistryBase):
         newest = self.limit(row["id"])
         facts = {name: value for name, value in row.items() if name not in ("id", "added_at")}
         return Lot.from_settings(row["id"], facts | {"limit_rmse": newest.rmse if newest else None})
-
-
-def _of(query: Select[Any], table: Any, lot_id: str | None, serial: str | None) -> Select[Any]:
-    query = query if lot_id is None else query.where(table.c.lot_id == lot_id)
-    return query if serial is None else query.where(table.c.serial == serial)

@@ -82,7 +82,8 @@ class NetworkTables(RegistryBase):
     def find(self, input_sha256: str) -> str | None:
         """Return the id of the first network trained from this input, or None."""
         query = select(networks.c.id).where(networks.c.input_sha256 == input_sha256)
-        return next(iter(self.database.values(query.order_by(networks.c.added_at, networks.c.id).limit(1))), None)
+        first: str | None = self.database.value(query.order_by(networks.c.added_at, networks.c.id).limit(1))
+        return first
 
     def get(self, network_id: str) -> Network:
         """Return a network by its id, or raise `InputError`."""
@@ -96,8 +97,7 @@ class NetworkTables(RegistryBase):
     def entry(self, network_id: str) -> NetworkEntry:
         """Return what is known of a network beside its weights, or raise `InputError`."""
         with self.database.reading() as connection:
-            row = self._network_row(connection, network_id)
-            return of_row(NetworkEntry, row)
+            return of_row(NetworkEntry, self._network_row(connection, network_id))
 
     def all(self) -> list[NetworkEntry]:
         """Return what is known of every network beside its weights, oldest first."""
@@ -159,15 +159,8 @@ class NetworkTables(RegistryBase):
         with self.database.writing() as connection:
             decisions = self._decisions(entry.lot_id)
             made_at = self._after(max((decision.since for decision in decisions.values()), default=None))
-            values = {
-                "network_id": entry.id,
-                "made_at": made_at,
-                "origin": self.origin,
-                "lot_id": entry.lot_id,
-                "state": state,
-                "actor": self._actor(actor),
-                "reason": reason,
-            }
+            values = {"network_id": entry.id, "made_at": made_at, "origin": self.origin, "lot_id": entry.lot_id}
+            values |= {"state": state, "actor": self._actor(actor), "reason": reason}
             self._store(connection, network_releases, values, ACTIONS[state], actor, reason)
 
     def _decisions(self, lot_id: str) -> dict[str, NetworkState]:

@@ -9,6 +9,7 @@ from sqlalchemy import bindparam, select
 from softcal.core.errors import InputError
 from softcal.db.entries import RecordingEntry
 from softcal.db.schema.arrays import get_arrays, put_arrays
+from softcal.db.schema.database import given
 from softcal.db.schema.found import found_in
 from softcal.db.schema.tables import recordings
 from softcal.db.truth.registry_base import RegistryBase, of_row
@@ -61,7 +62,7 @@ class RecordingTables(RegistryBase):
         """
         query = select(recordings).where(recordings.c.sha256 == sha256).limit(1)
         with self.database.reading() as connection:
-            row = connection.execute(query).mappings().first()
+            row = self.database.row(query)
             if row is None:
                 raise InputError(f"recording {sha256[:12]} is not in the registry")
             self._check_row(connection, recordings, row)
@@ -77,8 +78,7 @@ class RecordingTables(RegistryBase):
 
     def of_lot(self, lot_id: str, serial: str | None = None, kind: str | None = None) -> list[RecordingEntry]:
         """Return what is known of a lot's recordings, oldest first, without reading their samples."""
-        query = select(recordings).where(recordings.c.lot_id == lot_id)
-        query = query if serial is None else query.where(recordings.c.serial == serial)
-        query = query if kind is None else query.where(recordings.c.kind == kind)
-        query = query.order_by(recordings.c.added_at, recordings.c.sha256)
-        return [of_row(RecordingEntry, row) for row in self.database.rows(query)]
+        c = recordings.c
+        query = select(recordings).where(*given((c.lot_id, lot_id), (c.serial, serial), (c.kind, kind)))
+        rows = self.database.rows(query.order_by(c.added_at, c.sha256))
+        return [of_row(RecordingEntry, row) for row in rows]

@@ -3,14 +3,15 @@
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime, timedelta
-from functools import cache
+from functools import cache, wraps
+from types import FunctionType
 from typing import Any, TypeVar
 
 from sqlalchemy import Connection, Insert, RowMapping, Table, bindparam, insert, select
 
 from softcal.core.errors import InputError, RegistryError
 from softcal.core.words.reason import reason
-from softcal.db.schema.database import Database, OncePerCut
+from softcal.db.schema.database import Database
 from softcal.db.schema.found import found_in
 from softcal.db.schema.tables import audit, canonical_json, in_use, lots, recordings, refusals, registry_info, units
 from softcal.db.truth import history
@@ -46,8 +47,11 @@ def damaged(what: str) -> RegistryError:
     return RegistryError(f"{what}; the registry is damaged; run `softcal registry verify` and go back to a backup")
 
 
-class RegistryBase(OncePerCut):
-    """A part of an open registry.
+class RegistryBase:
+    """A part of an open registry. Every public method gets a second try where its connection was cut.
+
+    A method is whole transactions; one that makes several repeats those that were kept: they must change nothing the
+    second time.
 
     Args:
         origin: the name under which this registry writes its audit trail; None reads it from the database.
@@ -56,7 +60,14 @@ class RegistryBase(OncePerCut):
     def __init__(self, database: Database, settings: RegistrySettings, origin: str | None = None) -> None:
         self.database = database
         self.settings = settings
-        self.origin = _origin(database) if origin is None else origin
+        named = select(registry_info.c.value).where(registry_info.c.key == "origin")
+        self.origin = str(database.value(named)) if origin is None else origin
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        for name, method in list(vars(cls).items()):
+            if isinstance(method, FunctionType) and not name.startswith("_"):
+                setattr(cls, name, _once_more(method))
 
     def _store(
         self,
@@ -144,10 +155,12 @@ class RegistryBase(OncePerCut):
             raise InputError(reason("name.no_such_serial", serial=repr(serial), known=_some(known.all())))
 
 
-def _origin(database: Database) -> str:
-    with database.reading() as connection:
-        query = select(registry_info.c.value).where(registry_info.c.key == "origin")
-        return str(connection.execute(query).scalar_one())
+def _once_more(method: Callable[..., Any]) -> Callable[..., Any]:
+    @wraps(method)
+    def done(self: RegistryBase, *arguments: Any, **options: Any) -> Any:
+        return self.database.once_more(lambda: method(self, *arguments, **options))
+
+    return done
 
 
 def of_row(kind: type[Entry], row: RowMapping, **others: Any) -> Entry:

@@ -2,14 +2,14 @@
 
 from dataclasses import fields
 from datetime import date, datetime
-from typing import Any
 
-from sqlalchemy import Connection, RowMapping, Select, select
+from sqlalchemy import Connection, RowMapping, select
 
 from softcal.core.errors import InputError
 from softcal.core.words.reason import to_kept
 from softcal.db.entries import CellCertificate, GoldenRun
 from softcal.db.schema.arrays import get_bytes, put_bytes
+from softcal.db.schema.database import given
 from softcal.db.schema.tables import certificates, golden_runs
 from softcal.db.truth.registry_base import RegistryBase, of_row
 
@@ -41,24 +41,20 @@ class StationTables(RegistryBase):
 
     def certificates(self, cell_serial: str | None = None) -> list[CellCertificate]:
         """Return the certificates of one load cell or of all, oldest first per cell."""
-        query: Select[Any] = select(certificates).order_by(certificates.c.cell_serial, certificates.c.issued_on)
-        query = query if cell_serial is None else query.where(certificates.c.cell_serial == cell_serial)
+        c = certificates.c
+        query = select(certificates).where(*given((c.cell_serial, cell_serial))).order_by(c.cell_serial, c.issued_on)
         with self.database.reading() as connection:
-            return [_certificate(connection, row) for row in connection.execute(query).mappings().all()]
+            return [_certificate(connection, row) for row in self.database.rows(query)]
 
     def certificate(self, cell_serial: str, on: date) -> CellCertificate | None:
         """Return the newest certificate of a cell that holds on a day; None: the cell may not be used."""
-        valid = [entry for entry in self.certificates(cell_serial) if entry.is_valid(on)]
-        return valid[-1] if valid else None
+        return next((entry for entry in reversed(self.certificates(cell_serial)) if entry.is_valid(on)), None)
 
     def add_golden_run(self, run: GoldenRun) -> None:
         """Store a check with a golden unit."""
         values = {f.name: getattr(run, f.name) for f in fields(run)}
-        values |= {
-            "reasons": [to_kept(why) for why in run.reasons],
-            "actor": self._actor(run.actor),
-            "origin": self.origin,
-        }
+        values |= {"reasons": [to_kept(why) for why in run.reasons], "actor": self._actor(run.actor)}
+        values["origin"] = self.origin
         with self.database.writing() as connection:
             self._store(connection, golden_runs, values, "golden_run", run.actor)
 
@@ -67,11 +63,10 @@ class StationTables(RegistryBase):
     ) -> list[GoldenRun]:
         """Return checks with golden units, oldest first, of one station, one unit or all of them."""
         c = golden_runs.c
-        query: Select[Any] = select(golden_runs).order_by(c.made_at, c.station, c.serial)
-        query = query if station is None else query.where(c.station == station)
-        query = query if serial is None else query.where(c.serial == serial)
+        query = select(golden_runs).where(*given((c.station, station), (c.serial, serial)))
         query = query if since is None else query.where(c.made_at >= since)
-        return [of_row(GoldenRun, row, reasons=tuple(row["reasons"])) for row in self.database.rows(query)]
+        rows = self.database.rows(query.order_by(c.made_at, c.station, c.serial))
+        return [of_row(GoldenRun, row, reasons=tuple(row["reasons"])) for row in rows]
 
 
 def _certificate(connection: Connection, row: RowMapping) -> CellCertificate:
