@@ -127,11 +127,7 @@ class Registry(RegistryBase):
                 raise InputError(f"a value cannot be stored: {error.orig}") from error
 
     def verify(
-        self,
-        *,
-        is_quick: bool = False,
-        anchors: Sequence[Anchor] = (),
-        on_step: Callable[[str], None] = lambda _: None,
+        self, *, is_quick: bool = False, anchors: Sequence[Anchor] = (), on_step: Callable[[str], None] = lambda _: None
     ) -> list[str]:
         """Check the database, every blob, every row and the audit chain; return one line per fault, none when all is
         well. `db.care.checks.faults` says what the arguments mean."""

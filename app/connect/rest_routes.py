@@ -263,10 +263,7 @@ def stations(registry: Known, _: Looking) -> dict[str, Any]:
 
 @routes.get("/orders", response_model=answers.OrdersAnswer, tags=["stations"])
 def orders(
-    registry: Known,
-    _: Looking,
-    station: Annotated[str | None, Query(pattern=r"^[^\x00]*$")] = None,
-    limit: Limit = 50,
+    registry: Known, _: Looking, station: Annotated[str | None, Query(pattern=r"^[^\x00]*$")] = None, limit: Limit = 50
 ) -> dict[str, Any]:
     """List the newest orders to stations and how far they are."""
     return {"orders": [order_json(*run) for run in registry.order_queue.runs(station, limit)]}

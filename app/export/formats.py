@@ -79,10 +79,7 @@ def calibration_values(unit: CalibratedUnit) -> dict[str, object]:
 
 def _blob_files(unit: CalibratedUnit) -> dict[str, bytes]:
     network, device = unit.shared.file, unit.device_unit
-    return {
-        f"unit-{unit.serial}.ssc": device.file.to_bytes(),
-        f"network-{network.id.hex()}.ssc": network.to_bytes(),
-    }
+    return {f"unit-{unit.serial}.ssc": device.file.to_bytes(), f"network-{network.id.hex()}.ssc": network.to_bytes()}
 
 
 def _c_files(unit: CalibratedUnit) -> dict[str, bytes]:
@@ -171,11 +168,7 @@ def device_summary(unit: CalibratedUnit) -> dict[str, object]:
 
 
 WRITERS: Mapping[str, Writer] = dict(
-    zip(
-        FORMATS,
-        (_json_files, _c_files, _blob_files, _hex_files, _onnx_files, _pdf_files, _dcc_files),
-        strict=True,
-    )
+    zip(FORMATS, (_json_files, _c_files, _blob_files, _hex_files, _onnx_files, _pdf_files, _dcc_files), strict=True)
 )
 """What writes each of softcal's own formats."""
 

@@ -14,12 +14,7 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.export.compile_map import InputScale
-from softcal.core.export.integer_network import (
-    DeviceMap,
-    IntegerLayer,
-    IntegerMix,
-    IntegerNetwork,
-)
+from softcal.core.export.integer_network import DeviceMap, IntegerLayer, IntegerMix, IntegerNetwork
 from softcal.core.windows import TAPS
 
 MAGIC = 0x4643_5353

@@ -184,6 +184,10 @@ def fine_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Arra
         yield MapForm(drawn, _linear(drawn.apply(windows), mapped))
 
 
+SIZED_FORMS: tuple[Forms, ...] = (device_forms, wide_forms, matrix_forms)
+"""Forms of a map, from those of the smallest file to those of the largest."""
+
+
 def _drawn(unit_map: UnitMap, windows: Array, mapped: Array, knots: int) -> Curve | None:
     """The curve of constant windows, drawn to the source's range: a linear part takes up any gain and offset of it."""
     curve = _from_constant_windows(unit_map, windows, knots)

@@ -6,39 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from softcal.core.errors import UnitRefused
-from softcal.core.export.blob import (
-    CONDITIONAL,
-    FAILED,
-    MAX_LAYERS,
-    MAX_WIDTH,
-    UNIT_BYTES,
-    AdaptLimits,
-    Band,
-    LoadLevels,
-    NetworkFile,
-    SelfTest,
-    UnitFile,
-)
+from softcal.core.export import blob, quantise
+from softcal.core.export.blob import NetworkFile, SelfTest, UnitFile
 from softcal.core.export.blob_reader import read_unit
-from softcal.core.export.compile_map import (
-    CompiledMap,
-    Forms,
-    InputScale,
-    compile_map,
-    device_forms,
-    matrix_forms,
-    wide_forms,
-)
-from softcal.core.export.integer_network import (
-    ACTIVATION_MAX,
-    CODE_MAX,
-    DeviceMap,
-    IntegerNetwork,
-    Integers,
-)
-from softcal.core.export.limits import Limits, limits_of, reach_by_band
+from softcal.core.export.compile_map import SIZED_FORMS, CompiledMap, Forms, InputScale, compile_map
+from softcal.core.export.integer_network import ACTIVATION_MAX, CODE_MAX, DeviceMap, IntegerNetwork, Integers
 from softcal.core.export.loader import join, run_self_test
-from softcal.core.export.quantise import code_range, evaluate_float64, quantise_map, quantise_network
 from softcal.core.maps.anchors import SourceLevels
 from softcal.core.maps.config import MapConfig
 from softcal.core.maps.interface import UnitMap
@@ -49,13 +22,13 @@ from softcal.core.windows import TAPS
 BESIDE_MIX = slice(2, 4)
 """Self-tests of a file with a narrow mix, which has no room for four: rising and falling ones reach every weight."""
 
-FORMS_OF: Mapping[int, Forms] = dict(zip(UNIT_BYTES, (device_forms, wide_forms, matrix_forms), strict=True))
+FORMS_OF: Mapping[int, Forms] = dict(zip(blob.UNIT_BYTES, SIZED_FORMS, strict=True))
 """Forms of a map by the largest size of its file."""
 
 GOAL = 1e-3
 """A device's estimate should stay this close to f∘γ, as a share of the span of the unit's own estimates."""
 
-VERDICT_FLAGS = {"pass": 0, "conditional": CONDITIONAL, "fail": FAILED, "retest": FAILED}
+VERDICT_FLAGS = {"pass": 0, "conditional": blob.CONDITIONAL, "fail": blob.FAILED, "retest": blob.FAILED}
 ANCHOR_LEVELS = (1 / 32, 31 / 32)
 """Quantiles of mapped samples that stand for a unit's rest and its top."""
 
@@ -125,12 +98,12 @@ def build_network_file(network: Network, source: LabelledRecording) -> NetworkFi
     Raises:
         UnitRefused: f is too large for the format, or has no integer form without overflow.
     """
-    if max(network.sizes) > MAX_WIDTH or len(network.weights) > MAX_LAYERS:
+    if max(network.sizes) > blob.MAX_WIDTH or len(network.weights) > blob.MAX_LAYERS:
         raise UnitRefused(
-            f"network {'-'.join(map(str, network.sizes))} is too large for a device file: {MAX_LAYERS} layers of "
-            f"{MAX_WIDTH} are the most; train a smaller one or fewer members"
+            f"network {'-'.join(map(str, network.sizes))} is too large for a device file: {blob.MAX_LAYERS} layers of "
+            f"{blob.MAX_WIDTH} are the most; train a smaller one or fewer members"
         )
-    integers = quantise_network(network, source.windows)
+    integers = quantise.quantise_network(network, source.windows)
     held = replace(integers, input_zero=_float32(integers.input_zero), input_lsb=_float32(integers.input_lsb))
     return NetworkFile(
         held,
@@ -143,7 +116,7 @@ def build_network_file(network: Network, source: LabelledRecording) -> NetworkFi
     )
 
 
-def _load_levels(network: IntegerNetwork, source: LabelledRecording) -> LoadLevels:
+def _load_levels(network: IntegerNetwork, source: LabelledRecording) -> blob.LoadLevels:
     levels = SourceLevels.of(source, MapConfig().anchors)
     count = 10.0**network.output_exponent
     first, last = (round(float(load) / count) for load in levels.load[[0, -1]])
@@ -151,7 +124,7 @@ def _load_levels(network: IntegerNetwork, source: LabelledRecording) -> LoadLeve
     loads = np.asarray((first + step * np.arange(len(levels.load))) * count, np.float64)
     counts = np.rint((levels.at(loads) - network.input_zero) / network.input_lsb)
     held = np.clip(counts, -ACTIVATION_MAX, ACTIVATION_MAX).astype(np.int64)
-    return LoadLevels(max(-ACTIVATION_MAX, first), step, tuple(held.tolist()))
+    return blob.LoadLevels(max(-ACTIVATION_MAX, first), step, tuple(held.tolist()))
 
 
 def sample_period_us(source: LabelledRecording) -> int:
@@ -159,11 +132,11 @@ def sample_period_us(source: LabelledRecording) -> int:
     return round(1e6 / source.unlabelled.sample_rate_Hz)
 
 
-def limits_of_unit(facts: UnitFacts, network: Network, options: DeviceOptions) -> Limits:
+def limits_of_unit(facts: UnitFacts, network: Network, options: DeviceOptions) -> quantise.Limits:
     """Return interval, range and clamp of a unit for machines with floating point; the range is that of its codes."""
     exact = network.evaluate(facts.unit_map.apply(facts.recording.windows))
     scale = _as_float32(options.scale or InputScale.covering(network, facts.recording.output))
-    return limits_of(exact, facts.lower, facts.upper, facts.recording.output, scale)
+    return quantise.limits_of(exact, facts.lower, facts.upper, facts.recording.output, scale)
 
 
 def build_unit_file(
@@ -179,7 +152,7 @@ def build_unit_file(
     Raises:
         UnitRefused: γ has no device form within the limit, or its integers are further off than allowed.
     """
-    sizes = UNIT_BYTES if options.unit_bytes is None else (options.unit_bytes,)
+    sizes = blob.UNIT_BYTES if options.unit_bytes is None else (options.unit_bytes,)
     best, refusal = None, None
     for size in sizes:
         try:
@@ -201,13 +174,13 @@ def _build(
 ) -> DeviceUnit:
     """Build a file of at most `size` bytes."""
     windows = facts.recording.windows
-    exact = evaluate_float64(network, facts.unit_map.apply(windows))
+    exact = quantise.evaluate_float64(network, facts.unit_map.apply(windows))
     limit, goal = device_limit(facts, network, options), GOAL * float(np.ptp(exact))
     scale = _as_float32(options.scale or InputScale.covering(network, facts.recording.output))
     _check_scale(scale, facts)
     compiled = compile_map(facts.unit_map, network, facts.recording, limit, FORMS_OF[size], goal / 2)
     integers = network_file.network
-    device_map = quantise_map(compiled.form, scale, integers)
+    device_map = quantise.quantise_map(compiled.form, scale, integers)
     codes = scale.codes(windows)
     counts = integers.evaluate(device_map.apply(codes))
     error = counts * 10.0**integers.output_exponent - exact
@@ -217,7 +190,7 @@ def _build(
             f"unit {facts.serial}: the integers of the device are {rms_error:.3g} {network.reference_unit} rms off, "
             f"{limit:.3g} is allowed; give the converter's own scale, or calibrate with another map"
         )
-    code_min, code_max = code_range(scale, facts.recording.output)
+    code_min, code_max = quantise.code_range(scale, facts.recording.output)
     # Estimates seen on the unit's recording, and a quarter of their span beyond on both sides.
     margin = int(np.ptp(counts)) // 4 + 1
     file = UnitFile(
@@ -277,12 +250,12 @@ def _check_scale(scale: InputScale, facts: UnitFacts) -> None:
         )
 
 
-def _bands(counts: Integers, exact: Array, facts: UnitFacts, error: Array, count: float) -> tuple[Band, ...]:
+def _bands(counts: Integers, exact: Array, facts: UnitFacts, error: Array, count: float) -> tuple[blob.Band, ...]:
     """The 90 % interval by level of the estimate: per band its mean reach, and the device's own error on top."""
     own = float(np.quantile(np.abs(error), COVERAGE))
-    levels, *reach = reach_by_band(counts, exact - facts.lower, facts.upper - exact)
+    levels, *reach = quantise.reach_by_band(counts, exact - facts.lower, facts.upper - exact)
     minus, plus = (np.clip(np.ceil((side + own) / count), 0, CODE_MAX).astype(int).tolist() for side in reach)
-    return tuple(map(Band, (*map(int, levels), ACTIVATION_MAX), minus, plus))
+    return tuple(map(blob.Band, (*map(int, levels), ACTIVATION_MAX), minus, plus))
 
 
 def _self_tests(network: IntegerNetwork, device_map: DeviceMap, code_min: int, code_max: int) -> tuple[SelfTest, ...]:
@@ -295,12 +268,12 @@ def _self_tests(network: IntegerNetwork, device_map: DeviceMap, code_min: int, c
     )
 
 
-def _anchors(device_map: DeviceMap, codes: Integers) -> AdaptLimits:
+def _anchors(device_map: DeviceMap, codes: Integers) -> blob.AdaptLimits:
     """Return the levels a trim turns about, and that a device follows nothing by itself."""
     if device_map.curve is None:
-        return AdaptLimits(0, 0, 0, 0)
+        return blob.AdaptLimits(0, 0, 0, 0)
     low, high = np.quantile(device_map.on_samples(codes[:, -1]), ANCHOR_LEVELS)
-    return AdaptLimits(round(float(low)), round(float(high)), 0, 0)
+    return blob.AdaptLimits(round(float(low)), round(float(high)), 0, 0)
 
 
 STATE_BYTES, BYTES_PER_WIDTH, LEAST_WIDTH = 100, 4, 16

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softcal.core.export.compile_map import Curve, Linear, MapForm
-from softcal.core.export.limits import Limits
 from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE
-from softcal.core.export.quantise import folded_layers
+from softcal.core.export.quantise import Limits, folded_layers
 from softcal.core.export.shape_mix import Mix
 from softcal.core.network.network import Network
 from softcal.core.windows import TAPS

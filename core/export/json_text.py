@@ -9,13 +9,7 @@ import numpy as np
 from softcal.core.errors import InputError
 from softcal.core.export.blob import AdaptLimits, Band, LoadLevels, NetworkFile, SelfTest, UnitFile
 from softcal.core.export.compile_map import InputScale
-from softcal.core.export.integer_network import (
-    DeviceMap,
-    IntegerLayer,
-    IntegerMix,
-    IntegerNetwork,
-    PiecewiseMap,
-)
+from softcal.core.export.integer_network import DeviceMap, IntegerLayer, IntegerMix, IntegerNetwork, PiecewiseMap
 
 NETWORK_SCHEMA, UNIT_SCHEMA = "softcal.network-file/1", "softcal.unit-file/1"
 LAYER_FIELDS = ("weights", "bias", "multiplier", "shift1", "shift2")

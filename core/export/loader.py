@@ -8,21 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from softcal.core.export.blob import (
-    FileRefused,
-    NetworkFile,
-    RefusalCause,
-    SelfTest,
-    UnitFile,
-    serial_field,
-)
+from softcal.core.export.blob import FileRefused, NetworkFile, RefusalCause, SelfTest, UnitFile, serial_field
 from softcal.core.export.blob_reader import read_network, read_unit
-from softcal.core.export.integer_network import (
-    ACTIVATION_MAX,
-    DeviceMap,
-    IntegerNetwork,
-    Integers,
-)
+from softcal.core.export.integer_network import ACTIVATION_MAX, DeviceMap, IntegerNetwork, Integers
 from softcal.core.recording import Array
 from softcal.core.windows import TAPS
 

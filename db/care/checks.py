@@ -11,26 +11,14 @@ from softcal.core.errors import RegistryError
 from softcal.db.access.people import people_as_told
 from softcal.db.access.tokens import token_as_told
 from softcal.db.entries import Anchor
-from softcal.db.schema import append_only
+from softcal.db.schema import append_only, tables
 from softcal.db.schema.arrays import ARRAY, ARRAYS, parts_of
 from softcal.db.schema.database import first_line, is_denied
-from softcal.db.schema.tables import (
-    APPEND_ONLY,
-    AUDITED,
-    CanonicalJson,
-    UtcTime,
-    audit,
-    blobs,
-    canonical_json,
-    metadata,
-    registry_info,
-    tokens,
-    users,
-)
+from softcal.db.schema.tables import AUDITED, audit, blobs, canonical_json, metadata, registry_info, tokens, users
 from softcal.db.truth import history
 
 ROWS_OF_QUICK = 200
-IN_WORDS = (UtcTime, CanonicalJson, Boolean, Date)
+IN_WORDS = (tables.UtcTime, tables.CanonicalJson, Boolean, Date)
 """Types that a database may keep in more than one form."""
 
 TOLD_OF_PEOPLE = ("set_user", "state")
@@ -222,7 +210,7 @@ def trigger_faults(connection: Connection) -> Iterator[str]:
     """Give a line for every table whose rows can be changed because its triggers are gone, off, or others."""
     rows = connection.execute(text(TRIGGERS[connection.dialect.name]))
     found = {name: " ".join(str(definition).split()) for name, definition in rows}
-    for table in APPEND_ONLY:
+    for table in tables.APPEND_ONLY:
         wanted = append_only.triggers_of(table, connection.dialect.name)
         for name, definition in wanted.items():
             if name not in found:

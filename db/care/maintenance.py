@@ -37,8 +37,7 @@ def migrate(database: Database, to: str = "head") -> str:
         version = text("SELECT version_num FROM alembic_version")
         before = None if is_new else connection.execute(version).scalar_one_or_none()
         context = MigrationContext.configure(
-            connection,
-            opts={"fn": lambda revision, _: scripts._upgrade_revs(to, revision), "transactional_ddl": True},
+            connection, opts={"fn": lambda revision, _: scripts._upgrade_revs(to, revision), "transactional_ddl": True}
         )
         with Operations.context(context):
             context.run_migrations()

@@ -4,26 +4,8 @@ import json
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import (
-    BigInteger,
-    Boolean,
-    CheckConstraint,
-    Column,
-    Date,
-    DateTime,
-    Dialect,
-    Double,
-    ForeignKey,
-    ForeignKeyConstraint,
-    Index,
-    Integer,
-    LargeBinary,
-    MetaData,
-    String,
-    Table,
-    Text,
-    false,
-)
+import sqlalchemy as sa
+from sqlalchemy import CheckConstraint, Column, Double, ForeignKey, Index, Integer, String, Table, Text
 from sqlalchemy.types import TypeDecorator
 
 from softcal.core.errors import RegistryError
@@ -31,7 +13,7 @@ from softcal.core.errors import RegistryError
 SCHEMA = "0009"
 """Revision of the newest migration: what a registry must have to be used by this version."""
 
-metadata = MetaData(
+metadata = sa.MetaData(
     naming_convention={
         "ix": "ix_%(table_name)s_%(column_0_N_name)s",
         "uq": "uq_%(table_name)s_%(column_0_N_name)s",
@@ -60,22 +42,22 @@ def _read_or_damaged(process: Any) -> Any:
 class UtcTime(TypeDecorator[datetime]):
     """An instant in UTC; a time without zone is refused. SQLite would drop the zone without a word."""
 
-    impl = DateTime(timezone=True)
+    impl = sa.DateTime(timezone=True)
     cache_ok = True
 
-    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+    def process_bind_param(self, value: datetime | None, dialect: sa.Dialect) -> datetime | None:
         if value is None:
             return None
         if value.tzinfo is None:
             raise ValueError(f"{value} has no time zone; give an instant in UTC")
         return value.astimezone(UTC)
 
-    def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+    def process_result_value(self, value: datetime | None, dialect: sa.Dialect) -> datetime | None:
         if value is None:
             return None
         return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
 
-    def result_processor(self, dialect: Dialect, coltype: object) -> Any:
+    def result_processor(self, dialect: sa.Dialect, coltype: object) -> Any:
         return _read_or_damaged(_of_text(super().result_processor(dialect, coltype)))
 
 
@@ -97,13 +79,13 @@ class CanonicalJson(TypeDecorator[Any]):
     impl = Text
     cache_ok = True
 
-    def process_bind_param(self, value: Any, dialect: Dialect) -> str | None:
+    def process_bind_param(self, value: Any, dialect: sa.Dialect) -> str | None:
         return None if value is None else canonical_json(value)
 
-    def process_result_value(self, value: str | None, dialect: Dialect) -> Any:
+    def process_result_value(self, value: str | None, dialect: sa.Dialect) -> Any:
         return None if value is None else json.loads(value)
 
-    def result_processor(self, dialect: Dialect, coltype: object) -> Any:
+    def result_processor(self, dialect: sa.Dialect, coltype: object) -> Any:
         return _read_or_damaged(super().result_processor(dialect, coltype))
 
 
@@ -132,12 +114,7 @@ def optional(kind: Any, *names: str) -> list[Column[Any]]:
     return [Column(name, kind) for name in names]
 
 
-registry_info = Table(
-    "registry_info",
-    metadata,
-    *keys(String(64), "key"),
-    *needed(Text, "value"),
-)
+registry_info = Table("registry_info", metadata, *keys(String(64), "key"), *needed(Text, "value"))
 
 blobs = Table(
     "blobs",
@@ -145,7 +122,7 @@ blobs = Table(
     *keys(SHA256, "sha256"),
     *needed(String(16), "kind"),
     *needed(Integer, "size"),
-    *needed(LargeBinary, "data"),
+    *needed(sa.LargeBinary, "data"),
 )
 
 lots = Table(
@@ -206,7 +183,7 @@ recordings = Table(
     Column("reference_unit", Text),
     Column("blob_sha256", SHA256, ForeignKey("blobs.sha256"), nullable=False),
     *needed(UtcTime, "added_at"),
-    ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
+    sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
     CheckConstraint("kind IN ('source', 'unit', 'audit')", name="kind"),
     Index("ix_recordings_lot_id_serial", "lot_id", "serial"),
 )
@@ -241,7 +218,7 @@ calibrations = Table(
     *needed(String(16), "verdict"),
     *needed(CanonicalJson, "reasons", "evidence"),
     *needed(SHA256, "input_sha256", "recording_sha256"),
-    ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
+    sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
     CheckConstraint("revision >= 1", name="revision"),
     CheckConstraint("verdict IN ('pass', 'conditional', 'fail', 'retest')", name="verdict"),
     Index("ix_calibrations_lot_id_serial", "lot_id", "serial", "made_at"),
@@ -258,7 +235,7 @@ refusals = Table(
     *needed(String(16), "verdict"),
     *needed(CanonicalJson, "reasons"),
     Column("work_sha256", SHA256),
-    ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
+    sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
     CheckConstraint("verdict IN ('fail', 'retest')", name="verdict"),
 )
 
@@ -277,8 +254,8 @@ in_use = Table(
     Column("input_sha256", SHA256),
     *needed(UtcTime, "made_at"),
     *needed(Text, "actor", "reason"),
-    ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
-    ForeignKeyConstraint(
+    sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
+    sa.ForeignKeyConstraint(
         ["serial", "revision", "made_by"], ["calibrations.serial", "calibrations.revision", "calibrations.origin"]
     ),
     CheckConstraint("number >= 1", name="number"),
@@ -306,7 +283,7 @@ audit = Table(
 work_items = Table(
     "work_items",
     metadata,
-    Column("id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True, autoincrement=True),
+    Column("id", sa.BigInteger().with_variant(Integer, "sqlite"), primary_key=True, autoincrement=True),
     *needed(String(64), "lot_id", "serial"),
     *needed(String(32), "kind"),
     *needed(SHA256, "work_set", "input_sha256"),
@@ -339,9 +316,9 @@ certificates = Table(
     "certificates",
     metadata,
     *keys(String(64), "cell_serial"),
-    *keys(Date, "issued_on"),
+    *keys(sa.Date, "issued_on"),
     *keys(String(32), "origin"),
-    *needed(Date, "due_on"),
+    *needed(sa.Date, "due_on"),
     *needed(Text, "number", "laboratory"),
     *needed(Double, "capacity_N", "uncertainty_N"),
     Column("blob_sha256", SHA256, ForeignKey("blobs.sha256")),
@@ -357,7 +334,7 @@ golden_runs = Table(
     *keys(String(32), "origin"),
     *needed(Double, "value"),
     *needed(Text, "unit"),
-    *needed(Boolean, "passed"),
+    *needed(sa.Boolean, "passed"),
     *needed(CanonicalJson, "reasons"),
     *needed(Text, "actor"),
     Column("recording_sha256", SHA256),
@@ -369,7 +346,7 @@ users = Table(
     *keys(String(64), "name"),
     *needed(String(16), "role"),
     *needed(Text, "pin_hash"),
-    *needed(Boolean, "is_active"),
+    *needed(sa.Boolean, "is_active"),
     *needed(Integer, "failures"),
     Column("locked_until", UtcTime),
     *needed(Integer, "version"),
@@ -415,15 +392,11 @@ heartbeats = Table(
     *needed(Text, "process"),
     *needed(String(64), "order_id"),
     Column("gate", CanonicalJson, nullable=False, server_default="[]"),
-    Column("is_overridden", Boolean, nullable=False, server_default=false()),
+    Column("is_overridden", sa.Boolean, nullable=False, server_default=sa.false()),
 )
 
 line_places = Table(
-    "line_places",
-    metadata,
-    *keys(String(64), "station"),
-    *needed(Integer, "version"),
-    *needed(CanonicalJson, "place"),
+    "line_places", metadata, *keys(String(64), "station"), *needed(Integer, "version"), *needed(CanonicalJson, "place")
 )
 
 network_releases = Table(
@@ -451,7 +424,7 @@ jobs = Table(
     *needed(Text, "message"),
     *needed(CanonicalJson, "trace", "result"),
     Column("blob_sha256", SHA256, ForeignKey("blobs.sha256")),
-    *needed(Boolean, "is_cancel_wanted"),
+    *needed(sa.Boolean, "is_cancel_wanted"),
     *needed(UtcTime, "beaten_at"),
     CheckConstraint("state IN ('queued', 'running', 'done', 'error', 'cancelled')", name="state"),
     Index("ix_jobs_kind", "kind", "created"),
@@ -465,7 +438,7 @@ tokens = Table(
     Column("account", ForeignKey("users.name"), nullable=False),
     *needed(Text, "purpose"),
     *needed(UtcTime, "created", "ends_at"),
-    *needed(Boolean, "is_withdrawn"),
+    *needed(sa.Boolean, "is_withdrawn"),
     Index("uq_tokens_sha256", "sha256", unique=True),
 )
 
@@ -474,7 +447,7 @@ deliveries = Table(
     metadata,
     *keys(String(64), "destination"),
     *needed(CanonicalJson, "cursor"),
-    *needed(BigInteger, "delivered"),
+    *needed(sa.BigInteger, "delivered"),
     *needed(Integer, "failures"),
     Column("not_before", UtcTime),
     *needed(Text, "error"),

@@ -8,20 +8,8 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import (
-    ColumnElement,
-    Connection,
-    RowMapping,
-    Select,
-    Table,
-    Text,
-    and_,
-    bindparam,
-    func,
-    or_,
-    select,
-    type_coerce,
-)
+import sqlalchemy as sa
+from sqlalchemy import Connection, RowMapping, and_, bindparam, func, select
 
 from softcal.core.errors import InputError
 from softcal.db.schema.database import given, parts
@@ -41,7 +29,7 @@ NEWEST_FIRST = (calibrations.c.made_at.desc(), calibrations.c.revision.desc(), c
 """No registry writes a revision older than the one it follows. Which one is in use is not told by this order."""
 
 
-def _of_unit(table: Table, *columns: Any) -> Select[Any]:
+def _of_unit(table: sa.Table, *columns: Any) -> sa.Select[Any]:
     return select(*columns).where(table.c.lot_id == bindparam("lot"), table.c.serial == bindparam("unit"))
 
 
@@ -239,7 +227,7 @@ def conflicts_of(
         follower.c.follows_origin == u.origin,
         follower.c.follows_number == u.number,
     )
-    differ = or_(
+    differ = sa.or_(
         func.min(calibrations.c.blob_sha256) != func.max(calibrations.c.blob_sha256),
         func.min(calibrations.c.verdict) != func.max(calibrations.c.verdict),
     )
@@ -293,7 +281,7 @@ def newest_of_unit(connection: Connection, lot_id: str, serial: str) -> datetime
     return max(times, default=None)
 
 
-def of_this_method() -> ColumnElement[bool]:
+def of_this_method() -> sa.ColumnElement[bool]:
     """Return whether a calibration was made with the method of this version, as SQL.
 
     The settings are canonical JSON text: the hash of today's method stands in it or it does not.
@@ -301,4 +289,4 @@ def of_this_method() -> ColumnElement[bool]:
     # Whoever lists units needs none of the method's numbers.
     from softcal.core.unit.method import Method
 
-    return type_coerce(calibrations.c.settings, Text).contains(f'"method_id":"{Method().id}"')
+    return sa.type_coerce(calibrations.c.settings, sa.Text).contains(f'"method_id":"{Method().id}"')

@@ -10,21 +10,8 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from sqlalchemy import (
-    ColumnElement,
-    Connection,
-    RowMapping,
-    Subquery,
-    Table,
-    Text,
-    and_,
-    case,
-    func,
-    or_,
-    select,
-    tuple_,
-    type_coerce,
-)
+import sqlalchemy as sa
+from sqlalchemy import ColumnElement, Connection, and_, case, func, select
 
 from softcal.core.errors import InputError
 from softcal.core.words.reason import DOUBT, Reason, plain
@@ -88,7 +75,7 @@ class UnitFilter:
         if len(self.serials or ()) > MOST_SERIALS:
             raise InputError(f"{len(self.serials or ())} units at once; choose fewer than {MOST_SERIALS}, by days")
 
-    def conditions(self, table: Subquery) -> Iterator[ColumnElement[bool]]:
+    def conditions(self, table: sa.Subquery) -> Iterator[ColumnElement[bool]]:
         if self.verdicts:
             yield func.coalesce(table.c.verdict, "none").in_(self.verdicts)
         if self.text:
@@ -96,7 +83,7 @@ class UnitFilter:
         if self.serials is not None:
             yield table.c.serial.in_(self.serials)
 
-    def order(self, table: Subquery) -> list[ColumnElement[Any]]:
+    def order(self, table: sa.Subquery) -> list[ColumnElement[Any]]:
         if self.sort == "severity":
             severity = case(_severities(), value=table.c.verdict, else_=1)
             return [severity, table.c.predicted_rmse.desc().nulls_last(), table.c.serial]
@@ -159,7 +146,7 @@ class LotPages(RegistryBase):
             with self.database.reading() as connection:
                 stands = standing_units(connection, lot_id, part)
                 named = [(unit.serial, unit.revision) for unit, is_made in stands if is_made]
-                query = select(*columns).where(c.lot_id == lot_id, tuple_(c.serial, c.revision).in_(named))
+                query = select(*columns).where(c.lot_id == lot_id, sa.tuple_(c.serial, c.revision).in_(named))
                 # Registries that were apart may both have made a revision of this number: the map tells which stands.
                 rows = {(row["serial"], row["map_sha256"]): row for row in connection.execute(query).mappings()}
             for unit, is_made in stands:
@@ -173,7 +160,7 @@ class LotPages(RegistryBase):
 
     def find_serials(self, text: str, count: int = 50) -> list[str]:
         """Return serials of target units with a result that hold a text in any case; those that begin with it first."""
-        has_result = or_(
+        has_result = sa.or_(
             *(
                 select(table.c.serial)
                 .where(table.c.lot_id == units.c.lot_id, table.c.serial == units.c.serial)
@@ -240,7 +227,7 @@ class StandingQuery:
         undecided = [serial for _, serial in conflicts_of(connection, lot_id, serials)]
         return cls(lot_id, undecided, limit_in_force(connection, lot_id))
 
-    def table(self, serials: Sequence[str] | None = None, role: str | None = None) -> Subquery:
+    def table(self, serials: Sequence[str] | None = None, role: str | None = None) -> sa.Subquery:
         """Return every unit beside its map in use and its newest verdict, which may be a later refusal's.
 
         "Nothing newer exists" is found through the index of the table; a window function over all rows is not, and its
@@ -250,11 +237,11 @@ class StandingQuery:
             serials, role: of these units only.
         """
         c, u, r = calibrations, in_use, refusals
-        is_refused = and_(r.c.made_at.is_not(None), or_(u.c.made_at.is_(None), r.c.made_at > u.c.made_at))
+        is_refused = and_(r.c.made_at.is_not(None), sa.or_(u.c.made_at.is_(None), r.c.made_at > u.c.made_at))
         is_open = units.c.serial.in_(self.undecided)
         is_stated = and_(u.c.made_at.is_not(None), ~is_refused)
         is_unjudged = and_(is_stated, ~is_open, self.limit.is_other_in_sql())
-        is_undecided = and_(is_stated, or_(is_open, is_unjudged))
+        is_undecided = and_(is_stated, sa.or_(is_open, is_unjudged))
         columns: dict[str, ColumnElement[Any]] = {
             "verdict": case((is_refused, r.c.verdict), (is_undecided, UNDECIDED), else_=c.c.verdict),
             "reasons": case((is_refused, r.c.reasons), else_=c.c.reasons),
@@ -265,7 +252,7 @@ class StandingQuery:
             # What is left out of an entry.
             "is_made": and_(is_stated, ~is_undecided),
             "is_refused": is_refused,
-            "is_doubted": type_coerce(c.c.reasons, Text).contains(f'"code":"{DOUBT}'),
+            "is_doubted": sa.type_coerce(c.c.reasons, sa.Text).contains(f'"code":"{DOUBT}'),
             "evidence": case((is_unjudged, c.c.evidence), else_=None),
         }
         joined = (
@@ -277,7 +264,7 @@ class StandingQuery:
         query = query.select_from(joined).where(units.c.lot_id == self.lot_id)
         return query.where(*given((units.c.role, role), (units.c.serial, serials))).subquery("standing")
 
-    def entry(self, connection: Connection, row: RowMapping) -> UnitEntry:
+    def entry(self, connection: Connection, row: sa.RowMapping) -> UnitEntry:
         serial = row["serial"]
         if row["is_stale"] is None:
             raise damaged(f"unit {serial} of lot {self.lot_id}: the calibration in use was not found")
@@ -305,7 +292,7 @@ def standing_units(
     return [(standing.entry(connection, row), bool(row["is_made"])) for row in rows]
 
 
-def record_of(row: RowMapping, arrays: Mapping[str, Any], settings: Settings) -> CalibrationRecord:
+def record_of(row: sa.RowMapping, arrays: Mapping[str, Any], settings: Settings) -> CalibrationRecord:
     """Return the calibration of a row, with the arrays and settings that belong to it."""
     # Whoever lists units needs none.
     from softcal.core.unit.calibration import CalibrationRecord
@@ -319,12 +306,12 @@ def record_of(row: RowMapping, arrays: Mapping[str, Any], settings: Settings) ->
     )
 
 
-def _is_of_unit(table: Table) -> ColumnElement[bool]:
+def _is_of_unit(table: sa.Table) -> ColumnElement[bool]:
     return and_(table.c.lot_id == units.c.lot_id, table.c.serial == units.c.serial)
 
 
-def _is_newest(table: Table, names: Sequence[str]) -> ColumnElement[bool]:
+def _is_newest(table: sa.Table, names: Sequence[str]) -> ColumnElement[bool]:
     other = table.alias()
     is_same = and_(other.c.lot_id == table.c.lot_id, other.c.serial == table.c.serial)
-    is_newer = tuple_(*(other.c[name] for name in names)) > tuple_(*(table.c[name] for name in names))
+    is_newer = sa.tuple_(*(other.c[name] for name in names)) > sa.tuple_(*(table.c[name] for name in names))
     return ~select(other.c.serial).where(is_same, is_newer).correlate(table).exists()

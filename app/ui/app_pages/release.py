@@ -19,8 +19,7 @@ from softcal.app.export.certificates.laboratory import (
     kept_laboratory,
     read_laboratory,
 )
-from softcal.app.export.certificates.lot_facts import lot_statement_facts
-from softcal.app.export.certificates.lot_statement import lot_statement_pdf
+from softcal.app.export.certificates.lot_statement import lot_statement_facts, lot_statement_pdf
 from softcal.app.export.names import FORMATS
 from softcal.app.jobs.lot_jobs import archive_path
 from softcal.app.jobs.process import start_job
