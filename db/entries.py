@@ -24,7 +24,6 @@ class UnitEntry:
 
     Args:
         serial: may stand in two lots.
-        role: source or target.
         verdict: of the newest result; None while there is none.
         reasons: why, most important first.
         revision, family, map_sha256, predicted_rmse, before_rmse, after_rmse, own_rmse: of the newest calibration of
@@ -168,9 +167,8 @@ class NetworkEntry:
     """What is known of a shared network beside its weights.
 
     Args:
-        id, input_sha256: content hashes of the network and of what it was trained from.
+        input_sha256: content hash of what it was trained from.
         metrics: what the training reached.
-        added_at: UTC.
     """
 
     id: str
@@ -251,11 +249,7 @@ class AuditRow:
 
 @dataclass(frozen=True)
 class Anchor:
-    """The last rows of the audit trail as they were written down outside the database.
-
-    Args:
-        where: when and where, for the fault's line.
-    """
+    """The last rows of the audit trail as they were written down outside the database; `where` says when and where."""
 
     heads: Heads
     where: str
@@ -266,11 +260,9 @@ class CellCertificate:
     """A load cell's calibration certificate, as far as the station's gate and the uncertainty budget need it.
 
     Args:
-        laboratory: who issued it.
         issued_on, due_on: first day it holds, first day it no longer holds.
         capacity_N: largest force it covers.
         uncertainty_N: expanded uncertainty (k = 2) over its range, in N.
-        document: the document itself (PDF, DCC), where there is one.
     """
 
     cell_serial: str
@@ -297,10 +289,8 @@ class GoldenRun:
     """One check of a station with a golden unit.
 
     Args:
-        made_at: UTC.
         value: what is charted, for example the mean error against the unit's own calibration, in `unit`.
         passed: whether it was inside the limits that held then; `reasons` say why not.
-        actor: who did it.
     """
 
     station: str
@@ -322,9 +312,6 @@ class User:
     """A person with a role; the PIN is never given out.
 
     Args:
-        name: as it stands in the audit trail.
-        role: operator, engineer or quality.
-        is_active: whether the person may sign in.
         version: counts the changes, so that two editors do not overwrite each other.
         is_alone: whether nobody else has an account, and the role decides about people.
     """
@@ -344,7 +331,6 @@ class Token:
         token_id: its name in commands and in the audit trail.
         account: whose role says what it may.
         created, ends_at: from when until when it holds, UTC.
-        is_withdrawn: whether it was taken back.
     """
 
     token_id: str

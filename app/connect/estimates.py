@@ -83,11 +83,7 @@ class _Live:
 
 
 def estimate_json(line: str, serial: str) -> str:
-    """Return one row as JSON; what is not a number is null.
-
-    Raises:
-        InputError: it is no row of estimates.
-    """
+    """Return one row as JSON; what is not a number is null (`InputError`: it is no row of estimates)."""
     cells = line.rstrip("\r\n").split(",", len(COLUMNS) - 1)
     try:
         numbers = [float(cell) if cell else None for cell in cells[:4]]

@@ -45,11 +45,7 @@ class MailSender:
             raise NotDelivered(f"{self._settings.server} did not take the mail: {error}") from error
 
     def check(self) -> None:
-        """Sign in and say goodbye.
-
-        Raises:
-            NotDelivered: the server cannot be reached, or refuses.
-        """
+        """Sign in and say goodbye (`NotDelivered`: the server cannot be reached, or refuses)."""
         try:
             with self._server() as server:
                 server.noop()

@@ -123,11 +123,7 @@ class MqttSender:
         self._shown |= {topic: payload for topic, payload, _ in changed}
 
     def publish(self, messages: Sequence[Message]) -> None:
-        """Publish messages and wait until the broker has confirmed each.
-
-        Raises:
-            NotDelivered: it did not.
-        """
+        """Publish messages and wait until the broker has confirmed each (`NotDelivered`: it did not)."""
         sent = []
         for topic, payload, is_kept in messages:
             full = f"{self._settings.topic}/{topic}"

@@ -146,11 +146,7 @@ class OpcUaServer:
 
 @asynccontextmanager
 async def opcua_server(registry: Registry, settings: OpcUaSettings) -> AsyncIterator[OpcUaServer]:
-    """Serve inside the block.
-
-    Raises:
-        InputError: nobody can listen there, or the certificate cannot be read.
-    """
+    """Serve inside the block (`InputError`: nobody can listen there, or the certificate cannot be read)."""
     is_open = settings.cert_file is None
     server = Server(user_manager=_Accounts(registry, is_open))  # type: ignore[arg-type]
     await server.init()

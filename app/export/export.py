@@ -76,11 +76,7 @@ def export_units(
 
 
 def lot_serials(registry: Registry, lot_id: str, options: ExportOptions) -> list[str]:
-    """Return the calibrated units of a lot that are released.
-
-    Raises:
-        InputError: no such lot, or no such unit in it.
-    """
+    """Return the calibrated units of a lot that are released (`InputError`: no such lot, or no such unit in it)."""
     units = [unit for unit in registry.lots.units(lot_id) if unit.revision is not None]
     serials = [unit.serial for unit in units if unit.verdict and options.releases(unit.verdict)]
     if not serials:

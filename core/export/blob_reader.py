@@ -115,11 +115,7 @@ def _parse_layer(body: bytes, at: int, rows: int, columns: int) -> tuple[Integer
 
 
 def read_unit(data: bytes) -> UnitFile:
-    """Read a unit file and check everything that needs no network.
-
-    Raises:
-        FileRefused: the first check that fails.
-    """
+    """Read a unit file and check everything that needs no network (`FileRefused`: the first check that fails)."""
     opened = _open(data, Kind.UNIT)
     try:
         file, end = _parse_unit(opened)

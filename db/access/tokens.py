@@ -31,9 +31,6 @@ class TokenTable(RegistryBase):
     def add(self, account: str, purpose: str, days: int, *, actor: str | None = None) -> tuple[Token, str]:
         """Make a token for an account; return it and the secret text, which is kept nowhere.
 
-        Args:
-            days: after so many days it no longer holds.
-
         Raises:
             InputError: no such account, an account that is not active, no purpose, or an impossible number of days.
         """
@@ -56,11 +53,7 @@ class TokenTable(RegistryBase):
         return of_row(Token, row), secret
 
     def withdraw(self, token_id: str, *, reason: str, actor: str | None = None) -> None:
-        """Make a token useless from now on.
-
-        Raises:
-            InputError: there is no such token, or it was withdrawn already.
-        """
+        """Make a token useless from now on (`InputError`: there is no such token, or it was withdrawn already)."""
         with self.database.writing() as connection:
             before = self._row(connection, token_id)
             if before["is_withdrawn"]:

@@ -10,7 +10,7 @@ from sqlalchemy.types import NullType
 from softcal.core.errors import RegistryError
 from softcal.db.access.people import people_as_told
 from softcal.db.access.tokens import token_as_told
-from softcal.db.entries import Anchor
+from softcal.db.entries import Anchor, Heads
 from softcal.db.schema import append_only, tables
 from softcal.db.schema.arrays import ARRAY, ARRAYS, parts_of
 from softcal.db.schema.database import first_line, is_denied
@@ -40,7 +40,6 @@ def faults(
     Args:
         is_quick: leave out what reads every page and every blob.
         anchors: what was written down of the chains elsewhere.
-        on_step: told what is checked next.
     """
     for name, check in _checks(connection, is_quick, anchors):
         on_step(name)
@@ -284,12 +283,8 @@ def newest_faults(connection: Connection) -> Iterator[str]:
         yield from history.chain_faults(iter(rows), first, rows[0].prev_hash if first and rows else history.FIRST_HASH)
 
 
-def anchor_faults(connection: Connection, heads: dict[str, tuple[int, str]], where: str) -> Iterator[str]:
-    """Give a line for every chain that does not hold the row which was its last when it was written down elsewhere.
-
-    Args:
-        heads: number and hash of the last row of each chain.
-    """
+def anchor_faults(connection: Connection, heads: Heads, where: str) -> Iterator[str]:
+    """Give a line for every chain that does not hold the row which was its last when it was written down."""
     for origin, (seq, sha256) in heads.items():
         query = select(audit.c.hash).where(audit.c.origin == origin, audit.c.seq == seq)
         found = connection.execute(query).scalar_one_or_none()

@@ -44,7 +44,6 @@ class Job:
         actor, created: who asked, and when (UTC).
         fraction: 0 ... 1.
         message: what happens now; on an error one line that says what to do.
-        is_cancel_wanted: somebody asked to stop it.
         beaten_at: last sign of life of its process, UTC.
         trace: live values for a chart, by name; empty in lists.
         result: JSON values; empty until it is done, and in lists.
@@ -132,11 +131,7 @@ class JobBoard(RegistryBase):
             self._change(job_id, {"is_cancel_wanted": True}, is_beat=False)
 
     def job(self, job_id: str) -> Job:
-        """Return one job with its trace and result.
-
-        Raises:
-            InputError: there is none of this id.
-        """
+        """Return one job with its trace and result (`InputError`: there is none of this id)."""
         found = self.find(job_id)
         if found is None:
             raise InputError(f"job {job_id!r} is not in the registry")

@@ -49,13 +49,10 @@ class OrderQueue(RegistryBase):
     """Orders, runs and heartbeats of the stations of a registry. Every call is one short transaction."""
 
     def place(self, order: Order, until_s: float | None = None) -> bool:
-        """Ask a station for something; the same order id again changes nothing.
+        """Ask a station for something, and return whether it was asked in time; the same id again changes nothing.
 
         Args:
             until_s: `time.monotonic()` after which it is not asked any more, however long the registry was busy.
-
-        Returns:
-            Whether it was asked in time.
 
         Raises:
             InputError: the station has a run that is not over.
@@ -108,11 +105,7 @@ class OrderQueue(RegistryBase):
                 self.database.change(insert(run_signals).values(order_id=progress.order_id, signal=signal))
 
     def progress(self, order_id: str) -> Progress:
-        """Return how far an order is, with its live signal.
-
-        Raises:
-            InputError: there is no such order.
-        """
+        """Return how far an order is, with its live signal (`InputError`: there is no such order)."""
         with self.database.reading():
             row = self.database.row(select(orders).where(o.order_id == order_id))
             if row is None:
@@ -220,11 +213,7 @@ class LinePlaces(RegistryBase):
         return (0, {}) if row is None else (row["version"], row["place"])
 
     def write(self, station: str, seen_version: int, place: Mapping[str, Any]) -> bool:
-        """Put other values in their place; return False, with nothing changed, where another one was first.
-
-        Args:
-            seen_version: version that the change was decided on.
-        """
+        """Put other values in their place; return False, with nothing changed, where another one was first."""
         values = {"station": station, "version": seen_version + 1, "place": dict(place)}
         seen = (line_places.c.station == station, line_places.c.version == seen_version)
         if seen_version:

@@ -29,7 +29,6 @@ class Delivery:
         failures: tries in a row that failed.
         not_before: the next try waits until then; None does not wait.
         error: why the last try failed; "" after one that did not.
-        changed_at: UTC.
         holder: the process that serves it; None where none does.
         held_until: from then on another process may take it.
     """
@@ -120,11 +119,7 @@ def cursor_text(cursor: Cursor) -> str:
 
 
 def cursor_of(text: str) -> dict[str, int]:
-    """Return the cursor a program gave back; "" is the beginning.
-
-    Raises:
-        InputError: softcal gave no such cursor.
-    """
+    """Return the cursor a program gave back; "" is the beginning (`InputError`: softcal gave no such cursor)."""
     pairs = [part.partition(":") for part in text.split(".")] if text else []
     if not all(origin.isalnum() and seq.isascii() and seq.isdigit() and len(seq) < 10 for origin, _, seq in pairs):
         raise InputError(f"cursor {text[:60]!r}: give what the last answer named `next`, or nothing for the beginning")

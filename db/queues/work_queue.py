@@ -31,7 +31,6 @@ class WorkSet:
     """Items that are asked for together.
 
     Args:
-        lot_id: the lot whose units they are.
         name: hash of the settings that all of them share.
     """
 
@@ -42,11 +41,7 @@ class WorkSet:
 
 @dataclass(frozen=True)
 class WorkItem:
-    """An item of a set.
-
-    Args:
-        attempts: claims so far.
-    """
+    """An item of a set; `attempts` counts its claims."""
 
     id: int
     serial: str
@@ -63,9 +58,6 @@ class WorkQueue(RegistryBase):
         An item that failed before is queued again, and attempts are counted anew: asking is a decision to retry. Sets
         of the lot that nobody works at any more are forgotten. Each few hundred items are a transaction of their own,
         so that other writers wait for milliseconds only.
-
-        Args:
-            inputs: input hash of every serial.
         """
         now, c = self.settings.clock(), work_items.c
         named = {"lot_id": work.lot_id, "kind": work.kind, "work_set": work.name}

@@ -55,11 +55,7 @@ class RecordingTables(RegistryBase):
             return sha256
 
     def get(self, sha256: str) -> Recording:
-        """Return the recording of a content hash; labelled where it has a reference.
-
-        Raises:
-            InputError: there is none.
-        """
+        """Return the recording of a content hash; labelled where it has a reference (`InputError`: there is none)."""
         query = select(recordings).where(recordings.c.sha256 == sha256).limit(1)
         with self.database.reading() as connection:
             row = self.database.row(query)
