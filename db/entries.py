@@ -142,7 +142,7 @@ class MadeCalibration:
 
 
 UNDECIDED = "retest"
-"""Verdict of a unit for which two registries put different maps into use: nobody may use it before a person decided."""
+"""Verdict of a unit for which two registries put different maps into use: a person has to decide."""
 
 
 @dataclass(frozen=True)
@@ -231,7 +231,7 @@ class LineRulesEntry:
 
 @dataclass(frozen=True)
 class AuditRow:
-    """Who did what, when and why. `key`, `before`, `after` are canonical JSON text; `hash` covers every field."""
+    """Who did what, when and why; `key`, `before`, `after` are canonical JSON, `hash` covers all."""
 
     origin: str
     seq: int
@@ -249,7 +249,7 @@ class AuditRow:
 
 @dataclass(frozen=True)
 class Anchor:
-    """The last rows of the audit trail as they were written down outside the database; `where` says when and where."""
+    """The last rows of the audit trail as written down elsewhere; `where` says when and where."""
 
     heads: Heads
     where: str

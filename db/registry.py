@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 def _part(module: str, kind: str) -> Any:
-    """Return a part that is made where it is first asked for: whoever lists units pays for no other part."""
+    """Return a part that is made when first asked for: who lists units pays for no other."""
 
     def make(registry: Registry) -> RegistryBase:
         part: type[RegistryBase] = getattr(import_module(f"softcal.db.{module}"), kind)
@@ -46,7 +46,7 @@ def _part(module: str, kind: str) -> Any:
 
 
 class Registry(RegistryBase):
-    """An open registry, used as a context manager and made by `open_registry`; its parts share its transactions."""
+    """An open registry, a context manager that `open_registry` makes; its parts share transactions."""
 
     lots: LotTables = _part("truth.lots", "LotTables")
     """Lots and their units, limits and rules."""
@@ -134,5 +134,5 @@ class Registry(RegistryBase):
         # Only the check pays for what it needs.
         from softcal.db.care.checks import faults
 
-        with self.database.reading() as connection:
-            return list(faults(connection, is_quick=is_quick, anchors=anchors, on_step=on_step))
+        with self.database.reading():
+            return list(faults(self.database, is_quick=is_quick, anchors=anchors, on_step=on_step))

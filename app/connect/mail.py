@@ -18,7 +18,7 @@ PORTS = {"smtps": 465, "smtp+starttls": 587, "smtp": 25}
 
 @contextmanager
 def open_mail(settings: MailSettings) -> Iterator["MailSender"]:
-    """Open the sender of mails; it signs in for every mail anew, as mail servers end idle connections."""
+    """Open the sender of mails; it signs in anew for each, as servers end idle connections."""
     yield MailSender(settings)
 
 
@@ -89,7 +89,7 @@ def mail_of(events: Sequence[RegistryEvent], settings: MailSettings) -> EmailMes
 
 
 def line_of(event: RegistryEvent, language: str) -> str:
-    """Return one event as one line; what it quotes may come from a file and may not end the line."""
+    """Return one event as one line, whatever it quotes."""
     return printable(_said(event, language))
 
 

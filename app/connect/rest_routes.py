@@ -16,7 +16,7 @@ from starlette.exceptions import HTTPException
 from softcal.app.connect import rest_models as answers
 from softcal.app.connect.alert_watch import open_alerts
 from softcal.app.connect.events import CHANGE, KINDS, events_after
-from softcal.app.connect.stations import order_json, station_json
+from softcal.app.connect.stations import order_json, stations_json
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 from softcal.app.export.certificates.laboratory import kept_laboratory
 from softcal.app.export.formats import writer_of
@@ -175,12 +175,19 @@ def files(
     conditional: Annotated[bool, Query(description="conditional units have their files, too")] = False,
 ) -> Response:
     """Give the calibration files of a unit with their manifest; a unit that is not released is refused (409)."""
-    from softcal.app.connect.rest_routes import unit_archive
-
     _unit(registry, lot, serial)
-    packed = unit_archive(registry, lot, serial, format, conditional, user.name)
+    release = Release.CONDITIONAL if conditional else Release.PASS
+    options = ExportOptions(release=release, lot_id=lot, laboratory=kept_laboratory())
+    contents = writer_of(format)(UnitLoader(registry, options).load(serial))
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in contents.items():
+            archive.writestr(zipfile.ZipInfo(name), content)
+    registry.trail.add("export", "units", (serial,), {"lot_id": lot, "formats": [format]}, actor=user.name)
     name = f"{serial}-{format}.zip".encode("ascii", "replace").decode().replace('"', "_")
-    return Response(packed, 200, {"content-disposition": f'attachment; filename="{name}"'}, "application/zip")
+    return Response(
+        packed.getvalue(), 200, {"content-disposition": f'attachment; filename="{name}"'}, "application/zip"
+    )
 
 
 @routes.get(
@@ -258,7 +265,7 @@ def cancel(registry: Known, _: Calibrating, job_id: JobId) -> dict[str, Any]:
 @routes.get("/stations", response_model=answers.StationsAnswer, tags=["stations"])
 def stations(registry: Known, _: Looking) -> dict[str, Any]:
     """List the stations. Nothing here moves one: only the person at its line does."""
-    return {"stations": [station_json(registry, beat) for beat in registry.order_queue.stations()]}
+    return {"stations": stations_json(registry)}
 
 
 @routes.get("/orders", response_model=answers.OrdersAnswer, tags=["stations"])
@@ -327,26 +334,3 @@ def _job_json(job: Job) -> dict[str, Any]:
         "is_cancel_wanted": job.is_cancel_wanted,
         "is_lost": job.is_lost(datetime.now(UTC)),
     }
-
-
-def unit_archive(
-    registry: Registry, lot_id: str, serial: str, file_format: str, with_conditional: bool, actor: str
-) -> bytes:
-    """Return the files of a format as a ZIP archive; who took them lands in the audit trail.
-
-    Args:
-        with_conditional: whether conditional units have their files, too.
-
-    Raises:
-        InputError: no such format, or no calibration.
-        UnitRefused: the newest verdict of the unit, or its map, allows no such file.
-    """
-    release = Release.CONDITIONAL if with_conditional else Release.PASS
-    options = ExportOptions(release=release, lot_id=lot_id, laboratory=kept_laboratory())
-    contents = writer_of(file_format)(UnitLoader(registry, options).load(serial))
-    packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in contents.items():
-            archive.writestr(zipfile.ZipInfo(name), content)
-    registry.trail.add("export", "units", (serial,), {"lot_id": lot_id, "formats": [file_format]}, actor=actor)
-    return packed.getvalue()

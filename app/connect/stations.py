@@ -12,8 +12,13 @@ NEWEST = 20
 """So many of a station's newest orders are looked through for the last unit it judged."""
 
 
+def stations_json(registry: Registry) -> list[dict[str, Any]]:
+    """Return every station, by name."""
+    return [station_json(registry, beat) for beat in registry.order_queue.stations()]
+
+
 def station_json(registry: Registry, beat: Heartbeat) -> dict[str, Any]:
-    """Return a station: its state, the unit it presses, the last unit it judged, and where the lot of it stands."""
+    """Return a station: its state, its unit, the last unit it judged, and where their lot stands."""
     queue = registry.order_queue
     active = queue.active(beat.station)
     judged = next((o for o, p in queue.runs(beat.station, NEWEST) if o.kind.is_about_unit and p.verdict), None)
@@ -32,7 +37,7 @@ def station_json(registry: Registry, beat: Heartbeat) -> dict[str, Any]:
 
 
 def _verdict_now(registry: Registry, order: Order) -> str | None:
-    """Return the verdict as every page says it now; the run keeps what was decided when the unit was pressed."""
+    """Return the verdict as every page says it now; the run keeps what was decided then."""
     standing = registry.pages.standings(order.lot_id, [order.serial]).get(order.serial)
     return None if standing is None else standing.verdict
 

@@ -1,4 +1,4 @@
-"""Events as signed HTTP POSTs: CloudEvents in JSON, signed as Standard Webhooks sign (standardwebhooks.com, 1.0)."""
+"""Events as signed HTTP POSTs: CloudEvents, signed as standardwebhooks.com (1.0) says."""
 
 import base64
 import binascii
@@ -45,7 +45,7 @@ def write_new_secret(path: Path) -> None:
 
 
 def key_of(secret: str) -> bytes:
-    """Return the key a secret's text stands for (`InputError`: it is none that `softcal connect secret` writes)."""
+    """Return a secret's key (`InputError`: it is none that `softcal connect secret` writes)."""
     try:
         key = base64.b64decode(secret.removeprefix(SECRET_PREFIX), validate=True)
     except binascii.Error:
@@ -65,7 +65,7 @@ def signature(key: bytes, event_id: str, timestamp: int, body: bytes) -> str:
 
 @contextmanager
 def open_webhook(settings: WebhookSettings, clock_s: Callable[[], float] = time.time) -> Iterator["WebhookSender"]:
-    """Open the sender of a webhook (`InputError`: its secret or its certificates cannot be read)."""
+    """Open the sender of a webhook (`InputError`: its secret or certificates cannot be read)."""
     key = key_of(read_secret(settings.secret_file))
     verify = tls_context(settings.ca_file)
     with httpx2.Client(verify=verify, timeout=settings.timeout_s, follow_redirects=False, trust_env=False) as client:

@@ -144,7 +144,7 @@ class CalibratedUnit:
 
     @property
     def verdict(self) -> str:
-        """The word of what was asked for: of the revision that was named, else of the unit as it stands."""
+        """The word of the revision that was named, else of the unit as it stands."""
         return self.stored.record.verdict if self.options.revision is not None else str(self.standing.verdict)
 
     @property

@@ -1,4 +1,4 @@
-"""Read an export folder back before anything is shipped: is it complete, is it unchanged, and who signed it?"""
+"""Read an export folder back: is it complete, is it unchanged, and who signed it?"""
 
 import json
 from collections.abc import Iterator, Sequence

@@ -1,4 +1,4 @@
-"""Calibration files of units: one folder, whole files, a manifest with hashes, and the same bytes every time."""
+"""Calibration files of units: one folder with a manifest, and the same bytes every time."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -76,7 +76,7 @@ def export_units(
 
 
 def lot_serials(registry: Registry, lot_id: str, options: ExportOptions) -> list[str]:
-    """Return the calibrated units of a lot that are released (`InputError`: no such lot, or no such unit in it)."""
+    """Return the calibrated units of a lot that are released (`InputError`: there is none)."""
     units = [unit for unit in registry.lots.units(lot_id) if unit.revision is not None]
     serials = [unit.serial for unit in units if unit.verdict and options.releases(unit.verdict)]
     if not serials:
@@ -85,7 +85,7 @@ def lot_serials(registry: Registry, lot_id: str, options: ExportOptions) -> list
 
 
 def _check_serials(registry: Registry, serials: Sequence[str], lot_id: str | None) -> None:
-    """Refuse, before anything is written, unknown serials and those a device or a file system would mix up."""
+    """Refuse unknown serials and those a device or a file system would mix up."""
     seen: dict[str, str] = {}
     for serial in serials:
         for key in {serial.casefold(), serial_field(serial).rstrip(b"\0").decode().casefold()}:
@@ -102,7 +102,7 @@ def _check_serials(registry: Registry, serials: Sequence[str], lot_id: str | Non
 def _export(
     unit: CalibratedUnit, writers: Mapping[str, Writer], out: Path, manifest: Manifest, key: SigningKey | None
 ) -> ExportedUnit:
-    """Write what a unit has of each format, take away what it has no more, and enter both into the manifest."""
+    """Write what a unit has of each format, take away what it has no more."""
     record, serial = unit.stored.record, unit.serial
     contents: dict[str, bytes] = {}
     refusal = None

@@ -52,7 +52,7 @@ def _json_files(unit: CalibratedUnit) -> dict[str, bytes]:
 
 
 def calibration_values(unit: CalibratedUnit) -> dict[str, object]:
-    """Return the calibration itself, without loss: map and interval in full precision, hashes, verdict and scores."""
+    """Return the calibration without loss: map and interval, hashes, verdict and scores."""
     record = unit.stored.record
     names = ("network_id", "family", "map_sha256", "predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
     return {
@@ -146,7 +146,7 @@ def _dcc_files(unit: CalibratedUnit) -> dict[str, bytes]:
 
 
 def device_summary(unit: CalibratedUnit) -> dict[str, object]:
-    """Return sizes of the device form and what it costs in accuracy; `UnitRefused` where there is none."""
+    """Return sizes of the device form and its cost in accuracy, or raise `UnitRefused`."""
     device, network = unit.device_unit, unit.shared.file.network
     cost = device_cost(network, device.file.device_map)
     return {

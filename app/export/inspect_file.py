@@ -1,4 +1,4 @@
-"""What a calibration file holds, in words and numbers, without running anything it could get wrong."""
+"""What a calibration file holds, in words and numbers."""
 
 import json
 from collections.abc import Mapping
@@ -51,7 +51,7 @@ def file_values(file: DeviceFile) -> dict[str, object]:
 
 
 def file_rows(file: DeviceFile, network: NetworkFile | None = None) -> list[tuple[str, str]]:
-    """Return what a person wants to know of a file; with its network, a unit file is opened and self-tested."""
+    """Return what a person wants to know of a file; beside its network a unit's is self-tested."""
     if isinstance(file, NetworkFile):
         return _network_rows(file)
     rows = _unit_rows(file)

@@ -39,7 +39,7 @@ class FileEntry:
 
     @classmethod
     def read(cls, row: Mapping[str, Any]) -> "FileEntry":
-        """Read one row; a manifest comes from elsewhere, so a name must be that of a file in the folder itself."""
+        """Read one row; a manifest may come from elsewhere, so a name must stay in the folder."""
         entry = cls(**row)
         if not isinstance(entry.name, str) or not PLAIN_NAME.fullmatch(entry.name) or entry.name in (NAME, SIGNATURE):
             raise ValueError(f"{entry.name!r} is no name of a file in this folder")
@@ -66,7 +66,7 @@ class Manifest:
             del self.files[name]
 
     def text(self) -> str:
-        """Return the manifest's JSON, files and units by name: the same folder always gives the same text."""
+        """Return the manifest's JSON, files and units by name: the same folder, the same text."""
         signed = {} if self.signed_on is None else {"signed_on": self.signed_on.isoformat()}
         return json_text(
             {
@@ -105,7 +105,7 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def write_manifest(folder: Path, manifest: Manifest, key: SigningKey | None) -> None:
-    """Write the manifest, and its Ed25519 signature where a key is given; an old signature never stays beside it."""
+    """Write the manifest and, with a key, its signature; an old one never stays."""
     manifest.signed_on = datetime.now(UTC).date() if key else None
     content = manifest.text().encode()
     signature = key.sign(content) if key else None

@@ -1,4 +1,4 @@
-"""Ed25519 signatures beside a manifest and beside certificates: made with one key, checked with the keys one trusts."""
+"""Ed25519 signatures beside manifest and certificates: made with one key, checked with many."""
 
 import hashlib
 import os

@@ -72,7 +72,7 @@ class FileRefused(InputError):
 
 @dataclass(frozen=True)
 class SelfTest:
-    """A window of codes start, start + step, ... (TAPS of them) and the estimate it must give, before the clamp."""
+    """A window of TAPS codes start, start + step, ... and the estimate it must give, unclamped."""
 
     start: int
     step: int
@@ -81,7 +81,7 @@ class SelfTest:
 
 @dataclass(frozen=True)
 class Band:
-    """Up to estimate `level`, the 90 % interval reaches `minus` below and `plus` above the estimate, in counts."""
+    """Up to estimate `level` the 90 % interval reaches from -`minus` to +`plus`, in counts."""
 
     level: int
     minus: int
@@ -217,7 +217,7 @@ class UnitFile:
 
     @property
     def minor(self) -> int:
-        """Minor version: the least that says what is in the file, so that readers in the field go on reading it."""
+        """Minor version: the least that says what is in the file, for readers in the field."""
         mix = self.device_map.mix
         return 0 if mix is None else 2 if mix.is_wide else 1
 
@@ -241,7 +241,7 @@ class UnitFile:
 
 
 def longest_step_ms(period_us: int) -> int:
-    """Return the longest time between two samples of one window: 1.5 periods, rounded up to the next ms."""
+    """Return the longest time between two samples of a window: 1.5 periods, rounded up to ms."""
     return -(-3 * period_us // 2000)
 
 
@@ -257,7 +257,7 @@ def serial_field(serial: str) -> bytes:
 
 
 def _sealed(
-    kind: Kind, flags: int, network_id: bytes, revision: int, time_s: int, serial: str, body: bytes, minor: int = 0
+    kind: Kind, flags: int, network_id: bytes, revision: int, time_s: int, serial: str, body: bytes, minor: int
 ) -> bytes:
     length = HEADER.size + len(body) + 4
     header = HEADER.pack(MAGIC, kind, MAJOR, minor, flags, length, network_id, revision, time_s, serial_field(serial))
@@ -272,7 +272,7 @@ def _unit_text(unit: str) -> bytes:
 
 
 def _layer_bytes(layer: IntegerLayer) -> bytes:
-    """Row records, then weights in blocks of four rows, column by column; rows padded with zeros to a multiple of 4."""
+    """Row records, then weights in blocks of four rows, column by column; rows padded to 4."""
     rows, columns = layer.shape
     records = b"".join(
         ROW.pack(*map(int, row)) for row in zip(layer.bias, layer.multiplier, layer.shift1, layer.shift2, strict=True)

@@ -1,4 +1,4 @@
-"""Bytes of a network or unit file back into values; every check a reader must make, in the order of docs/format.md."""
+"""Bytes of a file back into values; every check a reader must make, as docs/format.md orders them."""
 
 import struct
 import zlib
@@ -115,7 +115,7 @@ def _parse_layer(body: bytes, at: int, rows: int, columns: int) -> tuple[Integer
 
 
 def read_unit(data: bytes) -> UnitFile:
-    """Read a unit file and check everything that needs no network (`FileRefused`: the first check that fails)."""
+    """Read a unit file, checked without its network (`FileRefused`: the first check that fails)."""
     opened = _open(data, Kind.UNIT)
     try:
         file, end = _parse_unit(opened)

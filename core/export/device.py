@@ -1,4 +1,4 @@
-"""A calibrated unit and its shared network as device files, with what the device form costs in accuracy."""
+"""A calibrated unit and its shared network as device files, and what that costs in accuracy."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -20,13 +20,13 @@ from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.windows import TAPS
 
 BESIDE_MIX = slice(2, 4)
-"""Self-tests of a file with a narrow mix, which has no room for four: rising and falling ones reach every weight."""
+"""Self-tests of a file with a narrow mix, without room for four: these reach every weight."""
 
 FORMS_OF: Mapping[int, Forms] = dict(zip(blob.UNIT_BYTES, SIZED_FORMS, strict=True))
 """Forms of a map by the largest size of its file."""
 
 GOAL = 1e-3
-"""A device's estimate should stay this close to f∘γ, as a share of the span of the unit's own estimates."""
+"""A device should stay this close to f∘γ, as a share of the span of the unit's estimates."""
 
 VERDICT_FLAGS = {"pass": 0, "conditional": blob.CONDITIONAL, "fail": blob.FAILED, "retest": blob.FAILED}
 ANCHOR_LEVELS = (1 / 32, 31 / 32)
@@ -133,7 +133,7 @@ def sample_period_us(source: LabelledRecording) -> int:
 
 
 def limits_of_unit(facts: UnitFacts, network: Network, options: DeviceOptions) -> quantise.Limits:
-    """Return interval, range and clamp of a unit for machines with floating point; the range is that of its codes."""
+    """Return interval, range (that of its codes) and clamp of a unit in floating point."""
     exact = network.evaluate(facts.unit_map.apply(facts.recording.windows))
     scale = _as_float32(options.scale or InputScale.covering(network, facts.recording.output))
     return quantise.limits_of(exact, facts.lower, facts.upper, facts.recording.output, scale)
@@ -209,15 +209,10 @@ def _build(
         self_tests=_self_tests(integers, device_map, code_min, code_max),
         adapt=_anchors(device_map, codes),
     )
-    _check_bytes(file, size)
+    if (needed := len(file.to_bytes())) > size:
+        raise UnitRefused(f"unit {file.serial}: its file would take {needed} bytes, {size} is allowed")
     join(network_file, read_unit(file.to_bytes()), facts.serial)
     return DeviceUnit(file, compiled, rms_error, max_error, limit, goal)
-
-
-def _check_bytes(file: UnitFile, most: int) -> None:
-    size = len(file.to_bytes())
-    if size > most:
-        raise UnitRefused(f"unit {file.serial}: its file would take {size} bytes, {most} is allowed")
 
 
 def device_limit(facts: UnitFacts, network: Network, options: DeviceOptions) -> float:
@@ -251,7 +246,7 @@ def _check_scale(scale: InputScale, facts: UnitFacts) -> None:
 
 
 def _bands(counts: Integers, exact: Array, facts: UnitFacts, error: Array, count: float) -> tuple[blob.Band, ...]:
-    """The 90 % interval by level of the estimate: per band its mean reach, and the device's own error on top."""
+    """The 90 % interval by level: per band its mean reach and the device's own error."""
     own = float(np.quantile(np.abs(error), COVERAGE))
     levels, *reach = quantise.reach_by_band(counts, exact - facts.lower, facts.upper - exact)
     minus, plus = (np.clip(np.ceil((side + own) / count), 0, CODE_MAX).astype(int).tolist() for side in reach)
@@ -277,7 +272,7 @@ def _anchors(device_map: DeviceMap, codes: Integers) -> blob.AdaptLimits:
 
 
 STATE_BYTES, BYTES_PER_WIDTH, LEAST_WIDTH = 100, 4, 16
-"""Of `ss_sensor` on a 32-bit machine: its fixed part, and two buffers as wide as the widest layer."""
+"""Of `ss_sensor` on 32 bits: its fixed part, and two buffers as wide as the widest layer."""
 
 PER_MULTIPLICATION, PER_ROW, ALWAYS, PER_MIX = 4.0, 45.0, 570.0, 2500.0
 """Instructions of a Cortex-M0, fitted to counts in QEMU at -Os (benchmarks/export_device.py)."""

@@ -20,7 +20,7 @@ WARM_UP, CLOSED, STALE, OUT_OF_RANGE, CLAMPED, WRONG_RATE, STUCK = 1, 2, 4, 8, 1
 
 @dataclass(frozen=True, eq=False)
 class DeviceEstimate:
-    """Estimates in counts of 10^output_exponent reference units, with their 90 % interval and flags; each (n,)."""
+    """Estimates in counts of 10^output_exponent, with 90 % interval and flags; each (n,)."""
 
     value: Integers
     lower: Integers
@@ -52,7 +52,7 @@ class DeviceSensor:
         )
 
     def estimate_mapped(self, ring: Integers, outside: NDArray[np.bool_]) -> DeviceEstimate:
-        """Estimate for (n, TAPS) windows as they stand in the device's ring, and which samples were out of range."""
+        """Estimate for (n, TAPS) windows of the device's ring, and which samples were outside."""
         unit = self.unit_file
         raw = self.network_file.network.evaluate(unit.device_map.on_windows(ring))
         value = np.clip(raw, unit.out_min, unit.out_max)
@@ -66,7 +66,7 @@ class DeviceSensor:
         )
 
     def reach(self, value: Integers) -> tuple[Integers, Integers]:
-        """Return how far the 90 % interval reaches below and above (n,) estimates in counts, each (n,)."""
+        """Return how far the 90 % interval reaches below and above (n,) counts, each (n,)."""
         bands = self.unit_file.bands
         levels = np.array([band.level for band in bands[:-1]], dtype=np.int64)
         band = np.searchsorted(levels, value, side="left")
@@ -75,7 +75,7 @@ class DeviceSensor:
         return minus, plus
 
     def estimate_output(self, windows: Array) -> tuple[Array, Array, Array, Integers]:
-        """Estimate for (n, TAPS) windows of sensor output: estimate, lower, upper in reference units, and flags."""
+        """Return estimate, lower, upper in reference units, and flags, of (n, TAPS) outputs."""
         found = self.estimate(self.unit_file.scale.codes(windows))
         value, lower, upper = (
             counts.astype(np.float64) * self.count for counts in (found.value, found.lower, found.upper)

@@ -1,4 +1,4 @@
-"""From real numbers to the integers of the end device: the network row by row, the map, the scales, the limits."""
+"""From real numbers to the integers of the end device: network, map, scales, limits."""
 
 import math
 from dataclasses import dataclass
@@ -19,10 +19,10 @@ HEADROOM = 1.5
 estimate before it saturates."""
 
 STRETCH, SHIFT = 1.3, 0.1
-"""Other units' mapped windows may be this much larger than the source's, or moved by this share of its span."""
+"""Other units' mapped windows may be this much larger, or moved by this share of the span."""
 
 QUIET = 4
-"""No hidden unit gets less than this fraction of its layer's widest range, however seldom the source moved it."""
+"""No hidden unit gets less than this fraction of its layer's widest range."""
 
 
 def quantise_network(network: Network, source_windows: Array) -> integer.IntegerNetwork:
@@ -43,7 +43,7 @@ def quantise_network(network: Network, source_windows: Array) -> integer.Integer
     centre, span = float(source_windows.mean()), float(np.ptp(source_windows))
     stretched = centre + STRETCH * (source_windows - centre)
     shifted = [source_windows + SHIFT * span, source_windows - SHIFT * span]
-    # Windows as other units may send them: the source's, stretched, shifted, reversed in time, and flattened.
+    # As other units may send them: stretched, shifted, reversed in time, flattened.
     relatives = np.concatenate(
         [source_windows, stretched, *shifted, source_windows[:, ::-1], resting(source_windows[:, -1])]
     )
@@ -58,7 +58,7 @@ def quantise_network(network: Network, source_windows: Array) -> integer.Integer
 
 
 def activations(network: Network, windows: Array) -> list[Array]:
-    """Return what leaves each layer in float64, the estimate (n, 1) last: the yardstick of every integer form."""
+    """Return what leaves each layer in float64, the estimate (n, 1) last."""
     hidden, found = windows - network.output_mean, []
     folded = folded_layers(network)
     for weight, bias in folded[:-1]:
@@ -74,7 +74,7 @@ def evaluate_float64(network: Network, windows: Array) -> Array:
 
 
 def folded_layers(network: Network) -> list[tuple[Array, Array]]:
-    """Return (inputs, outputs) weights and biases; both standardisations are folded in but for `output_mean`."""
+    """Return (inputs, outputs) weights and biases; scales are folded in but for `output_mean`."""
     weights, biases = [w.astype(float) for w in network.weights], [b.astype(float) for b in network.biases]
     weights[0] = weights[0] / network.output_scale
     weights[-1] = weights[-1] * network.reference_scale
@@ -83,7 +83,7 @@ def folded_layers(network: Network) -> list[tuple[Array, Array]]:
 
 
 def _scale_of(reach: Array) -> Array:
-    """Real value of one count, so that `reach` is the largest; a hidden unit that hardly fires gets room to."""
+    """Real value of one count, so that `reach` is the largest, or the share `QUIET` of it."""
     widest = float(reach.max()) or 1.0
     return np.maximum(reach, widest / QUIET) / ACTIVATION_MAX
 
@@ -109,9 +109,9 @@ def quantise_layer(weights: Array, bias: Array, scale_in: Array, scale_out: Arra
 
 
 def _quantise_row(weights: Array, bias: float, scale_out: float) -> tuple[list[int], int, int, int, int]:
-    """Return weights, bias, multiplier and both shifts of one row; `weights` are in real units per input count."""
+    """Return weights, bias, multiplier, shifts of a row; `weights` in real units per count."""
     largest = float(np.abs(weights).max(initial=0.0))
-    # Rounding may add half a step for every weight, and the bias carries the rounding of the first shift.
+    # Rounding may add half a step a weight; the bias rounds the first shift.
     # The finest step that can still not overflow: steps are chosen by the proof, not by trial.
     budget = integer.ACCUMULATOR_MAX - len(weights) * ACTIVATION_MAX - 2**16
     reach = float(np.abs(weights).sum()) * ACTIVATION_MAX + abs(bias)
@@ -150,7 +150,7 @@ def quantise_map(form: MapForm, scale: InputScale, network: integer.IntegerNetwo
     try:
         curve = _quantise_curve(form.curve, scale, network)
         if isinstance(form.linear, Linear):
-            # A window of counts in, a window of counts out: count = (output - zero) / lsb on both sides.
+            # Counts in, counts out: count = (output - zero) / lsb on both sides.
             matrix, zero, one = form.linear.matrix, network.input_zero, np.full(TAPS, network.input_lsb)
             bias = zero * matrix.sum(axis=1) + form.linear.offset - zero
             return integer.DeviceMap(curve, quantise_layer(matrix, bias, one, one))
@@ -161,10 +161,10 @@ def quantise_map(form: MapForm, scale: InputScale, network: integer.IntegerNetwo
 
 
 def _quantise_curve(curve: Curve, scale: InputScale, network: integer.IntegerNetwork) -> integer.PiecewiseMap:
-    # Cut where it leaves the network's counts: to clip its knots instead would bend what lies between.
+    # Cut where it leaves the network's counts: clipped knots would bend what lies between.
     outputs, values = curve.outputs, curve.values
     reach = network.input_lsb * ACTIVATION_MAX
-    # Interpolated from value to output, which needs values in rising order; a falling sensor has them the other way.
+    # Interpolated from value to output, in rising order: a falling sensor has them reversed.
     order = np.argsort(values, kind="stable")
     bounds = [b for b in (network.input_zero - reach, network.input_zero + reach) if values.min() < b < values.max()]
     inside = np.abs(values - network.input_zero) <= reach

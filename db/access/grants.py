@@ -18,7 +18,7 @@ CHANGING = {
     "line_places": "INSERT, UPDATE",
     "deliveries": "INSERT, UPDATE",
 }
-"""Tables whose rows change at the line, and how. Of people it may count wrong PINs and pause, nothing else."""
+"""Tables whose rows change at the line, and how. Of people it may count wrong PINs and pause."""
 
 DECIDED_ELSEWHERE = ("limits", "line_rules", "certificates", "network_releases")
 """What the line goes by and must not set: its account reads it, the managing one adds to it."""

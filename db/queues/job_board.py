@@ -27,7 +27,7 @@ SILENT_AFTER = timedelta(seconds=15)
 """A running job whose process gave no sign of life for longer is dead."""
 
 START_WITHIN = timedelta(seconds=90)
-"""A process that has not taken its job after this time never will; imports take seconds on a busy machine."""
+"""A process that has not taken its job by then never will; imports take seconds when busy."""
 
 BRIEF = [jobs.c[name] for name in ("job_id", "kind", "request", "actor", "created", "state", "fraction", "message",
                                    "is_cancel_wanted", "beaten_at")]  # fmt: skip
@@ -82,9 +82,9 @@ class JobBoard(RegistryBase):
         now, job_id = self.settings.clock(), job_id or uuid.uuid4().hex
         values = {"job_id": job_id, "kind": kind, "request": dict(request), "actor": actor, "created": now}
         fresh = {"state": RunState.QUEUED, "fraction": 0.0, "message": "", "trace": {}, "result": {}}
-        with self.database.writing(in_turn=False) as connection:
-            if connection.execute(select(jobs.c.job_id).where(jobs.c.job_id == job_id)).first() is None:
-                connection.execute(insert(jobs).values(**values, **fresh, is_cancel_wanted=False, beaten_at=now))
+        with self.database.writing(in_turn=False):
+            if self.database.row(select(jobs.c.job_id).where(jobs.c.job_id == job_id)) is None:
+                self.database.change(insert(jobs).values(**values, **fresh, is_cancel_wanted=False, beaten_at=now))
         return job_id
 
     def take(self, job_id: str) -> Job:
@@ -117,8 +117,8 @@ class JobBoard(RegistryBase):
         arrays: Arrays | None = None,
     ) -> None:
         """Write how a job ended, once."""
-        with self.database.writing(in_turn=False) as connection:
-            blob = None if arrays is None else put_arrays(connection, arrays)
+        with self.database.writing(in_turn=False):
+            blob = None if arrays is None else put_arrays(self.database, arrays)
             values = {"state": state, "message": message, "result": dict(result or {}), "blob_sha256": blob}
             self._change(job_id, values | ({"fraction": 1.0} if state is RunState.DONE else {}))
 
@@ -152,8 +152,8 @@ class JobBoard(RegistryBase):
         """Return the arrays a job left; none where it made none."""
         if job.blob_sha256 is None:
             return {}
-        with self.database.reading() as connection:
-            return get_arrays(connection, job.blob_sha256)
+        with self.database.reading():
+            return get_arrays(self.database, job.blob_sha256)
 
     def _change(self, job_id: str, values: Mapping[str, Any], *, is_beat: bool = True) -> None:
         beat = {"beaten_at": self.settings.clock()} if is_beat else {}

@@ -46,7 +46,7 @@ class Pressed(NamedTuple):
 
 
 class OrderQueue(RegistryBase):
-    """Orders, runs and heartbeats of the stations of a registry. Every call is one short transaction."""
+    """Orders, runs and heartbeats of a registry's stations. Every call is one short transaction."""
 
     def place(self, order: Order, until_s: float | None = None) -> bool:
         """Ask a station for something, and return whether it was asked in time; the same id again changes nothing.
@@ -79,7 +79,7 @@ class OrderQueue(RegistryBase):
             return True
 
     def take(self, station: str, only: OrderKind | None = None) -> Order | None:
-        """Return the station's next order and mark it running; what is no run (STOP) comes before everything else."""
+        """Return the station's next order and mark it running; what is no run (STOP) comes first."""
         query = select(orders).where(o.state == RunState.QUEUED, *given((o.station, station), (o.kind, only)))
         with self.database.writing(in_turn=False):
             waiting = self.database.rows(query.order_by(o.created, o.order_id))
@@ -105,7 +105,7 @@ class OrderQueue(RegistryBase):
                 self.database.change(insert(run_signals).values(order_id=progress.order_id, signal=signal))
 
     def progress(self, order_id: str) -> Progress:
-        """Return how far an order is, with its live signal (`InputError`: there is no such order)."""
+        """Return how far an order is, with its signal (`InputError`: there is no such order)."""
         with self.database.reading():
             row = self.database.row(select(orders).where(o.order_id == order_id))
             if row is None:
@@ -118,7 +118,7 @@ class OrderQueue(RegistryBase):
         return [(_order(row), _progress(row, Signal())) for row in self.database.rows(query)]
 
     def pressed(self, lot_id: str) -> list[Pressed]:
-        """Return which units of a lot were pressed where and by whom, in time order; broken runs are left out."""
+        """Return which units of a lot were pressed where and by whom, in time order, to the end."""
         query = select(o.serial, o.station, o.actor, o.created, o.changed_at)
         ended = query.where(o.lot_id == lot_id, o.kind == OrderKind.UNIT, o.state == RunState.DONE)
         return [Pressed(*row.values()) for row in self.database.rows(ended.order_by(o.created, o.order_id))]
@@ -144,7 +144,7 @@ class OrderQueue(RegistryBase):
         return [row["order_id"] for row in rows]
 
     def cancel_queued(self, station: str, message: Reason | str) -> list[str]:
-        """Cancel the run that waits, if there is one: whoever says stop means that one too. Return the order ids."""
+        """Cancel the run that waits (who says stop means that one, too); return the order ids."""
         waiting = (o.station == station, o.state == RunState.QUEUED, o.kind.in_(RUNS))
         with self.database.writing(in_turn=False):
             order_ids = self.database.values(select(o.order_id).where(*waiting))
@@ -208,12 +208,12 @@ class LinePlaces(RegistryBase):
     """
 
     def read(self, station: str) -> tuple[int, Mapping[str, Any]]:
-        """Return version and values of a station's place; version 0 and nothing where nobody was there yet."""
+        """Return version and values of a station's place; 0 and nothing before the first."""
         row = self.database.row(select(line_places).where(line_places.c.station == station))
         return (0, {}) if row is None else (row["version"], row["place"])
 
     def write(self, station: str, seen_version: int, place: Mapping[str, Any]) -> bool:
-        """Put other values in their place; return False, with nothing changed, where another one was first."""
+        """Put other values in their place; return False where another one was first."""
         values = {"station": station, "version": seen_version + 1, "place": dict(place)}
         seen = (line_places.c.station == station, line_places.c.version == seen_version)
         if seen_version:

@@ -49,22 +49,22 @@ class Outbox(RegistryBase):
 
     def end(self) -> dict[str, int]:
         """Return the cursor behind everything there is."""
-        with self.database.reading() as connection:
-            return {origin: seq for origin, (seq, _) in history.heads(connection).items()}
+        with self.database.reading():
+            return {origin: seq for origin, (seq, _) in history.heads(self.database).items()}
 
     def after(self, cursor: Cursor, count: int) -> list[AuditRow]:
-        """Return the next rows behind a cursor, in the order of their chains and, between chains, of time."""
-        with self.database.reading() as connection:
-            return history.after(connection, cursor, count)
+        """Return the next rows behind a cursor: in the order of each chain, else of time."""
+        with self.database.reading():
+            return history.after(self.database, cursor, count)
 
     def begin(self, destination: str, cursor: Cursor) -> Delivery:
         """Return where a destination stands; one that is new begins behind `cursor`."""
         fresh = {"delivered": 0, "failures": 0, "not_before": None, "error": "", "changed_at": self.settings.clock()}
-        with self.database.writing(in_turn=False) as connection:
+        with self.database.writing(in_turn=False):
             known = select(deliveries).where(deliveries.c.destination == destination)
-            if connection.execute(known).first() is None:
-                connection.execute(insert(deliveries).values(destination=destination, cursor=dict(cursor), **fresh))
-            return Delivery(**connection.execute(known).mappings().one())
+            if self.database.row(known) is None:
+                self.database.change(insert(deliveries).values(destination=destination, cursor=dict(cursor), **fresh))
+            return Delivery(**self.database.rows(known)[0])
 
     def hold(self, destination: str, holder: str, now: datetime, until: datetime) -> Delivery | None:
         """Take a destination for one process, or keep it; None where another one holds it.
@@ -119,7 +119,7 @@ def cursor_text(cursor: Cursor) -> str:
 
 
 def cursor_of(text: str) -> dict[str, int]:
-    """Return the cursor a program gave back; "" is the beginning (`InputError`: softcal gave no such cursor)."""
+    """Return the cursor of its text; "" is the beginning (`InputError`: softcal gave none such)."""
     pairs = [part.partition(":") for part in text.split(".")] if text else []
     if not all(origin.isalnum() and seq.isascii() and seq.isdigit() and len(seq) < 10 for origin, _, seq in pairs):
         raise InputError(f"cursor {text[:60]!r}: give what the last answer named `next`, or nothing for the beginning")

@@ -50,7 +50,7 @@ class WorkItem:
 
 
 class WorkQueue(RegistryBase):
-    """The work items of a registry. Every call is one short transaction, or part of the one it is called in."""
+    """The work items of a registry. Every call is one short transaction, or part of one."""
 
     def enqueue(self, work: WorkSet, inputs: Mapping[str, str]) -> int:
         """Queue what is not queued or claimed yet and return how many items are new.
@@ -86,7 +86,7 @@ class WorkQueue(RegistryBase):
         now, c = self.settings.clock(), work_items.c
         with self.database.writing(in_turn=False) as connection:
             if not self.database.is_sqlite:
-                # PostgreSQL's default is a spinning disk's: it would rather read the items of all lots in a row.
+                # The default is a spinning disk's: it would read the items of all lots.
                 connection.execute(text("SET LOCAL random_page_cost = 1.1"))
             taken = self._free(connection, work, count, c.state == "queued")
             if len(taken) < count:
@@ -117,14 +117,14 @@ class WorkQueue(RegistryBase):
         return len(ids)
 
     def held(self, owner: str, item_ids: Iterable[int]) -> set[int]:
-        """Return which items are still one's own; inside a transaction nobody can take them before it ends."""
+        """Return which items are still one's own; nobody can take them before a transaction ends."""
         c = work_items.c
         mine = select(c.id).where(c.id.in_(list(item_ids)), c.owner == owner, c.state == "claimed")
         with self.database.writing(in_turn=False) as connection:
             return set(connection.execute(mine.order_by(c.id).with_for_update()).scalars())
 
     def finish(self, owner: str, item_ids: Sequence[int]) -> bool:
-        """Take done items out. False: a lease ran out and an item is another one's by now; drop its result."""
+        """Take done items out. False: a lease ran out, and an item is another's; drop its result."""
         c = work_items.c
         mine = delete(work_items).where(c.id.in_(item_ids), c.owner == owner, c.state == "claimed")
         return self.database.change(mine) == len(item_ids)

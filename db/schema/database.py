@@ -12,13 +12,24 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from sqlalchemy import URL, Connection, Engine, Executable, RowMapping, create_engine, event, inspect, make_url, text
+from sqlalchemy import (
+    URL,
+    Connection,
+    Engine,
+    Executable,
+    RowMapping,
+    create_engine,
+    event,
+    inspect,
+    make_url,
+    text,
+)
 from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError, SQLAlchemyError
 from sqlalchemy.pool import StaticPool
 
 from softcal.core.errors import RegistryError
 from softcal.db.schema.file_system import prepare_file
-from softcal.db.schema.found import HAS_TOLD, forget
+from softcal.db.schema.found import HAS_TOLD, Found, forget, found_in
 from softcal.db.schema.tables import SCHEMA
 
 SQLITE_WAIT_S = 60
@@ -28,7 +39,7 @@ LOOK_EVERY_S = (0.001, 0.005)
 IN_MEMORY = (None, "", ":memory:")
 STATEMENT_TIMEOUT = "120s"
 AGAIN_AFTER_S = 0.5
-"""How long to wait before what was cut is done once more: the server may just be ending all connections."""
+"""Wait before what was cut is done again: the server may be ending all connections."""
 
 WRITER_LOCK = 1_900_178
 """Key of the PostgreSQL advisory lock that puts writers of the audit chain in a row."""
@@ -36,6 +47,7 @@ WRITER_LOCK = 1_900_178
 VALUES_AT_ONCE = 500
 
 Answer = TypeVar("Answer")
+Values = Mapping[str, Any] | Sequence[Mapping[str, Any]] | None
 Part = TypeVar("Part")
 
 
@@ -77,12 +89,17 @@ class Database:
         return self._thread.writer or self._thread.reader
 
     @property
+    def found(self) -> Found:
+        """What the transaction of this thread has found; nothing outside one."""
+        return Found() if self._joined is None else found_in(self._joined)
+
+    @property
     def is_sqlite(self) -> bool:
         return self.engine.dialect.name == "sqlite"
 
     @property
     def is_in_memory(self) -> bool:
-        """Whether it is an SQLite database of this process alone, with one connection for all of it."""
+        """Whether it is an SQLite database of this process alone, with one connection."""
         return self.is_sqlite and self.path is None
 
     @property
@@ -108,29 +125,38 @@ class Database:
             with connection.begin(), self._joinable("reader", connection):
                 yield connection
 
-    def rows(self, query: Executable) -> Sequence[RowMapping]:
+    def rows(self, query: Executable, values: Values = None) -> Sequence[RowMapping]:
         with self.reading() as connection:
-            return connection.execute(query).mappings().all()
+            return connection.execute(query, values).mappings().all()
 
-    def row(self, query: Executable, values: Mapping[str, object] | None = None) -> RowMapping | None:
-        """Return the first row of what a query gives, with values for its parameters; None where it gives nothing."""
+    def row(self, query: Executable, values: Values = None) -> RowMapping | None:
+        """Return the first row of what a query gives; None where it gives nothing."""
         with self.reading() as connection:
             return connection.execute(query, values).mappings().first()
+
+    def tuples(self, query: Executable) -> list[Any]:
+        with self.reading() as connection:
+            return list(connection.execute(query))
+
+    def stream(self, query: Executable, size: int = 1000) -> Iterator[RowMapping]:
+        """Give the rows of what a query gives, `size` of them in memory at once."""
+        with self.reading() as connection:
+            yield from connection.execute(query, execution_options={"yield_per": size}).mappings()
 
     def values(self, query: Executable) -> list[Any]:
         """Return the first column of what a query gives."""
         with self.reading() as connection:
             return list(connection.execute(query).scalars())
 
-    def value(self, query: Executable, values: Mapping[str, object] | None = None) -> Any:
+    def value(self, query: Executable, values: Values = None) -> Any:
         """Return the first value of what a query gives; None where it gives nothing."""
         with self.reading() as connection:
             return connection.execute(query, values).scalar()
 
-    def change(self, statement: Executable) -> int:
-        """Do one statement, in no turn or in the transaction that goes on, and return how many rows it changed."""
+    def change(self, statement: Executable, values: Values = None) -> int:
+        """Do one statement, in no turn or in the open transaction; return how many rows changed."""
         with self.writing(in_turn=False) as connection:
-            return connection.execute(statement).rowcount
+            return connection.execute(statement, values).rowcount
 
     @contextmanager
     def writing(self, *, in_turn: bool = True) -> Iterator[Connection]:
@@ -150,7 +176,7 @@ class Database:
                     connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": WRITER_LOCK})
                 connection.info.pop(HAS_TOLD, None)
                 yield connection
-                # What follows is the commit: of a connection cut from here on nobody knows what was kept.
+                # The commit follows: of what is cut from here on nobody knows what was kept.
                 phase["is_committing"] = True
             has_told = connection.info.pop(HAS_TOLD, False)
         if has_told and self.on_first_write is not None:
@@ -307,7 +333,7 @@ def check_schema(database: Database, schema: str) -> None:
 
 
 def _bare(url: str) -> str:
-    """Return a text that is no URL without what may be a password: all up to its last `@`, or a bare word."""
+    """Return a text that is no URL without what may be a password: up to `@`, or a bare word."""
     scheme, _, rest = url.rpartition("://")
     if not scheme and not set("/.\\") & set(url):
         return "..."
@@ -327,7 +353,7 @@ def _sqlite_engine(url: URL, create: bool) -> Engine:
 
 
 def _set_up_sqlite(connection: sqlite3.Connection, record: object) -> None:
-    # Without this Python starts transactions by itself, deferred, and "database is locked" comes at once.
+    # Else Python starts transactions, deferred, and "database is locked" comes at once.
     connection.isolation_level = None
     for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", f"busy_timeout={SQLITE_WAIT_S * 1000}"):
         connection.execute(f"PRAGMA {pragma}")

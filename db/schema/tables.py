@@ -1,4 +1,4 @@
-"""The tables of the registry. Their history is in `migrations/`; `SCHEMA` names the step these definitions equal."""
+"""The tables of the registry as after the step `SCHEMA` of `migrations/`."""
 
 import json
 from datetime import UTC, datetime
@@ -25,7 +25,7 @@ metadata = sa.MetaData(
 
 
 def _read_or_damaged(process: Any) -> Any:
-    """Say of a value that cannot be read that the registry is damaged: softcal has never written it."""
+    """Call the registry damaged where a value cannot be read: softcal never wrote it."""
 
     def read(value: Any) -> Any:
         try:
@@ -40,7 +40,7 @@ def _read_or_damaged(process: Any) -> Any:
 
 
 class UtcTime(TypeDecorator[datetime]):
-    """An instant in UTC; a time without zone is refused. SQLite would drop the zone without a word."""
+    """An instant in UTC; a time without zone is refused. SQLite would drop the zone."""
 
     impl = sa.DateTime(timezone=True)
     cache_ok = True
@@ -62,7 +62,7 @@ class UtcTime(TypeDecorator[datetime]):
 
 
 def _of_text(process: Any) -> Any:
-    """Refuse an instant that SQLite keeps in other words: it would read as the same and sort as another one."""
+    """Refuse an instant in other words: SQLite would read it as the same and sort it as another."""
 
     def read(value: Any) -> Any:
         instant = process(value)
@@ -74,7 +74,7 @@ def _of_text(process: Any) -> Any:
 
 
 class CanonicalJson(TypeDecorator[Any]):
-    """JSON as text with sorted keys, so that equal values have equal bytes on every database. NaN is refused."""
+    """JSON as text with sorted keys: equal values, equal bytes on every database. NaN is refused."""
 
     impl = Text
     cache_ok = True
@@ -373,7 +373,7 @@ orders = Table(
     Index("ix_orders_station", "station", "created"),
 )
 Index("uq_orders_active", orders.c.station, unique=True)
-# Of runs that are not over only. The migration says so: naming a dialect here loads both, a tenth of a second.
+# Of runs that are not over, as the migration says: naming a dialect here would load both.
 
 run_signals = Table(
     "run_signals",
@@ -460,13 +460,13 @@ AUDITED = tuple(
     "lots limits line_rules units recordings networks network_releases calibrations refusals in_use adaptations "
     "certificates golden_runs".split()
 )
-"""Tables whose every row has a row in the audit trail with the same values, in the order their rows may be copied."""
+"""Tables whose every row stands in the audit trail, too, in the order rows may be copied."""
 
 LATER_COLUMNS = {"refusals": ("work_sha256",)}
-"""Columns that rows of older schemas do not have: the audit trail of such a row does not name them."""
+"""Columns that older schemas did not have: the audit trail of their rows names none."""
 
 APPEND_ONLY = ("blobs", "audit", *AUDITED)
 """Tables whose rows are never changed or deleted; triggers on both databases see to it."""
 
 TOLD_BY_HASH = {"adaptations": ("entry",)}
-"""Columns that the audit trail holds as a SHA-256 only: thousands of rows a day would be kept twice."""
+"""Columns of which the audit trail holds a SHA-256 only, as there are thousands of rows a day."""

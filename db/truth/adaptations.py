@@ -1,4 +1,4 @@
-"""The course of long-term adaptation: every map a unit in use got, from which stream, with its evidence."""
+"""Long-term adaptation: every map a unit in use got, from which stream, with evidence."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ class AdaptationTables(RegistryBase):
         Raises:
             InputError: the serial has no such revision.
         """
-        with self.database.writing() as connection:
+        with self.database.writing():
             c = calibrations.c
             known = select(c.serial).where(c.serial == serial, c.revision == revision).limit(1)
             if self.database.row(known) is None:
@@ -54,19 +54,19 @@ class AdaptationTables(RegistryBase):
                 values = {"serial": serial, "number": number, "origin": self.origin, "revision": revision}
                 values |= {"stream": entry["stream"], "sample": entry["sample"], "entry": dict(entry)}
                 values["made_at"] = self.settings.clock()
-                self._store(connection, adaptations, values, "adapt", actor)
+                self._store(adaptations, values, "adapt", actor)
             return last + len(entries)
 
     def last(self, serial: str, revision: int, stream: str) -> Entry | None:
-        """Return the newest step of a stream, to go on after a stop; None where it has not begun."""
+        """Return the newest step of a stream, to go on after a stop; None before the first."""
         entry: Entry | None = self.database.value(_newest_first(serial, revision, stream).limit(1))
         return entry
 
     def last_checkpoint(self, serial: str, revision: int, stream: str) -> Entry | None:
-        """Return the newest step of a stream that holds a `state` to go on from; None where there is none."""
-        with self.database.reading() as connection:
-            newest = connection.execute(_newest_first(serial, revision, stream)).scalars()
-            return next((entry for entry in newest if "state" in entry), None)
+        """Return the newest step of a stream that holds a `state` to go on from."""
+        with self.database.reading():
+            newest = self.database.stream(_newest_first(serial, revision, stream))
+            return next((row["entry"] for row in newest if "state" in row["entry"]), None)
 
     def all(self, serial: str, stream: str | None = None) -> list[Entry]:
         """Return the steps of a serial, of one stream or of all, in the order they were made."""
@@ -75,7 +75,7 @@ class AdaptationTables(RegistryBase):
         return self.database.values(query.order_by(c.made_at, c.origin, c.number))
 
     def units(self) -> list[AdaptedUnit]:
-        """Return the units in use with their newest step, the one adapted last first; a checkpoint is no step."""
+        """Return the units in use, adapted last first, with their newest step but a checkpoint."""
         a = adaptations.c
         is_step = type_coerce(a.entry, Text).not_like('%"event":"checkpoint"%')
         order = (a.made_at.desc(), a.sample.desc(), a.number.desc())

@@ -1,4 +1,4 @@
-"""Whether a verdict was given against the limit in force: one against another limit is none until it is given anew."""
+"""Whether a verdict was given against the limit in force; against another limit it is none."""
 
 import json
 from collections.abc import Mapping

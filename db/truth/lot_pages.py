@@ -11,12 +11,12 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import sqlalchemy as sa
-from sqlalchemy import ColumnElement, Connection, and_, case, func, select
+from sqlalchemy import ColumnElement, and_, case, func, select
 
 from softcal.core.errors import InputError
 from softcal.core.words.reason import DOUBT, Reason, plain
 from softcal.db.entries import UNDECIDED, MadeCalibration, UnitEntry, UnitStanding
-from softcal.db.schema.database import given, parts
+from softcal.db.schema.database import Database, given, parts
 from softcal.db.schema.tables import calibrations, in_use, refusals, units
 from softcal.db.truth import history
 from softcal.db.truth.in_use import OF_STATEMENT, conflict_line, conflicts_of, limit_in_force, of_this_method
@@ -122,15 +122,15 @@ class LotPages(RegistryBase):
         Raises:
             InputError: the lot is not in the registry.
         """
-        with self.database.reading() as connection:
-            self._lot_row(connection, lot_id)
-            standing = StandingQuery.of(connection, lot_id)
+        with self.database.reading():
+            self._lot_row(lot_id)
+            standing = StandingQuery.of(self.database, lot_id)
             table = standing.table(role="target")
             condition: ColumnElement[bool] = and_(True, *wanted.conditions(table))
             order = wanted.order(table)
             query = select(table).where(condition).order_by(*order).limit(size).offset((page - 1) * size)
-            total = connection.execute(select(func.count()).select_from(table).where(condition)).scalar_one()
-            entries = [standing.entry(connection, row) for row in connection.execute(query).mappings().all()]
+            total = self.database.value(select(func.count()).select_from(table).where(condition))
+            entries = [standing.entry(row) for row in self.database.rows(query)]
         return UnitPage(tuple(entries), int(total))
 
     def standings(self, lot_id: str, serials: Sequence[str]) -> dict[str, UnitStanding]:
@@ -143,12 +143,12 @@ class LotPages(RegistryBase):
         c = calibrations.c
         columns = [*(c[name] for name in PLAIN_FIELDS), c.revision, c.settings, c.reasons, c.evidence]
         for part in parts(serials):
-            with self.database.reading() as connection:
-                stands = standing_units(connection, lot_id, part)
+            with self.database.reading():
+                stands = standing_units(self.database, lot_id, part)
                 named = [(unit.serial, unit.revision) for unit, is_made in stands if is_made]
                 query = select(*columns).where(c.lot_id == lot_id, sa.tuple_(c.serial, c.revision).in_(named))
-                # Registries that were apart may both have made a revision of this number: the map tells which stands.
-                rows = {(row["serial"], row["map_sha256"]): row for row in connection.execute(query).mappings()}
+                # Two registries may have made a revision of this number: the map tells which.
+                rows = {(row["serial"], row["map_sha256"]): row for row in self.database.rows(query)}
             for unit, is_made in stands:
                 if unit.verdict is not None and unit.made_at is not None:
                     made, row = None, rows.get((unit.serial, unit.map_sha256))
@@ -159,7 +159,7 @@ class LotPages(RegistryBase):
         return found
 
     def find_serials(self, text: str, count: int = 50) -> list[str]:
-        """Return serials of target units with a result that hold a text in any case; those that begin with it first."""
+        """Return serials of target units with a result that hold a text; those it begins first."""
         has_result = sa.or_(
             *(
                 select(table.c.serial)
@@ -171,32 +171,31 @@ class LotPages(RegistryBase):
         query = select(units.c.serial).distinct().where(units.c.role == "target", has_result)
         order: list[ColumnElement[Any]] = [units.c.serial]
         if text:
-            # Without a text the index of the serials gives the first ones, and nothing else is read.
+            # Without a text the index gives the first serials, and nothing else is read.
             name = func.lower(units.c.serial)
             query = query.where(name.contains(text.lower(), autoescape=True))
             begins = case((name.startswith(text.lower(), autoescape=True), 0), else_=1)
             query, order = query.add_columns(begins), [begins, *order]
-        with self.database.reading() as connection:
-            return [str(row[0]) for row in connection.execute(query.order_by(*order).limit(count))]
+        return self.database.values(query.order_by(*order).limit(count))
 
     def verdict_counts(self, lot_id: str) -> dict[str, int]:
-        """Return a lot's target units by the verdict of their newest result; `none` counts those without."""
-        with self.database.reading() as connection:
-            self._lot_row(connection, lot_id)
-            table = StandingQuery.of(connection, lot_id).table(role="target")
+        """Return the count of a lot's target units by verdict; `none` counts those without."""
+        with self.database.reading():
+            self._lot_row(lot_id)
+            table = StandingQuery.of(self.database, lot_id).table(role="target")
             verdict = func.coalesce(table.c.verdict, "none")
-            found = {str(v): int(n) for v, n in connection.execute(select(verdict, func.count()).group_by(verdict))}
+            found = {str(v): int(n) for v, n in self.database.tuples(select(verdict, func.count()).group_by(verdict))}
         return {name: found.get(name, 0) for name in (*_severities(), "none")}
 
     def lot_errors(self, lot_id: str) -> list[UnitErrors]:
         """Return the errors of every target unit with a map, by serial."""
-        with self.database.reading() as connection:
-            self._lot_row(connection, lot_id)
-            table = StandingQuery.of(connection, lot_id).table(role="target")
+        with self.database.reading():
+            self._lot_row(lot_id)
+            table = StandingQuery.of(self.database, lot_id).table(role="target")
             measured = {name: case((table.c.is_doubted, None), else_=table.c[name]) for name in ERRORS[1:]}
             query = select(table.c.revision, table.c.serial, table.c.verdict, table.c[ERRORS[0]], *measured.values())
             # Asked for in SQL, "with a map" makes PostgreSQL read the calibrations of all lots.
-            rows = connection.execute(query.order_by(table.c.serial))
+            rows = self.database.tuples(query.order_by(table.c.serial))
             return [UnitErrors(*row) for revision, *row in rows if revision is not None]
 
     def change_marker(self, lot_id: str) -> str:
@@ -204,8 +203,8 @@ class LotPages(RegistryBase):
 
         A cheap key for what was computed from a lot: every change ends a chain of the audit trail with another row.
         """
-        with self.database.reading() as connection:
-            return "|".join([lot_id, *(sha256 for _, sha256 in history.heads(connection).values())])
+        with self.database.reading():
+            return "|".join([lot_id, *(sha256 for _, sha256 in history.heads(self.database).values())])
 
 
 @dataclass(frozen=True)
@@ -217,15 +216,16 @@ class StandingQuery:
         limit: of the lot; a verdict against another one does not stand.
     """
 
+    database: Database
     lot_id: str
     undecided: Sequence[str]
     limit: LimitInForce
 
     @classmethod
-    def of(cls, connection: Connection, lot_id: str, serials: Sequence[str] | None = None) -> StandingQuery:
+    def of(cls, database: Database, lot_id: str, serials: Sequence[str] | None = None) -> StandingQuery:
         """Return how a lot, or some of its units, are asked for now."""
-        undecided = [serial for _, serial in conflicts_of(connection, lot_id, serials)]
-        return cls(lot_id, undecided, limit_in_force(connection, lot_id))
+        undecided = [serial for _, serial in conflicts_of(database, lot_id, serials)]
+        return cls(database, lot_id, undecided, limit_in_force(database, lot_id))
 
     def table(self, serials: Sequence[str] | None = None, role: str | None = None) -> sa.Subquery:
         """Return every unit beside its map in use and its newest verdict, which may be a later refusal's.
@@ -264,12 +264,12 @@ class StandingQuery:
         query = query.select_from(joined).where(units.c.lot_id == self.lot_id)
         return query.where(*given((units.c.role, role), (units.c.serial, serials))).subquery("standing")
 
-    def entry(self, connection: Connection, row: sa.RowMapping) -> UnitEntry:
+    def entry(self, row: sa.RowMapping) -> UnitEntry:
         serial = row["serial"]
         if row["is_stale"] is None:
             raise damaged(f"unit {serial} of lot {self.lot_id}: the calibration in use was not found")
         if row["is_conflict"] and not row["is_refused"]:
-            reasons: tuple[Reason, ...] = (plain(conflict_line(connection, self.lot_id, serial)),)
+            reasons: tuple[Reason, ...] = (plain(conflict_line(self.database, self.lot_id, serial)),)
         elif row["evidence"] is not None:
             reasons = (self.limit.why(row["evidence"]),)
         else:
@@ -278,18 +278,18 @@ class StandingQuery:
 
 
 def standing_units(
-    connection: Connection, lot_id: str, serials: Sequence[str] | None = None
+    database: Database, lot_id: str, serials: Sequence[str] | None = None
 ) -> list[tuple[UnitEntry, bool]]:
-    """Return units of a lot by serial, each with whether its verdict is that of its calibration in use."""
-    standing = StandingQuery.of(connection, lot_id, serials)
-    rows = connection.execute(select(table := standing.table(serials)).order_by(table.c.serial)).mappings().all()
+    """Return units of a lot by serial, each with whether its calibration in use is judged."""
+    standing = StandingQuery.of(database, lot_id, serials)
+    rows = database.rows(select(table := standing.table(serials)).order_by(table.c.serial))
     known = {row["serial"] for row in rows}
     # A damaged index hides rows without a word.
     for results in (in_use, refusals):
         query = select(results.c.serial).where(*given((results.c.lot_id, lot_id), (results.c.serial, serials)))
-        if lost := sorted({*connection.execute(query.distinct()).scalars()} - known):
+        if lost := sorted({*database.values(query.distinct())} - known):
             raise damaged(f"unit {lost[0]} of lot {lot_id} has a result and was not found itself")
-    return [(standing.entry(connection, row), bool(row["is_made"])) for row in rows]
+    return [(standing.entry(row), bool(row["is_made"])) for row in rows]
 
 
 def record_of(row: sa.RowMapping, arrays: Mapping[str, Any], settings: Settings) -> CalibrationRecord:

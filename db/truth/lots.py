@@ -1,4 +1,4 @@
-"""Lots, their units, and in versions their limits and their rules at the line: who set them, when and why."""
+"""Lots, their units, and in versions their limits and rules: who set them, when and why."""
 
 from dataclasses import replace
 from datetime import datetime
@@ -31,18 +31,18 @@ class LotTables(RegistryBase):
             InputError: a lot of this id with other facts is registered.
         """
         facts = {name: value for name, value in lot.settings().items() if name != "limit_rmse"}
-        with self.database.writing() as connection:
-            known = connection.execute(select(lots).where(lots.c.id == lot.id)).mappings().first()
+        with self.database.writing():
+            known = self.database.row(select(lots).where(lots.c.id == lot.id))
             if known is None:
                 values = {"id": lot.id, **facts, "added_at": self.settings.clock()}
-                self._store(connection, lots, values, "add", actor)
+                self._store(lots, values, "add", actor)
             elif others := [name for name, value in facts.items() if known[name] != value]:
                 name = others[0]
                 raise InputError(
                     f"lot {lot.id!r} is registered with {name} = {known[name]!r}, now it is {facts[name]!r}; "
                     "correct lot.toml, or give the new lot an id of its own"
                 )
-            self._add_unit(connection, lot.id, lot.source, "source", actor)
+            self._add_unit(lot.id, lot.source, "source", actor)
             versions = self.limit_versions(lot.id)
             stated = [entry.rmse for entry in versions if entry.reason == STATED]
             # A lot that was read from the registry states the limit in force; that is no new one.
@@ -60,8 +60,8 @@ class LotTables(RegistryBase):
 
     def get(self, lot_id: str) -> Lot:
         """Return one lot, or raise `InputError` naming the known ones."""
-        with self.database.reading() as connection:
-            return self._lot(self._lot_row(connection, lot_id))
+        with self.database.reading():
+            return self._lot(self._lot_row(lot_id))
 
     def units(self, lot_id: str | None = None, serial: str | None = None) -> list[UnitEntry]:
         """Return units with their newest result, by lot and serial: of one lot, of one serial, or all of them.
@@ -69,15 +69,15 @@ class LotTables(RegistryBase):
         Raises:
             InputError: the lot or the serial is not in the registry.
         """
-        with self.database.reading() as connection:
+        with self.database.reading():
             if lot_id is not None:
-                self._lot_row(connection, lot_id)
+                self._lot_row(lot_id)
             if serial is not None:
-                self._known_serial(connection, serial)
-            known = self.ids() if serial is None else lots_of(connection, serial)
+                self._known_serial(serial)
+            known = self.ids() if serial is None else lots_of(self.database, serial)
             in_lots = known if lot_id is None else [lot_id]
             serials = None if serial is None else [serial]
-            return [unit for name in in_lots for unit, _ in standing_units(connection, name, serials)]
+            return [unit for name in in_lots for unit, _ in standing_units(self.database, name, serials)]
 
     def runs(self, lot_id: str, serial: str | None = None) -> list[RunEntry]:
         """Return every result of a lot's units, or of one of them, in time order, with units that got no map.
@@ -91,10 +91,10 @@ class LotTables(RegistryBase):
         refused = select(r.serial, r.made_at, r.verdict, r.reasons)
         refused = refused.where(*given((r.lot_id, lot_id), (r.serial, serial)))
         serials = None if serial is None else [serial]
-        with self.database.reading() as connection:
-            self._lot_row(connection, lot_id)
+        with self.database.reading():
+            self._lot_row(lot_id)
             rows = [dict(row) for query in (made, refused) for row in self.database.rows(query)]
-            stands = {unit.serial: unit for unit, _ in standing_units(connection, lot_id, serials)}
+            stands = {unit.serial: unit for unit, _ in standing_units(self.database, lot_id, serials)}
         presses: dict[object, RunEntry] = {}
         for number, row in enumerate(sorted(rows, key=lambda row: (row["made_at"], row["serial"]))):
             press = (row["serial"], row.pop("recording_sha256", number))
@@ -136,19 +136,19 @@ class LotTables(RegistryBase):
         """
         if rmse is not None and not 0 < rmse < float("inf"):
             raise InputError(f"limit {rmse}; a positive number was expected")
-        with self.database.writing() as connection:
-            self._lot_row(connection, lot_id)
+        with self.database.writing():
+            self._lot_row(lot_id)
             newest = self.limit(lot_id)
             changed = f"the limit of lot {lot_id!r} was changed to {newest and newest.rmse}"
             version, made_at = self._next_version(newest, expected_version, changed)
             entry = LimitEntry(lot_id, version, rmse, made_at, self._actor(actor), reason)
             values = {**vars(entry), "origin": self.origin}
             before = vars(newest) if newest else None
-            self._store(connection, limits, values, "set_limit", actor, reason, before)
+            self._store(limits, values, "set_limit", actor, reason, before)
             return entry
 
     def line_rules(self, lot: Lot) -> LineRules:
-        """Return the rules of a lot that hold now; where nobody set any, those that follow from the lot."""
+        """Return the rules of a lot that hold; where nobody set any, those that follow from it."""
         versions = self.line_rules_versions(lot.id)
         return versions[-1].rules if versions else rules_for(lot)
 
@@ -177,21 +177,21 @@ class LotTables(RegistryBase):
         """
         if not reason.strip():
             raise InputError("a change of the line's rules needs a reason; nothing was changed")
-        with self.database.writing() as connection:
-            self._lot_row(connection, lot_id)
+        with self.database.writing():
+            self._lot_row(lot_id)
             newest = next(iter(reversed(self.line_rules_versions(lot_id))), None)
             changed = f"the rules of lot {lot_id!r} were changed"
             version, made_at = self._next_version(newest, expected_version, changed)
             entry = LineRulesEntry(lot_id, version, rules, made_at, self._actor(actor), reason)
             values = {**vars(entry), "rules": rules.settings(), "origin": self.origin}
             before = {"version": newest.version, "rules": newest.rules.settings()} if newest else None
-            self._store(connection, line_rules, values, "set_rules", actor, reason, before)
+            self._store(line_rules, values, "set_rules", actor, reason, before)
             return entry
 
     def _next_version(
         self, newest: LimitEntry | LineRulesEntry | None, expected: int | None, changed: str
     ) -> tuple[int, datetime]:
-        """Return number and time of the version after the newest, which must be the one that was expected, if any."""
+        """Return number and time of the version after the newest, which must be the expected one."""
         if newest is None:
             return 1, self._after(None)
         if expected not in (None, newest.version):

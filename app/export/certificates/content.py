@@ -96,7 +96,7 @@ SIMULATED = (
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """U_est: expanded uncertainty (k = 2) of an estimate in one band of its range, mean over the unit's recording."""
+    """U_est (k = 2) of an estimate in one band of its range, mean over the unit's recording."""
 
     low: float
     high: float
@@ -182,13 +182,13 @@ class Certificate:
         return self.measured or self.forecast
 
     def interval_of(self, error: ErrorForecast) -> tuple[float, float] | None:
-        """Return the 95 % interval of an error; None where it is not known, or is what other units' audits leave."""
+        """Return the 95 % interval of an error; None where it is not known, or audits leave it."""
         is_known = np.isfinite(error.upper) and not (self.is_sampled and error is self.forecast)
         return (error.lower, error.upper) if is_known else None
 
     @property
     def deciding(self) -> list[tuple[str, float, str]]:
-        """The numbers of the decision rule: name with its symbol first, value, and a note where one is needed."""
+        """The numbers of the decision rule: name with its symbol, value, and a note."""
         numbers = []
         if self.error is not None and np.isfinite(self.error.upper):
             numbers += [
@@ -450,7 +450,7 @@ def _by_audits(record: CalibrationRecord, unit: str) -> str:
 
 
 def _covered(found: Estimate, source: Array) -> tuple[float, float]:
-    """Return the part of the source's range that the unit's own recording reaches; all of it where it reaches none."""
+    """Return the part of the source's range that the unit's recording reaches; all where none."""
     low, high = float(source.min()), float(source.max())
     inside = found.estimate[(found.estimate >= low) & (found.estimate <= high)]
     return (float(inside.min()), float(inside.max())) if len(inside) else (low, high)

@@ -1,4 +1,4 @@
-"""The certificate as a Digital Calibration Certificate of the PTB (XML, schema 3.1.2) with D-SI units."""
+"""The certificate as a Digital Calibration Certificate (PTB, XML, schema 3.1.2) with D-SI units."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
@@ -7,7 +7,7 @@ from softcal.app.export.certificates.content import DECISION_RULE, ONLY_THIS, SI
 from softcal.app.export.certificates.laboratory import NOT_STATED, Party
 
 SCHEMA_VERSION = "3.1.2"
-"""Each schema accepts its own version alone: another one is another writer, never another number here."""
+"""Each schema accepts its own version alone: another one is another writer."""
 
 DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"
 

@@ -1,4 +1,4 @@
-"""Fonts of a certificate: ReportLab's own for Latin letters, one of the computer's for everything else; embedded."""
+"""Embedded fonts: ReportLab's own for Latin letters, one of the computer's for all else."""
 
 import html
 import itertools
@@ -27,7 +27,7 @@ CANDIDATES = {
 
 @cache
 def register() -> None:
-    """Make the two built-in fonts known to ReportLab, and what every drawing begins with: its own is never embedded."""
+    """Make the two built-in fonts known to ReportLab, and the one every drawing begins with."""
     for name in (PLAIN, BOLD):
         pdfmetrics.registerFont(TTFont(name, f"{name}.ttf"))
     STATE_DEFAULTS["fontName"] = PLAIN
@@ -70,7 +70,7 @@ def _registered(place: str) -> bool:
 
 
 def marked_up(text: str) -> str:
-    """Return a text as ReportLab's paragraph markup, every run of letters in a font that has them."""
+    """Return a text as ReportLab's markup, every run of letters in a font that has them."""
     register()
     runs = itertools.groupby(text, key=lambda character: has_all(PLAIN, character))
     return "".join(_run("".join(characters), is_plain) for is_plain, characters in runs)

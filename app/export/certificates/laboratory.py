@@ -1,4 +1,4 @@
-"""Who calibrates, for whom, where and in which condition: a TOML file people keep beside their station."""
+"""Who calibrates, for whom, where and how: a TOML file people keep beside their station."""
 
 from dataclasses import dataclass, fields
 from datetime import date
@@ -132,7 +132,7 @@ def read_laboratory(path: Path | None) -> Laboratory:
 
 
 def kept_laboratory() -> Path | None:
-    """Return the file with what this machine's pages put on every certificate; None before it was filled in."""
+    """Return the file of what this machine puts on every certificate; None before it is filled in."""
     file = data_folder() / LABORATORY
     return file if file.is_file() else None
 

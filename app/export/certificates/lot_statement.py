@@ -1,4 +1,4 @@
-"""The statement on a lot as one page for people: what is promised, on what evidence, at what risk, and what is not."""
+"""The statement on a lot as one page: what is promised, on what evidence, at what risk."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ from softcal.db.registry import Registry
 
 GIVEN, NOT_GIVEN = "#1b7f3b", "#b3261e"
 MOST_AUDITS, MOST_SERIALS, MOST_KEPT_BACK = 10, 20, 6
-"""Rows and serials that fit one page; the rest stand in the registry, and the page says how many."""
+"""Rows and serials that fit one page; of the rest the page says how many."""
 
 ENGLISH: Words = partial(text, "en")
 
@@ -173,7 +173,7 @@ def _audit_table(facts: LotStatementFacts, words: Words) -> Flowable:
 
 
 def _cell(text: str) -> str | Flowable:
-    """Return a text as it stands, which is lower than a paragraph, where the page's own font has its letters."""
+    """Return a text as it stands, lower than a paragraph, where the page's font has its letters."""
     return text if has_all(PLAIN, text) else parts.paragraph(text, 7)
 
 

@@ -44,7 +44,7 @@ class Document:
 
 
 def document_pdf(story: Sequence[Flowable], page: Document) -> bytes:
-    """Return a story as a PDF: vector text with embedded fonts, the same bytes for the same story."""
+    """Return a story as a PDF with embedded fonts: the same bytes for the same story."""
     register()
     buffer = io.BytesIO()
     document = SimpleDocTemplate(
@@ -70,7 +70,7 @@ def document_pdf(story: Sequence[Flowable], page: Document) -> bytes:
 
 
 class _NumberedCanvas(Canvas):  # type: ignore[misc]
-    """Knows the number of pages when it writes `Page 1 of 2`: pages are held back until all are laid out."""
+    """Holds pages back until all are laid out, to write `Page 1 of 2`."""
 
     def __init__(self, *arguments: object, page: Document, **options: object) -> None:
         super().__init__(*arguments, **options)
@@ -136,7 +136,7 @@ def grid(size: float) -> TableStyle:
 
 
 EMBEDDED = ("FONT", (0, 0), (-1, -1), PLAIN, 8)
-"""A table names a font even where it writes nothing with it: never ReportLab's own, which no file embeds."""
+"""A table names a font even where it writes nothing: never ReportLab's own, not embedded."""
 
 
 def flush() -> TableStyle:
@@ -171,7 +171,7 @@ class Attachment:
 
 
 def archival(content: bytes, page: Document, attached: Attachment | None = None) -> bytes:
-    """Return a PDF as PDF/A-3, with a file inside where one is given: the same bytes for the same facts."""
+    """Return a PDF as PDF/A-3, with a file inside where one is given."""
     made_at = datetime.combine(page.made_on, time(), UTC)
     result = io.BytesIO()
     with pikepdf.open(io.BytesIO(content)) as pdf:
@@ -184,7 +184,7 @@ def archival(content: bytes, page: Document, attached: Attachment | None = None)
 
 
 def _describe(pdf: pikepdf.Pdf, page: Document, made_at: datetime) -> None:
-    """Write the metadata twice, as XMP and in the old dictionary: a reader may look at either, and they must agree."""
+    """Write the metadata as XMP and in the old dictionary: a reader may look at either."""
     stamp = f"D:{made_at:%Y%m%d%H%M%S}+00'00'"
     told = {"/Title": page.title, "/Author": page.author, "/Creator": page.software, "/Producer": page.software}
     with pdf.open_metadata(set_pikepdf_as_editor=False, update_docinfo=False) as metadata:

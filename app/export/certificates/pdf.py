@@ -1,4 +1,4 @@
-"""The certificate as a PDF for people: vector plots, embedded fonts, the same bytes for the same facts."""
+"""The certificate as a PDF for people: the same bytes for the same facts."""
 
 from reportlab.graphics.barcode.qr import QrCodeWidget
 from reportlab.graphics.shapes import Drawing
