@@ -29,8 +29,8 @@ class UnitEntry:
         revision, family, map_sha256, predicted_rmse, before_rmse, after_rmse, own_rmse: of the newest calibration of
             this lot; None while there is none.
         made_at: when the newest result was made, UTC.
-        is_conflict: two registries put different maps into use; `history` shows both, and a person has to decide.
-        is_stale: its calibration was made with another method than this version's; a batch makes it anew.
+        is_conflict: two registries put different maps into use; a person has to decide.
+        is_stale: its calibration was made with another method; a batch makes it anew.
     """
 
     lot_id: str
@@ -71,7 +71,7 @@ class StoredCalibration:
         rolled_back_to: the older revision this one repeats, for a rollback.
         origin: the registry that wrote it.
         is_current: this is the map in use in its lot. None is while two registries disagree.
-        is_conflict: two registries put different maps into use, this one among them; a person has to decide.
+        is_conflict: this map and another one are in use; a person has to decide.
     """
 
     record: "CalibrationRecord"
@@ -95,17 +95,17 @@ class MadeCalibration:
     """One revision as a report needs it: light, so that a lot of ten thousand fits into memory.
 
     Args:
-        predicted_rmse, before_rmse, after_rmse, own_rmse: in the lot's reference unit; None where there is none.
+        predicted_rmse, before_rmse, after_rmse, own_rmse: in the lot's reference unit.
         knowledge: how its loads are known.
         decision: what was predicted and what was measured.
         method_id: the method it was made with; empty where an older version kept none.
         forecast_rmse: forecast before audits of other units scaled it.
         load_rms: RMS load above rest that its recording shows; None in records of older versions.
-        audit: what its audit says beside the error; None without one, and in records of older versions.
+        audit: what its audit says beside the error; None in older versions, too.
         audit_line: gain and zero with which its fitted map reads the loads of its audit.
         output_level: where the output of its recording stands; None in records of older versions.
         is_open: whether nothing that was found stands against it, whatever its forecast.
-        common_line: gain and zero that were taken off its map, as audited units misread them alike; None where none.
+        common_line: gain and zero taken off its map, as audited units misread alike.
     """
 
     serial: str
@@ -152,7 +152,7 @@ class UnitStanding:
     Args:
         verdict, reasons: of the calibration in use, or of a newer refusal.
         made_at: when that was stated, UTC.
-        made: the calibration in use; None where the newest result is a refusal, or two maps are in conflict.
+        made: the calibration in use; None after a refusal, or in a conflict.
     """
 
     serial: str
@@ -206,7 +206,7 @@ class LimitEntry:
 
     Args:
         version: 1, 2, 3 ... per lot.
-        rmse: largest acceptable error in the lot's reference unit; None leaves it to the source's own error.
+        rmse: largest acceptable error in the lot's unit; None: the source's own error.
     """
 
     lot_id: str
@@ -257,7 +257,7 @@ class Anchor:
 
 @dataclass(frozen=True)
 class CellCertificate:
-    """A load cell's calibration certificate, as far as the station's gate and the uncertainty budget need it.
+    """A load cell's certificate, as far as the gate and the uncertainty budget need it.
 
     Args:
         issued_on, due_on: first day it holds, first day it no longer holds.
@@ -289,7 +289,7 @@ class GoldenRun:
     """One check of a station with a golden unit.
 
     Args:
-        value: what is charted, for example the mean error against the unit's own calibration, in `unit`.
+        value: what is charted, such as the mean error, in `unit`.
         passed: whether it was inside the limits that held then; `reasons` say why not.
     """
 

@@ -1,4 +1,4 @@
-"""The registry in the words of the factory: lots, units, recordings, networks, calibrations and who did what.
+"""The registry in the words of the factory: lots, units, recordings, maps, who did what.
 
 Every change is one transaction with its row of the audit trail. What is stored is never changed: a correction is a new
 row. Everything given back is a value of its own, never a row.
@@ -111,7 +111,7 @@ class Registry(RegistryBase):
 
     @contextmanager
     def part(self) -> Iterator[None]:
-        """Keep everything done in the block or nothing of it, inside a transaction that goes on either way.
+        """Keep all of the block or nothing, inside a transaction that goes on either way.
 
         Raises:
             InputError: a value that the database cannot take.

@@ -1,4 +1,4 @@
-"""The one source of events: rows of the audit trail, told so that a program outside can act on them.
+"""The one source of events: rows of the audit trail, told so that a program can act.
 
 An event is written in the transaction of the change it tells of, so none is lost and none is made up. Its id is the
 place of its row in the trail: who gets it twice knows it by that.

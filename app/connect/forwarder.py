@@ -65,9 +65,9 @@ def delay_s(failures: int) -> float:
 
 
 class Forwarder:
-    """Brings events to one destination; its place is in the registry, so that a restart goes on where it was.
+    """Brings events to one destination; its place is in the registry, for a restart.
 
-    A destination is served by one forwarder at a time; another one on the same registry waits until it is free.
+    A destination is served by one forwarder at a time; another one waits.
     """
 
     def __init__(self, registry: Registry, destination: Destination, clock: Callable[[], datetime]) -> None:

@@ -1,10 +1,10 @@
-"""Events, states and live estimates over MQTT (OASIS MQTT 3.1.1), quality of service 1: each is confirmed.
+"""Events, states and live estimates over MQTT 3.1.1 (OASIS), QoS 1: each is confirmed.
 
 Topics below the one of the settings:
 - `status`: `online`, or `offline` once this publisher is gone (retained, last will);
 - `events`: every event as CloudEvents JSON;
 - `lots/LOT/units/SERIAL/verdict`: the newest verdict of a unit (retained);
-- `alerts/KIND/LOT/ABOUT`: an open alert (retained; empty once it is over), `-` where it has no lot or no such part;
+- `alerts/KIND/LOT/ABOUT`: an open alert (retained; empty once over), `-` where it has none;
 - `stations/STATION/state`: what a station says of itself (retained);
 - `units/SERIAL/estimate`: live estimates, the newest one retained.
 """
@@ -49,7 +49,7 @@ States = Callable[[], Sequence[Message]]
 
 @contextmanager
 def open_mqtt(settings: MqttSettings, states: States = tuple) -> Iterator["MqttSender"]:
-    """Connect to the broker; the status is `online` inside the block and `offline` after it, however it ends.
+    """Connect to the broker; the status is `online` inside the block, then `offline`.
 
     Args:
         states: gives the states that are published whenever they have changed.
@@ -120,7 +120,7 @@ class MqttSender:
             time.sleep(0.01)
 
     def send(self, events: Sequence[RegistryEvent]) -> None:
-        """Publish events with the states they change, and the states that have changed by themselves.
+        """Publish events with the states they change, and other states that changed.
 
         Raises:
             NotDelivered: the broker did not confirm them all, or has ended the connection.
@@ -182,7 +182,7 @@ def json_text(value: object) -> str:
 
 
 def publish_estimates(lines: Iterable[str], serial: str, settings: MqttSettings, most_per_s: float) -> tuple[int, int]:
-    """Publish rows of estimates until they end; return how many were published and how many were left out.
+    """Publish rows of estimates; return how many were published and left out.
 
     A live value is worth nothing later: what comes faster than `most_per_s`, and what comes while the broker is away,
     is left out. The rows themselves are whole in the output of `softcal adapt`.

@@ -45,7 +45,7 @@ def run_connect(
     """Serve all destinations until `over` is set.
 
     Raises:
-        InputError: there is nothing to do, a secret or certificate cannot be read, or nobody can listen.
+        InputError: nothing to do, an unreadable secret or certificate, or a taken port.
     """
     works: list[Callable[[], None]] = [
         partial(forward, registry, one, _now, over, EVERY_S, on_trouble) for one in destinations(registry, settings)
@@ -67,7 +67,7 @@ def run_connect(
 
 
 def reach(settings: ConnectSettings) -> Iterator[str]:
-    """Try every destination once without sending anything; give the name of each once it was reached.
+    """Try every destination once, sending nothing; give the name of each once reached.
 
     Raises:
         InputError: one was not; the line says which, and why.

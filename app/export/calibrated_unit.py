@@ -35,12 +35,12 @@ class ExportOptions:
         device: limits of the device form.
         unit_address, network_address: where `hex` places the files.
         release: which verdicts release device files.
-        failed_too: write device files of every unit, for the laboratory; each file says its verdict.
+        failed_too: write device files of every unit, for the laboratory.
         revision: an older calibration; None is the one in use.
         lot_id: lot of the units; needed where a serial stands in several.
         signing_key: opened key that signs the manifest and every certificate.
-        laboratory: TOML with laboratory, customer, responsible person and load cell, for certificates.
-        issued_on: date of issue of certificates; None leaves it to the laboratory file, else it is today.
+        laboratory: TOML with laboratory, customer, person and load cell.
+        issued_on: of certificates; None: as the laboratory file says, else today.
     """
 
     adc_bits: int | None = None
@@ -96,10 +96,10 @@ class SharedNetwork:
 
 @dataclass(frozen=True, eq=False)
 class CalibratedUnit:
-    """A unit as the registry knows it; what exports derive from it is made once and only when asked for.
+    """A unit as the registry knows it; what exports derive is made once, when asked for.
 
     Args:
-        stored: the calibration that is exported: the one in use, or an older one that was asked for.
+        stored: the calibration to export: the one in use, or one asked for.
         in_registry_since: UTC day its recording came into the registry.
         standing: how the unit stands now, whichever calibration that is.
     """
@@ -153,7 +153,7 @@ class CalibratedUnit:
         return self.stored.record.reasons if self.options.revision is not None else self.standing.reasons
 
     def check_stands(self) -> None:
-        """Raise `UnitRefused` where the unit's newest result is no calibration: its map is no longer the answer.
+        """Raise `UnitRefused` where the unit's newest result is no calibration.
 
         Who names a revision asks for that one, whatever came after it.
         """

@@ -25,9 +25,9 @@ class FolderCheck:
     Args:
         files: files the manifest lists.
         opened: units whose device files were opened with all self-tests.
-        incomplete: one line for each file that is missing, or that nobody exported; empty: nothing more, nothing less.
-        changed: one line for each file that is not what was exported, or that a device would refuse.
-        signed_by: name and fingerprint of the key, or NOT_SIGNED, NOT_CHECKED (no key was given) or WRONG.
+        incomplete: one line for each file that is missing, or that nobody exported.
+        changed: one line for each file that was changed, or that a device would refuse.
+        signed_by: name and fingerprint, or NOT_SIGNED, NOT_CHECKED (no key) or WRONG.
         signature_problem: why a signature does not hold.
         signed_on: what the signed manifest says of the day.
     """
@@ -65,7 +65,7 @@ def _yes(problems: tuple[str, ...], how: str) -> str:
 
 
 def check_folder(folder: Path, trusted: Sequence[TrustedKey] = ()) -> FolderCheck:
-    """Check a folder against its manifest, every device file by opening it, and the signatures where keys are given.
+    """Check a folder against its manifest, its device files by opening them, signatures by keys.
 
     Raises:
         InputError: there is no manifest, or it lists a file twice or outside the folder.

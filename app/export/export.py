@@ -25,7 +25,7 @@ class ExportedUnit:
     Args:
         files: names of the files in the folder.
         refusal: why files that give numbers were not written; None where all were.
-        device: sizes and errors of the device form; empty where none was asked for or it was refused.
+        device: sizes and errors of the device form; empty without one.
     """
 
     serial: str

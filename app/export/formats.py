@@ -176,10 +176,10 @@ WRITERS: Mapping[str, Writer] = dict(
 def writer_of(name: str) -> Writer:
     """Return what writes a format, its own or a plug-in's.
 
-    It raises `UnitRefused` for a unit that has no such file: its newest result, its verdict or its map forbids it.
+    It raises `UnitRefused` where result, verdict or map of a unit forbid such a file.
 
     Raises:
-        InputError: no such format, a plug-in that cannot be loaded, or one that takes the name of an own format.
+        InputError: no such format, or a plug-in that cannot be loaded or takes a name.
     """
     points = [point for point in installed(GROUP) if point.name == name]
     if name in WRITERS and not points:

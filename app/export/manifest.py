@@ -1,4 +1,4 @@
-"""The manifest of an export folder: every file with its hash, every unit with what it is; signed with a key.
+"""The manifest of an export folder: every file with its hash, every unit; signed.
 
 Files of units that are no longer released are taken back here: a later verdict that is worse wins.
 """
@@ -83,7 +83,7 @@ def read_manifest(folder: Path) -> Manifest:
     """Read a folder's manifest; an empty one where there is none yet.
 
     Raises:
-        InputError: what stands there is no manifest of softcal, lists a file twice, or names one that is elsewhere.
+        InputError: no manifest of softcal; it lists a file twice, or one elsewhere.
     """
     path = folder / NAME
     if not path.exists():
@@ -116,7 +116,7 @@ def write_manifest(folder: Path, manifest: Manifest, key: SigningKey | None) -> 
 
 
 def withdraw_units(folder: Path, released: Collection[str], verdicts: Mapping[str, str]) -> list[str]:
-    """Remove the files of units that are not released, and say so in the manifest; return their serials.
+    """Remove the files of units that are not released; return their serials.
 
     Args:
         folder: an export folder; nothing happens where there is none yet.

@@ -32,7 +32,7 @@ class TrustedKey:
     """A public key somebody trusts.
 
     Args:
-        valid_from, valid_until: first day it signs, first day it no longer does; None for no such day.
+        valid_from, valid_until: first day it signs, first day it no longer does.
     """
 
     key: Ed25519PublicKey
@@ -60,7 +60,7 @@ def open_signing_key(
 
     Args:
         key_file: the key, encrypted or not.
-        passphrase_file: its first line opens an encrypted key; without one SOFTCAL_SIGNING_PASSPHRASE does.
+        passphrase_file: its first line opens the key, else SOFTCAL_SIGNING_PASSPHRASE.
         ask: asks a person for the passphrase where there is neither; None: there is nobody to ask.
 
     Raises:

@@ -1,4 +1,4 @@
-"""The binary files `network-<id>.ssc` and `unit-<serial>.ssc`, format 1.3: values ⇄ bytes. No file I/O here.
+"""The binary files `network-<id>.ssc` and `unit-<serial>.ssc`, format 1.3: values ⇄ bytes.
 
 The layout, byte by byte, and what a reader has to check are written down in docs/format.md.
 """
@@ -90,11 +90,11 @@ class Band:
 
 @dataclass(frozen=True)
 class AdaptLimits:
-    """Two anchor levels of the mapped samples at calibration, in source counts; and bounds that older firmware read.
+    """Two anchor levels of the mapped samples, in source counts; bounds for older firmware.
 
     Args:
         low, high: the level that a trim's gain turns about, and that of the top.
-        gain, offset: what older firmware may change by itself, in 2^-15 and in source counts; written as 0.
+        gain, offset: what older firmware may change, in 2^-15 and counts; written as 0.
     """
 
     low: int
@@ -170,7 +170,7 @@ class NetworkFile:
 
     @cached_property
     def id(self) -> bytes:
-        """First 8 bytes of the SHA-256 of the body without levels: what ties unit files to this file.
+        """First 8 bytes of the SHA-256 of the body without levels: it ties unit files to it.
 
         So unit files made before a network file had levels stay its own.
         """
@@ -248,7 +248,7 @@ def longest_step_ms(period_us: int) -> int:
 def serial_field(serial: str) -> bytes:
     """Return the 20-byte serial of a file.
 
-    A serial over 20 characters becomes its first 11, a tilde and 8 hex digits of its SHA-256; no serial holds a tilde.
+    A serial over 20 characters becomes its first 11, a tilde and 8 hex digits of its SHA-256.
     """
     raw = serial.encode("ascii")
     if len(raw) > SERIAL_BYTES:

@@ -1,4 +1,4 @@
-"""Any map γ in a small form an end device can hold: a curve on samples with few knots, a mix of shapes on windows.
+"""Any map γ in a small form: a curve on samples with few knots, a mix of shapes on windows.
 
 The form is judged where it matters: by what it changes in the estimate on the unit's own recording.
 """
@@ -127,7 +127,7 @@ class CompiledMap:
     """A device form of γ and what it costs.
 
     Args:
-        rms_deviation, max_deviation: of f after the form against f∘γ on the unit's own windows, in reference units.
+        rms_deviation, max_deviation: of f after the form against f∘γ, in reference units.
     """
 
     form: MapForm
@@ -206,13 +206,13 @@ def compile_map(
     forms: Forms = device_forms,
     clear: float = math.inf,
 ) -> CompiledMap:
-    """Compile γ: the first of the forms that is as good as exact, else the nearest one within the limit.
+    """Compile γ: the first form that is as good as exact, else the nearest in the limit.
 
     Args:
         network: the shared network f.
         recording: the unit's own recording; the deviation is measured on its windows.
         limit: largest rms deviation of the estimate, in the network's reference unit.
-        clear: largest deviation, in the same unit, of a form that is taken without trying those after it.
+        clear: largest deviation of a form that is taken without trying others.
 
     Raises:
         UnitRefused: no form stays within the limit; the message states the best one's deviation.

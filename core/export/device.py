@@ -42,8 +42,8 @@ class DeviceOptions:
 
     Args:
         scale: meaning of the device's codes; None covers the unit's output with a round full scale.
-        compile_limit: largest rms change of the estimate by the device form, as a share of the predicted error.
-        unit_bytes: 256, 512 or 1024, the most a unit file may take; None takes the least that holds `GOAL`.
+        compile_limit: largest rms change of the estimate, as a share of the forecast.
+        unit_bytes: the most a unit file may take; None: the least that holds `GOAL`.
     """
 
     scale: InputScale | None = None
@@ -58,7 +58,7 @@ class UnitFacts:
     Args:
         time_s: when it was made, Unix time in s.
         recording: the unit's own recording.
-        lower, upper: (m,) ends of the 90 % interval of f∘γ at every window of `recording`, in reference units.
+        lower, upper: (m,) the 90 % interval of f∘γ at every window, in reference units.
         predicted_rmse: forecast of the error in reference units; None where there is none.
     """
 
@@ -93,7 +93,7 @@ class DeviceUnit:
 
 
 def build_network_file(network: Network, source: LabelledRecording) -> NetworkFile:
-    """Make the shared file of a lot from f and the source recording it was trained on; the same input, the same bytes.
+    """Make the shared file of a lot from f and its source: the same input, the same bytes.
 
     Raises:
         UnitRefused: f is too large for the format, or has no integer form without overflow.
@@ -135,8 +135,16 @@ def sample_period_us(source: LabelledRecording) -> int:
 def limits_of_unit(facts: UnitFacts, network: Network, options: DeviceOptions) -> quantise.Limits:
     """Return interval, range (that of its codes) and clamp of a unit in floating point."""
     exact = network.evaluate(facts.unit_map.apply(facts.recording.windows))
-    scale = _as_float32(options.scale or InputScale.covering(network, facts.recording.output))
-    return quantise.limits_of(exact, facts.lower, facts.upper, facts.recording.output, scale)
+    scale = _scale(options, network, facts)
+    code_min, code_max = quantise.code_range(scale, facts.recording.output)
+    low, high, margin = float(exact.min()), float(exact.max()), float(np.ptp(exact)) / 4
+    return quantise.Limits(
+        scale.zero + scale.lsb * (code_min - 0.5),
+        scale.zero + scale.lsb * (code_max + 0.5),
+        low - margin,
+        high + margin,
+        *quantise.reach_by_band(exact, exact - facts.lower, facts.upper - exact),
+    )
 
 
 def build_unit_file(
@@ -145,12 +153,12 @@ def build_unit_file(
     network_file: NetworkFile,
     options: DeviceOptions = DeviceOptions(),  # noqa: B008
 ) -> DeviceUnit:
-    """Compile γ, cut it into integers, measure both on the unit's own recording, and read the result back.
+    """Compile γ, cut it into integers, measure both on the recording, read the file back.
 
-    Without a size the smallest file is taken whose estimates stay within `GOAL`; where none does, the nearest one.
+    Without a size the smallest file within `GOAL` is taken, else the nearest one.
 
     Raises:
-        UnitRefused: γ has no device form within the limit, or its integers are further off than allowed.
+        UnitRefused: no device form, or no integers, within the limit.
     """
     sizes = blob.UNIT_BYTES if options.unit_bytes is None else (options.unit_bytes,)
     best, refusal = None, None
@@ -176,7 +184,7 @@ def _build(
     windows = facts.recording.windows
     exact = quantise.evaluate_float64(network, facts.unit_map.apply(windows))
     limit, goal = device_limit(facts, network, options), GOAL * float(np.ptp(exact))
-    scale = _as_float32(options.scale or InputScale.covering(network, facts.recording.output))
+    scale = _scale(options, network, facts)
     _check_scale(scale, facts)
     compiled = compile_map(facts.unit_map, network, facts.recording, limit, FORMS_OF[size], goal / 2)
     integers = network_file.network
@@ -226,8 +234,9 @@ def device_limit(facts: UnitFacts, network: Network, options: DeviceOptions) -> 
     return 0.01 * float(np.ptp(network.evaluate(facts.unit_map.apply(facts.recording.windows))))
 
 
-def _as_float32(scale: InputScale) -> InputScale:
-    """Hold what the file can hold, so that a reader of the file computes the same codes."""
+def _scale(options: DeviceOptions, network: Network, facts: UnitFacts) -> InputScale:
+    """Return the scale as a file holds it, so that its reader computes the same codes."""
+    scale = options.scale or InputScale.covering(network, facts.recording.output)
     return InputScale(_float32(scale.zero), _float32(scale.lsb))
 
 

@@ -38,7 +38,7 @@ class Graph:
 
 
 def compose(form: MapForm, network: Network, limits: Limits) -> Graph:
-    """Join a compiled map, f and the unit's limits in float32: the curve is a sum of rectified ramps between its knots.
+    """Join a compiled map, f and the unit's limits in float32; the curve is a sum of ramps.
 
     The estimate is clamped, the interval that of its band, the flag a sum of OUT_OF_RANGE and CLAMPED: all as on the
     device.

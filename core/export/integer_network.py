@@ -1,6 +1,6 @@
-"""The arithmetic of the end device in NumPy, integer for integer: layers, the map γ, and the proof against overflow.
+"""The arithmetic of the end device, integer for integer: layers, γ, proof against overflow.
 
-What `firmware/softsensor/softsensor.h` computes is defined here; both give the same integers for every input.
+It defines what `firmware/softsensor/softsensor.h` computes, for every input.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ MULTIPLIER_MIN, MULTIPLIER_MAX = 2**13, 2**14 - 1
 
 @dataclass(frozen=True, eq=False)
 class IntegerLayer:
-    """One layer: accumulate in 32 bits, rectify where asked, requantise by multiplier and shifts, saturate.
+    """One layer: accumulate in 32 bits, rectify where asked, requantise, saturate.
 
     q_out = clip(((acc >> shift1) * multiplier + 2^(shift2 - 1)) >> shift2), acc = bias + Σ weight q_in
 
@@ -69,7 +69,7 @@ class IntegerLayer:
 
 
 def check_no_overflow(layer: IntegerLayer) -> None:
-    """Prove with exact integers that no input within ± 32767 overflows 32 bits anywhere in the layer.
+    """Prove that no input within ± 32767 overflows 32 bits anywhere in the layer.
 
     Raises:
         ValueError: the row for which the proof fails, with its bound.
@@ -150,7 +150,7 @@ SHAPE_CENTRE, SHAPE_HALF = 7, 8
 class IntegerMix:
     """The linear part of a map: out = keep q + Σ_k U_k w_k, with w_k = (weights_k · q >> shift_k) + 64 bias_k, over 64.
 
-    U_k are the Chebyshev polynomials of the second kind at (tap - 7) / 8, summed by Clenshaw's recurrence (1955).
+    U_k: Chebyshev, second kind, at (tap - 7) / 8, by Clenshaw's recurrence (1955).
 
     Args:
         keep: 0 ... 255, in 1/64.

@@ -39,8 +39,9 @@ def network_from_values(values: Mapping[str, Any]) -> NetworkFile:
     """Rebuild a network file; `InputError` where a value is missing or impossible."""
     _check_schema(values, NETWORK_SCHEMA)
     try:
-        known = values.get("levels")
-        levels = known and LoadLevels(int(known["first"]), int(known["step"]), tuple(map(int, known["counts"])))
+        levels = None
+        if (known := values.get("levels")) is not None:
+            levels = LoadLevels(int(known["first"]), int(known["step"]), tuple(map(int, known["counts"])))
         network = IntegerNetwork(
             tuple(_layer_from(layer) for layer in values["layers"]),
             float(values["input_zero"]),

@@ -1,4 +1,4 @@
-"""A calibrated unit from its two files alone, in pure NumPy: what a PC without torch runs, integer for integer.
+"""A calibrated unit from its two files alone, in pure NumPy, integer for integer.
 
 `DeviceSensor.estimate` works on whole recordings; the firmware takes one sample at a time.
 """
@@ -103,7 +103,7 @@ def open_sensor(network: bytes, unit: bytes, serial: str | None = None) -> Devic
 
 
 def join(network_file: NetworkFile, unit_file: UnitFile, serial: str | None = None) -> DeviceSensor:
-    """Open two files that have been read: they must belong together, and every self-test must give its number.
+    """Open two files that have been read: they belong together, and self-tests hold.
 
     Raises:
         FileRefused: the first check that fails.

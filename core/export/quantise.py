@@ -204,31 +204,11 @@ class Limits:
     plus: Array
 
 
-def limits_of(exact: Array, lower: Array, upper: Array, output: Array, scale: InputScale) -> Limits:
-    """Find the limits of a unit from its own recording.
-
-    Args:
-        exact: (m,) f∘γ at every window, in reference units.
-        lower, upper: (m,) ends of its 90 % interval.
-        output: (n,) the recording, in the output unit.
-        scale: of the device's codes; the range is that of the codes.
-    """
-    code_min, code_max = code_range(scale, output)
-    low, high, margin = float(exact.min()), float(exact.max()), float(np.ptp(exact)) / 4
-    return Limits(
-        scale.zero + scale.lsb * (code_min - 0.5),
-        scale.zero + scale.lsb * (code_max + 0.5),
-        low - margin,
-        high + margin,
-        *reach_by_band(exact, exact - lower, upper - exact),
-    )
-
-
 def reach_by_band(estimate: Array | integer.Integers, below: Array, above: Array) -> tuple[Array, Array, Array]:
-    """Return levels between `MAX_BANDS` bands of an estimate, and its mean reach below and above in each.
+    """Return levels between `MAX_BANDS` bands of an estimate, and its mean reach in each.
 
     Args:
-        estimate, below, above: (m,), the reach in any unit; a band without an estimate has that of all.
+        estimate, below, above: (m,), in any unit; an empty band has the reach of all.
     """
     levels = np.linspace(estimate.min(), estimate.max(), MAX_BANDS + 1)[1:-1]
     band = np.searchsorted(levels, estimate, side="left")

@@ -1,4 +1,4 @@
-"""The linear part of a device's map: every window keeps a share of itself and gets a few smooth shapes added.
+"""The linear part of a map: a window keeps a share of itself and gets smooth shapes added.
 
 y = keep x + Σ_k U_k (r_k · x + b_k), U_k the Chebyshev polynomials of the second kind over the taps. A lag, creep, or
 the smoothing of a coarse converter moves a window along smooth shapes; five of them with weights of one byte take the
@@ -182,7 +182,7 @@ class _Normal:
     def to_integers(self, best: Array, step: Array) -> Integers:
         """Return (k, TAPS) integers that in multiples of `step` (k,) cost least more than `best`.
 
-        Rounding each weight by itself lets the level of a window leak; here one weight makes up for another.
+        Rounded by themselves they let a level leak; here one makes up for another.
         """
         split = TAPS * self._count
         free, bound = self._matrix[:split, :split], self._matrix[:split, split:-1]

@@ -64,7 +64,7 @@ class People(RegistryBase):
             pin: digits, at least four; None keeps the one there is.
 
         Raises:
-            InputError: no such role, a PIN too short, or somebody else changed the person since `version`.
+            InputError: no such role, a PIN too short, or another change since `version`.
         """
         if not name.strip():
             raise InputError(Reason("account.no_name"))
@@ -99,7 +99,7 @@ class People(RegistryBase):
         """Return the person when the PIN is right.
 
         Raises:
-            InputError: wrong name or PIN (it does not say which), not active, or a pause after wrong ones.
+            InputError: wrong name or PIN, not active, or a pause after wrong ones.
         """
         with self.database.writing():
             row = _row(self.database, name)
@@ -125,9 +125,9 @@ class People(RegistryBase):
 
 
 def permissions(user: User) -> frozenset[str]:
-    """Return what a person may do: what the role allows, and everything while nobody else has an account.
+    """Return what a person may do: what the role allows; everything while alone.
 
-    Who decides about people could give themselves a second account, so that this gives no right that was not there.
+    Who decides about people could make a second account: no right is new.
     """
     if not user.is_active:
         return frozenset()

@@ -1,6 +1,6 @@
 """Tokens by which programs sign in: each belongs to an account, whose role says what it may.
 
-A token is 256 random bits, so a plain SHA-256 of it cannot be guessed back; the token itself is shown once.
+A token is 256 random bits: its SHA-256 cannot be guessed back. It is shown once.
 """
 
 import hashlib
@@ -32,7 +32,7 @@ class TokenTable(RegistryBase):
         """Make a token for an account; return it and the secret text, which is kept nowhere.
 
         Raises:
-            InputError: no such account, an account that is not active, no purpose, or an impossible number of days.
+            InputError: no such active account, no purpose, or an impossible number of days.
         """
         if not purpose.strip():
             raise InputError("a token needs a purpose: say which program it is for")
@@ -71,7 +71,7 @@ class TokenTable(RegistryBase):
         """Return the account a token belongs to, with the role it has now.
 
         Raises:
-            InputError: unknown, ended or withdrawn, or its account is not active; it does not say which.
+            InputError: unknown, ended, withdrawn, or its account is not active.
             RegistryError: the token stands in the table and not in the audit trail.
         """
         query = select(tokens, users.c.name, users.c.role, users.c.is_active, users.c.version).join(users)

@@ -54,7 +54,7 @@ def restore(path: Path, url: str) -> None:
     other copy of the same backup.
 
     Raises:
-        RegistryError: the backup is missing, damaged or too new, or the target holds a registry already.
+        RegistryError: the backup is missing, damaged or too new, or the target is not empty.
     """
     if not path.is_file():
         raise RegistryError(f"backup {path}: there is no such file")

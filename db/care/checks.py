@@ -35,7 +35,7 @@ def faults(
     anchors: Sequence[Anchor] = (),
     on_step: Callable[[str], None] = lambda _: None,
 ) -> Iterator[str]:
-    """Give one line for every page, row, blob, trigger or link of the audit chain that is not what was written.
+    """Give one line for every page, row, blob, trigger or link that is not what was written.
 
     Args:
         is_quick: leave out what reads every page and every blob.
@@ -164,9 +164,9 @@ def reference_faults(database: Database) -> Iterator[str]:
 
 
 def form_faults(connection: Connection) -> Iterator[str]:
-    """Give a line for every value in other words than softcal's: it reads as the same and is sorted as another.
+    """Give a line for every value in other words than softcal's: it sorts as another.
 
-    Times, JSON and truth values are kept as text and numbers that Python reads in more than one form.
+    Python reads times, JSON and truth values in more than one form.
     """
     dialect = connection.dialect
     for table in (*(metadata.tables[name] for name in AUDITED), audit, users):

@@ -21,7 +21,7 @@ IN_USE_IS_STATED = "0007"
 
 
 def migrate(database: Database, to: str = "head") -> str:
-    """Bring an empty or older database to the newest schema in one transaction; return its revision.
+    """Bring an empty or older database to the newest schema at once; return its revision.
 
     Args:
         to: an older revision, for tests of the upgrade itself.

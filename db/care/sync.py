@@ -37,8 +37,8 @@ class SyncReport:
 
     Args:
         sent, received: rows of the audit trail that went to the other registry and came from there.
-        conflicts: what two registries did to the same thing; both results are kept, and a person has to decide.
-        clocks: registries whose clocks do not agree with this computer's; their order of events is not to be trusted.
+        conflicts: what two registries did to the same thing, for a person to decide.
+        clocks: registries whose clocks are wrong; their order is not to be trusted.
     """
 
     sent: int
@@ -52,7 +52,7 @@ def synchronise(here: RegistryBase, there: RegistryBase) -> SyncReport:
 
     Raises:
         InputError: both are the same registry, or copies of one file that were both written to.
-        RegistryError: a chain is damaged or a connection broke; what came over before is kept, run it again.
+        RegistryError: a chain is damaged or a connection broke; run it again.
     """
     if here.origin == there.origin:
         raise InputError(

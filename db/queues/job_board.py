@@ -1,6 +1,6 @@
-"""Long computations that a page asks for and another process does: request, progress and result as one row each.
+"""Long computations that a page asks for and another process does, as one row each.
 
-The page writes the request and reads how far it is; the process that computes need not know the page, nor outlive it.
+Neither need know, nor outlive, the other.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Orders to stations, the progress of their runs and the stations' heartbeats, as rows that page and station share.
+"""Orders to stations, their progress, and heartbeats, as rows that page and station share.
 
 A page writes an order and reads progress; the station takes orders and writes progress. Neither needs the other to be
 there. One run at a time per station is a unique index of the database, not a rule of a program.
@@ -49,10 +49,10 @@ class OrderQueue(RegistryBase):
     """Orders, runs and heartbeats of a registry's stations. Every call is one short transaction."""
 
     def place(self, order: Order, until_s: float | None = None) -> bool:
-        """Ask a station for something, and return whether it was asked in time; the same id again changes nothing.
+        """Ask a station for something; return whether in time. The same id changes nothing.
 
         Args:
-            until_s: `time.monotonic()` after which it is not asked any more, however long the registry was busy.
+            until_s: `time.monotonic()` after which it is not asked any more.
 
         Raises:
             InputError: the station has a run that is not over.
@@ -132,7 +132,7 @@ class OrderQueue(RegistryBase):
     def interrupt(self, station: str, message: Reason | str) -> list[str]:
         """Mark what a station left running when it died as an error; return the order ids.
 
-        Called by a station that starts. What was queued is cancelled: nothing moves because of an old order.
+        What was queued is cancelled: nothing moves because of an old order.
         """
         ended = {RunState.RUNNING: RunState.ERROR, RunState.QUEUED: RunState.CANCELLED}
         left = select(o.order_id, o.state).where(o.station == station, o.state.in_(OPEN)).order_by(o.created)
@@ -155,7 +155,7 @@ class OrderQueue(RegistryBase):
         """Write that a station lives and what it does.
 
         Args:
-            after: how old the beat of another owner must be; zero for who knows that its process is gone.
+            after: how old the beat of another owner must be; zero: it is known to be gone.
 
         Raises:
             InputError: another process serves this station; ports have one owner.
@@ -202,9 +202,9 @@ class OrderQueue(RegistryBase):
 
 
 class LinePlaces(RegistryBase):
-    """What stands at a line beside its runs, one row a station: every screen of the line shows the same.
+    """What stands at a line beside its runs, a row a station: every screen shows the same.
 
-    A change names the version it was decided on: of two screens that decide at once, one is told to look again.
+    A change names the version it was decided on: of two screens one is told to look again.
     """
 
     def read(self, station: str) -> tuple[int, Mapping[str, Any]]:

@@ -1,6 +1,6 @@
-"""How far each destination outside is in the audit trail: what was sent is behind its cursor, all else waits.
+"""How far each destination is in the audit trail: what is behind its cursor was sent.
 
-The audit trail itself is the outbox: an event cannot be lost that is written in the transaction of its change.
+The trail is the outbox: what is written in the transaction of its change is not lost.
 """
 
 from collections.abc import Mapping
@@ -89,7 +89,7 @@ class Outbox(RegistryBase):
         )
 
     def moved(self, destination: str, cursor: Cursor, delivered: int, holder: str | None = None) -> None:
-        """Write that a destination has everything up to a cursor, `delivered` events of it sent now.
+        """Write that a destination has all up to a cursor, `delivered` events of it now.
 
         Args:
             holder: where it is given and no longer holds the destination, nothing is written: the cursor of who

@@ -79,7 +79,7 @@ class WorkQueue(RegistryBase):
         return new
 
     def claim(self, owner: str, work: WorkSet, count: int, lease_s: float) -> list[WorkItem]:
-        """Take up to `count` items that nobody works on; they are this owner's until the lease runs out.
+        """Take up to `count` free items; they are this owner's until the lease runs out.
 
         Claimants never wait for one another: rows another one is just taking are passed over.
         """

@@ -1,4 +1,4 @@
-"""The database behind a registry URL: checks before opening, settings of SQLite and PostgreSQL, transactions.
+"""The database behind a registry URL: checks before opening, settings, transactions.
 
 Nothing is opened at import. No message of this module contains a password.
 """
@@ -55,7 +55,7 @@ class ConnectionCut(RegistryError):
     """The connection to the server broke.
 
     Args:
-        is_undone: nothing of the transaction was kept; False where it broke while it was being kept.
+        is_undone: nothing was kept; False where it broke in the commit.
     """
 
     def __init__(self, message: str, is_undone: bool) -> None:
@@ -72,7 +72,7 @@ class _Joined(threading.local):
 
 
 class Database:
-    """An open database: short read transactions, and write transactions that come one after another.
+    """An open database: short read transactions, write transactions one after another.
 
     A transaction of this thread is joined by every read inside it, a write transaction by every write, too: several
     steps are seen, kept or lost together.
@@ -160,7 +160,7 @@ class Database:
 
     @contextmanager
     def writing(self, *, in_turn: bool = True) -> Iterator[Connection]:
-        """Give a connection whose changes are committed when the block ends well, and are gone when it raises.
+        """Give a connection whose changes are kept when the block ends well, else gone.
 
         Args:
             in_turn: one writer at a time, as the audit chain needs it. SQLite allows nothing else; PostgreSQL lets
@@ -186,10 +186,10 @@ class Database:
     def once_more(self, action: Callable[[], Answer], *, is_repeatable: bool = False) -> Answer:
         """Do whole transactions, and do them once more where their connection was cut.
 
-        Inside a transaction that goes on around it an action is done once: what came before it is lost, too.
+        Inside an open transaction it is done once: what came before is lost, too.
 
         Args:
-            is_repeatable: doing it twice changes nothing; otherwise it is repeated only where nothing was kept.
+            is_repeatable: twice changes nothing; else repeated only where nothing was kept.
         """
         if self._joined is not None:
             return action()
@@ -272,7 +272,7 @@ def parts(values: Sequence[Part]) -> Iterator[Sequence[Part]]:
 
 
 def open_database(url: str, *, create: bool = True) -> Database:
-    """Connect to an SQLite file, `sqlite://` (in memory) or PostgreSQL, without looking at what is inside.
+    """Connect to an SQLite file, `sqlite://` (in memory) or PostgreSQL, whatever is inside.
 
     Args:
         create: an SQLite file that does not exist is made.

@@ -20,7 +20,7 @@ class AdaptedUnit:
     """A unit in use and the newest step of its adaptation.
 
     Args:
-        steps: how many steps the registry holds of it, on all streams, without states to resume from.
+        steps: how many steps the registry holds of it, without checkpoints.
     """
 
     serial: str
@@ -34,11 +34,11 @@ class AdaptationTables(RegistryBase):
     """The part of the registry that knows adaptations."""
 
     def add(self, serial: str, revision: int, entries: Sequence[Entry], actor: str | None = None) -> int:
-        """Store steps, all or none of them, and return the number of the last one (1, 2, ... per serial).
+        """Store steps, all or none, and return the last one's number (1, 2, ... a serial).
 
         Args:
             revision: the calibration the adaptation started from.
-            entries: JSON values with at least `stream` (its name) and `sample` (the row the step belongs to).
+            entries: JSON values with at least `stream` and `sample` (the row of the step).
 
         Raises:
             InputError: the serial has no such revision.

@@ -44,12 +44,12 @@ class CalibrationTables(InUseTable):
         decided_by: str = "line",
         work_sha256: str | None = None,
     ) -> int:
-        """Store a calibration as the next revision of its serial, put it into use in its lot and return the revision.
+        """Store a calibration as the next revision of its serial and put it into use.
 
         Args:
             decided_by: who puts it into use. A batch and the line ask for what their input gives; what others decide
             (release, trim) stays until another input is asked for.
-            work_sha256: hash of the files and settings it answers, to be found again without reading the files.
+            work_sha256: hash of the files and settings it answers.
 
         Raises:
             InputError: the lot or the network is not registered.
@@ -90,7 +90,7 @@ class CalibrationTables(InUseTable):
         lot_id: str | None = None,
         origin: str | None = None,
     ) -> int:
-        """Bring an older revision back into use, as a new revision that repeats it; return the new one.
+        """Bring an older revision back into use as a new one; return that.
 
         It is also how a person decides between two registries that put different maps into use.
 
@@ -99,7 +99,7 @@ class CalibrationTables(InUseTable):
             origin: registry that made the revision; needed where two made one of this number.
 
         Raises:
-            InputError: no reason, no such serial or revision, more than one that fits, or it is the one in use.
+            InputError: no reason, not one such revision, or it is in use.
         """
         if not reason.strip():
             raise InputError("a rollback needs a reason; nothing was changed")
@@ -162,7 +162,7 @@ class CalibrationTables(InUseTable):
             return self._stored(row)
 
     def history(self, serial: str, lot_id: str | None = None) -> list[StoredCalibration]:
-        """Return every revision of a serial, of one lot or of all, oldest first; a unit that got no map yet has none.
+        """Return every revision of a serial, of one lot or of all, oldest first.
 
         Raises:
             InputError: the serial is not in the registry.
@@ -192,12 +192,12 @@ class CalibrationTables(InUseTable):
         actor: str | None = None,
         work_sha256: str | None = None,
     ) -> None:
-        """Register that a unit got no map (`UnitRefused`, unreadable recording); its verdict is fail or retest.
+        """Register that a unit got no map; its verdict is fail or retest.
 
         The verdict and reasons the unit has already are not written again.
 
         Args:
-            work_sha256: hash of the files and settings it answers; None: asking again may end otherwise.
+            work_sha256: hash of what it answers; None: asking again may end otherwise.
         """
         with self.database.writing():
             self._lot_row(lot_id)

@@ -97,10 +97,10 @@ def rows(
 
 
 def after(database: Database, cursor: Mapping[str, int], count: int) -> list[AuditRow]:
-    """Return up to `count` rows behind a cursor; the order of each chain is kept, between chains the older is first.
+    """Return up to `count` rows behind a cursor; between chains the older is first.
 
     Args:
-        cursor: number of the last row already taken of each chain; a chain it does not name begins at its first row.
+        cursor: number of the last row taken of each chain; 0 where it names none.
     """
     chains = [list(rows(database, origin, cursor.get(origin, 0), count)) for origin in origins(database)]
     # A clock that was set back must not put a row before the one it follows.
@@ -111,7 +111,7 @@ def chain_faults(trail: Iterator[AuditRow], after_seq: int = 0, after_hash: str 
     """Give one line for every row that does not fit its chain.
 
     Args:
-        after_seq, after_hash: the row before the first one, where a chain is not read from its beginning.
+        after_seq, after_hash: the row before the first, of a chain read in part.
     """
     origin, seq, prev_hash = "", after_seq, after_hash
     for row in trail:

@@ -1,10 +1,12 @@
-"""Which calibration a unit uses: statements that follow one another, made by a batch, a line, a person or an upgrade.
+"""Which calibration a unit uses: statements that follow one another.
 
 A unit is a serial of a lot. The newest statement holds. Two registries that were apart may both have made one; where
 they name different maps nobody can say which is right, and a person has to.
 """
 
+import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
@@ -12,10 +14,10 @@ import sqlalchemy as sa
 from sqlalchemy import RowMapping, and_, bindparam, func, select
 
 from softcal.core.errors import InputError
+from softcal.core.words.reason import Reason, reason
 from softcal.db.schema.database import Database, given, parts
 from softcal.db.schema.tables import calibrations, in_use, limits, lots, refusals, units
 from softcal.db.truth import history
-from softcal.db.truth.judged_against import LimitInForce
 from softcal.db.truth.registry_base import RegistryBase, damaged
 
 NEWEST_STATEMENT = (in_use.c.made_at.desc(), in_use.c.number.desc(), in_use.c.origin.desc())
@@ -26,6 +28,12 @@ OF_STATEMENT = and_(
 )
 NEWEST_FIRST = (calibrations.c.made_at.desc(), calibrations.c.revision.desc(), calibrations.c.origin.desc())
 """No registry writes a revision older than the one it follows. The order does not say what is in use."""
+
+STALE = (LIMIT_IS_OTHER, LIMIT_IS_GONE) = ("stale_limit", "stale_limit_open")
+"""Codes of the reasons why a verdict does not stand any more."""
+
+STATED = str(Reason("part.stated"))
+RMSE, ORIGIN = "limit_rmse", "limit_origin"
 
 
 def _of_unit(table: sa.Table, *columns: Any) -> sa.Select[Any]:
@@ -52,13 +60,13 @@ class InUseTable(RegistryBase):
         work_sha256: str | None = None,
         actor: str | None = None,
     ) -> bool:
-        """Put the calibration that was made from an input into use again; False where there is none.
+        """Put the calibration of an input into use again; False where there is none.
 
-        What a person decided since the same input was decided last stays: nothing new was asked. A conflict stays, too.
+        What a person decided since the same input stays: nothing new was asked. So does a conflict.
 
         Args:
             decided_by: who decides: batch or line.
-            work_sha256: hash of the files and settings that ask, to be found again without reading the files.
+            work_sha256: hash of the files and settings that ask.
         """
         c = calibrations.c
         with self.database.writing():
@@ -84,7 +92,7 @@ class InUseTable(RegistryBase):
             return True
 
     def decided_works(self, lot_id: str, serials: Sequence[str]) -> dict[str, str]:
-        """Return the work that each unit's newest result answers, by serial; units without such a result are left out.
+        """Return the work that each unit's newest result answers, by serial.
 
         A refusal that may pass (a worker that died, a disk that was away) answers no work.
         """
@@ -126,7 +134,7 @@ class InUseTable(RegistryBase):
 
         Raises:
             InputError: two registries put different maps into use.
-            RegistryError: the audit trail tells of a statement that was not found: an older one would hold.
+            RegistryError: the audit trail tells of a statement that was not found.
         """
         heads = heads_of(self.database, lot_id, serial)
         # A damaged index hides rows without a word; the audit trail is found by another one.
@@ -232,6 +240,41 @@ def conflicts_of(
     query = query.where(~is_followed.correlate(in_use).exists()).group_by(u.lot_id, u.serial).having(differ)
     query = query.where(*given((u.lot_id, lot_id), (u.serial, serials)))
     return [(lot, name) for lot, name in database.tuples(query.order_by(u.lot_id, u.serial))]
+
+
+@dataclass(frozen=True)
+class LimitInForce:
+    """The limit of a lot as verdicts are held against it.
+
+    Args:
+        rmse: in `unit`; None leaves it to the source's own error.
+        unit: of the lot's reference.
+    """
+
+    rmse: float | None
+    unit: str
+
+    def is_other_in_sql(self) -> sa.ColumnElement[bool]:
+        """Return whether a calibration was judged against another limit, by its evidence (JSON).
+
+        Older versions did not keep it.
+        """
+        text = sa.type_coerce(calibrations.c.evidence, sa.Text)
+
+        def says(name: str, value: object) -> sa.ColumnElement[bool]:
+            pair = json.dumps({name: value}, separators=(",", ":"))[1:-1]
+            return sa.or_(*(text.contains(f"{pair}{end}", autoescape=True) for end in ",}"))
+
+        if self.rmse is None:
+            return says(ORIGIN, STATED)
+        return and_(text.contains(f'"{RMSE}":', autoescape=True), ~says(RMSE, self.rmse))
+
+    def why(self, evidence: Mapping[str, object]) -> Reason:
+        """Return why a verdict does not stand any more."""
+        judged = float(str(evidence[RMSE]))
+        if self.rmse is None:
+            return reason(LIMIT_IS_GONE, judged=judged, unit=self.unit)
+        return reason(LIMIT_IS_OTHER, judged=judged, limit=self.rmse, unit=self.unit)
 
 
 def limit_in_force(database: Database, lot_id: str) -> LimitInForce:

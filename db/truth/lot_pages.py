@@ -1,6 +1,6 @@
-"""Where the units of a lot stand: the calibration in use, a newer refusal, or what a person has to decide.
+"""Where the units of a lot stand: the calibration in use, a newer refusal, or a conflict.
 
-One question in SQL says it for a unit, for a sorted and filtered page of a lot of any size, for counts and for reports.
+One question in SQL says it for a unit, a page of a lot of any size, counts and reports.
 """
 
 from __future__ import annotations
@@ -19,8 +19,14 @@ from softcal.db.entries import UNDECIDED, MadeCalibration, UnitEntry, UnitStandi
 from softcal.db.schema.database import Database, given, parts
 from softcal.db.schema.tables import calibrations, in_use, refusals, units
 from softcal.db.truth import history
-from softcal.db.truth.in_use import OF_STATEMENT, conflict_line, conflicts_of, limit_in_force, of_this_method
-from softcal.db.truth.judged_against import LimitInForce
+from softcal.db.truth.in_use import (
+    OF_STATEMENT,
+    LimitInForce,
+    conflict_line,
+    conflicts_of,
+    limit_in_force,
+    of_this_method,
+)
 from softcal.db.truth.registry_base import RegistryBase, damaged, of_row
 
 if TYPE_CHECKING:
@@ -58,7 +64,7 @@ class UnitFilter:
     Args:
         verdicts: of these only; empty takes all, `none` those without a result.
         text: serials that hold this text, in any case.
-        sort: one of `SORTABLE`, or `severity`: the worst verdict first, then the largest predicted error.
+        sort: one of `SORTABLE`, or `severity`: worst verdict, then largest forecast.
         is_descending: largest first; units without a value stand last either way.
         serials: of these units only; None takes all.
     """
@@ -100,7 +106,7 @@ class UnitPage:
 
 
 class UnitErrors(NamedTuple):
-    """The errors of one unit's newest map in the reference unit, None where they were not found, and its verdict.
+    """The errors of one unit's newest map in the reference unit, and its verdict.
 
     Of an audit that is set aside, whose errors may be another unit's, there are none.
     """
@@ -134,7 +140,7 @@ class LotPages(RegistryBase):
         return UnitPage(tuple(entries), int(total))
 
     def standings(self, lot_id: str, serials: Sequence[str]) -> dict[str, UnitStanding]:
-        """Return where units of a lot stand, as a report needs it: the calibration in use, or a newer refusal.
+        """Return where units of a lot stand, as a report needs it.
 
         A unit with a conflict is to be decided by a person: its verdict is retest. So is that of one judged against
         another limit than the one in force.
@@ -199,9 +205,9 @@ class LotPages(RegistryBase):
             return [UnitErrors(*row) for revision, *row in rows if revision is not None]
 
     def change_marker(self, lot_id: str) -> str:
-        """Return text that changes whenever a unit, result, limit, rule, network, release or check is added.
+        """Return text that changes whenever anything of a lot does.
 
-        A cheap key for what was computed from a lot: every change ends a chain of the audit trail with another row.
+        A cheap key for what was computed: every change ends a chain of the audit trail anew.
         """
         with self.database.reading():
             return "|".join([lot_id, *(sha256 for _, sha256 in history.heads(self.database).values())])
@@ -228,7 +234,7 @@ class StandingQuery:
         return cls(database, lot_id, undecided, limit_in_force(database, lot_id))
 
     def table(self, serials: Sequence[str] | None = None, role: str | None = None) -> sa.Subquery:
-        """Return every unit beside its map in use and its newest verdict, which may be a later refusal's.
+        """Return every unit beside its map in use and its newest verdict, or a later refusal's.
 
         "Nothing newer exists" is found through the index of the table; a window function over all rows is not, and its
         join with the units would take the square of their number.

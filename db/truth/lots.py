@@ -23,9 +23,9 @@ class LotTables(RegistryBase):
     """The part of the registry that knows lots, limits and units."""
 
     def add(self, lot: Lot, *, actor: str | None = None) -> None:
-        """Register a lot and its source unit; the same lot again changes nothing, another limit adds a version.
+        """Register a lot and its source unit; another limit adds a version.
 
-        A limit that somebody set in the registry stays until the lot states another one than it did before.
+        A limit set in the registry stays until the lot states another one than before.
 
         Raises:
             InputError: a lot of this id with other facts is registered.
@@ -64,7 +64,7 @@ class LotTables(RegistryBase):
             return self._lot(self._lot_row(lot_id))
 
     def units(self, lot_id: str | None = None, serial: str | None = None) -> list[UnitEntry]:
-        """Return units with their newest result, by lot and serial: of one lot, of one serial, or all of them.
+        """Return units with their newest result, by lot and serial: of one of them, or all.
 
         Raises:
             InputError: the lot or the serial is not in the registry.
@@ -80,7 +80,7 @@ class LotTables(RegistryBase):
             return [unit for name in in_lots for unit, _ in standing_units(self.database, name, serials)]
 
     def runs(self, lot_id: str, serial: str | None = None) -> list[RunEntry]:
-        """Return every result of a lot's units, or of one of them, in time order, with units that got no map.
+        """Return every result of a lot's units, or of one of them, in time order.
 
         One press is one result, with the newest verdict on its recording: an audit of other units, or a batch, may
         decide anew on it. The last of a unit is as the unit stands now. Rollbacks are left out.
@@ -128,11 +128,11 @@ class LotTables(RegistryBase):
         """Write the next version of a lot's limit.
 
         Args:
-            rmse: largest acceptable error in the lot's reference unit; None leaves it to the source's own error.
-            expected_version: the version the change was decided on (0: none yet); None takes whatever is there.
+            rmse: largest acceptable error in the lot's unit; None: the source's own error.
+            expected_version: the version it was decided on (0: none yet); None: any.
 
         Raises:
-            InputError: the limit is no positive number, or somebody else changed it since `expected_version`.
+            InputError: no positive number, or not the expected version.
         """
         if rmse is not None and not 0 < rmse < float("inf"):
             raise InputError(f"limit {rmse}; a positive number was expected")
@@ -170,10 +170,10 @@ class LotTables(RegistryBase):
         """Write the next version of a lot's rules.
 
         Args:
-            expected_version: the version the change was decided on (0: none yet); None takes whatever is there.
+            expected_version: the version it was decided on (0: none yet); None: any.
 
         Raises:
-            InputError: no reason, no such lot, or somebody else changed the rules since `expected_version`.
+            InputError: no reason, no such lot, or not the expected version.
         """
         if not reason.strip():
             raise InputError("a change of the line's rules needs a reason; nothing was changed")

@@ -142,7 +142,7 @@ class NetworkTables(RegistryBase):
         self._decide(entry, RELEASED, reason, actor)
 
     def withdraw(self, network_id: str, *, reason: str, actor: str | None = None) -> None:
-        """Take a released network from the line; the one released before it is in use again, where there is one.
+        """Take a released network from the line; the one released before is in use again.
 
         Raises:
             InputError: no reason, no such network, or it is not released.

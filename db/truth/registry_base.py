@@ -47,13 +47,13 @@ def damaged(what: str) -> RegistryError:
 
 
 class RegistryBase:
-    """A part of an open registry. Every public method gets a second try where its connection was cut.
+    """A part of an open registry; a public method is tried again when its connection is cut.
 
     A method is whole transactions; one that makes several repeats those that were kept: they must change nothing the
     second time.
 
     Args:
-        origin: the name under which this registry writes its audit trail; None reads it from the database.
+        origin: the name of this registry's chain; None reads it from the database.
     """
 
     def __init__(self, database: Database, settings: RegistrySettings, origin: str | None = None) -> None:

@@ -39,7 +39,7 @@ def certificate_xml(facts: Certificate) -> bytes:
 
 
 def _node(name: str, *content: ET.Element | str | None, **attributes: str) -> ET.Element:
-    """Return an element with a text or with the elements inside it; None stands for one that is left out.
+    """Return an element with a text or with elements; None is one that is left out.
 
     Args:
         name: of the DCC's own namespace, or of the D-SI's with "si:" before it.

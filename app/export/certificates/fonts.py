@@ -43,7 +43,7 @@ def font_for(text: str) -> str:
     """Return the font to draw a text with.
 
     Raises:
-        InputError: no font at hand has all its characters; a certificate with holes in a name is none.
+        InputError: no font at hand has all its characters.
     """
     register()
     if has_all(PLAIN, text):

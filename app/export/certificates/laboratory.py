@@ -76,15 +76,15 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Performance:
-    """How the calibration was performed, as far as no recording knows it (ISO/IEC 17025:2017, 7.8.2.1).
+    """How the calibration was performed, beside the recordings (ISO/IEC 17025:2017, 7.8.2.1).
 
     Args:
         at: one of `PLACES`.
-        place: address or room; where it is left out, the address of the laboratory or customer that `at` names.
+        place: address or room; left out, the address of who `at` names.
         condition: of the item when it was received.
         received_on: day the item was received.
         issued_on: day of issue; the day of the export where it is left out.
-        deviations: from the method; what the registry knows of them is said whatever is stated here.
+        deviations: from the method, beside those that the registry knows.
         began_on, ended_on: first and last day the units were pressed.
     """
 

@@ -1,6 +1,6 @@
-"""Parts that every document of softcal is set from: A4 pages with numbers, headings, tables of facts, paragraphs.
+"""Parts that every document is set from: A4 pages, headings, tables of facts, paragraphs.
 
-As PDF/A-3 (ISO 19005-3, level B) it has metadata, colours and attachments that will be read in decades.
+PDF/A-3 (ISO 19005-3, level B): metadata, colours, attachments readable in decades.
 """
 
 import io
