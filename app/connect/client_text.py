@@ -89,12 +89,9 @@ def _by_need(schemas: Mapping[str, Schema]) -> Iterator[tuple[str, Schema]]:
     """Yield schemas so that each stands behind those it names."""
     left = dict(schemas)
     while left:
-        ready = [name for name, schema in left.items() if not (_named(schema) & left.keys()) - {name}]
+        named = {name: {*re.findall(r"#/components/schemas/(\w+)", json.dumps(one))} for name, one in left.items()}
+        ready = [name for name, needs in named.items() if not (needs & left.keys()) - {name}]
         yield from ((name, left.pop(name)) for name in ready)
-
-
-def _named(schema: Schema) -> set[str]:
-    return set(re.findall(r"#/components/schemas/(\w+)", json.dumps(schema)))
 
 
 def _typed_dict(name: str, schema: Schema) -> Iterator[str]:

@@ -13,7 +13,6 @@ from typing import Any, Protocol
 from softcal.app.connect.events import RegistryEvent, events_after
 from softcal.app.connect.settings import DestinationSettings
 from softcal.core.errors import SoftcalError
-from softcal.db.queues.outbox import Delivery
 from softcal.db.registry import Registry
 
 FIRST_DELAY_S, LONGEST_DELAY_S = 1.0, 900.0
@@ -93,9 +92,10 @@ class Forwarder:
         """Bring the next events, unless a delay holds; return whether more may wait."""
         outbox, settings = self._registry.outbox, self._destination.settings
         known = outbox.begin(settings.name, outbox.end() if settings.begin == "now" else {})
-        now = self._clock()
-        until = now + timedelta(seconds=LEASE_S)
-        place = known if self._holds(known, now) else outbox.hold(settings.name, self.holder, now, until)
+        now, lease = self._clock(), timedelta(seconds=LEASE_S)
+        # While half of the lease is left a look need not write.
+        is_held = known.holder == self.holder and known.held_until is not None and known.held_until - now > lease / 2
+        place = known if is_held else outbox.hold(settings.name, self.holder, now, now + lease)
         if place is None:
             self.close()
             return False
@@ -115,11 +115,6 @@ class Forwarder:
         if page.cursor != place.cursor or place.failures:
             outbox.moved(settings.name, page.cursor, len(page.events), self.holder)
         return not page.is_end
-
-    def _holds(self, place: Delivery, now: datetime) -> bool:
-        """Whether half of the lease is left, so that a look need not write."""
-        half = timedelta(seconds=LEASE_S / 2)
-        return place.holder == self.holder and place.held_until is not None and place.held_until - now > half
 
 
 def forward(

@@ -90,17 +90,15 @@ def mail_of(events: Sequence[RegistryEvent], settings: MailSettings) -> EmailMes
 
 def line_of(event: RegistryEvent, language: str) -> str:
     """Return one event as one line, whatever it quotes."""
-    return printable(_said(event, language))
-
-
-def _said(event: RegistryEvent, language: str) -> str:
-    at, data = here(event.at), event.data
+    data = event.data
     if event.kind in (RAISED, CLEARED):
         said = data["text"].get(language, data["text"]["en"])
         said = said if data["lot"] is None else text(language, "mail.of_lot", lot=data["lot"], said=said)
-        return text(language, "mail.raised" if event.kind == RAISED else "mail.cleared", at=at, said=said)
-    if event.kind == VERDICT:
-        verdict = text(language, f"verdict.{data['verdict']}")
-        why = "; ".join(data["reasons"])
-        return text(language, "mail.verdict", at=at, serial=data["serial"], lot=data["lot"], verdict=verdict, why=why)
-    return text(language, "mail.change", at=at, what=event.subject, actor=data["actor"])
+        key, values = "mail.raised" if event.kind == RAISED else "mail.cleared", {"said": said}
+    elif event.kind == VERDICT:
+        values = {"verdict": text(language, f"verdict.{data['verdict']}"), "why": "; ".join(data["reasons"])}
+        key, values = "mail.verdict", values | {"serial": data["serial"], "lot": data["lot"]}
+    else:
+        key, values = "mail.change", {"what": event.subject, "actor": data["actor"]}
+    # What it quotes may come from a file and may not end the line.
+    return printable(text(language, key, at=here(event.at), **values))

@@ -225,7 +225,9 @@ def start(
     """Start a batch over a lot. Ask the job how far it is; a key makes it safe to ask twice."""
     registry.lots.get(wanted.lot)
     request, board = {"lot": wanted.lot}, registry.job_board
-    job_id = None if idempotency_key is None else _job_id(user.name, idempotency_key)
+    job_id = None
+    if idempotency_key is not None:
+        job_id = hashlib.sha256(f"{user.name}\n{idempotency_key}".encode()).hexdigest()[:32]
     known = None if job_id is None else board.find(job_id)
     if known is not None and (known.kind, known.request) != (wanted.kind, request):
         raise HTTPException(409, "this Idempotency-Key was given for another request; give a new one; nothing was done")
@@ -318,10 +320,6 @@ def _job(registry: Registry, job_id: str) -> Job:
     if found is None:
         raise HTTPException(404, f"job {job_id!r} is not in the registry")
     return found
-
-
-def _job_id(account: str, key: str) -> str:
-    return hashlib.sha256(f"{account}\n{key}".encode()).hexdigest()[:32]
 
 
 def _job_json(job: Job) -> dict[str, Any]:

@@ -23,6 +23,8 @@ def station_json(registry: Registry, beat: Heartbeat) -> dict[str, Any]:
     active = queue.active(beat.station)
     judged = next((o for o, p in queue.runs(beat.station, NEWEST) if o.kind.is_about_unit and p.verdict), None)
     lot_id = active[0].lot_id if active else judged.lot_id if judged else ""
+    # As every page says it now; the run keeps what was decided when the unit was pressed.
+    standing = registry.pages.standings(judged.lot_id, [judged.serial]).get(judged.serial) if judged else None
     return {
         "station": beat.station,
         "state": state_of(beat, datetime.now(UTC), is_alive(beat.process)),
@@ -30,16 +32,10 @@ def station_json(registry: Registry, beat: Heartbeat) -> dict[str, Any]:
         "reasons": [str(why) for why in beat.reasons],
         "serial": active[0].serial if active else None,
         "last_serial": judged.serial if judged else None,
-        "last_verdict": _verdict_now(registry, judged) if judged else None,
+        "last_verdict": standing.verdict if standing else None,
         "lot": lot_id or None,
         "counts": registry.pages.verdict_counts(lot_id) if lot_id in registry.lots.ids() else {},
     }
-
-
-def _verdict_now(registry: Registry, order: Order) -> str | None:
-    """Return the verdict as every page says it now; the run keeps what was decided then."""
-    standing = registry.pages.standings(order.lot_id, [order.serial]).get(order.serial)
-    return None if standing is None else standing.verdict
 
 
 def order_json(order: Order, progress: Progress) -> dict[str, Any]:

@@ -201,20 +201,16 @@ class UnitLoader:
     def load(self, serial: str) -> CalibratedUnit:
         """Read one unit; `InputError` where the registry does not know it."""
         stored = self.registry.calibrations.get(serial, self.options.revision, lot_id=self.options.lot_id)
-        recording = self._recording(stored)
+        recording = unlabelled(self.registry.recordings.get(stored.record.recording_sha256))
+        if UNTRIMMED in stored.record.evidence:
+            # As the unit would give it since its trim.
+            base = untrimmed(self.registry, stored)
+            before, after = (Calibration.from_record(one.record).unit_map for one in (base, stored))
+            recording = as_given_now(recording, before, after)
         lot = self.registry.lots.get(stored.lot_id)
         since = self._since(stored.lot_id, stored.record.recording_sha256) or stored.made_at.date()
         standing = standing_of(self.registry, stored)
         return CalibratedUnit(stored, lot, self._shared(stored), recording, since, self.options, standing)
-
-    def _recording(self, stored: StoredCalibration) -> OutputRecording:
-        """Return the unit's own recording, as it would give it since its trim."""
-        recording = unlabelled(self.registry.recordings.get(stored.record.recording_sha256))
-        if UNTRIMMED not in stored.record.evidence:
-            return recording
-        base = untrimmed(self.registry, stored)
-        before, after = (Calibration.from_record(one.record).unit_map for one in (base, stored))
-        return as_given_now(recording, before, after)
 
     def _since(self, lot_id: str, sha256: str) -> date | None:
         """Return the UTC day a recording came into the registry."""

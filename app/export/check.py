@@ -81,7 +81,10 @@ def check_folder(folder: Path, trusted: Sequence[TrustedKey] = ()) -> FolderChec
     if not changed:
         found, opened = _device_problems(folder, [entry.name for entry in present])
         changed += found
-    changed += _duplicates(manifest)
+    seen: dict[bytes, str] = {}
+    for serial in manifest.units:
+        if (other := seen.setdefault(serial_field(serial), serial)) != serial:
+            changed.append(f"units {other} and {serial} look the same to a device; export them into separate folders")
     return FolderCheck(len(manifest.files), opened, incomplete, tuple(changed), signed_by, problem, manifest.signed_on)
 
 
@@ -169,11 +172,3 @@ def _device_file(path: Path) -> NetworkFile | UnitFile | None:
             return network_from_values(values)
         return unit_from_values(values["device"]) if values.get("device") else None
     return None
-
-
-def _duplicates(manifest: Manifest) -> Iterator[str]:
-    seen: dict[bytes, str] = {}
-    for serial in manifest.units:
-        other = seen.setdefault(serial_field(serial), serial)
-        if other != serial:
-            yield f"units {other} and {serial} look the same to a device; export them into separate folders"

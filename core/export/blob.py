@@ -234,7 +234,11 @@ class UnitFile:
         )  # fmt: skip
         tables = b"".join(BAND.pack(b.level, b.minus, b.plus) for b in self.bands)
         tables += b"".join(SELF_TEST.pack(t.start, t.step, t.expected) for t in self.self_tests)
-        body = fixed + _padded(tables) + _map_bytes(form)
+        points = [] if form.curve is None else zip(form.curve.codes, form.curve.values, strict=True)
+        curve = b"".join(KNOT.pack(int(code), int(value)) for code, value in points)
+        linear = b"" if form.layer is None else _layer_bytes(form.layer)
+        mix = b"" if form.mix is None else _mix_bytes(form.mix)
+        body = fixed + _padded(tables) + curve + linear + mix
         return _sealed(
             Kind.UNIT, self.flags, self.network_id, self.revision, self.time_s, self.serial, body, self.minor
         )
@@ -285,13 +289,6 @@ def _layer_bytes(layer: IntegerLayer) -> bytes:
 
 def _padded(content: bytes) -> bytes:
     return content + b"\0" * (-len(content) % 4)
-
-
-def _map_bytes(form: DeviceMap) -> bytes:
-    points = [] if form.curve is None else zip(form.curve.codes, form.curve.values, strict=True)
-    knots = b"".join(KNOT.pack(int(code), int(value)) for code, value in points)
-    linear = b"" if form.layer is None else _layer_bytes(form.layer)
-    return knots + linear + (b"" if form.mix is None else _mix_bytes(form.mix))
 
 
 def _mix_bytes(mix: IntegerMix) -> bytes:

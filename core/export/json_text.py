@@ -119,17 +119,15 @@ def _layer_from(values: Mapping[str, Any]) -> IntegerLayer:
 
 
 def _map_from(values: Mapping[str, Any]) -> DeviceMap:
-    knots, layer, mix = values["knots"], values["layer"], values.get("mix")
+    knots, layer, mix = values["knots"], values["layer"], None
+    if (known := values.get("mix")) is not None:
+        arrays = {name: np.array(known[name], dtype=np.int64) for name in MIX_FIELDS}
+        mix = IntegerMix(int(known["keep"]), **arrays, is_wide=bool(known.get("wide", False)))
     return DeviceMap(
         None if knots is None else PiecewiseMap(*np.array(knots, dtype=np.int64).reshape(-1, 2).T),
         None if layer is None else _layer_from(layer),
-        None if mix is None else _mix_from(mix),
+        mix,
     )
-
-
-def _mix_from(values: Mapping[str, Any]) -> IntegerMix:
-    fields = {name: np.array(values[name], dtype=np.int64) for name in MIX_FIELDS}
-    return IntegerMix(int(values["keep"]), **fields, is_wide=bool(values.get("wide", False)))
 
 
 def json_text(value: object) -> str:

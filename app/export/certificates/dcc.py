@@ -160,11 +160,14 @@ def _result(facts: Certificate) -> ET.Element:
         _text("name", f"Transfer calibration: {facts.method_name}"),
         _text("description", facts.method + because),
     )
+    recorded = f"{facts.samples} samples at {facts.sample_rate_Hz:g} Hz, output in {facts.output_unit}"
+    provenance = [f"Map of family {facts.map_family}, from {recorded}."]
+    provenance += [f"SHA-256 of the {name}: {sha256}" for name, sha256 in facts.hashes]
     results = (
         _listed("Error of the unit", *_errors(facts)),
         _listed("U_est: expanded uncertainty of an estimate, k = 2, by range of the estimate", _expanded(facts)),
         _budget(facts),
-        _listed("Provenance", *_provenance(facts)),
+        _listed("Provenance", *(_text("text", said) for said in provenance)),
     )
     return _node(
         "measurementResult",
@@ -295,13 +298,6 @@ def _expanded(facts: Certificate) -> ET.Element:
         real = _node("si:realListXMLList", numbers, _node("si:unitXMLList", unit))
         quantities.append(_node("quantity", _text("name", name), real))
     return _node("list", *quantities)
-
-
-def _provenance(facts: Certificate) -> Iterator[ET.Element]:
-    recorded = f"{facts.samples} samples at {facts.sample_rate_Hz:g} Hz, output in {facts.output_unit}"
-    yield _text("text", f"Map of family {facts.map_family}, from {recorded}.")
-    for name, sha256 in facts.hashes:
-        yield _text("text", f"SHA-256 of the {name}: {sha256}")
 
 
 def _real(value: float, unit: str, coverage: ET.Element | None = None) -> ET.Element:

@@ -72,10 +72,9 @@ def _registered(place: str) -> bool:
 def marked_up(text: str) -> str:
     """Return a text as ReportLab's markup, every run of letters in a font that has them."""
     register()
-    runs = itertools.groupby(text, key=lambda character: has_all(PLAIN, character))
-    return "".join(_run("".join(characters), is_plain) for is_plain, characters in runs)
-
-
-def _run(text: str, is_plain: bool) -> str:
-    escaped = html.escape(text)
-    return escaped if is_plain else f'<font name="{html.escape(font_for(text))}">{escaped}</font>'
+    marked = ""
+    for is_plain, characters in itertools.groupby(text, key=lambda character: has_all(PLAIN, character)):
+        run = "".join(characters)
+        escaped = html.escape(run)
+        marked += escaped if is_plain else f'<font name="{html.escape(font_for(run))}">{escaped}</font>'
+    return marked

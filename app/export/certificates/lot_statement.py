@@ -131,9 +131,12 @@ def _lot_rows(facts: LotStatementFacts, words: Words) -> list[tuple[str, str]]:
 
 def _evidence_rows(facts: LotStatementFacts, words: Words) -> list[tuple[str, str]]:
     promise, found = facts.decided.promise, facts.decided.found
+    drawn = words("paper.drawn.not")
+    if facts.drawn is not None:
+        drawn = words("paper.drawn.is", drawn=facts.drawn[0], population=facts.drawn[1])
     rows = [
         (words("paper.audits"), _audited(facts, words)),
-        (words("paper.drawn"), _drawn(facts.drawn, words)),
+        (words("paper.drawn"), drawn),
         (words("paper.promise"), words("paper.promise.is", risk=promise.risk, confidence=promise.confidence)),
     ]
     if found is not None and np.isfinite(found.factor):
@@ -149,12 +152,6 @@ def _audited(facts: LotStatementFacts, words: Words) -> str:
     if lots in ([], [facts.lot.id]):
         return words("paper.audits.here", **counts)
     return words("paper.audits.lots", lots=", ".join(lots), **counts)
-
-
-def _drawn(drawn: tuple[int, int] | None, words: Words) -> str:
-    if drawn is None:
-        return words("paper.drawn.not")
-    return words("paper.drawn.is", drawn=drawn[0], population=drawn[1])
 
 
 def _audit_table(facts: LotStatementFacts, words: Words) -> Flowable:

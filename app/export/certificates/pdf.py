@@ -81,7 +81,9 @@ def _verdict(facts: Certificate) -> Flowable:
 def _unit_rows(facts: Certificate) -> list[tuple[str, str]]:
     model = f" ({facts.sensor_model})" if facts.sensor_model else ""
     performance = facts.laboratory.performance
-    received = performance.received_on
+    received, given = performance.received_on, facts.laboratory.conditions
+    conditions = [] if given.temperature_C is None else [f"{given.temperature_C:g} °C"]
+    conditions += [] if given.humidity_pct is None else [f"{given.humidity_pct:g} % relative humidity"]
     return [
         ("Unit", f"{facts.serial}{model}, lot {facts.lot}"),
         ("Calibration", f"revision {facts.revision}{f': {facts.made_because}' if facts.made_because else ''}"),
@@ -90,7 +92,7 @@ def _unit_rows(facts: Certificate) -> list[tuple[str, str]]:
         ("Performed", facts.performed),
         ("Place", facts.place),
         ("Received", f"{received.isoformat() if received else NOT_STATED}; condition: {performance.condition}"),
-        ("Conditions", _conditions(facts)),
+        ("Conditions", ", ".join(conditions) or NOT_STATED),
         ("Laboratory", _party(facts.laboratory.laboratory)),
         ("Customer", _party(facts.laboratory.customer)),
         ("Responsible", _stated(facts.laboratory.person.name, facts.laboratory.person.role)),
@@ -110,13 +112,6 @@ def _party(party: Party) -> str:
 
 def _stated(*parts: str) -> str:
     return ", ".join(part for part in parts if part != NOT_STATED) or NOT_STATED
-
-
-def _conditions(facts: Certificate) -> str:
-    given = facts.laboratory.conditions
-    parts = [] if given.temperature_C is None else [f"{given.temperature_C:g} °C"]
-    parts += [] if given.humidity_pct is None else [f"{given.humidity_pct:g} % relative humidity"]
-    return ", ".join(parts) or "not stated"
 
 
 def _result_rows(facts: Certificate) -> list[tuple[str, str]]:
