@@ -13,7 +13,7 @@ def open_registry(url: str, settings: RegistrySettings | None = None, *, create:
     upgraded here.
 
     Raises:
-        RegistryError: the URL, folder, file, server or schema cannot be used; the line says which and what to do.
+        RegistryError: URL, folder, file, server or schema cannot be used.
     """
     database = open_database(url, create=create)
     try:

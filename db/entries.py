@@ -1,7 +1,7 @@
 """What the registry gives back: frozen values, never rows of a table."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from datetime import date, datetime
 from typing import TYPE_CHECKING
 
@@ -23,15 +23,14 @@ class UnitEntry:
     """A unit of a lot and where it stands.
 
     Args:
-        lot_id, serial: which unit; a serial may stand in two lots.
-        role: source or target.
+        serial: may stand in two lots.
         verdict: of the newest result; None while there is none.
         reasons: why, most important first.
         revision, family, map_sha256, predicted_rmse, before_rmse, after_rmse, own_rmse: of the newest calibration of
             this lot; None while there is none.
         made_at: when the newest result was made, UTC.
-        is_conflict: two registries put different maps into use; `history` shows both, and a person has to decide.
-        is_stale: its calibration was made with another method than this version's; a batch makes it anew.
+        is_conflict: two registries put different maps into use; a person has to decide.
+        is_stale: its calibration was made with another method; a batch makes it anew.
     """
 
     lot_id: str
@@ -69,11 +68,10 @@ class StoredCalibration:
     Args:
         revision: 1, 2, 3 ... per serial.
         made_at: UTC; never before the revision it follows.
-        actor, reason: who made it, and why.
         rolled_back_to: the older revision this one repeats, for a rollback.
         origin: the registry that wrote it.
         is_current: this is the map in use in its lot. None is while two registries disagree.
-        is_conflict: two registries put different maps into use, this one among them; a person has to decide.
+        is_conflict: this map and another one are in use; a person has to decide.
     """
 
     record: "CalibrationRecord"
@@ -97,19 +95,17 @@ class MadeCalibration:
     """One revision as a report needs it: light, so that a lot of ten thousand fits into memory.
 
     Args:
-        verdict, reasons: what was decided, and why.
-        predicted_rmse, before_rmse, after_rmse, own_rmse: in the lot's reference unit; None where there is none.
-        fit_s: seconds the fit took.
+        predicted_rmse, before_rmse, after_rmse, own_rmse: in the lot's reference unit.
         knowledge: how its loads are known.
         decision: what was predicted and what was measured.
         method_id: the method it was made with; empty where an older version kept none.
         forecast_rmse: forecast before audits of other units scaled it.
         load_rms: RMS load above rest that its recording shows; None in records of older versions.
-        audit: what its audit says beside the error; None without one, and in records of older versions.
+        audit: what its audit says beside the error; None in older versions, too.
         audit_line: gain and zero with which its fitted map reads the loads of its audit.
         output_level: where the output of its recording stands; None in records of older versions.
         is_open: whether nothing that was found stands against it, whatever its forecast.
-        common_line: gain and zero that were taken off its map, as audited units misread them alike; None where none.
+        common_line: gain and zero taken off its map, as audited units misread alike.
     """
 
     serial: str
@@ -146,7 +142,7 @@ class MadeCalibration:
 
 
 UNDECIDED = "retest"
-"""Verdict of a unit for which two registries put different maps into use: nobody may use it before a person decided."""
+"""Verdict of a unit for which two registries put different maps into use: a person has to decide."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +152,7 @@ class UnitStanding:
     Args:
         verdict, reasons: of the calibration in use, or of a newer refusal.
         made_at: when that was stated, UTC.
-        made: the calibration in use; None where the newest result is a refusal, or two maps are in conflict.
+        made: the calibration in use; None after a refusal, or in a conflict.
     """
 
     serial: str
@@ -171,10 +167,8 @@ class NetworkEntry:
     """What is known of a shared network beside its weights.
 
     Args:
-        id: content hash of the network.
         input_sha256: content hash of what it was trained from.
         metrics: what the training reached.
-        added_at: UTC.
     """
 
     id: str
@@ -212,7 +206,7 @@ class LimitEntry:
 
     Args:
         version: 1, 2, 3 ... per lot.
-        rmse: largest acceptable error in the lot's reference unit; None leaves it to the source's own error.
+        rmse: largest acceptable error in the lot's unit; None: the source's own error.
     """
 
     lot_id: str
@@ -237,7 +231,7 @@ class LineRulesEntry:
 
 @dataclass(frozen=True)
 class AuditRow:
-    """Who did what, when and why. `key`, `before` and `after` are canonical JSON text; `hash` covers every field."""
+    """Who did what, when and why; `key`, `before`, `after` are canonical JSON, `hash` covers all."""
 
     origin: str
     seq: int
@@ -252,17 +246,10 @@ class AuditRow:
     prev_hash: str
     hash: str
 
-    def with_hash(self, value: str) -> "AuditRow":
-        return replace(self, hash=value)
-
 
 @dataclass(frozen=True)
 class Anchor:
-    """The last rows of the audit trail as they were written down outside the database.
-
-    Args:
-        where: when and where, for the fault's line.
-    """
+    """The last rows of the audit trail as written down elsewhere; `where` says when and where."""
 
     heads: Heads
     where: str
@@ -270,14 +257,12 @@ class Anchor:
 
 @dataclass(frozen=True)
 class CellCertificate:
-    """A load cell's calibration certificate, as far as the station's gate and the uncertainty budget need it.
+    """A load cell's certificate, as far as the gate and the uncertainty budget need it.
 
     Args:
-        laboratory: who issued it.
         issued_on, due_on: first day it holds, first day it no longer holds.
         capacity_N: largest force it covers.
         uncertainty_N: expanded uncertainty (k = 2) over its range, in N.
-        document: the document itself (PDF, DCC), where there is one.
     """
 
     cell_serial: str
@@ -304,10 +289,8 @@ class GoldenRun:
     """One check of a station with a golden unit.
 
     Args:
-        made_at: UTC.
-        value: what is charted, for example the mean error against the unit's own calibration, in `unit`.
+        value: what is charted, such as the mean error, in `unit`.
         passed: whether it was inside the limits that held then; `reasons` say why not.
-        actor: who did it.
     """
 
     station: str
@@ -329,9 +312,6 @@ class User:
     """A person with a role; the PIN is never given out.
 
     Args:
-        name: as it stands in the audit trail.
-        role: operator, engineer or quality.
-        is_active: whether the person may sign in.
         version: counts the changes, so that two editors do not overwrite each other.
         is_alone: whether nobody else has an account, and the role decides about people.
     """
@@ -351,7 +331,6 @@ class Token:
         token_id: its name in commands and in the audit trail.
         account: whose role says what it may.
         created, ends_at: from when until when it holds, UTC.
-        is_withdrawn: whether it was taken back.
     """
 
     token_id: str

@@ -22,7 +22,7 @@ from softcal.core.unit.verdict import Limit
 from softcal.core.words.reason import Reason
 from softcal.db.entries import MadeCalibration, RecordingEntry, StoredCalibration, UnitEntry, UnitStanding
 from softcal.db.registry import Registry
-from softcal.db.truth.judged_against import STALE
+from softcal.db.truth.in_use import STALE
 
 STATEMENT = "lot_release"
 BASE = "base_revision"

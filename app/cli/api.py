@@ -66,7 +66,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _serve(options: argparse.Namespace) -> int:
-    from softcal.app.connect.serving import ServingOptions, serve_api
+    from softcal.app.connect.rest import ServingOptions, serve_api
 
     serving = ServingOptions(
         options.registry, options.host, options.port, tuple(options.name), options.cert, options.key

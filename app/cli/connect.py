@@ -62,7 +62,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> int:
-    from softcal.app.connect.reach import reach
+    from softcal.app.connect.run import reach
     from softcal.app.connect.settings import read_settings
 
     for name in reach(read_settings(options.file)):
@@ -89,7 +89,7 @@ def _secret(options: argparse.Namespace) -> int:
 
 
 def _estimates(options: argparse.Namespace) -> int:
-    from softcal.app.connect.estimates import publish_estimates
+    from softcal.app.connect.mqtt import publish_estimates
     from softcal.app.connect.settings import read_settings
 
     mqtts = read_settings(options.file).mqtts

@@ -142,8 +142,7 @@ def _add_release(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
 
 def _release(options: argparse.Namespace) -> int:
     from softcal.app.batch.release import is_told, judge_lot, lot_standing
-    from softcal.app.export.certificates.lot_facts import lot_statement_facts
-    from softcal.app.export.certificates.lot_statement import lot_statement_pdf
+    from softcal.app.export.certificates.lot_statement import lot_statement_facts, lot_statement_pdf
     from softcal.app.files.atomic import write_bytes
     from softcal.app.texts.catalogue import text
 

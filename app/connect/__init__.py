@@ -1,4 +1,4 @@
-"""What other programs of a plant see of softcal: REST, webhooks, mail, MQTT and OPC UA, all from one source of events.
+"""What other programs see of softcal: REST, webhooks, mail, MQTT, OPC UA, from one source.
 
 Nothing here is imported by another command; its libraries are the extra `connect`.
 """

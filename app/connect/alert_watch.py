@@ -1,4 +1,4 @@
-"""Writes into the audit trail when an alert begins and when it is over, so that each is an event like any other."""
+"""Writes into the audit trail when an alert begins and ends, so that each is an event."""
 
 import json
 from datetime import datetime
@@ -22,7 +22,7 @@ AlertKey = tuple[str, str, str]
 
 
 class AlertWatch:
-    """Compares what should be looked at with what was told; the open alerts are those the audit trail left open."""
+    """Compares what should be looked at with the alerts that the audit trail left open."""
 
     def __init__(self, registry: Registry) -> None:
         self._registry = registry
@@ -39,7 +39,7 @@ class AlertWatch:
             found |= {alert_key(alert, lot_id): (alert, lot_id) for alert in alerts}
         if found.keys() == open_alerts(self._registry).keys():
             return 0
-        # Another process may watch the same registry: what is open is read in the transaction that changes it.
+        # Another process may watch, too: what is open is read in the transaction that changes it.
         with self._registry.transaction():
             known = open_alerts(self._registry)
             for key in found.keys() - known.keys():

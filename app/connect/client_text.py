@@ -1,4 +1,4 @@
-"""A typed Python client of the REST interface, written from its OpenAPI document: one file, standard library alone."""
+"""A typed Python client of the REST interface, from its OpenAPI document, in one plain file."""
 
 import json
 import re
@@ -72,7 +72,7 @@ TYPES = {"string": "str", "integer": "int", "number": "float", "boolean": "bool"
 
 
 def client_text(document: Schema) -> str:
-    """Return the client of an OpenAPI document as Python text: a type for each schema, a method for each path."""
+    """Return the client as Python text: a type for each schema, a method for each path."""
     schemas = document["components"]["schemas"]
     types = [line for name, schema in _by_need(schemas) for line in _typed_dict(name, schema)]
     methods = [
@@ -89,12 +89,9 @@ def _by_need(schemas: Mapping[str, Schema]) -> Iterator[tuple[str, Schema]]:
     """Yield schemas so that each stands behind those it names."""
     left = dict(schemas)
     while left:
-        ready = [name for name, schema in left.items() if not (_named(schema) & left.keys()) - {name}]
+        named = {name: {*re.findall(r"#/components/schemas/(\w+)", json.dumps(one))} for name, one in left.items()}
+        ready = [name for name, needs in named.items() if not (needs & left.keys()) - {name}]
         yield from ((name, left.pop(name)) for name in ready)
-
-
-def _named(schema: Schema) -> set[str]:
-    return set(re.findall(r"#/components/schemas/(\w+)", json.dumps(schema)))
 
 
 def _typed_dict(name: str, schema: Schema) -> Iterator[str]:
@@ -125,7 +122,7 @@ def _type(schema: Schema) -> str:
 
 
 def _method(method: str, path: str, operation: Schema) -> Iterator[str]:
-    """Yield the lines of one method: words of the path first, then the body, everything else by its name."""
+    """Yield the lines of one method: words of the path, the body, all else by its name."""
     parameters = operation.get("parameters", [])
     words = [one["name"] for one in parameters if one["in"] == "path"]
     named = [one for one in parameters if one["in"] != "path"]

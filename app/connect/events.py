@@ -1,4 +1,4 @@
-"""The one source of events: rows of the audit trail, told so that a program outside can act on them.
+"""The one source of events: rows of the audit trail, told so that a program can act.
 
 An event is written in the transaction of the change it tells of, so none is lost and none is made up. Its id is the
 place of its row in the trail: who gets it twice knows it by that.
@@ -53,7 +53,7 @@ class RegistryEvent:
     after: Cursor
 
     def to_json(self) -> dict[str, Any]:
-        """Return the event as CloudEvents 1.0 writes it in JSON (CNCF, CloudEvents JSON format, section 3)."""
+        """Return the event as CloudEvents 1.0 writes it (CNCF, CloudEvents JSON format, section 3)."""
         return {
             "specversion": "1.0",
             "id": self.event_id,
@@ -68,7 +68,7 @@ class RegistryEvent:
 
 @dataclass(frozen=True)
 class EventPage:
-    """Events in order, the cursor behind all that was looked at, and whether there is nothing more now."""
+    """Events in order, the cursor behind all that was looked at, and whether that is the end."""
 
     events: tuple[RegistryEvent, ...]
     cursor: Cursor
@@ -94,7 +94,7 @@ def events_after(registry: Registry, cursor: Cursor, count: int, kinds: Collecti
 
 
 def lots_judged_since(registry: Registry, cursor: Cursor | None) -> tuple[set[str], Cursor]:
-    """Return the lots with a new verdict behind a cursor, and the cursor now; None takes all lots."""
+    """Return the lots judged behind a cursor, and the cursor now; None takes all lots."""
     if cursor is None:
         now = registry.outbox.end()
         return set(registry.lots.ids()), now

@@ -1,11 +1,11 @@
-"""Brings every event to every destination at least once: what is not confirmed stays, and is tried again later."""
+"""Brings every event to every destination at least once: what is not confirmed stays."""
 
 import os
 import secrets
 import socket
 import threading
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any, Protocol
@@ -13,11 +13,10 @@ from typing import Any, Protocol
 from softcal.app.connect.events import RegistryEvent, events_after
 from softcal.app.connect.settings import DestinationSettings
 from softcal.core.errors import SoftcalError
-from softcal.db.queues.outbox import Delivery
 from softcal.db.registry import Registry
 
 FIRST_DELAY_S, LONGEST_DELAY_S = 1.0, 900.0
-"""A try that failed is repeated after 1 s, then after twice as long each time, up to a quarter of an hour."""
+"""A failed try is repeated after 1 s, then twice as long each time, up to a quarter of an hour."""
 
 
 LEASE_S = 30.0
@@ -51,15 +50,12 @@ class Sender(Protocol):
         """
 
 
-OpenSender = Callable[[], AbstractContextManager[Sender]]
-
-
 @dataclass(frozen=True)
 class Destination:
     """A destination with what opens its sender; a sender that failed is closed and opened anew."""
 
     settings: DestinationSettings
-    open_sender: OpenSender
+    open_sender: Callable[[], AbstractContextManager[Sender]]
 
 
 def delay_s(failures: int) -> float:
@@ -68,14 +64,14 @@ def delay_s(failures: int) -> float:
 
 
 class Forwarder:
-    """Brings events to one destination; its place is in the registry, so that a restart goes on where it was.
+    """Brings events to one destination; its place is in the registry, for a restart.
 
-    A destination is served by one forwarder at a time; another one on the same registry waits until it is free.
+    A destination is served by one forwarder at a time; another one waits.
     """
 
     def __init__(self, registry: Registry, destination: Destination, clock: Callable[[], datetime]) -> None:
         self._registry, self._destination, self._clock = registry, destination, clock
-        self._opened: AbstractContextManager[Sender] | None = None
+        self._opened = ExitStack()
         self._sender: Sender | None = None
         self.holder = f"{socket.gethostname()[:90]}:{os.getpid()}:{secrets.token_hex(4)}"
 
@@ -89,28 +85,24 @@ class Forwarder:
             self._registry.outbox.release(self.holder)
 
     def close(self) -> None:
-        opened, self._opened, self._sender = self._opened, None, None
-        if opened is not None:
-            opened.__exit__(None, None, None)
+        self._sender = None
+        self._opened.close()
 
     def step(self) -> bool:
-        """Bring the next events, if there are any and no delay holds; return whether more may wait."""
+        """Bring the next events, unless a delay holds; return whether more may wait."""
         outbox, settings = self._registry.outbox, self._destination.settings
         known = outbox.begin(settings.name, outbox.end() if settings.begin == "now" else {})
-        now = self._clock()
-        until = now + timedelta(seconds=LEASE_S)
-        place = known if self._holds(known, now) else outbox.hold(settings.name, self.holder, now, until)
+        now, lease = self._clock(), timedelta(seconds=LEASE_S)
+        # While half of the lease is left a look need not write.
+        is_held = known.holder == self.holder and known.held_until is not None and known.held_until - now > lease / 2
+        place = known if is_held else outbox.hold(settings.name, self.holder, now, now + lease)
         if place is None:
             self.close()
             return False
         if place.not_before is not None and now < place.not_before:
             return False
         try:
-            if self._sender is None:
-                opened = self._destination.open_sender()
-                self._sender = opened.__enter__()
-                self._opened = opened
-            sender = self._sender
+            self._sender = sender = self._sender or self._opened.enter_context(self._destination.open_sender())
             page = events_after(self._registry, place.cursor, sender.most, settings.events)
             sender.send(page.events)
         except NotDelivered as error:
@@ -124,11 +116,6 @@ class Forwarder:
             outbox.moved(settings.name, page.cursor, len(page.events), self.holder)
         return not page.is_end
 
-    def _holds(self, place: Delivery, now: datetime) -> bool:
-        """Return whether half of the lease is left, so that a look in the registry need not write."""
-        half = timedelta(seconds=LEASE_S / 2)
-        return place.holder == self.holder and place.held_until is not None and place.held_until - now > half
-
 
 def forward(
     registry: Registry,
@@ -138,7 +125,7 @@ def forward(
     every_s: float,
     on_trouble: Callable[[str], None] = lambda _: None,
 ) -> None:
-    """Bring events to a destination until `over` is set; a registry that is away for a moment is asked again."""
+    """Bring events to a destination until `over` is set; a registry that is away is asked again."""
     with Forwarder(registry, destination, clock) as forwarder:
         while not over.is_set():
             try:
@@ -151,7 +138,7 @@ def forward(
 
 
 def status_json(registry: Registry) -> list[dict[str, Any]]:
-    """Return where every destination stands. `waits`: changes behind its cursor, whichever of them it will get."""
+    """Return where every destination stands; `waits` counts all changes behind its cursor."""
     end = registry.outbox.end()
     return [
         {
@@ -169,5 +156,4 @@ def status_json(registry: Registry) -> list[dict[str, Any]]:
 
 def status_rows(found: list[dict[str, Any]]) -> list[list[object]]:
     """Return the rows of the table a person reads."""
-    names = ("destination", "sent", "waits", "failures", "next_try", "error", "served_by")
-    return [[one[name] for name in names] for one in found]
+    return [list(one.values()) for one in found]

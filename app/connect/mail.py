@@ -18,7 +18,7 @@ PORTS = {"smtps": 465, "smtp+starttls": 587, "smtp": 25}
 
 @contextmanager
 def open_mail(settings: MailSettings) -> Iterator["MailSender"]:
-    """Open the sender of mails; it signs in for every mail anew, as mail servers end idle connections."""
+    """Open the sender of mails; it signs in anew for each, as servers end idle connections."""
     yield MailSender(settings)
 
 
@@ -45,11 +45,7 @@ class MailSender:
             raise NotDelivered(f"{self._settings.server} did not take the mail: {error}") from error
 
     def check(self) -> None:
-        """Sign in and say goodbye.
-
-        Raises:
-            NotDelivered: the server cannot be reached, or refuses.
-        """
+        """Sign in and say goodbye (`NotDelivered`: the server cannot be reached, or refuses)."""
         try:
             with self._server() as server:
                 server.noop()
@@ -93,18 +89,16 @@ def mail_of(events: Sequence[RegistryEvent], settings: MailSettings) -> EmailMes
 
 
 def line_of(event: RegistryEvent, language: str) -> str:
-    """Return one event as one line; what it quotes may come from a file and may not end the line."""
-    return printable(_said(event, language))
-
-
-def _said(event: RegistryEvent, language: str) -> str:
-    at, data = here(event.at), event.data
+    """Return one event as one line, whatever it quotes."""
+    data = event.data
     if event.kind in (RAISED, CLEARED):
         said = data["text"].get(language, data["text"]["en"])
         said = said if data["lot"] is None else text(language, "mail.of_lot", lot=data["lot"], said=said)
-        return text(language, "mail.raised" if event.kind == RAISED else "mail.cleared", at=at, said=said)
-    if event.kind == VERDICT:
-        verdict = text(language, f"verdict.{data['verdict']}")
-        why = "; ".join(data["reasons"])
-        return text(language, "mail.verdict", at=at, serial=data["serial"], lot=data["lot"], verdict=verdict, why=why)
-    return text(language, "mail.change", at=at, what=event.subject, actor=data["actor"])
+        key, values = "mail.raised" if event.kind == RAISED else "mail.cleared", {"said": said}
+    elif event.kind == VERDICT:
+        values = {"verdict": text(language, f"verdict.{data['verdict']}"), "why": "; ".join(data["reasons"])}
+        key, values = "mail.verdict", values | {"serial": data["serial"], "lot": data["lot"]}
+    else:
+        key, values = "mail.change", {"what": event.subject, "actor": data["actor"]}
+    # What it quotes may come from a file and may not end the line.
+    return printable(text(language, key, at=here(event.at), **values))

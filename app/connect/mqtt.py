@@ -1,18 +1,19 @@
-"""Events, states and live estimates over MQTT (OASIS MQTT 3.1.1), quality of service 1: each is confirmed.
+"""Events, states and live estimates over MQTT 3.1.1 (OASIS), QoS 1: each is confirmed.
 
 Topics below the one of the settings:
 - `status`: `online`, or `offline` once this publisher is gone (retained, last will);
 - `events`: every event as CloudEvents JSON;
 - `lots/LOT/units/SERIAL/verdict`: the newest verdict of a unit (retained);
-- `alerts/KIND/LOT/ABOUT`: an open alert (retained; empty once it is over), `-` where it has no lot or no such part;
+- `alerts/KIND/LOT/ABOUT`: an open alert (retained; empty once over), `-` where it has none;
 - `stations/STATION/state`: what a station says of itself (retained);
 - `units/SERIAL/estimate`: live estimates, the newest one retained.
 """
 
 import json
+import math
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from typing import Any
 
 import paho.mqtt.client as paho
@@ -21,8 +22,9 @@ from paho.mqtt.enums import CallbackAPIVersion
 from softcal.app.connect.events import CLEARED, RAISED, VERDICT, RegistryEvent, path_part
 from softcal.app.connect.forwarder import NotDelivered
 from softcal.app.connect.settings import MqttSettings, read_secret, split_address
-from softcal.app.connect.stations import station_json
+from softcal.app.connect.stations import stations_json
 from softcal.app.connect.webhook import tls_context
+from softcal.app.use.sink import HEADER
 from softcal.core.errors import InputError
 from softcal.db.registry import Registry
 
@@ -34,15 +36,20 @@ LOOK_S = 0.2
 """Between two looks at whether the connection still stands."""
 
 
+RETRY_S = 2.0
+"""Between two tries to reach a broker that is away."""
+
+COLUMNS = tuple(HEADER.strip().split(","))
+
 Message = tuple[str, str, bool]
-"""Topic below the one of the settings, payload, and whether the broker keeps it for who comes later."""
+"""Topic below the one of the settings, payload, and whether the broker keeps it."""
 
 States = Callable[[], Sequence[Message]]
 
 
 @contextmanager
 def open_mqtt(settings: MqttSettings, states: States = tuple) -> Iterator["MqttSender"]:
-    """Connect to the broker; the status is `online` inside the block and `offline` after it, however it ends.
+    """Connect to the broker; the status is `online` inside the block, then `offline`.
 
     Args:
         states: gives the states that are published whenever they have changed.
@@ -113,7 +120,7 @@ class MqttSender:
             time.sleep(0.01)
 
     def send(self, events: Sequence[RegistryEvent]) -> None:
-        """Publish events with the states they change, and the states that have changed by themselves.
+        """Publish events with the states they change, and other states that changed.
 
         Raises:
             NotDelivered: the broker did not confirm them all, or has ended the connection.
@@ -123,11 +130,7 @@ class MqttSender:
         self._shown |= {topic: payload for topic, payload, _ in changed}
 
     def publish(self, messages: Sequence[Message]) -> None:
-        """Publish messages and wait until the broker has confirmed each.
-
-        Raises:
-            NotDelivered: it did not.
-        """
+        """Publish messages until the broker has confirmed each (`NotDelivered`: it did not)."""
         sent = []
         for topic, payload, is_kept in messages:
             full = f"{self._settings.topic}/{topic}"
@@ -167,13 +170,88 @@ def alert_about(data: Any) -> str:
 
 
 def state_messages(registry: Registry) -> list[Message]:
-    """Return what is published of every station; whoever watches needs no program of the line for it."""
-    found = [station_json(registry, beat) for beat in registry.order_queue.stations()]
+    """Return what is published of every station."""
     # The time of the last sign of life would be another one every second.
-    told = [{name: value for name, value in station.items() if name != "at"} for station in found]
+    told = [{name: value for name, value in one.items() if name != "at"} for one in stations_json(registry)]
     return [(f"stations/{path_part(one['station'])}/state", json_text(one), True) for one in told]
 
 
 def json_text(value: object) -> str:
     """Return JSON text without spaces; NaN is refused."""
     return json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+
+
+def publish_estimates(lines: Iterable[str], serial: str, settings: MqttSettings, most_per_s: float) -> tuple[int, int]:
+    """Publish rows of estimates; return how many were published and left out.
+
+    A live value is worth nothing later: what comes faster than `most_per_s`, and what comes while the broker is away,
+    is left out. The rows themselves are whole in the output of `softcal adapt`.
+
+    Raises:
+        InputError: these are no rows of estimates.
+        NotDelivered: the broker was away from the beginning.
+    """
+    rows = iter(lines)
+    if next(rows, "").strip() != HEADER.strip():
+        raise InputError(f"rows of `softcal adapt --out -` were expected: {HEADER.strip()}")
+    topic, published, left_out, next_s = f"units/{path_part(serial)}/estimate", 0, 0, 0.0
+    with _Live(settings) as live:
+        for line in rows:
+            payload, now_s = estimate_json(line, serial), time.monotonic()
+            is_due = now_s >= next_s
+            if is_due:
+                next_s = now_s + 1 / most_per_s
+            if is_due and live.publish((topic, payload, True)):
+                published += 1
+            else:
+                left_out += 1
+    return published, left_out
+
+
+class _Live:
+    """A connection that may come and go after it stood once."""
+
+    def __init__(self, settings: MqttSettings) -> None:
+        self._settings, self._tried_s = settings, 0.0
+        self._stack = ExitStack()
+        self._sender: MqttSender | None = None
+
+    def __enter__(self) -> "_Live":
+        self._open()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        with suppress(NotDelivered):
+            self._stack.close()
+
+    def publish(self, message: Message) -> bool:
+        """Publish, or return that the broker is away."""
+        try:
+            if self._sender is None:
+                if time.monotonic() - self._tried_s < RETRY_S:
+                    return False
+                self._open()
+            if self._sender is not None:
+                self._sender.publish([message])
+            return True
+        except NotDelivered:
+            self.__exit__()
+            self._sender = None
+            return False
+
+    def _open(self) -> None:
+        self._tried_s = time.monotonic()
+        self._sender = self._stack.enter_context(open_mqtt(self._settings))
+
+
+def estimate_json(line: str, serial: str) -> str:
+    """Return one row as JSON; what is no number is null (`InputError`: it is no such row)."""
+    cells = line.rstrip("\r\n").split(",", len(COLUMNS) - 1)
+    try:
+        numbers = [float(cell) if cell else None for cell in cells[:4]]
+    except ValueError as error:
+        raise InputError(f"{line[:80]!r}: a row of {', '.join(COLUMNS)} was expected") from error
+    if len(cells) != len(COLUMNS):
+        raise InputError(f"{line[:80]!r}: a row of {', '.join(COLUMNS)} was expected")
+    finite = [None if value is None or not math.isfinite(value) else value for value in numbers]
+    return json.dumps({"serial": serial, **dict(zip(COLUMNS, [*finite, cells[4]], strict=True))})

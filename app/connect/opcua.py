@@ -1,4 +1,4 @@
-"""An OPC UA server over the registry: what every station and lot shows now, and every event, whoever was away.
+"""An OPC UA server over the registry: every station and lot now, and every event.
 
 A client that was away loses nothing: it keeps the cursor that `Events/Read` gave last and reads on from there, across
 restarts of this server, too. `Events/Cursor` changes with every event; a subscription to it says when to read.
@@ -7,7 +7,7 @@ restarts of this server, too. `Events/Cursor` changes with every event; a subscr
 import asyncio
 import json
 import logging
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -17,7 +17,7 @@ from asyncua.crypto.permission_rules import UserRole
 
 from softcal.app.connect.events import FOR_ALL, events_after, lots_judged_since, path_part
 from softcal.app.connect.settings import OpcUaSettings
-from softcal.app.connect.stations import station_json
+from softcal.app.connect.stations import stations_json
 from softcal.core.errors import InputError, SoftcalError
 from softcal.db.access.people import may
 from softcal.db.queues.outbox import Cursor, cursor_of, cursor_text
@@ -42,7 +42,7 @@ VERDICTS = {"Pass": "pass", "Conditional": "conditional", "Fail": "fail", "Retes
 
 
 class _Accounts:
-    """Lets in who signs in with an account and its token; on this machine alone, everybody. Nobody may write."""
+    """Lets in who has an account's token; on this machine alone, everybody. Nobody may write."""
 
     def __init__(self, registry: Registry, is_open: bool) -> None:
         self._registry, self._is_open = registry, is_open
@@ -75,13 +75,7 @@ class OpcUaServer:
             await self._folder(root, name, name)
         await self._show("Events", "Cursor", "", TEXT)
         read = uamethod(self._read)
-        await self._nodes["Events"].add_method(
-            ua.NodeId("Events/Read", self._index),
-            ua.QualifiedName("Read", self._index),
-            read,
-            [TEXT, COUNT],
-            [TEXT, TEXT],
-        )
+        await self._nodes["Events"].add_method(*self._named("Events/Read", "Read"), read, [TEXT, COUNT], [TEXT, TEXT])
 
     async def follow(self) -> None:
         """Show what the registry holds now; nodes of stations and lots appear with them."""
@@ -102,12 +96,8 @@ class OpcUaServer:
     def _look(self) -> tuple[str, list[dict[str, Any]], dict[str, dict[str, int]]]:
         registry = self._registry
         changed, self._cursor = lots_judged_since(registry, self._cursor)
-        stations = [station_json(registry, beat) for beat in registry.order_queue.stations()]
-        return (
-            cursor_text(self._cursor),
-            stations,
-            {lot_id: registry.pages.verdict_counts(lot_id) for lot_id in changed},
-        )
+        lots = {lot_id: registry.pages.verdict_counts(lot_id) for lot_id in changed}
+        return cursor_text(self._cursor), stations_json(registry), lots
 
     async def _counts(self, place: str, counts: dict[str, int]) -> None:
         for name, verdict in VERDICTS.items():
@@ -122,23 +112,22 @@ class OpcUaServer:
             return ua.StatusCode(ua.StatusCodes.BadInvalidArgument)
         return cursor_text(page.cursor), json.dumps([event.to_json() for event in page.events], ensure_ascii=False)
 
+    def _named(self, path: str, name: str) -> tuple[ua.NodeId, ua.QualifiedName]:
+        return ua.NodeId(path, self._index), ua.QualifiedName(name, self._index)
+
     async def _folder(self, parent: Node, place: str, name: str) -> Node:
-        made = await parent.add_folder(ua.NodeId(place, self._index), ua.QualifiedName(name, self._index))
+        made = await parent.add_folder(*self._named(place, name))
         self._nodes[place] = made
         return made
 
     async def _object(self, parent: str, place: str, name: str) -> None:
         if place not in self._nodes:
-            self._nodes[place] = await self._nodes[parent].add_object(
-                ua.NodeId(place, self._index), ua.QualifiedName(name, self._index)
-            )
+            self._nodes[place] = await self._nodes[parent].add_object(*self._named(place, name))
 
     async def _show(self, place: str, name: str, value: Any, kind: ua.VariantType) -> None:
         path = f"{place}/{name}"
         if path not in self._nodes:
-            self._nodes[path] = await self._nodes[place].add_variable(
-                ua.NodeId(path, self._index), ua.QualifiedName(name, self._index), value, kind
-            )
+            self._nodes[path] = await self._nodes[place].add_variable(*self._named(path, name), value, kind)
         elif self._shown.get(path) != value:
             await self._nodes[path].write_value(value, kind)
         self._shown[path] = value
@@ -146,11 +135,7 @@ class OpcUaServer:
 
 @asynccontextmanager
 async def opcua_server(registry: Registry, settings: OpcUaSettings) -> AsyncIterator[OpcUaServer]:
-    """Serve inside the block.
-
-    Raises:
-        InputError: nobody can listen there, or the certificate cannot be read.
-    """
+    """Serve inside the block (`InputError`: nobody can listen there, or no certificate is read)."""
     is_open = settings.cert_file is None
     server = Server(user_manager=_Accounts(registry, is_open))  # type: ignore[arg-type]
     await server.init()
@@ -187,12 +172,8 @@ async def serve_opcua(
     """Serve until `is_over`; a registry that is away for a moment is asked again."""
     async with opcua_server(registry, settings) as followed:
         while not is_over():
-            await _tried(followed.follow, on_trouble)
+            try:
+                await followed.follow()
+            except SoftcalError as error:
+                on_trouble(f"OPC UA: {error}")
             await asyncio.sleep(settings.every_s)
-
-
-async def _tried(action: Callable[[], Awaitable[None]], on_trouble: Callable[[str], None]) -> None:
-    try:
-        await action()
-    except SoftcalError as error:
-        on_trouble(f"OPC UA: {error}")

@@ -1,9 +1,13 @@
-"""The REST application: who asks, what goes wrong, and the OpenAPI document. The answers are in `rest_routes`."""
+"""The REST application: its errors, its OpenAPI document, and its server, local or encrypted."""
 
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
+import uvicorn
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.openapi.utils import get_openapi
@@ -11,8 +15,10 @@ from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
+from softcal.app.bootstrap import REGISTRY_VARIABLE, open_chosen_registry, registry_url
 from softcal.app.connect.rest_models import ProblemAnswer
 from softcal.app.connect.rest_routes import routes
+from softcal.app.connect.settings import is_here
 from softcal.app.logs import log_crash
 from softcal.core.errors import InputError, RegistryError, SoftcalError, UnitRefused
 from softcal.db.registry import Registry
@@ -56,10 +62,8 @@ def rest_app(registry: Registry, hosts: Sequence[str] = ("127.0.0.1", "localhost
     app.state.registry = registry
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=list(hosts), www_redirect=False)
     app.include_router(routes, prefix="/v1")
-    app.add_exception_handler(SoftcalError, _softcal_error)
-    app.add_exception_handler(RequestValidationError, _invalid)
-    app.add_exception_handler(HTTPException, _http_error)
-    app.add_exception_handler(Exception, _defect)
+    for kind in (SoftcalError, RequestValidationError, HTTPException, Exception):
+        app.add_exception_handler(kind, _answer)
 
     @app.get("/health", include_in_schema=False)
     def health() -> dict[str, str]:
@@ -89,32 +93,81 @@ def problem(status: int, detail: str, headers: Any = None) -> JSONResponse:
     return JSONResponse(told.model_dump(), status, headers, PROBLEM)
 
 
-def _softcal_error(_: Request, error: Exception) -> JSONResponse:
-    return problem(status_of(error), str(error))
-
-
-def status_of(error: Exception) -> int:
-    """Return the status of what softcal raises on purpose."""
-    if isinstance(error, RegistryError):
-        return 503
-    if isinstance(error, UnitRefused):
-        return 409
-    is_unknown = isinstance(error, InputError) and error.reason.code.startswith("name.no_")
-    return 404 if is_unknown else 400
-
-
-def _invalid(_: Request, error: Exception) -> JSONResponse:
-    if not isinstance(error, RequestValidationError):
-        raise error
-    first = error.errors()[0]
-    return problem(422, f"{'.'.join(str(part) for part in first['loc'])}: {first['msg']}")
-
-
-def _http_error(_: Request, error: Exception) -> JSONResponse:
-    if not isinstance(error, HTTPException):
-        raise error
-    return problem(error.status_code, str(error.detail), error.headers)
-
-
-def _defect(_: Request, error: Exception) -> JSONResponse:
+def _answer(_: Request, error: Exception) -> JSONResponse:
+    """Return a request's error as one line; what softcal raises on purpose is no defect."""
+    match error:
+        case RegistryError():
+            return problem(503, str(error))
+        case UnitRefused():
+            return problem(409, str(error))
+        case SoftcalError():
+            is_unknown = isinstance(error, InputError) and error.reason.code.startswith("name.no_")
+            return problem(404 if is_unknown else 400, str(error))
+        case RequestValidationError():
+            first = error.errors()[0]
+            return problem(422, f"{'.'.join(str(part) for part in first['loc'])}: {first['msg']}")
+        case HTTPException():
+            return problem(error.status_code, str(error.detail), error.headers)
     return problem(500, log_crash(error, "api"))
+
+
+@dataclass(frozen=True)
+class ServingOptions:
+    """How the API is served.
+
+    Args:
+        registry: URL of the registry; None takes the default.
+        names: other names under which programs reach this server, as behind a proxy.
+        cert_file, key_file: of the server; needed where other machines reach it.
+    """
+
+    registry: str | None = None
+    host: str = "127.0.0.1"
+    port: int = 8600
+    names: tuple[str, ...] = ()
+    cert_file: Path | None = None
+    key_file: Path | None = None
+
+    def __post_init__(self) -> None:
+        if (self.cert_file is None) != (self.key_file is None):
+            raise InputError("--cert and --key belong together")
+        if self.cert_file is None and not is_here(self.host):
+            raise InputError(
+                f"--host {self.host}: other machines would send their tokens readable for all; give --cert and --key, "
+                "or stay at 127.0.0.1 behind a proxy that encrypts"
+            )
+        for file in (self.cert_file, self.key_file):
+            if file is not None and not file.is_file():
+                raise InputError(f"{file}: there is no such file")
+
+
+def serve_api(options: ServingOptions, on_first_write: Callable[[str], None]) -> None:
+    """Serve until Ctrl-C.
+
+    Args:
+        on_first_write: told the registry's URL once something was written to it.
+
+    Raises:
+        InputError: nobody can listen there.
+        RegistryError: the registry cannot be opened.
+    """
+    url = registry_url(options.registry)
+    # A job is a process of its own; it finds the registry there.
+    os.environ[REGISTRY_VARIABLE] = url
+    with open_chosen_registry(url) as registry:
+        registry.database.on_first_write = lambda: on_first_write(url)
+        app = rest_app(registry, ("127.0.0.1", "localhost", options.host, *options.names))
+        config = uvicorn.Config(
+            app,
+            options.host,
+            options.port,
+            log_level="warning",
+            server_header=False,
+            ssl_certfile=options.cert_file,
+            ssl_keyfile=options.key_file,
+        )
+        server = uvicorn.Server(config)
+        try:
+            server.run()
+        except SystemExit as end:
+            raise InputError(f"nobody can listen at {options.host}:{options.port}; is the port taken?") from end

@@ -1,4 +1,4 @@
-"""What the REST answers hold, as OpenAPI shows it. The values come from the use cases; nothing is computed here."""
+"""What the REST answers hold, as OpenAPI shows it; the values come from the use cases."""
 
 from typing import Annotated, Any, Literal
 

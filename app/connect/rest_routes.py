@@ -16,7 +16,7 @@ from starlette.exceptions import HTTPException
 from softcal.app.connect import rest_models as answers
 from softcal.app.connect.alert_watch import open_alerts
 from softcal.app.connect.events import CHANGE, KINDS, events_after
-from softcal.app.connect.stations import order_json, station_json
+from softcal.app.connect.stations import order_json, stations_json
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 from softcal.app.export.certificates.laboratory import kept_laboratory
 from softcal.app.export.formats import writer_of
@@ -175,12 +175,19 @@ def files(
     conditional: Annotated[bool, Query(description="conditional units have their files, too")] = False,
 ) -> Response:
     """Give the calibration files of a unit with their manifest; a unit that is not released is refused (409)."""
-    from softcal.app.connect.rest_routes import unit_archive
-
     _unit(registry, lot, serial)
-    packed = unit_archive(registry, lot, serial, format, conditional, user.name)
+    release = Release.CONDITIONAL if conditional else Release.PASS
+    options = ExportOptions(release=release, lot_id=lot, laboratory=kept_laboratory())
+    contents = writer_of(format)(UnitLoader(registry, options).load(serial))
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in contents.items():
+            archive.writestr(zipfile.ZipInfo(name), content)
+    registry.trail.add("export", "units", (serial,), {"lot_id": lot, "formats": [format]}, actor=user.name)
     name = f"{serial}-{format}.zip".encode("ascii", "replace").decode().replace('"', "_")
-    return Response(packed, 200, {"content-disposition": f'attachment; filename="{name}"'}, "application/zip")
+    return Response(
+        packed.getvalue(), 200, {"content-disposition": f'attachment; filename="{name}"'}, "application/zip"
+    )
 
 
 @routes.get(
@@ -218,7 +225,9 @@ def start(
     """Start a batch over a lot. Ask the job how far it is; a key makes it safe to ask twice."""
     registry.lots.get(wanted.lot)
     request, board = {"lot": wanted.lot}, registry.job_board
-    job_id = None if idempotency_key is None else _job_id(user.name, idempotency_key)
+    job_id = None
+    if idempotency_key is not None:
+        job_id = hashlib.sha256(f"{user.name}\n{idempotency_key}".encode()).hexdigest()[:32]
     known = None if job_id is None else board.find(job_id)
     if known is not None and (known.kind, known.request) != (wanted.kind, request):
         raise HTTPException(409, "this Idempotency-Key was given for another request; give a new one; nothing was done")
@@ -258,15 +267,12 @@ def cancel(registry: Known, _: Calibrating, job_id: JobId) -> dict[str, Any]:
 @routes.get("/stations", response_model=answers.StationsAnswer, tags=["stations"])
 def stations(registry: Known, _: Looking) -> dict[str, Any]:
     """List the stations. Nothing here moves one: only the person at its line does."""
-    return {"stations": [station_json(registry, beat) for beat in registry.order_queue.stations()]}
+    return {"stations": stations_json(registry)}
 
 
 @routes.get("/orders", response_model=answers.OrdersAnswer, tags=["stations"])
 def orders(
-    registry: Known,
-    _: Looking,
-    station: Annotated[str | None, Query(pattern=r"^[^\x00]*$")] = None,
-    limit: Limit = 50,
+    registry: Known, _: Looking, station: Annotated[str | None, Query(pattern=r"^[^\x00]*$")] = None, limit: Limit = 50
 ) -> dict[str, Any]:
     """List the newest orders to stations and how far they are."""
     return {"orders": [order_json(*run) for run in registry.order_queue.runs(station, limit)]}
@@ -316,10 +322,6 @@ def _job(registry: Registry, job_id: str) -> Job:
     return found
 
 
-def _job_id(account: str, key: str) -> str:
-    return hashlib.sha256(f"{account}\n{key}".encode()).hexdigest()[:32]
-
-
 def _job_json(job: Job) -> dict[str, Any]:
     plain = {name: getattr(job, name) for name in ("job_id", "kind", "request", "actor", "fraction", "result")}
     return {
@@ -330,26 +332,3 @@ def _job_json(job: Job) -> dict[str, Any]:
         "is_cancel_wanted": job.is_cancel_wanted,
         "is_lost": job.is_lost(datetime.now(UTC)),
     }
-
-
-def unit_archive(
-    registry: Registry, lot_id: str, serial: str, file_format: str, with_conditional: bool, actor: str
-) -> bytes:
-    """Return the files of a format as a ZIP archive; who took them lands in the audit trail.
-
-    Args:
-        with_conditional: whether conditional units have their files, too.
-
-    Raises:
-        InputError: no such format, or no calibration.
-        UnitRefused: the newest verdict of the unit, or its map, allows no such file.
-    """
-    release = Release.CONDITIONAL if with_conditional else Release.PASS
-    options = ExportOptions(release=release, lot_id=lot_id, laboratory=kept_laboratory())
-    contents = writer_of(file_format)(UnitLoader(registry, options).load(serial))
-    packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in contents.items():
-            archive.writestr(zipfile.ZipInfo(name), content)
-    registry.trail.add("export", "units", (serial,), {"lot_id": lot_id, "formats": [file_format]}, actor=actor)
-    return packed.getvalue()

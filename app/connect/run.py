@@ -1,15 +1,16 @@
-"""The resident process of `softcal connect run`: every destination in a thread of its own, until it is told to end."""
+"""`softcal connect`: every destination in its own thread until the end, or tried once."""
 
 import asyncio
+import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from datetime import UTC, datetime
 from functools import partial
 
 from softcal.app.connect.alert_watch import AlertWatch
 from softcal.app.connect.forwarder import Destination, forward
-from softcal.app.connect.settings import ConnectSettings
+from softcal.app.connect.settings import ConnectSettings, OpcUaSettings, is_here, split_address
 from softcal.core.errors import InputError, SoftcalError
 from softcal.db.registry import Registry
 
@@ -44,13 +45,13 @@ def run_connect(
     """Serve all destinations until `over` is set.
 
     Raises:
-        InputError: there is nothing to do, a secret or certificate cannot be read, or nobody can listen.
+        InputError: nothing to do, an unreadable secret or certificate, or a taken port.
     """
     works: list[Callable[[], None]] = [
         partial(forward, registry, one, _now, over, EVERY_S, on_trouble) for one in destinations(registry, settings)
     ]
     if settings.opcua is not None:
-        works.append(partial(_serve_opcua, registry, settings, over, on_trouble))
+        works.append(partial(_serve_opcua, registry, settings.opcua, over, on_trouble))
     if not works:
         raise InputError("the file names no destination; docs/connect.md shows how")
     if settings.alerts_every_s:
@@ -65,6 +66,47 @@ def run_connect(
             finished.result()
 
 
+def reach(settings: ConnectSettings) -> Iterator[str]:
+    """Try every destination once, sending nothing; give the name of each once reached.
+
+    Raises:
+        InputError: one was not; the line says which, and why.
+    """
+    for webhook in settings.webhooks:
+        from softcal.app.connect.webhook import open_webhook
+
+        with open_webhook(webhook):
+            parts = split_address("url", webhook.url)
+            _connect(webhook.name, parts.hostname or "", parts.port or (443 if parts.scheme == "https" else 80))
+        yield webhook.name
+    for mail in settings.mails:
+        from softcal.app.connect.mail import MailSender
+
+        MailSender(mail).check()
+        yield mail.name
+    for mqtt in settings.mqtts:
+        from softcal.app.connect.mqtt import open_mqtt
+
+        with open_mqtt(mqtt):
+            pass
+        yield mqtt.name
+    if settings.opcua is not None:
+        parts = split_address("endpoint", settings.opcua.endpoint)
+        with socket.socket() as probe:
+            try:
+                probe.bind((parts.hostname if is_here(parts.hostname or "") else "0.0.0.0", parts.port or 0))
+            except OSError as error:
+                raise InputError(f"{settings.opcua.endpoint}: nobody can listen there: {error.strerror}") from error
+        yield "opcua"
+
+
+def _connect(name: str, host: str, port: int) -> None:
+    try:
+        socket.create_connection((host, port), timeout=5).close()
+    except OSError as error:
+        raise InputError(f"{name}: {host}:{port} cannot be reached: {error.strerror or error}") from error
+
+
 def watch_alerts(registry: Registry, every_s: float, over: threading.Event, on_trouble: Trouble) -> None:
     """Look for alerts until `over` is set; a registry that is away for a moment is asked again."""
     watch = AlertWatch(registry)
@@ -76,11 +118,10 @@ def watch_alerts(registry: Registry, every_s: float, over: threading.Event, on_t
         over.wait(every_s)
 
 
-def _serve_opcua(registry: Registry, settings: ConnectSettings, over: threading.Event, on_trouble: Trouble) -> None:
+def _serve_opcua(registry: Registry, settings: OpcUaSettings, over: threading.Event, on_trouble: Trouble) -> None:
     from softcal.app.connect.opcua import serve_opcua
 
-    if settings.opcua is not None:
-        asyncio.run(serve_opcua(registry, settings.opcua, over.is_set, on_trouble))
+    asyncio.run(serve_opcua(registry, settings, over.is_set, on_trouble))
 
 
 def _now() -> datetime:

@@ -1,4 +1,4 @@
-"""Where events go: the destinations of one TOML file. Secrets stand in files of their own, never in it."""
+"""Where events go: the destinations of one TOML file; secrets stand in files of their own."""
 
 import ipaddress
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ from softcal.app.texts.catalogue import LANGUAGES
 from softcal.core.errors import InputError
 
 BEGINNINGS = ("now", "first")
-"""Where a destination that is new begins: with what happens from now on, or with the first event there is."""
+"""Where a new destination begins: with what happens from now on, or with the first event."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,11 +225,7 @@ def _check_positive(name: str, value: float) -> None:
 
 
 def split_address(name: str, address: str) -> SplitResult:
-    """Return the parts of an address.
-
-    Raises:
-        InputError: it is none, or holds a password.
-    """
+    """Return the parts of an address (`InputError`: it is none, or holds a password)."""
     try:
         parts = urlsplit(address)
         _ = parts.port
@@ -243,11 +239,7 @@ def split_address(name: str, address: str) -> SplitResult:
 
 
 def check_address(name: str, address: str, safe: tuple[str, ...], plain: tuple[str, ...]) -> None:
-    """Check that an address is encrypted, or does not leave this machine.
-
-    Raises:
-        InputError: it is not.
-    """
+    """Check that an address is encrypted or stays on this machine (`InputError`: it is not)."""
     parts = split_address(name, address)
     if parts.scheme not in (*safe, *plain):
         raise InputError(f"{name} {address!r} must begin with {' or '.join(f'{scheme}://' for scheme in safe)}")
@@ -267,11 +259,7 @@ def is_here(host: str) -> bool:
 
 
 def read_secret(path: Path) -> str:
-    """Return the first line of a file that holds a secret.
-
-    Raises:
-        InputError: it cannot be read, or is empty.
-    """
+    """Return the first line of a secret's file (`InputError`: it cannot be read, or is empty)."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:

@@ -12,12 +12,19 @@ NEWEST = 20
 """So many of a station's newest orders are looked through for the last unit it judged."""
 
 
+def stations_json(registry: Registry) -> list[dict[str, Any]]:
+    """Return every station, by name."""
+    return [station_json(registry, beat) for beat in registry.order_queue.stations()]
+
+
 def station_json(registry: Registry, beat: Heartbeat) -> dict[str, Any]:
-    """Return a station: its state, the unit it presses, the last unit it judged, and where the lot of it stands."""
+    """Return a station: its state, its unit, the last unit it judged, and where their lot stands."""
     queue = registry.order_queue
     active = queue.active(beat.station)
     judged = next((o for o, p in queue.runs(beat.station, NEWEST) if o.kind.is_about_unit and p.verdict), None)
     lot_id = active[0].lot_id if active else judged.lot_id if judged else ""
+    # As every page says it now; the run keeps what was decided when the unit was pressed.
+    standing = registry.pages.standings(judged.lot_id, [judged.serial]).get(judged.serial) if judged else None
     return {
         "station": beat.station,
         "state": state_of(beat, datetime.now(UTC), is_alive(beat.process)),
@@ -25,16 +32,10 @@ def station_json(registry: Registry, beat: Heartbeat) -> dict[str, Any]:
         "reasons": [str(why) for why in beat.reasons],
         "serial": active[0].serial if active else None,
         "last_serial": judged.serial if judged else None,
-        "last_verdict": _verdict_now(registry, judged) if judged else None,
+        "last_verdict": standing.verdict if standing else None,
         "lot": lot_id or None,
         "counts": registry.pages.verdict_counts(lot_id) if lot_id in registry.lots.ids() else {},
     }
-
-
-def _verdict_now(registry: Registry, order: Order) -> str | None:
-    """Return the verdict as every page says it now; the run keeps what was decided when the unit was pressed."""
-    standing = registry.pages.standings(order.lot_id, [order.serial]).get(order.serial)
-    return None if standing is None else standing.verdict
 
 
 def order_json(order: Order, progress: Progress) -> dict[str, Any]:

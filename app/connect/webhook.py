@@ -1,4 +1,4 @@
-"""Events as signed HTTP POSTs: CloudEvents in JSON, signed as Standard Webhooks sign (standardwebhooks.com, 1.0)."""
+"""Events as signed HTTP POSTs: CloudEvents, signed as standardwebhooks.com (1.0) says."""
 
 import base64
 import binascii
@@ -45,11 +45,7 @@ def write_new_secret(path: Path) -> None:
 
 
 def key_of(secret: str) -> bytes:
-    """Return the key a secret's text stands for.
-
-    Raises:
-        InputError: it is none that `softcal connect secret` writes.
-    """
+    """Return a secret's key (`InputError`: it is none that `softcal connect secret` writes)."""
     try:
         key = base64.b64decode(secret.removeprefix(SECRET_PREFIX), validate=True)
     except binascii.Error:
@@ -69,11 +65,7 @@ def signature(key: bytes, event_id: str, timestamp: int, body: bytes) -> str:
 
 @contextmanager
 def open_webhook(settings: WebhookSettings, clock_s: Callable[[], float] = time.time) -> Iterator["WebhookSender"]:
-    """Open the sender of a webhook.
-
-    Raises:
-        InputError: its secret or its certificates cannot be read.
-    """
+    """Open the sender of a webhook (`InputError`: its secret or certificates cannot be read)."""
     key = key_of(read_secret(settings.secret_file))
     verify = tls_context(settings.ca_file)
     with httpx2.Client(verify=verify, timeout=settings.timeout_s, follow_redirects=False, trust_env=False) as client:
@@ -81,11 +73,7 @@ def open_webhook(settings: WebhookSettings, clock_s: Callable[[], float] = time.
 
 
 def tls_context(ca_file: Path | None) -> ssl.SSLContext:
-    """Return what checks a server's certificate.
-
-    Raises:
-        InputError: the file holds no certificates.
-    """
+    """Return what checks a server's certificate (`InputError`: the file holds no certificates)."""
     try:
         return ssl.create_default_context(cafile=ca_file)
     except (OSError, ssl.SSLError) as error:
@@ -101,11 +89,7 @@ class WebhookSender:
         self._client, self._url, self._key, self._clock_s = client, url, key, clock_s
 
     def send(self, events: Sequence[RegistryEvent]) -> None:
-        """Post events in their order.
-
-        Raises:
-            NotDelivered: an answer is not 2xx, or there is none.
-        """
+        """Post events in their order (`NotDelivered`: an answer is not 2xx, or there is none)."""
         for number, event in enumerate(events):
             body = json.dumps(event.to_json(), ensure_ascii=False, separators=(",", ":")).encode()
             timestamp = int(self._clock_s())

@@ -1,1 +1,1 @@
-"""What leaves the factory: calibration files of units with their manifest, written and read back."""
+"""What leaves the factory: calibration files with their manifest, written and read back."""

@@ -35,12 +35,12 @@ class ExportOptions:
         device: limits of the device form.
         unit_address, network_address: where `hex` places the files.
         release: which verdicts release device files.
-        failed_too: write device files of every unit, for the laboratory; each file says its verdict.
+        failed_too: write device files of every unit, for the laboratory.
         revision: an older calibration; None is the one in use.
         lot_id: lot of the units; needed where a serial stands in several.
         signing_key: opened key that signs the manifest and every certificate.
-        laboratory: TOML with laboratory, customer, responsible person and load cell, for certificates.
-        issued_on: date of issue of certificates; None leaves it to the laboratory file, else it is today.
+        laboratory: TOML with laboratory, customer, person and load cell.
+        issued_on: of certificates; None: as the laboratory file says, else today.
     """
 
     adc_bits: int | None = None
@@ -96,10 +96,10 @@ class SharedNetwork:
 
 @dataclass(frozen=True, eq=False)
 class CalibratedUnit:
-    """A unit as the registry knows it; what exports derive from it is made once and only when asked for.
+    """A unit as the registry knows it; what exports derive is made once, when asked for.
 
     Args:
-        stored: the calibration that is exported: the one in use, or an older one that was asked for.
+        stored: the calibration to export: the one in use, or one asked for.
         in_registry_since: UTC day its recording came into the registry.
         standing: how the unit stands now, whichever calibration that is.
     """
@@ -144,7 +144,7 @@ class CalibratedUnit:
 
     @property
     def verdict(self) -> str:
-        """The word of what was asked for: of the revision that was named, else of the unit as it stands."""
+        """The word of the revision that was named, else of the unit as it stands."""
         return self.stored.record.verdict if self.options.revision is not None else str(self.standing.verdict)
 
     @property
@@ -153,7 +153,7 @@ class CalibratedUnit:
         return self.stored.record.reasons if self.options.revision is not None else self.standing.reasons
 
     def check_stands(self) -> None:
-        """Raise `UnitRefused` where the unit's newest result is no calibration: its map is no longer the answer.
+        """Raise `UnitRefused` where the unit's newest result is no calibration.
 
         Who names a revision asks for that one, whatever came after it.
         """
@@ -201,20 +201,16 @@ class UnitLoader:
     def load(self, serial: str) -> CalibratedUnit:
         """Read one unit; `InputError` where the registry does not know it."""
         stored = self.registry.calibrations.get(serial, self.options.revision, lot_id=self.options.lot_id)
-        recording = self._recording(stored)
+        recording = unlabelled(self.registry.recordings.get(stored.record.recording_sha256))
+        if UNTRIMMED in stored.record.evidence:
+            # As the unit would give it since its trim.
+            base = untrimmed(self.registry, stored)
+            before, after = (Calibration.from_record(one.record).unit_map for one in (base, stored))
+            recording = as_given_now(recording, before, after)
         lot = self.registry.lots.get(stored.lot_id)
         since = self._since(stored.lot_id, stored.record.recording_sha256) or stored.made_at.date()
         standing = standing_of(self.registry, stored)
         return CalibratedUnit(stored, lot, self._shared(stored), recording, since, self.options, standing)
-
-    def _recording(self, stored: StoredCalibration) -> OutputRecording:
-        """Return the unit's own recording, as it would give it since its trim."""
-        recording = unlabelled(self.registry.recordings.get(stored.record.recording_sha256))
-        if UNTRIMMED not in stored.record.evidence:
-            return recording
-        base = untrimmed(self.registry, stored)
-        before, after = (Calibration.from_record(one.record).unit_map for one in (base, stored))
-        return as_given_now(recording, before, after)
 
     def _since(self, lot_id: str, sha256: str) -> date | None:
         """Return the UTC day a recording came into the registry."""

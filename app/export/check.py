@@ -1,4 +1,4 @@
-"""Read an export folder back before anything is shipped: is it complete, is it unchanged, and who signed it?"""
+"""Read an export folder back: is it complete, is it unchanged, and who signed it?"""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -25,9 +25,9 @@ class FolderCheck:
     Args:
         files: files the manifest lists.
         opened: units whose device files were opened with all self-tests.
-        incomplete: one line for each file that is missing, or that nobody exported; empty: nothing more, nothing less.
-        changed: one line for each file that is not what was exported, or that a device would refuse.
-        signed_by: name and fingerprint of the key, or NOT_SIGNED, NOT_CHECKED (no key was given) or WRONG.
+        incomplete: one line for each file that is missing, or that nobody exported.
+        changed: one line for each file that was changed, or that a device would refuse.
+        signed_by: name and fingerprint, or NOT_SIGNED, NOT_CHECKED (no key) or WRONG.
         signature_problem: why a signature does not hold.
         signed_on: what the signed manifest says of the day.
     """
@@ -65,7 +65,7 @@ def _yes(problems: tuple[str, ...], how: str) -> str:
 
 
 def check_folder(folder: Path, trusted: Sequence[TrustedKey] = ()) -> FolderCheck:
-    """Check a folder against its manifest, every device file by opening it, and the signatures where keys are given.
+    """Check a folder against its manifest, its device files by opening them, signatures by keys.
 
     Raises:
         InputError: there is no manifest, or it lists a file twice or outside the folder.
@@ -81,7 +81,10 @@ def check_folder(folder: Path, trusted: Sequence[TrustedKey] = ()) -> FolderChec
     if not changed:
         found, opened = _device_problems(folder, [entry.name for entry in present])
         changed += found
-    changed += _duplicates(manifest)
+    seen: dict[bytes, str] = {}
+    for serial in manifest.units:
+        if (other := seen.setdefault(serial_field(serial), serial)) != serial:
+            changed.append(f"units {other} and {serial} look the same to a device; export them into separate folders")
     return FolderCheck(len(manifest.files), opened, incomplete, tuple(changed), signed_by, problem, manifest.signed_on)
 
 
@@ -169,11 +172,3 @@ def _device_file(path: Path) -> NetworkFile | UnitFile | None:
             return network_from_values(values)
         return unit_from_values(values["device"]) if values.get("device") else None
     return None
-
-
-def _duplicates(manifest: Manifest) -> Iterator[str]:
-    seen: dict[bytes, str] = {}
-    for serial in manifest.units:
-        other = seen.setdefault(serial_field(serial), serial)
-        if other != serial:
-            yield f"units {other} and {serial} look the same to a device; export them into separate folders"

@@ -1,4 +1,4 @@
-"""Calibration files of units: one folder, whole files, a manifest with hashes, and the same bytes every time."""
+"""Calibration files of units: one folder with a manifest, and the same bytes every time."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -25,7 +25,7 @@ class ExportedUnit:
     Args:
         files: names of the files in the folder.
         refusal: why files that give numbers were not written; None where all were.
-        device: sizes and errors of the device form; empty where none was asked for or it was refused.
+        device: sizes and errors of the device form; empty without one.
     """
 
     serial: str
@@ -36,17 +36,13 @@ class ExportedUnit:
     device: Mapping[str, object] = field(default_factory=dict)
 
 
-def _silent(_: ExportedUnit) -> None:
-    return None
-
-
 def export_units(
     registry: Registry,
     serials: Sequence[str],
     formats: Sequence[str],
     out: Path,
     options: ExportOptions = ExportOptions(),  # noqa: B008
-    on_unit: Callable[[ExportedUnit], None] = _silent,
+    on_unit: Callable[[ExportedUnit], object] = lambda _: None,
 ) -> list[ExportedUnit]:
     """Write the calibration files of units and the manifest of the folder.
 
@@ -71,14 +67,8 @@ def export_units(
     manifest, loader = read_manifest(out), UnitLoader(registry, options)
     exported = []
     for serial in serials:
-        unit = loader.load(serial)
-        contents, refusal = _contents(unit, writers)
-        contents |= _signatures(contents, key)
-        manifest = _write(out, manifest, serial, contents, refusal)
-        done = _summary(unit, writers, tuple(contents), refusal)
-        manifest = manifest.with_unit(serial, _manifest_facts(unit, done))
-        exported.append(done)
-        on_unit(done)
+        exported.append(_export(loader.load(serial), writers, out, manifest, key))
+        on_unit(exported[-1])
     write_manifest(out, manifest, key)
     remember(registry, f"export {out.absolute()}")
     write_text(out / AUDIT, json.dumps(anchor_json(registry, "export"), indent=2, sort_keys=True) + "\n")
@@ -86,11 +76,7 @@ def export_units(
 
 
 def lot_serials(registry: Registry, lot_id: str, options: ExportOptions) -> list[str]:
-    """Return the calibrated units of a lot that are released.
-
-    Raises:
-        InputError: no such lot, or no such unit in it.
-    """
+    """Return the calibrated units of a lot that are released (`InputError`: there is none)."""
     units = [unit for unit in registry.lots.units(lot_id) if unit.revision is not None]
     serials = [unit.serial for unit in units if unit.verdict and options.releases(unit.verdict)]
     if not serials:
@@ -99,7 +85,7 @@ def lot_serials(registry: Registry, lot_id: str, options: ExportOptions) -> list
 
 
 def _check_serials(registry: Registry, serials: Sequence[str], lot_id: str | None) -> None:
-    """Refuse, before anything is written, unknown serials and those a device or a file system would mix up."""
+    """Refuse unknown serials and those a device or a file system would mix up."""
     seen: dict[str, str] = {}
     for serial in serials:
         for key in {serial.casefold(), serial_field(serial).rstrip(b"\0").decode().casefold()}:
@@ -113,7 +99,11 @@ def _check_serials(registry: Registry, serials: Sequence[str], lot_id: str | Non
         raise InputError(f"the registry has no calibration of {', '.join(unknown[:5])}; nothing was written")
 
 
-def _contents(unit: CalibratedUnit, writers: Mapping[str, Writer]) -> tuple[dict[str, bytes], str | None]:
+def _export(
+    unit: CalibratedUnit, writers: Mapping[str, Writer], out: Path, manifest: Manifest, key: SigningKey | None
+) -> ExportedUnit:
+    """Write what a unit has of each format, take away what it has no more."""
+    record, serial = unit.stored.record, unit.serial
     contents: dict[str, bytes] = {}
     refusal = None
     for write in writers.values():
@@ -121,53 +111,28 @@ def _contents(unit: CalibratedUnit, writers: Mapping[str, Writer]) -> tuple[dict
             contents |= write(unit)
         except UnitRefused as error:
             refusal = str(error)
-    return contents, refusal
-
-
-def _signatures(contents: Mapping[str, bytes], key: SigningKey | None) -> dict[str, bytes]:
-    if key is None:
-        return {}
-    return {f"{name}{APART}": key.sign(each) for name, each in contents.items() if name.startswith(SIGNED_APART)}
-
-
-def _write(out: Path, manifest: Manifest, serial: str, contents: Mapping[str, bytes], refusal: str | None) -> Manifest:
+    apart = [name for name in contents if name.startswith(SIGNED_APART)]
+    contents |= {f"{name}{APART}": key.sign(contents[name]) for name in apart if key is not None}
     for name, content in contents.items():
         write_bytes(out / name, content)
         is_shared = name.startswith("network-") or name == "softsensor.h"
-        manifest = manifest.with_file(FileEntry.of(name, content, None if is_shared else serial))
-    unsigned = [f"{name}{APART}" for name in contents if f"{name}{APART}" in manifest.files]
-    manifest = _without(out, manifest, [name for name in unsigned if name not in contents])
-    if refusal is None:
-        return manifest
-    stale = [name for name, entry in manifest.files.items() if entry.serial == serial and name not in contents]
-    return _without(out, manifest, stale)
-
-
-def _without(out: Path, manifest: Manifest, names: Sequence[str]) -> Manifest:
-    for name in names:
-        (out / name).unlink(missing_ok=True)
-    return manifest.without_files(names)
-
-
-def _summary(
-    unit: CalibratedUnit, writers: Mapping[str, Writer], files: tuple[str, ...], refusal: str | None
-) -> ExportedUnit:
-    has_device = refusal is None and any(name in writers for name in DEVICE_FORMATS)
-    device = device_summary(unit) if has_device else {}
-    return ExportedUnit(unit.serial, unit.stored.revision, unit.verdict, files, refusal, device)
-
-
-def _manifest_facts(unit: CalibratedUnit, done: ExportedUnit) -> dict[str, object]:
-    record = unit.stored.record
-    return {
+        manifest.files[name] = FileEntry.of(name, content, None if is_shared else serial)
+    older = manifest.files.keys() - contents.keys()
+    manifest.remove(out, older & {f"{name}{APART}" for name in contents})
+    if refusal is not None:
+        manifest.remove(out, [name for name in older & manifest.files.keys() if manifest.files[name].serial == serial])
+    device = device_summary(unit) if refusal is None and any(name in writers for name in DEVICE_FORMATS) else {}
+    done = ExportedUnit(serial, unit.stored.revision, unit.verdict, tuple(contents), refusal, device)
+    manifest.units[serial] = {
         "revision": done.revision,
-        "verdict": unit.verdict,
+        "verdict": done.verdict,
         "lot": unit.lot.id,
         "network": record.network_id,
         "map": record.map_sha256,
         "recording": record.recording_sha256,
-        "refused": done.refusal,
-        "device": dict(done.device),
+        "refused": refusal,
+        "device": dict(device),
         # What was refused altogether is complete without a file.
-        **({} if done.files else {"withdrawn": True}),
+        **({} if contents else {"withdrawn": True}),
     }
+    return done

@@ -52,7 +52,7 @@ def _json_files(unit: CalibratedUnit) -> dict[str, bytes]:
 
 
 def calibration_values(unit: CalibratedUnit) -> dict[str, object]:
-    """Return the calibration itself, without loss: map and interval in full precision, hashes, verdict and scores."""
+    """Return the calibration without loss: map and interval, hashes, verdict and scores."""
     record = unit.stored.record
     names = ("network_id", "family", "map_sha256", "predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
     return {
@@ -79,10 +79,7 @@ def calibration_values(unit: CalibratedUnit) -> dict[str, object]:
 
 def _blob_files(unit: CalibratedUnit) -> dict[str, bytes]:
     network, device = unit.shared.file, unit.device_unit
-    return {
-        f"unit-{unit.serial}.ssc": device.file.to_bytes(),
-        f"network-{network.id.hex()}.ssc": network.to_bytes(),
-    }
+    return {f"unit-{unit.serial}.ssc": device.file.to_bytes(), f"network-{network.id.hex()}.ssc": network.to_bytes()}
 
 
 def _c_files(unit: CalibratedUnit) -> dict[str, bytes]:
@@ -149,7 +146,7 @@ def _dcc_files(unit: CalibratedUnit) -> dict[str, bytes]:
 
 
 def device_summary(unit: CalibratedUnit) -> dict[str, object]:
-    """Return sizes of the device form and what it costs in accuracy; `UnitRefused` where there is none."""
+    """Return sizes of the device form and its cost in accuracy, or raise `UnitRefused`."""
     device, network = unit.device_unit, unit.shared.file.network
     cost = device_cost(network, device.file.device_map)
     return {
@@ -171,11 +168,7 @@ def device_summary(unit: CalibratedUnit) -> dict[str, object]:
 
 
 WRITERS: Mapping[str, Writer] = dict(
-    zip(
-        FORMATS,
-        (_json_files, _c_files, _blob_files, _hex_files, _onnx_files, _pdf_files, _dcc_files),
-        strict=True,
-    )
+    zip(FORMATS, (_json_files, _c_files, _blob_files, _hex_files, _onnx_files, _pdf_files, _dcc_files), strict=True)
 )
 """What writes each of softcal's own formats."""
 
@@ -183,10 +176,10 @@ WRITERS: Mapping[str, Writer] = dict(
 def writer_of(name: str) -> Writer:
     """Return what writes a format, its own or a plug-in's.
 
-    It raises `UnitRefused` for a unit that has no such file: its newest result, its verdict or its map forbids it.
+    It raises `UnitRefused` where result, verdict or map of a unit forbid such a file.
 
     Raises:
-        InputError: no such format, a plug-in that cannot be loaded, or one that takes the name of an own format.
+        InputError: no such format, or a plug-in that cannot be loaded or takes a name.
     """
     points = [point for point in installed(GROUP) if point.name == name]
     if name in WRITERS and not points:

@@ -1,4 +1,4 @@
-"""What a calibration file holds, in words and numbers, without running anything it could get wrong."""
+"""What a calibration file holds, in words and numbers."""
 
 import json
 from collections.abc import Mapping
@@ -6,14 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from softcal.core.errors import InputError
-from softcal.core.export.blob import (
-    CONDITIONAL,
-    FAILED,
-    MAGIC,
-    MAJOR,
-    NetworkFile,
-    UnitFile,
-)
+from softcal.core.export.blob import CONDITIONAL, FAILED, MAGIC, MAJOR, NetworkFile, UnitFile
 from softcal.core.export.blob_reader import read_network, read_unit
 from softcal.core.export.json_text import network_from_values, network_values, unit_from_values, unit_values
 from softcal.core.export.loader import join
@@ -28,18 +21,17 @@ def read_device_file(path: Path) -> DeviceFile:
         InputError: it cannot be read, is damaged, or is none of these.
     """
     try:
-        content = path.read_bytes()
+        return device_file_of(path.read_bytes())
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
-    try:
-        if content[:4] == MAGIC.to_bytes(4, "little"):
-            return read_network(content) if content[4:5] == b"\x01" else read_unit(content)
-        return _from_json(content)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
 
-def _from_json(content: bytes) -> DeviceFile:
+def device_file_of(content: bytes) -> DeviceFile:
+    """Return what the bytes of a network or unit file hold, as `read_device_file`."""
+    if content[:4] == MAGIC.to_bytes(4, "little"):
+        return read_network(content) if content[4:5] == b"\x01" else read_unit(content)
     try:
         values = json.loads(content)
     except ValueError as error:
@@ -59,7 +51,7 @@ def file_values(file: DeviceFile) -> dict[str, object]:
 
 
 def file_rows(file: DeviceFile, network: NetworkFile | None = None) -> list[tuple[str, str]]:
-    """Return what a person wants to know of a file; with its network, a unit file is opened and self-tested."""
+    """Return what a person wants to know of a file; beside its network a unit's is self-tested."""
     if isinstance(file, NetworkFile):
         return _network_rows(file)
     rows = _unit_rows(file)

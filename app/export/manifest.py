@@ -1,4 +1,4 @@
-"""The manifest of an export folder: every file with its hash, every unit with what it is; signed with a key.
+"""The manifest of an export folder: every file with its hash, every unit; signed.
 
 Files of units that are no longer released are taken back here: a later verdict that is worse wins.
 """
@@ -7,7 +7,7 @@ import hashlib
 import json
 import re
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, date, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -37,8 +37,16 @@ class FileEntry:
     def of(cls, name: str, content: bytes, serial: str | None) -> "FileEntry":
         return cls(name, hashlib.sha256(content).hexdigest(), len(content), serial)
 
+    @classmethod
+    def read(cls, row: Mapping[str, Any]) -> "FileEntry":
+        """Read one row; a manifest may come from elsewhere, so a name must stay in the folder."""
+        entry = cls(**row)
+        if not isinstance(entry.name, str) or not PLAIN_NAME.fullmatch(entry.name) or entry.name in (NAME, SIGNATURE):
+            raise ValueError(f"{entry.name!r} is no name of a file in this folder")
+        return entry
 
-@dataclass(frozen=True)
+
+@dataclass
 class Manifest:
     """What an export folder holds.
 
@@ -47,22 +55,18 @@ class Manifest:
         signed_on: day of the signature, which it covers; None where nobody signed.
     """
 
-    files: Mapping[str, FileEntry]
-    units: Mapping[str, Mapping[str, object]]
+    files: dict[str, FileEntry]
+    units: dict[str, Mapping[str, object]]
     signed_on: date | None = None
 
-    def with_file(self, entry: FileEntry) -> "Manifest":
-        """Return the manifest with one more file, or a newer one of that name."""
-        return replace(self, files={**self.files, entry.name: entry})
-
-    def without_files(self, names: Collection[str]) -> "Manifest":
-        return replace(self, files={name: entry for name, entry in self.files.items() if name not in names})
-
-    def with_unit(self, serial: str, facts: Mapping[str, object]) -> "Manifest":
-        return replace(self, units={**self.units, serial: facts})
+    def remove(self, folder: Path, names: Collection[str]) -> None:
+        """Take files out of the folder and out of its manifest."""
+        for name in names:
+            (folder / name).unlink(missing_ok=True)
+            del self.files[name]
 
     def text(self) -> str:
-        """Return the manifest's JSON, files and units by name: the same folder always gives the same text."""
+        """Return the manifest's JSON, files and units by name: the same folder, the same text."""
         signed = {} if self.signed_on is None else {"signed_on": self.signed_on.isoformat()}
         return json_text(
             {
@@ -79,7 +83,7 @@ def read_manifest(folder: Path) -> Manifest:
     """Read a folder's manifest; an empty one where there is none yet.
 
     Raises:
-        InputError: what stands there is no manifest of softcal, lists a file twice, or names one that is elsewhere.
+        InputError: no manifest of softcal; it lists a file twice, or one elsewhere.
     """
     path = folder / NAME
     if not path.exists():
@@ -88,7 +92,7 @@ def read_manifest(folder: Path) -> Manifest:
         values: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         if values["schema"] != SCHEMA:
             raise InputError(f"{path}: schema {values['schema']!r}, {SCHEMA!r} was expected; export to another folder")
-        entries = [_entry(row) for row in values["files"]]
+        entries = [FileEntry.read(row) for row in values["files"]]
         units = dict(values["units"])
         signed_on = date.fromisoformat(values["signed_on"]) if "signed_on" in values else None
     except (OSError, ValueError, KeyError, TypeError) as error:
@@ -100,17 +104,10 @@ def read_manifest(folder: Path) -> Manifest:
     return Manifest({entry.name: entry for entry in entries}, units, signed_on)
 
 
-def _entry(row: Mapping[str, Any]) -> FileEntry:
-    """Read one row; a manifest comes from elsewhere, so a name must be that of a file in the folder itself."""
-    entry = FileEntry(**row)
-    if not isinstance(entry.name, str) or not PLAIN_NAME.fullmatch(entry.name) or entry.name in (NAME, SIGNATURE):
-        raise ValueError(f"{entry.name!r} is no name of a file in this folder")
-    return entry
-
-
 def write_manifest(folder: Path, manifest: Manifest, key: SigningKey | None) -> None:
-    """Write the manifest, and its Ed25519 signature where a key is given; an old signature never stays beside it."""
-    content = replace(manifest, signed_on=datetime.now(UTC).date() if key else None).text().encode()
+    """Write the manifest and, with a key, its signature; an old one never stays."""
+    manifest.signed_on = datetime.now(UTC).date() if key else None
+    content = manifest.text().encode()
     signature = key.sign(content) if key else None
     (folder / SIGNATURE).unlink(missing_ok=True)
     write_bytes(folder / NAME, content)
@@ -119,7 +116,7 @@ def write_manifest(folder: Path, manifest: Manifest, key: SigningKey | None) -> 
 
 
 def withdraw_units(folder: Path, released: Collection[str], verdicts: Mapping[str, str]) -> list[str]:
-    """Remove the files of units that are not released, and say so in the manifest; return their serials.
+    """Remove the files of units that are not released; return their serials.
 
     Args:
         folder: an export folder; nothing happens where there is none yet.
@@ -130,10 +127,8 @@ def withdraw_units(folder: Path, released: Collection[str], verdicts: Mapping[st
     gone = [serial for serial in manifest.units if serial in verdicts and serial not in released]
     for serial in gone:
         names = [name for name, entry in manifest.files.items() if entry.serial == serial]
-        for name in names:
-            (folder / name).unlink(missing_ok=True)
-        facts = {**manifest.units[serial], "verdict": verdicts[serial], "withdrawn": bool(names)}
-        manifest = manifest.without_files(names).with_unit(serial, facts)
+        manifest.remove(folder, names)
+        manifest.units[serial] = {**manifest.units[serial], "verdict": verdicts[serial], "withdrawn": bool(names)}
     if gone:
         # A signature of the folder as it was would vouch for files that are gone.
         write_manifest(folder, manifest, None)

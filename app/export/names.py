@@ -5,7 +5,7 @@ from softcal.core.plugins import installed
 FORMATS = ("json", "c", "blob", "hex", "onnx", "pdf", "dcc")
 
 GROUP = "softcal.exporters"
-"""Entry points of formats that other packages bring along; the name of the entry point is the name of the format."""
+"""Entry points of formats that other packages bring along, each under the format's name."""
 
 
 def formats() -> tuple[str, ...]:
@@ -23,4 +23,4 @@ APART = ".sig"
 """Ending of such a signature: 64 bytes, Ed25519."""
 
 AUDIT = "audit.json"
-"""Where the registry's audit trail stood at the export: beside the manifest, which must repeat byte by byte."""
+"""Where the audit trail stood at the export; the manifest must repeat byte by byte."""

@@ -1,8 +1,7 @@
-"""Ed25519 signatures beside a manifest and beside certificates: made with one key, checked with the keys one trusts."""
+"""Ed25519 signatures beside manifest and certificates: made with one key, checked with many."""
 
 import hashlib
 import os
-import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import date
@@ -17,27 +16,15 @@ from cryptography.hazmat.primitives.serialization import (
     load_pem_public_key,
 )
 
+from softcal.app.files.toml_file import read_toml
 from softcal.core.errors import InputError
 
 PASSPHRASE_VARIABLE = "SOFTCAL_SIGNING_PASSPHRASE"
 MAKE_ONE = "make one: openssl genpkey -algorithm ed25519"
+SigningKey = Ed25519PrivateKey
+"""A private key that has been opened, so that signing cannot fail once files are written."""
+
 RING_KEYS = {"name", "file", "valid_from", "valid_until"}
-
-
-@dataclass(frozen=True)
-class SigningKey:
-    """A private key that has been opened, so that signing cannot fail once files are written."""
-
-    key: Ed25519PrivateKey
-
-    @property
-    def fingerprint(self) -> str:
-        """Of its public half."""
-        return fingerprint(self.key.public_key())
-
-    def sign(self, content: bytes) -> bytes:
-        """Return the 64 bytes of the signature."""
-        return self.key.sign(content)
 
 
 @dataclass(frozen=True)
@@ -45,7 +32,7 @@ class TrustedKey:
     """A public key somebody trusts.
 
     Args:
-        valid_from, valid_until: first day it signs, first day it no longer does; None for no such day.
+        valid_from, valid_until: first day it signs, first day it no longer does.
     """
 
     key: Ed25519PublicKey
@@ -73,7 +60,7 @@ def open_signing_key(
 
     Args:
         key_file: the key, encrypted or not.
-        passphrase_file: its first line opens an encrypted key; without one SOFTCAL_SIGNING_PASSPHRASE does.
+        passphrase_file: its first line opens the key, else SOFTCAL_SIGNING_PASSPHRASE.
         ask: asks a person for the passphrase where there is neither; None: there is nobody to ask.
 
     Raises:
@@ -94,7 +81,7 @@ def open_signing_key(
         ) from error
     if not isinstance(key, Ed25519PrivateKey):
         raise InputError(f"{key_file}: an Ed25519 key was expected; {MAKE_ONE}; nothing was written")
-    return SigningKey(key)
+    return key
 
 
 def _passphrase(key_file: Path, file: Path | None, ask: Callable[[str], str] | None) -> bytes | None:
@@ -115,10 +102,10 @@ def trusted_keys(files: Sequence[Path]) -> list[TrustedKey]:
 
 
 def _ring(file: Path) -> list[TrustedKey]:
+    ring = read_toml(file)
     try:
-        rows = tomllib.loads(file.read_text(encoding="utf-8"))["key"]
         keys = []
-        for row in rows:
+        for row in ring["key"]:
             if set(row) - RING_KEYS:
                 raise ValueError(f"{', '.join(sorted(set(row) - RING_KEYS))} unknown")
             days = {name: row.get(name) for name in ("valid_from", "valid_until")}
@@ -126,7 +113,7 @@ def _ring(file: Path) -> list[TrustedKey]:
                 raise ValueError("valid_from and valid_until are dates such as 2026-01-31")
             keys.append(_trusted(file.parent / row["file"], str(row["name"]), **days))
         return keys
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise InputError(
             f"{file}: no key ring ({error}); [[key]] with name, file, valid_from and valid_until was expected; nothing "
             "was checked"

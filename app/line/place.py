@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from softcal.db.queues.line_place import LinePlaces
+from softcal.db.queues.order_queue import LinePlaces
 
 SHIFT = timedelta(hours=10)
 """A badge names whoever stands at the line for one shift."""

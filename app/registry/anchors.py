@@ -72,7 +72,7 @@ def _heads_of_backup(path: Path) -> Heads:
 
     database = open_database(f"sqlite:///{path}", create=False)
     try:
-        with database.reading() as connection:
-            return history.heads(connection)
+        with database.reading():
+            return history.heads(database)
     finally:
         database.close()

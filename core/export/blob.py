@@ -1,4 +1,4 @@
-"""The binary files `network-<id>.ssc` and `unit-<serial>.ssc`, format 1.3: values ⇄ bytes. No file I/O here.
+"""The binary files `network-<id>.ssc` and `unit-<serial>.ssc`, format 1.3: values ⇄ bytes.
 
 The layout, byte by byte, and what a reader has to check are written down in docs/format.md.
 """
@@ -14,12 +14,7 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.export.compile_map import InputScale
-from softcal.core.export.integer_network import (
-    DeviceMap,
-    IntegerLayer,
-    IntegerMix,
-    IntegerNetwork,
-)
+from softcal.core.export.integer_network import DeviceMap, IntegerLayer, IntegerMix, IntegerNetwork
 from softcal.core.windows import TAPS
 
 MAGIC = 0x4643_5353
@@ -77,7 +72,7 @@ class FileRefused(InputError):
 
 @dataclass(frozen=True)
 class SelfTest:
-    """A window of codes start, start + step, ... (TAPS of them) and the estimate it must give, before the clamp."""
+    """A window of TAPS codes start, start + step, ... and the estimate it must give, unclamped."""
 
     start: int
     step: int
@@ -86,7 +81,7 @@ class SelfTest:
 
 @dataclass(frozen=True)
 class Band:
-    """Up to estimate `level`, the 90 % interval reaches `minus` below and `plus` above the estimate, in counts."""
+    """Up to estimate `level` the 90 % interval reaches from -`minus` to +`plus`, in counts."""
 
     level: int
     minus: int
@@ -95,11 +90,11 @@ class Band:
 
 @dataclass(frozen=True)
 class AdaptLimits:
-    """Two anchor levels of the mapped samples at calibration, in source counts; and bounds that older firmware read.
+    """Two anchor levels of the mapped samples, in source counts; bounds for older firmware.
 
     Args:
         low, high: the level that a trim's gain turns about, and that of the top.
-        gain, offset: what older firmware may change by itself, in 2^-15 and in source counts; written as 0.
+        gain, offset: what older firmware may change, in 2^-15 and counts; written as 0.
     """
 
     low: int
@@ -175,7 +170,7 @@ class NetworkFile:
 
     @cached_property
     def id(self) -> bytes:
-        """First 8 bytes of the SHA-256 of the body without levels: what ties unit files to this file.
+        """First 8 bytes of the SHA-256 of the body without levels: it ties unit files to it.
 
         So unit files made before a network file had levels stay its own.
         """
@@ -222,7 +217,7 @@ class UnitFile:
 
     @property
     def minor(self) -> int:
-        """Minor version: the least that says what is in the file, so that readers in the field go on reading it."""
+        """Minor version: the least that says what is in the file, for readers in the field."""
         mix = self.device_map.mix
         return 0 if mix is None else 2 if mix.is_wide else 1
 
@@ -239,21 +234,25 @@ class UnitFile:
         )  # fmt: skip
         tables = b"".join(BAND.pack(b.level, b.minus, b.plus) for b in self.bands)
         tables += b"".join(SELF_TEST.pack(t.start, t.step, t.expected) for t in self.self_tests)
-        body = fixed + _padded(tables) + _map_bytes(form)
+        points = [] if form.curve is None else zip(form.curve.codes, form.curve.values, strict=True)
+        curve = b"".join(KNOT.pack(int(code), int(value)) for code, value in points)
+        linear = b"" if form.layer is None else _layer_bytes(form.layer)
+        mix = b"" if form.mix is None else _mix_bytes(form.mix)
+        body = fixed + _padded(tables) + curve + linear + mix
         return _sealed(
             Kind.UNIT, self.flags, self.network_id, self.revision, self.time_s, self.serial, body, self.minor
         )
 
 
 def longest_step_ms(period_us: int) -> int:
-    """Return the longest time between two samples of one window: 1.5 periods, rounded up to the next ms."""
+    """Return the longest time between two samples of a window: 1.5 periods, rounded up to ms."""
     return -(-3 * period_us // 2000)
 
 
 def serial_field(serial: str) -> bytes:
     """Return the 20-byte serial of a file.
 
-    A serial over 20 characters becomes its first 11, a tilde and 8 hex digits of its SHA-256; no serial holds a tilde.
+    A serial over 20 characters becomes its first 11, a tilde and 8 hex digits of its SHA-256.
     """
     raw = serial.encode("ascii")
     if len(raw) > SERIAL_BYTES:
@@ -262,7 +261,7 @@ def serial_field(serial: str) -> bytes:
 
 
 def _sealed(
-    kind: Kind, flags: int, network_id: bytes, revision: int, time_s: int, serial: str, body: bytes, minor: int = 0
+    kind: Kind, flags: int, network_id: bytes, revision: int, time_s: int, serial: str, body: bytes, minor: int
 ) -> bytes:
     length = HEADER.size + len(body) + 4
     header = HEADER.pack(MAGIC, kind, MAJOR, minor, flags, length, network_id, revision, time_s, serial_field(serial))
@@ -277,7 +276,7 @@ def _unit_text(unit: str) -> bytes:
 
 
 def _layer_bytes(layer: IntegerLayer) -> bytes:
-    """Row records, then weights in blocks of four rows, column by column; rows padded with zeros to a multiple of 4."""
+    """Row records, then weights in blocks of four rows, column by column; rows padded to 4."""
     rows, columns = layer.shape
     records = b"".join(
         ROW.pack(*map(int, row)) for row in zip(layer.bias, layer.multiplier, layer.shift1, layer.shift2, strict=True)
@@ -290,13 +289,6 @@ def _layer_bytes(layer: IntegerLayer) -> bytes:
 
 def _padded(content: bytes) -> bytes:
     return content + b"\0" * (-len(content) % 4)
-
-
-def _map_bytes(form: DeviceMap) -> bytes:
-    points = [] if form.curve is None else zip(form.curve.codes, form.curve.values, strict=True)
-    knots = b"".join(KNOT.pack(int(code), int(value)) for code, value in points)
-    linear = b"" if form.layer is None else _layer_bytes(form.layer)
-    return knots + linear + (b"" if form.mix is None else _mix_bytes(form.mix))
 
 
 def _mix_bytes(mix: IntegerMix) -> bytes:

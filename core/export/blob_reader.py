@@ -1,4 +1,4 @@
-"""Bytes of a network or unit file back into values; every check a reader must make, in the order of docs/format.md."""
+"""Bytes of a file back into values; every check a reader must make, as docs/format.md orders them."""
 
 import struct
 import zlib
@@ -6,42 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softcal.core.export.blob import (
-    BAND,
-    FORMS,
-    HAS_CURVE,
-    HAS_LAYER,
-    HAS_MIX,
-    HAS_WIDE_MIX,
-    HEADER,
-    KNOT,
-    LEVELS,
-    MAGIC,
-    MAJOR,
-    MAX_BANDS,
-    MAX_LAYERS,
-    MAX_SELF_TESTS,
-    MAX_WIDTH,
-    MINOR,
-    MIX_FIXED,
-    MIX_ROW,
-    NETWORK_FIXED,
-    ROW,
-    SELF_TEST,
-    UNIT_FIXED,
-    WEIGHTS_INT16,
-    WIDE_FIXED,
-    WIDE_ROW,
-    AdaptLimits,
-    Band,
-    FileRefused,
-    Kind,
-    LoadLevels,
-    NetworkFile,
-    RefusalCause,
-    SelfTest,
-    UnitFile,
-)
+from softcal.core.export import blob
+from softcal.core.export.blob import FileRefused, Kind, LoadLevels, NetworkFile, RefusalCause, SelfTest, UnitFile
 from softcal.core.export.compile_map import InputScale
 from softcal.core.export.integer_network import (
     ACTIVATION_MAX,
@@ -73,14 +39,15 @@ class _Opened:
 
 def _open(data: bytes, kind: Kind) -> _Opened:
     name = f"{kind.name.lower()} file"
-    if len(data) < HEADER.size + 4:
+    if len(data) < blob.HEADER.size + 4:
         raise FileRefused(RefusalCause.LENGTH, f"{name} of {len(data)} bytes is shorter than its header; copy it again")
-    magic, found, major, minor, flags, length, network_id, revision, time_s, serial = HEADER.unpack_from(data)
-    if magic != MAGIC:
+    magic, found, major, minor, flags, length, network_id, revision, time_s, serial = blob.HEADER.unpack_from(data)
+    if magic != blob.MAGIC:
         raise FileRefused(RefusalCause.MAGIC, f"this is no calibration file: it starts with 0x{magic:08x}")
-    if major != MAJOR:
+    if major != blob.MAJOR:
         raise FileRefused(
-            RefusalCause.VERSION, f"{name} has format {major}.{minor}, this version of softcal reads {MAJOR}.x"
+            RefusalCause.VERSION,
+            f"{name} has format {major}.{minor}, this version of softcal reads {blob.MAJOR}.x",
         )
     if length != len(data) or length % 4:
         raise FileRefused(RefusalCause.LENGTH, f"{name} says {length} bytes and has {len(data)}; copy it again")
@@ -88,7 +55,7 @@ def _open(data: bytes, kind: Kind) -> _Opened:
         raise FileRefused(RefusalCause.CRC, f"{name} is damaged: its CRC-32 does not match; copy or export it again")
     if found != kind:
         raise FileRefused(RefusalCause.KIND, f"a {name} was expected, this one is of kind {found}")
-    return _Opened(flags, minor, network_id, revision, time_s, _text(serial), data[HEADER.size : -4])
+    return _Opened(flags, minor, network_id, revision, time_s, _text(serial), data[blob.HEADER.size : -4])
 
 
 def _text(field: bytes) -> str:
@@ -107,21 +74,21 @@ def read_network(data: bytes) -> NetworkFile:
     """
     opened = _open(data, Kind.NETWORK)
     try:
-        count, weight_type, taps, exponent, *rest = NETWORK_FIXED.unpack_from(opened.body)
+        count, weight_type, taps, exponent, *rest = blob.NETWORK_FIXED.unpack_from(opened.body)
         sizes, (_, _, period_us, zero, lsb, output_unit, reference_unit, sha256) = rest[:8], rest[8:]
-        if weight_type != WEIGHTS_INT16 or taps != TAPS or not 1 <= count <= MAX_LAYERS or period_us == 0:
+        if weight_type != blob.WEIGHTS_INT16 or taps != TAPS or not 1 <= count <= blob.MAX_LAYERS or period_us == 0:
             raise ValueError(f"weight type {weight_type}, {taps} taps, {count} layers, period {period_us} µs")
-        if max(sizes) > MAX_WIDTH or min(sizes[: count + 1]) < 1 or not (np.isfinite(zero) and lsb > 0):
+        if max(sizes) > blob.MAX_WIDTH or min(sizes[: count + 1]) < 1 or not (np.isfinite(zero) and lsb > 0):
             raise ValueError(f"sizes {sizes}, input scale {zero}, {lsb}")
-        layers, at = [], NETWORK_FIXED.size
+        layers, at = [], blob.NETWORK_FIXED.size
         for columns, rows in zip(sizes[:count], sizes[1 : count + 1], strict=True):
             layer, at = _parse_layer(opened.body, at, rows, columns)
             layers.append(layer)
         network = IntegerNetwork(tuple(layers), zero, lsb, exponent)
         levels = None
         if opened.minor >= WITH_LEVELS:
-            first, step, *counts, _ = LEVELS.unpack_from(opened.body, at)
-            levels, at = LoadLevels(first, step, tuple(counts)), at + LEVELS.size
+            first, step, *counts, _ = blob.LEVELS.unpack_from(opened.body, at)
+            levels, at = LoadLevels(first, step, tuple(counts)), at + blob.LEVELS.size
             if not step:
                 raise ValueError("levels of the source have no distance")
         units = _text(output_unit), _text(reference_unit)
@@ -136,8 +103,8 @@ def read_network(data: bytes) -> NetworkFile:
 
 def _parse_layer(body: bytes, at: int, rows: int, columns: int) -> tuple[IntegerLayer, int]:
     padded = rows + -rows % 4
-    records = [ROW.unpack_from(body, at + i * ROW.size) for i in range(padded)][:rows]
-    start = at + padded * ROW.size
+    records = [blob.ROW.unpack_from(body, at + i * blob.ROW.size) for i in range(padded)][:rows]
+    start = at + padded * blob.ROW.size
     end = start + padded * columns * 2
     if end > len(body):
         raise ValueError(f"a layer of {rows} × {columns} ends after the file")
@@ -148,11 +115,7 @@ def _parse_layer(body: bytes, at: int, rows: int, columns: int) -> tuple[Integer
 
 
 def read_unit(data: bytes) -> UnitFile:
-    """Read a unit file and check everything that needs no network.
-
-    Raises:
-        FileRefused: the first check that fails.
-    """
+    """Read a unit file, checked without its network (`FileRefused`: the first check that fails)."""
     opened = _open(data, Kind.UNIT)
     try:
         file, end = _parse_unit(opened)
@@ -164,28 +127,28 @@ def read_unit(data: bytes) -> UnitFile:
 
 def _parse_unit(opened: _Opened) -> tuple[UnitFile, int]:
     body = opened.body
-    form, knots, bands, tests, code_min, code_max, out_min, out_max, *rest = UNIT_FIXED.unpack_from(body)
+    form, knots, bands, tests, code_min, code_max, out_min, out_max, *rest = blob.UNIT_FIXED.unpack_from(body)
     zero, lsb, low, high, gain, offset = rest
-    if form not in FORMS or (knots > 0) != bool(form & HAS_CURVE):
+    if form not in blob.FORMS or (knots > 0) != bool(form & blob.HAS_CURVE):
         raise ValueError(f"form {form} with {knots} knots")
-    if not 1 <= bands <= MAX_BANDS or not 1 <= tests <= MAX_SELF_TESTS:
+    if not 1 <= bands <= blob.MAX_BANDS or not 1 <= tests <= blob.MAX_SELF_TESTS:
         raise ValueError(f"{bands} bands, {tests} self-tests")
     if code_min >= code_max or out_min >= out_max:
         raise ValueError(f"codes {code_min} ... {code_max}, estimates {out_min} ... {out_max}")
-    at = UNIT_FIXED.size
-    band_rows = tuple(Band(*BAND.unpack_from(body, at + i * BAND.size)) for i in range(bands))
-    at += bands * BAND.size
-    test_rows = tuple(SelfTest(*SELF_TEST.unpack_from(body, at + i * SELF_TEST.size)) for i in range(tests))
-    at += tests * SELF_TEST.size
+    at = blob.UNIT_FIXED.size
+    band_rows = tuple(blob.Band(*blob.BAND.unpack_from(body, at + i * blob.BAND.size)) for i in range(bands))
+    at += bands * blob.BAND.size
+    test_rows = tuple(SelfTest(*blob.SELF_TEST.unpack_from(body, at + i * blob.SELF_TEST.size)) for i in range(tests))
+    at += tests * blob.SELF_TEST.size
     at += -at % 4
     curve, layer, mix = None, None, None
-    if form & HAS_CURVE:
-        pairs = np.array([KNOT.unpack_from(body, at + i * KNOT.size) for i in range(knots)], dtype=np.int64)
-        curve, at = PiecewiseMap(*pairs.reshape(-1, 2).T), at + knots * KNOT.size
-    if form & HAS_LAYER:
+    if form & blob.HAS_CURVE:
+        pairs = np.array([blob.KNOT.unpack_from(body, at + i * blob.KNOT.size) for i in range(knots)], dtype=np.int64)
+        curve, at = PiecewiseMap(*pairs.reshape(-1, 2).T), at + knots * blob.KNOT.size
+    if form & blob.HAS_LAYER:
         layer, at = _parse_layer(body, at, TAPS, TAPS)
-    if form & (HAS_MIX | HAS_WIDE_MIX):
-        mix, at = _parse_mix(body, at, bool(form & HAS_WIDE_MIX))
+    if form & (blob.HAS_MIX | blob.HAS_WIDE_MIX):
+        mix, at = _parse_mix(body, at, bool(form & blob.HAS_WIDE_MIX))
     device_map = DeviceMap(curve, layer, mix)
     levels = [band.level for band in band_rows]
     if levels != sorted(levels):
@@ -196,12 +159,12 @@ def _parse_unit(opened: _Opened) -> tuple[UnitFile, int]:
     return UnitFile(
         opened.serial, opened.network_id, opened.revision, opened.time_s, opened.flags, device_map,
         InputScale(zero, lsb), code_min, code_max, out_min, out_max, band_rows, test_rows,
-        AdaptLimits(low, high, gain, offset),
+        blob.AdaptLimits(low, high, gain, offset),
     ), at  # fmt: skip
 
 
 def _parse_mix(body: bytes, at: int, is_wide: bool) -> tuple[IntegerMix, int]:
-    fixed, row = (WIDE_FIXED, WIDE_ROW) if is_wide else (MIX_FIXED, MIX_ROW)
+    fixed, row = (blob.WIDE_FIXED, blob.WIDE_ROW) if is_wide else (blob.MIX_FIXED, blob.MIX_ROW)
     keep, count, *_ = fixed.unpack_from(body, at)
     start = at + fixed.size
     rows = np.array([row.unpack_from(body, start + k * row.size) for k in range(count)], dtype=np.int64)
@@ -214,5 +177,5 @@ def _parse_mix(body: bytes, at: int, is_wide: bool) -> tuple[IntegerMix, int]:
 
 def _check_end(name: str, opened: _Opened, end: int) -> None:
     """A later minor version may append; those up to this one end where they say."""
-    if len(opened.body) < end or (opened.minor <= MINOR and len(opened.body) != end):
+    if len(opened.body) < end or (opened.minor <= blob.MINOR and len(opened.body) != end):
         raise _layout(name, f"its contents end at byte {end} of a body of {len(opened.body)}")

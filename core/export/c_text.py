@@ -1,4 +1,4 @@
-"""Calibration files as C headers, word arrays aligned as the runtime wants them, and as Intel HEX at an address."""
+"""Calibration files as C headers, word arrays as the runtime wants them, and as Intel HEX."""
 
 import re
 import struct
@@ -18,7 +18,7 @@ TABLE = """#ifndef SS_TABLE
 
 
 def network_header(file: NetworkFile) -> str:
-    """Return `network_<id>.h`: the network file as an array, with macros for the usual case of one network."""
+    """Return `network_<id>.h`: the network file as an array, with macros for one network."""
     name = f"ss_network_{file.id.hex()}"
     sizes = "-".join(map(str, file.network.sizes))
     widest = max(size + -size % 4 for size in file.network.sizes[1:])
@@ -38,7 +38,7 @@ def network_header(file: NetworkFile) -> str:
 
 
 def unit_header(file: UnitFile) -> str:
-    """Return `unit_<serial>.h`: the unit file as an array, its serial as the runtime compares it, and macros."""
+    """Return `unit_<serial>.h`: the unit file as an array, its serial for the runtime, macros."""
     name = "ss_unit_" + re.sub(r"[^A-Za-z0-9]", "_", file.serial)
     key = serial_field(file.serial).rstrip(b"\0").decode()
     about = f"Calibration of unit {file.serial}, revision {file.revision}, for network {file.network_id.hex()}."

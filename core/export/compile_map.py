@@ -1,4 +1,4 @@
-"""Any map γ in a small form an end device can hold: a curve on samples with few knots, a mix of shapes on windows.
+"""Any map γ in a small form: a curve on samples with few knots, a mix of shapes on windows.
 
 The form is judged where it matters: by what it changes in the estimate on the unit's own recording.
 """
@@ -22,10 +22,10 @@ FINE_KNOTS = 256
 
 GRID = 1024
 MARGIN = 0.25
-"""A map is compiled this share of the unit's output span beyond it; beyond that it stays constant."""
+"""A map is compiled this share of the unit's output span beyond it, then constant."""
 
 CLEAR = 0.05
-"""A form that deviates by less than this share of the limit is taken at once, else the nearest one of all."""
+"""A form that deviates by less than this share of the limit is taken at once."""
 
 MIXES = ((3, 21), (5, 12), (6, 7))
 """Shapes of a mix, and the knots that beside it, four bands and two self-tests make 256 bytes."""
@@ -67,7 +67,7 @@ class InputScale:
 
     @classmethod
     def covering(cls, network: Network, output: Array) -> "InputScale":
-        """A round full scale (1, 2 or 5 times a power of ten) that holds what the source and this unit put out."""
+        """A round full scale (1, 2 or 5 times a power of ten) that holds source and unit."""
         reach = 6 * network.output_scale
         low = min(float(output.min()), float(network.output_mean - reach))
         high = max(float(output.max()), float(network.output_mean + reach))
@@ -127,7 +127,7 @@ class CompiledMap:
     """A device form of γ and what it costs.
 
     Args:
-        rms_deviation, max_deviation: of f after the form against f∘γ on the unit's own windows, in reference units.
+        rms_deviation, max_deviation: of f after the form against f∘γ, in reference units.
     """
 
     form: MapForm
@@ -136,7 +136,7 @@ class CompiledMap:
 
 
 Forms = Callable[[UnitMap, Network, Array, Array], Iterator[MapForm]]
-"""Forms of a map from the smallest to the largest, given the unit's windows and what the map makes of them."""
+"""Forms of a map, the smallest first, given the unit's windows and their mapped ones."""
 
 
 def _curves(unit_map: UnitMap, windows: Array, mapped: Array) -> Iterator[MapForm]:
@@ -145,7 +145,7 @@ def _curves(unit_map: UnitMap, windows: Array, mapped: Array) -> Iterator[MapFor
 
 
 def device_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Array) -> Iterator[MapForm]:
-    """Give the forms that fit into 256 bytes: curves, then curves with a mix of few shapes and of more."""
+    """Give the forms that fit into 256 bytes: curves, then curves with a mix of shapes."""
     yield from _curves(unit_map, windows, mapped)
     for shapes, knots in MIXES:
         for curve in (_drawn(unit_map, windows, mapped, knots), _from_regression(windows, mapped, knots)):
@@ -175,7 +175,7 @@ def matrix_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Ar
 
 
 def fine_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Array) -> Iterator[MapForm]:
-    """Give the forms for machines with floating point, where many knots and a whole matrix cost nothing."""
+    """Give the forms for floating point, where many knots and a whole matrix cost nothing."""
     yield MapForm(_from_constant_windows(unit_map, windows, FINE_KNOTS))
     yield MapForm(_from_regression(windows, mapped, FINE_KNOTS))
     yield MapForm(None, _linear(windows, mapped))
@@ -184,8 +184,12 @@ def fine_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Arra
         yield MapForm(drawn, _linear(drawn.apply(windows), mapped))
 
 
+SIZED_FORMS: tuple[Forms, ...] = (device_forms, wide_forms, matrix_forms)
+"""Forms of a map, from those of the smallest file to those of the largest."""
+
+
 def _drawn(unit_map: UnitMap, windows: Array, mapped: Array, knots: int) -> Curve | None:
-    """The curve of constant windows, drawn to the source's range: a linear part takes up any gain and offset of it."""
+    """The curve of constant windows, drawn to the source's range by the best gain and offset."""
     curve = _from_constant_windows(unit_map, windows, knots)
     curved = curve.apply(windows)
     if np.ptp(curved) <= 1e-9 * np.ptp(mapped):
@@ -202,13 +206,13 @@ def compile_map(
     forms: Forms = device_forms,
     clear: float = math.inf,
 ) -> CompiledMap:
-    """Compile γ: the first of the forms that is as good as exact, else the nearest one within the limit.
+    """Compile γ: the first form that is as good as exact, else the nearest in the limit.
 
     Args:
         network: the shared network f.
         recording: the unit's own recording; the deviation is measured on its windows.
         limit: largest rms deviation of the estimate, in the network's reference unit.
-        clear: largest deviation, in the same unit, of a form that is taken without trying those after it.
+        clear: largest deviation of a form that is taken without trying others.
 
     Raises:
         UnitRefused: no form stays within the limit; the message states the best one's deviation.
@@ -249,7 +253,7 @@ def _from_constant_windows(unit_map: UnitMap, windows: Array, knots: int) -> Cur
 
 
 def _from_regression(windows: Array, mapped: Array, knots: int) -> Curve:
-    """Regress mapped on raw samples: the best per-sample form of a γ that looks at more than one sample."""
+    """Regress mapped on raw samples: the best per-sample form of a γ that sees more."""
     grid = _grid(windows)
     cell = np.clip(np.searchsorted(grid, windows.ravel()), 0, len(grid) - 1)
     count = np.bincount(cell, minlength=len(grid)).astype(float)
@@ -278,7 +282,7 @@ def _monotone(values: Array, weights: Array) -> Array:
 
 
 def _with_few_knots(grid: Array, values: Array, windows: Array, knots: int) -> Curve:
-    """Thin a dense curve: add the knot where the error, weighted by how often it is met, is largest."""
+    """Thin a dense curve: add the knot where the error, weighted by use, is largest."""
     density = np.histogram(windows, bins=np.concatenate([grid - (grid[1] - grid[0]) / 2, [np.inf]]))[0]
     weight = 1.0 + np.minimum(density / max(1.0, float(np.quantile(density, 0.9))), 4.0)
     chosen = [0, len(grid) - 1]
@@ -293,7 +297,7 @@ def _with_few_knots(grid: Array, values: Array, windows: Array, knots: int) -> C
 
 
 def _linear(windows: Array, mapped: Array) -> Linear:
-    """Least squares over the recording, drawn to the mean gain of all samples along unseen directions."""
+    """Least squares over the recording, drawn to the mean gain along unseen directions."""
     gain, offset = np.polyfit(windows.ravel(), mapped.ravel(), 1)
     centre = windows.mean(axis=0)
     moved = windows - centre

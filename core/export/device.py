@@ -1,4 +1,4 @@
-"""A calibrated unit and its shared network as device files, with what the device form costs in accuracy."""
+"""A calibrated unit and its shared network as device files, and what that costs in accuracy."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -6,39 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from softcal.core.errors import UnitRefused
-from softcal.core.export.blob import (
-    CONDITIONAL,
-    FAILED,
-    MAX_LAYERS,
-    MAX_WIDTH,
-    UNIT_BYTES,
-    AdaptLimits,
-    Band,
-    LoadLevels,
-    NetworkFile,
-    SelfTest,
-    UnitFile,
-)
+from softcal.core.export import blob, quantise
+from softcal.core.export.blob import NetworkFile, SelfTest, UnitFile
 from softcal.core.export.blob_reader import read_unit
-from softcal.core.export.compile_map import (
-    CompiledMap,
-    Forms,
-    InputScale,
-    compile_map,
-    device_forms,
-    matrix_forms,
-    wide_forms,
-)
-from softcal.core.export.integer_network import (
-    ACTIVATION_MAX,
-    CODE_MAX,
-    DeviceMap,
-    IntegerNetwork,
-    Integers,
-)
-from softcal.core.export.limits import Limits, limits_of, reach_by_band
+from softcal.core.export.compile_map import SIZED_FORMS, CompiledMap, Forms, InputScale, compile_map
+from softcal.core.export.integer_network import ACTIVATION_MAX, CODE_MAX, DeviceMap, IntegerNetwork, Integers
 from softcal.core.export.loader import join, run_self_test
-from softcal.core.export.quantise import code_range, evaluate_float64, quantise_map, quantise_network
 from softcal.core.maps.anchors import SourceLevels
 from softcal.core.maps.config import MapConfig
 from softcal.core.maps.interface import UnitMap
@@ -47,15 +20,15 @@ from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.windows import TAPS
 
 BESIDE_MIX = slice(2, 4)
-"""Self-tests of a file with a narrow mix, which has no room for four: rising and falling ones reach every weight."""
+"""Self-tests of a file with a narrow mix, without room for four: these reach every weight."""
 
-FORMS_OF: Mapping[int, Forms] = dict(zip(UNIT_BYTES, (device_forms, wide_forms, matrix_forms), strict=True))
+FORMS_OF: Mapping[int, Forms] = dict(zip(blob.UNIT_BYTES, SIZED_FORMS, strict=True))
 """Forms of a map by the largest size of its file."""
 
 GOAL = 1e-3
-"""A device's estimate should stay this close to f∘γ, as a share of the span of the unit's own estimates."""
+"""A device should stay this close to f∘γ, as a share of the span of the unit's estimates."""
 
-VERDICT_FLAGS = {"pass": 0, "conditional": CONDITIONAL, "fail": FAILED, "retest": FAILED}
+VERDICT_FLAGS = {"pass": 0, "conditional": blob.CONDITIONAL, "fail": blob.FAILED, "retest": blob.FAILED}
 ANCHOR_LEVELS = (1 / 32, 31 / 32)
 """Quantiles of mapped samples that stand for a unit's rest and its top."""
 
@@ -69,8 +42,8 @@ class DeviceOptions:
 
     Args:
         scale: meaning of the device's codes; None covers the unit's output with a round full scale.
-        compile_limit: largest rms change of the estimate by the device form, as a share of the predicted error.
-        unit_bytes: 256, 512 or 1024, the most a unit file may take; None takes the least that holds `GOAL`.
+        compile_limit: largest rms change of the estimate, as a share of the forecast.
+        unit_bytes: the most a unit file may take; None: the least that holds `GOAL`.
     """
 
     scale: InputScale | None = None
@@ -85,7 +58,7 @@ class UnitFacts:
     Args:
         time_s: when it was made, Unix time in s.
         recording: the unit's own recording.
-        lower, upper: (m,) ends of the 90 % interval of f∘γ at every window of `recording`, in reference units.
+        lower, upper: (m,) the 90 % interval of f∘γ at every window, in reference units.
         predicted_rmse: forecast of the error in reference units; None where there is none.
     """
 
@@ -120,17 +93,17 @@ class DeviceUnit:
 
 
 def build_network_file(network: Network, source: LabelledRecording) -> NetworkFile:
-    """Make the shared file of a lot from f and the source recording it was trained on; the same input, the same bytes.
+    """Make the shared file of a lot from f and its source: the same input, the same bytes.
 
     Raises:
         UnitRefused: f is too large for the format, or has no integer form without overflow.
     """
-    if max(network.sizes) > MAX_WIDTH or len(network.weights) > MAX_LAYERS:
+    if max(network.sizes) > blob.MAX_WIDTH or len(network.weights) > blob.MAX_LAYERS:
         raise UnitRefused(
-            f"network {'-'.join(map(str, network.sizes))} is too large for a device file: {MAX_LAYERS} layers of "
-            f"{MAX_WIDTH} are the most; train a smaller one or fewer members"
+            f"network {'-'.join(map(str, network.sizes))} is too large for a device file: {blob.MAX_LAYERS} layers of "
+            f"{blob.MAX_WIDTH} are the most; train a smaller one or fewer members"
         )
-    integers = quantise_network(network, source.windows)
+    integers = quantise.quantise_network(network, source.windows)
     held = replace(integers, input_zero=_float32(integers.input_zero), input_lsb=_float32(integers.input_lsb))
     return NetworkFile(
         held,
@@ -143,7 +116,7 @@ def build_network_file(network: Network, source: LabelledRecording) -> NetworkFi
     )
 
 
-def _load_levels(network: IntegerNetwork, source: LabelledRecording) -> LoadLevels:
+def _load_levels(network: IntegerNetwork, source: LabelledRecording) -> blob.LoadLevels:
     levels = SourceLevels.of(source, MapConfig().anchors)
     count = 10.0**network.output_exponent
     first, last = (round(float(load) / count) for load in levels.load[[0, -1]])
@@ -151,7 +124,7 @@ def _load_levels(network: IntegerNetwork, source: LabelledRecording) -> LoadLeve
     loads = np.asarray((first + step * np.arange(len(levels.load))) * count, np.float64)
     counts = np.rint((levels.at(loads) - network.input_zero) / network.input_lsb)
     held = np.clip(counts, -ACTIVATION_MAX, ACTIVATION_MAX).astype(np.int64)
-    return LoadLevels(max(-ACTIVATION_MAX, first), step, tuple(held.tolist()))
+    return blob.LoadLevels(max(-ACTIVATION_MAX, first), step, tuple(held.tolist()))
 
 
 def sample_period_us(source: LabelledRecording) -> int:
@@ -159,11 +132,19 @@ def sample_period_us(source: LabelledRecording) -> int:
     return round(1e6 / source.unlabelled.sample_rate_Hz)
 
 
-def limits_of_unit(facts: UnitFacts, network: Network, options: DeviceOptions) -> Limits:
-    """Return interval, range and clamp of a unit for machines with floating point; the range is that of its codes."""
+def limits_of_unit(facts: UnitFacts, network: Network, options: DeviceOptions) -> quantise.Limits:
+    """Return interval, range (that of its codes) and clamp of a unit in floating point."""
     exact = network.evaluate(facts.unit_map.apply(facts.recording.windows))
-    scale = _as_float32(options.scale or InputScale.covering(network, facts.recording.output))
-    return limits_of(exact, facts.lower, facts.upper, facts.recording.output, scale)
+    scale = _scale(options, network, facts)
+    code_min, code_max = quantise.code_range(scale, facts.recording.output)
+    low, high, margin = float(exact.min()), float(exact.max()), float(np.ptp(exact)) / 4
+    return quantise.Limits(
+        scale.zero + scale.lsb * (code_min - 0.5),
+        scale.zero + scale.lsb * (code_max + 0.5),
+        low - margin,
+        high + margin,
+        *quantise.reach_by_band(exact, exact - facts.lower, facts.upper - exact),
+    )
 
 
 def build_unit_file(
@@ -172,14 +153,14 @@ def build_unit_file(
     network_file: NetworkFile,
     options: DeviceOptions = DeviceOptions(),  # noqa: B008
 ) -> DeviceUnit:
-    """Compile γ, cut it into integers, measure both on the unit's own recording, and read the result back.
+    """Compile γ, cut it into integers, measure both on the recording, read the file back.
 
-    Without a size the smallest file is taken whose estimates stay within `GOAL`; where none does, the nearest one.
+    Without a size the smallest file within `GOAL` is taken, else the nearest one.
 
     Raises:
-        UnitRefused: γ has no device form within the limit, or its integers are further off than allowed.
+        UnitRefused: no device form, or no integers, within the limit.
     """
-    sizes = UNIT_BYTES if options.unit_bytes is None else (options.unit_bytes,)
+    sizes = blob.UNIT_BYTES if options.unit_bytes is None else (options.unit_bytes,)
     best, refusal = None, None
     for size in sizes:
         try:
@@ -201,13 +182,13 @@ def _build(
 ) -> DeviceUnit:
     """Build a file of at most `size` bytes."""
     windows = facts.recording.windows
-    exact = evaluate_float64(network, facts.unit_map.apply(windows))
+    exact = quantise.evaluate_float64(network, facts.unit_map.apply(windows))
     limit, goal = device_limit(facts, network, options), GOAL * float(np.ptp(exact))
-    scale = _as_float32(options.scale or InputScale.covering(network, facts.recording.output))
+    scale = _scale(options, network, facts)
     _check_scale(scale, facts)
     compiled = compile_map(facts.unit_map, network, facts.recording, limit, FORMS_OF[size], goal / 2)
     integers = network_file.network
-    device_map = quantise_map(compiled.form, scale, integers)
+    device_map = quantise.quantise_map(compiled.form, scale, integers)
     codes = scale.codes(windows)
     counts = integers.evaluate(device_map.apply(codes))
     error = counts * 10.0**integers.output_exponent - exact
@@ -217,7 +198,7 @@ def _build(
             f"unit {facts.serial}: the integers of the device are {rms_error:.3g} {network.reference_unit} rms off, "
             f"{limit:.3g} is allowed; give the converter's own scale, or calibrate with another map"
         )
-    code_min, code_max = code_range(scale, facts.recording.output)
+    code_min, code_max = quantise.code_range(scale, facts.recording.output)
     # Estimates seen on the unit's recording, and a quarter of their span beyond on both sides.
     margin = int(np.ptp(counts)) // 4 + 1
     file = UnitFile(
@@ -236,15 +217,10 @@ def _build(
         self_tests=_self_tests(integers, device_map, code_min, code_max),
         adapt=_anchors(device_map, codes),
     )
-    _check_bytes(file, size)
+    if (needed := len(file.to_bytes())) > size:
+        raise UnitRefused(f"unit {file.serial}: its file would take {needed} bytes, {size} is allowed")
     join(network_file, read_unit(file.to_bytes()), facts.serial)
     return DeviceUnit(file, compiled, rms_error, max_error, limit, goal)
-
-
-def _check_bytes(file: UnitFile, most: int) -> None:
-    size = len(file.to_bytes())
-    if size > most:
-        raise UnitRefused(f"unit {file.serial}: its file would take {size} bytes, {most} is allowed")
 
 
 def device_limit(facts: UnitFacts, network: Network, options: DeviceOptions) -> float:
@@ -258,8 +234,9 @@ def device_limit(facts: UnitFacts, network: Network, options: DeviceOptions) -> 
     return 0.01 * float(np.ptp(network.evaluate(facts.unit_map.apply(facts.recording.windows))))
 
 
-def _as_float32(scale: InputScale) -> InputScale:
-    """Hold what the file can hold, so that a reader of the file computes the same codes."""
+def _scale(options: DeviceOptions, network: Network, facts: UnitFacts) -> InputScale:
+    """Return the scale as a file holds it, so that its reader computes the same codes."""
+    scale = options.scale or InputScale.covering(network, facts.recording.output)
     return InputScale(_float32(scale.zero), _float32(scale.lsb))
 
 
@@ -277,12 +254,12 @@ def _check_scale(scale: InputScale, facts: UnitFacts) -> None:
         )
 
 
-def _bands(counts: Integers, exact: Array, facts: UnitFacts, error: Array, count: float) -> tuple[Band, ...]:
-    """The 90 % interval by level of the estimate: per band its mean reach, and the device's own error on top."""
+def _bands(counts: Integers, exact: Array, facts: UnitFacts, error: Array, count: float) -> tuple[blob.Band, ...]:
+    """The 90 % interval by level: per band its mean reach and the device's own error."""
     own = float(np.quantile(np.abs(error), COVERAGE))
-    levels, *reach = reach_by_band(counts, exact - facts.lower, facts.upper - exact)
+    levels, *reach = quantise.reach_by_band(counts, exact - facts.lower, facts.upper - exact)
     minus, plus = (np.clip(np.ceil((side + own) / count), 0, CODE_MAX).astype(int).tolist() for side in reach)
-    return tuple(map(Band, (*map(int, levels), ACTIVATION_MAX), minus, plus))
+    return tuple(map(blob.Band, (*map(int, levels), ACTIVATION_MAX), minus, plus))
 
 
 def _self_tests(network: IntegerNetwork, device_map: DeviceMap, code_min: int, code_max: int) -> tuple[SelfTest, ...]:
@@ -295,16 +272,16 @@ def _self_tests(network: IntegerNetwork, device_map: DeviceMap, code_min: int, c
     )
 
 
-def _anchors(device_map: DeviceMap, codes: Integers) -> AdaptLimits:
+def _anchors(device_map: DeviceMap, codes: Integers) -> blob.AdaptLimits:
     """Return the levels a trim turns about, and that a device follows nothing by itself."""
     if device_map.curve is None:
-        return AdaptLimits(0, 0, 0, 0)
+        return blob.AdaptLimits(0, 0, 0, 0)
     low, high = np.quantile(device_map.on_samples(codes[:, -1]), ANCHOR_LEVELS)
-    return AdaptLimits(round(float(low)), round(float(high)), 0, 0)
+    return blob.AdaptLimits(round(float(low)), round(float(high)), 0, 0)
 
 
 STATE_BYTES, BYTES_PER_WIDTH, LEAST_WIDTH = 100, 4, 16
-"""Of `ss_sensor` on a 32-bit machine: its fixed part, and two buffers as wide as the widest layer."""
+"""Of `ss_sensor` on 32 bits: its fixed part, and two buffers as wide as the widest layer."""
 
 PER_MULTIPLICATION, PER_ROW, ALWAYS, PER_MIX = 4.0, 45.0, 570.0, 2500.0
 """Instructions of a Cortex-M0, fitted to counts in QEMU at -Os (benchmarks/export_device.py)."""

@@ -1,4 +1,4 @@
-"""g = f∘γ as plain nodes and arrays: what a graph format such as ONNX needs, without any of its libraries."""
+"""g = f∘γ as plain nodes and arrays, for a graph format such as ONNX without its libraries."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softcal.core.export.compile_map import Curve, Linear, MapForm
-from softcal.core.export.limits import Limits
 from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE
-from softcal.core.export.quantise import folded_layers
+from softcal.core.export.quantise import Limits, folded_layers
 from softcal.core.export.shape_mix import Mix
 from softcal.core.network.network import Network
 from softcal.core.windows import TAPS
@@ -20,7 +19,7 @@ Constant = NDArray[np.float32] | NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Node:
-    """One operation of the ONNX operator set: operator, names of its inputs, name of its output, its attributes."""
+    """One operation of the ONNX operator set, with the names of its inputs and output."""
 
     operator: str
     inputs: tuple[str, ...]
@@ -39,7 +38,7 @@ class Graph:
 
 
 def compose(form: MapForm, network: Network, limits: Limits) -> Graph:
-    """Join a compiled map, f and the unit's limits in float32: the curve is a sum of rectified ramps between its knots.
+    """Join a compiled map, f and the unit's limits in float32; the curve is a sum of ramps.
 
     The estimate is clamped, the interval that of its band, the flag a sum of OUT_OF_RANGE and CLAMPED: all as on the
     device.
@@ -57,7 +56,7 @@ def compose(form: MapForm, network: Network, limits: Limits) -> Graph:
 def _curve(curve: Curve | None, result: str) -> tuple[list[Node], dict[str, Constant]]:
     if curve is None:
         return [], {}
-    # value = values[0] + Σ (change of slope at knot i) relu(x - knot i); constant beyond the end knots.
+    # value = values[0] + Σ (change of slope at knot i) relu(x - knot i); then constant.
     slopes = np.diff(curve.values) / np.diff(curve.outputs)
     changes = np.diff(np.concatenate([[0.0], slopes, [0.0]]))
     nodes = [
@@ -141,7 +140,7 @@ def _limits(limits: Limits) -> tuple[list[Node], dict[str, Constant]]:
 
 
 def _band(side: str) -> list[Node]:
-    """The reach of the interval on one side: that of the first band, changed at every level the estimate is above."""
+    """The reach of the interval on one side: the first band's, changed at every level below."""
     return [
         Node("MatMul", ("above", f"{side}_changes"), f"{side}_column"),
         Node("Squeeze", (f"{side}_column", "estimate_axis"), f"{side}_change"),

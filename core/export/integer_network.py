@@ -1,6 +1,6 @@
-"""The arithmetic of the end device in NumPy, integer for integer: layers, the map γ, and the proof against overflow.
+"""The arithmetic of the end device, integer for integer: layers, γ, proof against overflow.
 
-What `firmware/softsensor/softsensor.h` computes is defined here; both give the same integers for every input.
+It defines what `firmware/softsensor/softsensor.h` computes, for every input.
 """
 
 from dataclasses import dataclass
@@ -18,14 +18,14 @@ ACTIVATION_MAX = 32_767
 
 ACCUMULATOR_MAX = 2**31 - 1
 REDUCED_BITS = 16
-"""After the first shift an accumulator lies within ± 2^16, so that times a 14-bit multiplier it stays below 2^31."""
+"""After the first shift an accumulator is within ± 2^16: times 14 bits it stays below 2^31."""
 
 MULTIPLIER_MIN, MULTIPLIER_MAX = 2**13, 2**14 - 1
 
 
 @dataclass(frozen=True, eq=False)
 class IntegerLayer:
-    """One layer: accumulate in 32 bits, rectify where asked, requantise by multiplier and shifts, saturate.
+    """One layer: accumulate in 32 bits, rectify where asked, requantise, saturate.
 
     q_out = clip(((acc >> shift1) * multiplier + 2^(shift2 - 1)) >> shift2), acc = bias + Σ weight q_in
 
@@ -56,13 +56,12 @@ class IntegerLayer:
 
     def apply(self, inputs: Integers, is_rectified: bool) -> Integers:
         """Carry (n, columns) activations through the layer: (n, rows)."""
-        # Doubles hold every sum below 2^53 exactly, and unlike integers they multiply fast.
-        # NumPy has no fast integer product; the proof above keeps every sum below 2^53, where doubles are exact.
+        # NumPy has no fast integer product; the proof keeps sums below 2^53, exact in doubles.
         sums = inputs.astype(np.float64) @ self.weights.T.astype(np.float64)
         accumulator = sums.astype(np.int64) + self.bias
         if is_rectified:
             accumulator = np.maximum(accumulator, 0)
-        # Two shifts around a 14-bit multiplier: a 32 x 32 bit product does not fit the smallest cores.
+        # Two shifts around a 14-bit multiplier: small cores have no 32 x 32 bit product.
         product = (accumulator >> self.shift1) * self.multiplier
         rounded = (product + (np.int64(1) << (self.shift2 - 1))) >> self.shift2
         clipped: Integers = np.clip(rounded, -ACTIVATION_MAX, ACTIVATION_MAX)
@@ -70,14 +69,14 @@ class IntegerLayer:
 
 
 def check_no_overflow(layer: IntegerLayer) -> None:
-    """Prove with exact integers that no input within ± 32767 overflows 32 bits anywhere in the layer.
+    """Prove that no input within ± 32767 overflows 32 bits anywhere in the layer.
 
     Raises:
         ValueError: the row for which the proof fails, with its bound.
     """
     if np.abs(layer.weights).max(initial=0) > ACTIVATION_MAX:
         raise ValueError(f"a weight of {np.abs(layer.weights).max()} is outside ± {ACTIVATION_MAX}")
-    # The worst input has every sign against us: proved once here, the device checks nothing at run time.
+    # The worst input has every sign against us: the device checks nothing at run time.
     bound = np.abs(layer.weights).sum(axis=1) * ACTIVATION_MAX + np.abs(layer.bias)
     _require(bound <= ACCUMULATOR_MAX, bound, "can reach {} in its accumulator, 2^31 - 1 is the most")
     _require((layer.shift1 >= 0) & (layer.shift1 <= 31), layer.shift1, "shifts by {}, 0 ... 31 is allowed")
@@ -122,7 +121,7 @@ class PiecewiseMap:
             raise ValueError("knot values rise and fall; the map must be monotone")
 
     def apply(self, codes: Integers) -> Integers:
-        """Carry codes of any shape into source-space counts, rounding halves away from the left knot."""
+        """Carry codes of any shape into source-space counts, halves away from the left knot."""
         inside = np.clip(codes, self.codes[0], self.codes[-1])
         # The last knot begins no segment of its own.
         left = np.minimum(np.searchsorted(self.codes, inside, side="right") - 1, len(self.codes) - 2)
@@ -144,14 +143,14 @@ KEEP_ONE = 64
 """A mix keeps a share of a window in 1/64, and its sums are in 1/64 count."""
 
 SHAPE_CENTRE, SHAPE_HALF = 7, 8
-"""Shapes are polynomials of (tap - 7) / 8; twice that is what their recurrence multiplies by, hence the shift by 2."""
+"""Shapes are polynomials of (tap - 7) / 8; their recurrence takes twice that: a shift by 2."""
 
 
 @dataclass(frozen=True, eq=False)
 class IntegerMix:
     """The linear part of a map: out = keep q + Σ_k U_k w_k, with w_k = (weights_k · q >> shift_k) + 64 bias_k, over 64.
 
-    U_k are the Chebyshev polynomials of the second kind at (tap - 7) / 8, summed by Clenshaw's recurrence (1955).
+    U_k: Chebyshev, second kind, at (tap - 7) / 8, by Clenshaw's recurrence (1955).
 
     Args:
         keep: 0 ... 255, in 1/64.
@@ -278,7 +277,7 @@ class IntegerNetwork:
         return sum(layer.weights.size for layer in self.layers)
 
     def evaluate(self, counts: Integers) -> Integers:
-        """Estimate for (n, TAPS) windows of source-space counts: (n,) in 10^output_exponent reference units."""
+        """Estimate for (n, TAPS) windows of counts: (n,) in 10^output_exponent reference units."""
         activations = counts
         for layer in self.layers[:-1]:
             activations = layer.apply(activations, is_rectified=True)

@@ -1,4 +1,4 @@
-"""The lossless JSON twin of the device files: for people, production databases, and back into the same bytes."""
+"""The lossless JSON twin of the device files: for people, databases, and back into the same bytes."""
 
 import json
 from collections.abc import Mapping
@@ -9,17 +9,14 @@ import numpy as np
 from softcal.core.errors import InputError
 from softcal.core.export.blob import AdaptLimits, Band, LoadLevels, NetworkFile, SelfTest, UnitFile
 from softcal.core.export.compile_map import InputScale
-from softcal.core.export.integer_network import (
-    DeviceMap,
-    IntegerLayer,
-    IntegerMix,
-    IntegerNetwork,
-    PiecewiseMap,
-)
+from softcal.core.export.integer_network import DeviceMap, IntegerLayer, IntegerMix, IntegerNetwork, PiecewiseMap
 
 NETWORK_SCHEMA, UNIT_SCHEMA = "softcal.network-file/1", "softcal.unit-file/1"
 LAYER_FIELDS = ("weights", "bias", "multiplier", "shift1", "shift2")
 MIX_FIELDS = ("weights", "shift", "bias")
+OF_NETWORK = {"network_sha256": str, "source_serial": str, "period_us": int, "output_unit": str, "reference_unit": str}
+OF_UNIT = {"revision": int, "time_s": int, "flags": int}
+"""Fields of the files that are JSON values as they are."""
 
 
 def network_values(file: NetworkFile) -> dict[str, object]:
@@ -28,11 +25,7 @@ def network_values(file: NetworkFile) -> dict[str, object]:
     return {
         "schema": NETWORK_SCHEMA,
         "id": file.id.hex(),
-        "network_sha256": file.network_sha256,
-        "source_serial": file.source_serial,
-        "period_us": file.period_us,
-        "output_unit": file.output_unit,
-        "reference_unit": file.reference_unit,
+        **{name: getattr(file, name) for name in OF_NETWORK},
         "output_exponent": net.output_exponent,
         "input_zero": net.input_zero,
         "input_lsb": net.input_lsb,
@@ -46,24 +39,16 @@ def network_from_values(values: Mapping[str, Any]) -> NetworkFile:
     """Rebuild a network file; `InputError` where a value is missing or impossible."""
     _check_schema(values, NETWORK_SCHEMA)
     try:
-        levels = values.get("levels")
+        levels = None
+        if (known := values.get("levels")) is not None:
+            levels = LoadLevels(int(known["first"]), int(known["step"]), tuple(map(int, known["counts"])))
         network = IntegerNetwork(
             tuple(_layer_from(layer) for layer in values["layers"]),
             float(values["input_zero"]),
             float(values["input_lsb"]),
             int(values["output_exponent"]),
         )
-        return NetworkFile(
-            network,
-            network_sha256=str(values["network_sha256"]),
-            source_serial=str(values["source_serial"]),
-            period_us=int(values["period_us"]),
-            output_unit=str(values["output_unit"]),
-            reference_unit=str(values["reference_unit"]),
-            levels=None
-            if levels is None
-            else LoadLevels(int(levels["first"]), int(levels["step"]), tuple(map(int, levels["counts"]))),
-        )
+        return NetworkFile(network, **{name: kind(values[name]) for name, kind in OF_NETWORK.items()}, levels=levels)
     except (KeyError, TypeError, ValueError) as error:
         raise _refusal(error) from error
 
@@ -82,9 +67,7 @@ def unit_values(file: UnitFile) -> dict[str, object]:
         "schema": UNIT_SCHEMA,
         "serial": file.serial,
         "network_id": file.network_id.hex(),
-        "revision": file.revision,
-        "time_s": file.time_s,
-        "flags": file.flags,
+        **{name: getattr(file, name) for name in OF_UNIT},
         "code": {"zero": file.scale.zero, "lsb": file.scale.lsb, "min": file.code_min, "max": file.code_max},
         "estimate": {"min": file.out_min, "max": file.out_max},
         "map": {"knots": knots, "layer": None if layer is None else _layer_values(layer), "mix": mix_values},
@@ -102,9 +85,7 @@ def unit_from_values(values: Mapping[str, Any]) -> UnitFile:
         return UnitFile(
             serial=str(values["serial"]),
             network_id=bytes.fromhex(values["network_id"]),
-            revision=int(values["revision"]),
-            time_s=int(values["time_s"]),
-            flags=int(values["flags"]),
+            **{name: kind(values[name]) for name, kind in OF_UNIT.items()},
             device_map=_map_from(values["map"]),
             scale=InputScale(float(code["zero"]), float(code["lsb"])),
             code_min=int(code["min"]),
@@ -138,21 +119,19 @@ def _layer_from(values: Mapping[str, Any]) -> IntegerLayer:
 
 
 def _map_from(values: Mapping[str, Any]) -> DeviceMap:
-    knots, layer, mix = values["knots"], values["layer"], values.get("mix")
+    knots, layer, mix = values["knots"], values["layer"], None
+    if (known := values.get("mix")) is not None:
+        arrays = {name: np.array(known[name], dtype=np.int64) for name in MIX_FIELDS}
+        mix = IntegerMix(int(known["keep"]), **arrays, is_wide=bool(known.get("wide", False)))
     return DeviceMap(
         None if knots is None else PiecewiseMap(*np.array(knots, dtype=np.int64).reshape(-1, 2).T),
         None if layer is None else _layer_from(layer),
-        None if mix is None else _mix_from(mix),
+        mix,
     )
 
 
-def _mix_from(values: Mapping[str, Any]) -> IntegerMix:
-    fields = {name: np.array(values[name], dtype=np.int64) for name in MIX_FIELDS}
-    return IntegerMix(int(values["keep"]), **fields, is_wide=bool(values.get("wide", False)))
-
-
 def json_text(value: object) -> str:
-    """Return JSON with one line for each row of numbers; the same value always gives the same text."""
+    """Return JSON with one line for each row of numbers; the same value, the same text."""
     return _text(value, "") + "\n"
 
 

@@ -1,4 +1,4 @@
-"""A calibrated unit from its two files alone, in pure NumPy: what a PC without torch runs, integer for integer.
+"""A calibrated unit from its two files alone, in pure NumPy, integer for integer.
 
 `DeviceSensor.estimate` works on whole recordings; the firmware takes one sample at a time.
 """
@@ -8,21 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from softcal.core.export.blob import (
-    FileRefused,
-    NetworkFile,
-    RefusalCause,
-    SelfTest,
-    UnitFile,
-    serial_field,
-)
+from softcal.core.export.blob import FileRefused, NetworkFile, RefusalCause, SelfTest, UnitFile, serial_field
 from softcal.core.export.blob_reader import read_network, read_unit
-from softcal.core.export.integer_network import (
-    ACTIVATION_MAX,
-    DeviceMap,
-    IntegerNetwork,
-    Integers,
-)
+from softcal.core.export.integer_network import ACTIVATION_MAX, DeviceMap, IntegerNetwork, Integers
 from softcal.core.recording import Array
 from softcal.core.windows import TAPS
 
@@ -32,7 +20,7 @@ WARM_UP, CLOSED, STALE, OUT_OF_RANGE, CLAMPED, WRONG_RATE, STUCK = 1, 2, 4, 8, 1
 
 @dataclass(frozen=True, eq=False)
 class DeviceEstimate:
-    """Estimates in counts of 10^output_exponent reference units, with their 90 % interval and flags; each (n,)."""
+    """Estimates in counts of 10^output_exponent, with 90 % interval and flags; each (n,)."""
 
     value: Integers
     lower: Integers
@@ -64,7 +52,7 @@ class DeviceSensor:
         )
 
     def estimate_mapped(self, ring: Integers, outside: NDArray[np.bool_]) -> DeviceEstimate:
-        """Estimate for (n, TAPS) windows as they stand in the device's ring, and which samples were out of range."""
+        """Estimate for (n, TAPS) windows of the device's ring, and which samples were outside."""
         unit = self.unit_file
         raw = self.network_file.network.evaluate(unit.device_map.on_windows(ring))
         value = np.clip(raw, unit.out_min, unit.out_max)
@@ -78,7 +66,7 @@ class DeviceSensor:
         )
 
     def reach(self, value: Integers) -> tuple[Integers, Integers]:
-        """Return how far the 90 % interval reaches below and above (n,) estimates in counts, each (n,)."""
+        """Return how far the 90 % interval reaches below and above (n,) counts, each (n,)."""
         bands = self.unit_file.bands
         levels = np.array([band.level for band in bands[:-1]], dtype=np.int64)
         band = np.searchsorted(levels, value, side="left")
@@ -87,7 +75,7 @@ class DeviceSensor:
         return minus, plus
 
     def estimate_output(self, windows: Array) -> tuple[Array, Array, Array, Integers]:
-        """Estimate for (n, TAPS) windows of sensor output: estimate, lower, upper in reference units, and flags."""
+        """Return estimate, lower, upper in reference units, and flags, of (n, TAPS) outputs."""
         found = self.estimate(self.unit_file.scale.codes(windows))
         value, lower, upper = (
             counts.astype(np.float64) * self.count for counts in (found.value, found.lower, found.upper)
@@ -115,7 +103,7 @@ def open_sensor(network: bytes, unit: bytes, serial: str | None = None) -> Devic
 
 
 def join(network_file: NetworkFile, unit_file: UnitFile, serial: str | None = None) -> DeviceSensor:
-    """Open two files that have been read: they must belong together, and every self-test must give its number.
+    """Open two files that have been read: they belong together, and self-tests hold.
 
     Raises:
         FileRefused: the first check that fails.

@@ -1,23 +1,15 @@
-"""From real numbers to the integers of the end device: the network row by row, the map, the scales."""
+"""From real numbers to the integers of the end device: network, map, scales, limits."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from softcal.core.errors import UnitRefused
+from softcal.core.export import integer_network as integer
+from softcal.core.export.blob import MAX_BANDS
 from softcal.core.export.compile_map import Curve, InputScale, Linear, MapForm
-from softcal.core.export.integer_network import (
-    ACCUMULATOR_MAX,
-    ACTIVATION_MAX,
-    CODE_MAX,
-    MULTIPLIER_MAX,
-    MULTIPLIER_MIN,
-    REDUCED_BITS,
-    DeviceMap,
-    IntegerLayer,
-    IntegerNetwork,
-    PiecewiseMap,
-)
+from softcal.core.export.integer_network import ACTIVATION_MAX, CODE_MAX
 from softcal.core.network.network import Network
 from softcal.core.recording import Array
 from softcal.core.windows import TAPS, resting
@@ -27,13 +19,13 @@ HEADROOM = 1.5
 estimate before it saturates."""
 
 STRETCH, SHIFT = 1.3, 0.1
-"""Other units' mapped windows may be this much larger than the source's, or moved by this share of its span."""
+"""Other units' mapped windows may be this much larger, or moved by this share of the span."""
 
 QUIET = 4
-"""No hidden unit gets less than this fraction of its layer's widest range, however seldom the source moved it."""
+"""No hidden unit gets less than this fraction of its layer's widest range."""
 
 
-def quantise_network(network: Network, source_windows: Array) -> IntegerNetwork:
+def quantise_network(network: Network, source_windows: Array) -> integer.IntegerNetwork:
     """Make the integer form of f; activation ranges come from the source's windows.
 
     Args:
@@ -51,7 +43,7 @@ def quantise_network(network: Network, source_windows: Array) -> IntegerNetwork:
     centre, span = float(source_windows.mean()), float(np.ptp(source_windows))
     stretched = centre + STRETCH * (source_windows - centre)
     shifted = [source_windows + SHIFT * span, source_windows - SHIFT * span]
-    # Windows as other units may send them: the source's, stretched, shifted, reversed in time, and flattened.
+    # As other units may send them: stretched, shifted, reversed in time, flattened.
     relatives = np.concatenate(
         [source_windows, stretched, *shifted, source_windows[:, ::-1], resting(source_windows[:, -1])]
     )
@@ -62,11 +54,11 @@ def quantise_network(network: Network, source_windows: Array) -> IntegerNetwork:
         quantise_layer(weight.T, bias, scales[i], scales[i + 1])
         for i, (weight, bias) in enumerate(folded_layers(network))
     )
-    return IntegerNetwork(layers, network.output_mean, float(input_lsb), exponent)
+    return integer.IntegerNetwork(layers, network.output_mean, float(input_lsb), exponent)
 
 
 def activations(network: Network, windows: Array) -> list[Array]:
-    """Return what leaves each layer in float64, the estimate (n, 1) last: the yardstick of every integer form."""
+    """Return what leaves each layer in float64, the estimate (n, 1) last."""
     hidden, found = windows - network.output_mean, []
     folded = folded_layers(network)
     for weight, bias in folded[:-1]:
@@ -82,7 +74,7 @@ def evaluate_float64(network: Network, windows: Array) -> Array:
 
 
 def folded_layers(network: Network) -> list[tuple[Array, Array]]:
-    """Return (inputs, outputs) weights and biases; both standardisations are folded in but for `output_mean`."""
+    """Return (inputs, outputs) weights and biases; scales are folded in but for `output_mean`."""
     weights, biases = [w.astype(float) for w in network.weights], [b.astype(float) for b in network.biases]
     weights[0] = weights[0] / network.output_scale
     weights[-1] = weights[-1] * network.reference_scale
@@ -91,12 +83,12 @@ def folded_layers(network: Network) -> list[tuple[Array, Array]]:
 
 
 def _scale_of(reach: Array) -> Array:
-    """Real value of one count, so that `reach` is the largest; a hidden unit that hardly fires gets room to."""
+    """Real value of one count, so that `reach` is the largest, or the share `QUIET` of it."""
     widest = float(reach.max()) or 1.0
     return np.maximum(reach, widest / QUIET) / ACTIVATION_MAX
 
 
-def quantise_layer(weights: Array, bias: Array, scale_in: Array, scale_out: Array) -> IntegerLayer:
+def quantise_layer(weights: Array, bias: Array, scale_in: Array, scale_out: Array) -> integer.IntegerLayer:
     """Cut one layer into integers, each row with the finest weight step the overflow proof allows.
 
     Args:
@@ -111,26 +103,26 @@ def quantise_layer(weights: Array, bias: Array, scale_in: Array, scale_out: Arra
     per_count = weights * scale_in
     rows = [_quantise_row(w, float(b), float(s)) for w, b, s in zip(per_count, bias, scale_out, strict=True)]
     try:
-        return IntegerLayer(*(np.array(column, dtype=np.int64) for column in zip(*rows, strict=True)))
+        return integer.IntegerLayer(*(np.array(column, dtype=np.int64) for column in zip(*rows, strict=True)))
     except ValueError as error:
         raise UnitRefused(f"no integer form without overflow: {error}; train the network again") from error
 
 
 def _quantise_row(weights: Array, bias: float, scale_out: float) -> tuple[list[int], int, int, int, int]:
-    """Return weights, bias, multiplier and both shifts of one row; `weights` are in real units per input count."""
+    """Return weights, bias, multiplier, shifts of a row; `weights` in real units per count."""
     largest = float(np.abs(weights).max(initial=0.0))
-    # Rounding may add half a step for every weight, and the bias carries the rounding of the first shift.
+    # Rounding may add half a step a weight; the bias rounds the first shift.
     # The finest step that can still not overflow: steps are chosen by the proof, not by trial.
-    budget = ACCUMULATOR_MAX - len(weights) * ACTIVATION_MAX - 2**16
+    budget = integer.ACCUMULATOR_MAX - len(weights) * ACTIVATION_MAX - 2**16
     reach = float(np.abs(weights).sum()) * ACTIVATION_MAX + abs(bias)
     if reach == 0.0:
-        return [0] * len(weights), 0, MULTIPLIER_MIN, 0, 14
+        return [0] * len(weights), 0, integer.MULTIPLIER_MIN, 0, 14
     # Either the largest weight or the sum of all of them sets the step.
     step = max(largest / ACTIVATION_MAX, reach / budget)
     integers = [round(float(w) / step) for w in weights]
     integer_bias = round(bias / step)
     bound = sum(map(abs, integers)) * ACTIVATION_MAX + abs(integer_bias) + 2**15
-    shift1 = max(0, bound.bit_length() - REDUCED_BITS)
+    shift1 = max(0, bound.bit_length() - integer.REDUCED_BITS)
     multiplier, shift2 = _as_multiplier(step / scale_out * 2.0**shift1)
     half = 2 ** (shift1 - 1) if shift1 else 0  # turns the floor of the first shift into rounding
     return integers, integer_bias + half, multiplier, shift1, shift2
@@ -140,14 +132,14 @@ def _as_multiplier(factor: float) -> tuple[int, int]:
     """Return (multiplier, shift) with factor = multiplier / 2^shift and a 14-bit multiplier."""
     mantissa, exponent = math.frexp(factor)  # factor = mantissa * 2^exponent, mantissa in [0.5, 1)
     multiplier, shift = round(mantissa * 2**14), 14 - exponent
-    if multiplier > MULTIPLIER_MAX:
-        multiplier, shift = MULTIPLIER_MIN, shift - 1
+    if multiplier > integer.MULTIPLIER_MAX:
+        multiplier, shift = integer.MULTIPLIER_MIN, shift - 1
     if shift > 31:  # a row too weak to move one count: no shift of 32 bits can say so but zero
-        return MULTIPLIER_MIN, 31
+        return integer.MULTIPLIER_MIN, 31
     return multiplier, shift
 
 
-def quantise_map(form: MapForm, scale: InputScale, network: IntegerNetwork) -> DeviceMap:
+def quantise_map(form: MapForm, scale: InputScale, network: integer.IntegerNetwork) -> integer.DeviceMap:
     """Cut a compiled map into integers between the unit's codes and the network's counts.
 
     Raises:
@@ -158,21 +150,21 @@ def quantise_map(form: MapForm, scale: InputScale, network: IntegerNetwork) -> D
     try:
         curve = _quantise_curve(form.curve, scale, network)
         if isinstance(form.linear, Linear):
-            # A window of counts in, a window of counts out: count = (output - zero) / lsb on both sides.
+            # Counts in, counts out: count = (output - zero) / lsb on both sides.
             matrix, zero, one = form.linear.matrix, network.input_zero, np.full(TAPS, network.input_lsb)
             bias = zero * matrix.sum(axis=1) + form.linear.offset - zero
-            return DeviceMap(curve, quantise_layer(matrix, bias, one, one))
+            return integer.DeviceMap(curve, quantise_layer(matrix, bias, one, one))
         mix = None if form.linear is None else form.linear.in_counts(network.input_zero, network.input_lsb)
-        return DeviceMap(curve, None, mix)
+        return integer.DeviceMap(curve, None, mix)
     except ValueError as error:
         raise UnitRefused(f"the map has no integer form: {error}") from error
 
 
-def _quantise_curve(curve: Curve, scale: InputScale, network: IntegerNetwork) -> PiecewiseMap:
-    # Cut where it leaves the network's counts: to clip its knots instead would bend what lies between.
+def _quantise_curve(curve: Curve, scale: InputScale, network: integer.IntegerNetwork) -> integer.PiecewiseMap:
+    # Cut where it leaves the network's counts: clipped knots would bend what lies between.
     outputs, values = curve.outputs, curve.values
     reach = network.input_lsb * ACTIVATION_MAX
-    # Interpolated from value to output, which needs values in rising order; a falling sensor has them the other way.
+    # Interpolated from value to output, in rising order: a falling sensor has them reversed.
     order = np.argsort(values, kind="stable")
     bounds = [b for b in (network.input_zero - reach, network.input_zero + reach) if values.min() < b < values.max()]
     inside = np.abs(values - network.input_zero) <= reach
@@ -182,7 +174,7 @@ def _quantise_curve(curve: Curve, scale: InputScale, network: IntegerNetwork) ->
     # Knots closer than one code fall together; one of them is kept.
     codes, first = np.unique(scale.codes(held.outputs), return_index=True)
     counts = np.rint((held.values[first] - network.input_zero) / network.input_lsb)
-    return PiecewiseMap(codes, np.clip(counts, -ACTIVATION_MAX, ACTIVATION_MAX).astype(np.int64))
+    return integer.PiecewiseMap(codes, np.clip(counts, -ACTIVATION_MAX, ACTIVATION_MAX).astype(np.int64))
 
 
 def code_range(scale: InputScale, output: Array) -> tuple[int, int]:
@@ -190,3 +182,36 @@ def code_range(scale: InputScale, output: Array) -> tuple[int, int]:
     codes = scale.codes(output)
     margin = math.ceil(0.02 * float(codes.max() - codes.min()))
     return max(0, int(codes.min()) - margin), min(CODE_MAX, int(codes.max()) + margin)
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """What stands beside the estimates of one unit, as its device file has it, in physical units.
+
+    Args:
+        output_low, output_high: sensor output the unit was calibrated with, in the output unit.
+        estimate_low, estimate_high: the estimate is clamped to these, in reference units.
+        levels: (b - 1,) estimates at which the next band begins, rising.
+        minus, plus: (b,) reach of the 90 % interval below and above the estimate, by band.
+    """
+
+    output_low: float
+    output_high: float
+    estimate_low: float
+    estimate_high: float
+    levels: Array
+    minus: Array
+    plus: Array
+
+
+def reach_by_band(estimate: Array | integer.Integers, below: Array, above: Array) -> tuple[Array, Array, Array]:
+    """Return levels between `MAX_BANDS` bands of an estimate, and its mean reach in each.
+
+    Args:
+        estimate, below, above: (m,), in any unit; an empty band has the reach of all.
+    """
+    levels = np.linspace(estimate.min(), estimate.max(), MAX_BANDS + 1)[1:-1]
+    band = np.searchsorted(levels, estimate, side="left")
+    here = [band == k if (band == k).any() else np.ones(len(estimate), dtype=bool) for k in range(MAX_BANDS)]
+    minus, plus = (np.array([np.mean(reach[rows]) for rows in here]) for reach in (below, above))
+    return levels, minus, plus

@@ -1,4 +1,4 @@
-"""The linear part of a device's map: every window keeps a share of itself and gets a few smooth shapes added.
+"""The linear part of a map: a window keeps a share of itself and gets smooth shapes added.
 
 y = keep x + Σ_k U_k (r_k · x + b_k), U_k the Chebyshev polynomials of the second kind over the taps. A lag, creep, or
 the smoothing of a coarse converter moves a window along smooth shapes; five of them with weights of one byte take the
@@ -25,12 +25,12 @@ from softcal.core.windows import TAPS
 MOST_WINDOWS = 3000
 STEPS = 5
 WINDOW_WEIGHT = 1e-3
-"""Beside what f sees of a window, the window itself counts this much: it settles what f does not see."""
+"""The window itself counts this much: it settles what f does not see of it."""
 
 RIDGE = 1e-7
 MOST_SHIFT = 24
 MOST_ROW_SUM = 65_000
-"""Of the sizes of a wide mix's weights: times 32767 they stay within 32 bits, with room for rounding."""
+"""Of a wide mix's weights: times 32767 they stay within 32 bits, with room for rounding."""
 MOST_STEPS = 3000
 
 
@@ -121,7 +121,7 @@ def fit_mix(count: int, windows: Array, mapped: Array, network: Network, is_wide
 
 
 class _Normal:
-    """Normal equations of a mix: unknowns are (TAPS + 1, k), weights of standardised taps and a constant, then keep."""
+    """Normal equations of a mix: (TAPS + 1, k) weights of standardised taps and a constant, then keep."""
 
     def __init__(self, count: int, windows: Array, mapped: Array, network: Network, found: Array) -> None:
         """Linearise f at `found`, the windows of the step before."""
@@ -149,7 +149,7 @@ class _Normal:
         self._right = seen.T @ target + WINDOW_WEIGHT * right
 
     def solved(self, is_wide: bool) -> Mix | None:
-        """Return the best mix on the device's integers; None where a weight is too large for them."""
+        """Return the best mix on the device's integers; None where a weight is too large."""
         most, most_sum = (WIDE_WEIGHT_MAX, MOST_ROW_SUM) if is_wide else (WEIGHT_MAX, TAPS * WEIGHT_MAX)
         # The share that stays is fixed first: every other unknown is linear beside it.
         keep = int(np.clip(round(KEEP_ONE * float(np.linalg.solve(self._matrix, self._right)[-1])), 0, 255))
@@ -182,19 +182,19 @@ class _Normal:
     def to_integers(self, best: Array, step: Array) -> Integers:
         """Return (k, TAPS) integers that in multiples of `step` (k,) cost least more than `best`.
 
-        Rounding each weight by itself lets the level of a window leak; here one weight makes up for another.
+        Rounded by themselves they let a level leak; here one makes up for another.
         """
         split = TAPS * self._count
         free, bound = self._matrix[:split, :split], self._matrix[:split, split:-1]
         scale = np.tile(step, TAPS)
-        # Biases are real numbers and follow the weights: taken out (a Schur complement) before the weights are rounded.
+        # Biases follow the weights: taken out (a Schur complement) before those are rounded.
         metric = free - bound @ np.linalg.solve(self._matrix[split:-1, split:-1], bound.T)
         metric = metric * np.outer(scale, scale)
         wanted = best.T.reshape(-1) / scale
         found = np.clip(np.rint(wanted), -WEIGHT_MAX, WEIGHT_MAX)
         pull, own = metric @ (found - wanted), np.diag(metric)
         for _ in range(MOST_STEPS):
-            # The best whole step of each weight alone; of these the one that gains most is made (coordinate descent).
+            # Coordinate descent: of the best whole steps of each weight the one that gains most.
             move = np.clip(np.rint(-pull / own), -WEIGHT_MAX - found, WEIGHT_MAX - found)
             gain = -(pull * move + own * move**2 / 2)
             at = int(np.argmax(gain))

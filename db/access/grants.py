@@ -1,6 +1,6 @@
-"""Least privilege on PostgreSQL: what a line, a manager and readers may do with the tables, as SQL to run.
+"""Least privilege on PostgreSQL: what a line, a manager and readers may do, as SQL to run.
 
-The owner of the tables alone can upgrade them and drop the triggers; nobody who calibrates should be the owner.
+Only the owner of the tables can upgrade them and drop the triggers: nobody who calibrates.
 """
 
 import re
@@ -18,7 +18,7 @@ CHANGING = {
     "line_places": "INSERT, UPDATE",
     "deliveries": "INSERT, UPDATE",
 }
-"""Tables whose rows change at the line, and how. Of people it may count wrong PINs and pause, nothing else."""
+"""Tables whose rows change at the line, and how. Of people it may count wrong PINs and pause."""
 
 DECIDED_ELSEWHERE = ("limits", "line_rules", "certificates", "network_releases")
 """What the line goes by and must not set: its account reads it, the managing one adds to it."""
@@ -30,9 +30,9 @@ def grant_statements(line: str, reader: str, manager: str) -> list[str]:
     """Return the SQL that gives each role what it needs, and nothing else.
 
     Args:
-        line: calibrates and adds to the history; cannot change people, limits, rules, certificates or history.
+        line: calibrates and adds to the history; cannot change what others decide.
         reader: reads everything but the PINs.
-        manager: what the line may, and people, limits, rules and certificates: for the desk's `softcal ui`.
+        manager: what the line may, and people, limits, rules and certificates.
 
     Raises:
         InputError: a name that is no plain PostgreSQL role.

@@ -1,15 +1,16 @@
-"""Who may do what: people with a role and a PIN. PINs are kept as Argon2id hashes and never leave this module."""
+"""People with a role and a PIN. PINs are kept as Argon2id hashes and never leave this module."""
 
 import hashlib
 from datetime import timedelta
 from functools import cache
 from typing import TYPE_CHECKING
 
-from sqlalchemy import Connection, RowMapping, func, insert, select, update
+from sqlalchemy import RowMapping, func, insert, select, update
 
 from softcal.core.errors import InputError
 from softcal.core.words.reason import Reason
 from softcal.db.entries import User
+from softcal.db.schema.database import Database
 from softcal.db.schema.tables import users
 from softcal.db.truth.registry_base import RegistryBase
 
@@ -39,7 +40,7 @@ def _hasher() -> "PasswordHasher":
 
 @cache
 def _nobody() -> str:
-    """Return a hash that no PIN has; made once, and not at import: a quarter of a second on a slow machine."""
+    """Return a hash that no PIN has; not at import: it takes a quarter of a second."""
     return _hasher().hash("nobody has this PIN")
 
 
@@ -63,7 +64,7 @@ class People(RegistryBase):
             pin: digits, at least four; None keeps the one there is.
 
         Raises:
-            InputError: no such role, a PIN too short, or somebody else changed the person since `version`.
+            InputError: no such role, a PIN too short, or another change since `version`.
         """
         if not name.strip():
             raise InputError(Reason("account.no_name"))
@@ -71,8 +72,8 @@ class People(RegistryBase):
             raise InputError(Reason("account.role", {"role": repr(role), "known": ", ".join(ROLES)}))
         if pin is not None and (len(pin) < SHORTEST_PIN or not pin.isdigit()):
             raise InputError(Reason("account.pin_short", {"digits": SHORTEST_PIN}))
-        with self.database.writing() as connection:
-            known = _row(connection, name)
+        with self.database.writing():
+            known = _row(self.database, name)
             found = known["version"] if known else 0
             if found != version:
                 raise InputError(Reason("account.changed", {"name": repr(name), "found": found, "version": version}))
@@ -83,25 +84,25 @@ class People(RegistryBase):
             if pin is not None:
                 values["pin_hash"] = _hasher().hash(pin)
             statement = insert(users) if known is None else update(users).where(users.c.name == name)
-            connection.execute(statement.values(**values))
+            self.database.change(statement.values(**values))
             before = people_as_told(known) if known else None
-            kept = connection.execute(select(users).where(users.c.name == name)).mappings().one()
+            kept = self.database.rows(select(users).where(users.c.name == name))[0]
             told = {"before": before, "after": people_as_told(kept)}
-            self._tell(connection, "set_user", "users", (name,), actor, reason=reason, **told)
-            return user_of(connection, kept)
+            self._tell("set_user", "users", (name,), actor, reason=reason, **told)
+            return user_of(self.database, kept)
 
     def all(self) -> list[User]:
-        with self.database.reading() as connection:
-            return [user_of(connection, row) for row in self.database.rows(select(users).order_by(users.c.name))]
+        with self.database.reading():
+            return [user_of(self.database, row) for row in self.database.rows(select(users).order_by(users.c.name))]
 
     def sign_in(self, name: str, pin: str) -> User:
         """Return the person when the PIN is right.
 
         Raises:
-            InputError: wrong name or PIN (it does not say which), not active, or a pause after wrong ones.
+            InputError: wrong name or PIN, not active, or a pause after wrong ones.
         """
-        with self.database.writing() as connection:
-            row = _row(connection, name)
+        with self.database.writing():
+            row = _row(self.database, name)
             now = self.settings.clock()
             is_locked = row is not None and row["locked_until"] is not None and row["locked_until"] > now
             # The hash is checked even for an unknown name, so that the time it takes says nothing.
@@ -110,10 +111,10 @@ class People(RegistryBase):
                 failures = 0 if is_right else row["failures"] + 1
                 pause = now + LOCKED_FOR if failures >= MOST_FAILURES else None
                 values = {"failures": 0 if pause else failures, "locked_until": pause}
-                connection.execute(update(users).where(users.c.name == name).values(**values))
+                self.database.change(update(users).where(users.c.name == name).values(**values))
                 if pause:
-                    self._tell(connection, "lock", "users", (name,), name, after={"until": pause})
-            user = None if row is None else user_of(connection, row)
+                    self._tell("lock", "users", (name,), name, after={"until": pause})
+            user = None if row is None else user_of(self.database, row)
         if is_locked:
             raise InputError(Reason("account.locked", {"minutes": LOCKED_FOR.seconds // 60}))
         if user is None or not is_right:
@@ -124,9 +125,9 @@ class People(RegistryBase):
 
 
 def permissions(user: User) -> frozenset[str]:
-    """Return what a person may do: what the role allows, and everything while nobody else has an account.
+    """Return what a person may do: what the role allows; everything while alone.
 
-    Who decides about people could give themselves a second account, so that this gives no right that was not there.
+    Who decides about people could make a second account: no right is new.
     """
     if not user.is_active:
         return frozenset()
@@ -138,14 +139,14 @@ def may(user: User, action: str) -> bool:
     return action in permissions(user)
 
 
-def user_of(connection: Connection, row: RowMapping) -> User:
+def user_of(database: Database, row: RowMapping) -> User:
     """Return the person of a row that has name, role, is_active and version."""
-    is_alone = "people" in PERMISSIONS[row["role"]] and connection.scalar(select(func.count()).select_from(users)) == 1
+    is_alone = "people" in PERMISSIONS[row["role"]] and database.value(select(func.count()).select_from(users)) == 1
     return User(row["name"], row["role"], row["is_active"], row["version"], is_alone)
 
 
 def people_as_told(row: RowMapping) -> dict[str, object]:
-    """Return a person as the audit trail tells of one: the hash of the PIN only as a hash of its own."""
+    """Return a person as the audit trail tells of one: of the PIN's hash only a hash."""
     told = {name: row[name] for name in ("name", "role", "is_active", "version")}
     return told | {"pin_sha256": hashlib.sha256(row["pin_hash"].encode()).hexdigest()}
 
@@ -159,5 +160,5 @@ def _is_pin(stored: str, pin: str) -> bool:
         return False
 
 
-def _row(connection: Connection, name: str) -> RowMapping | None:
-    return connection.execute(select(users).where(users.c.name == name)).mappings().first()
+def _row(database: Database, name: str) -> RowMapping | None:
+    return database.row(select(users).where(users.c.name == name))

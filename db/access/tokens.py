@@ -1,6 +1,6 @@
 """Tokens by which programs sign in: each belongs to an account, whose role says what it may.
 
-A token is 256 random bits, so a plain SHA-256 of it cannot be guessed back; the token itself is shown once.
+A token is 256 random bits: its SHA-256 cannot be guessed back. It is shown once.
 """
 
 import hashlib
@@ -9,7 +9,7 @@ import uuid
 from datetime import timedelta
 from typing import Any
 
-from sqlalchemy import Connection, RowMapping, insert, select, update
+from sqlalchemy import RowMapping, insert, select, update
 
 from softcal.core.errors import InputError
 from softcal.db.access.people import user_of
@@ -31,43 +31,36 @@ class TokenTable(RegistryBase):
     def add(self, account: str, purpose: str, days: int, *, actor: str | None = None) -> tuple[Token, str]:
         """Make a token for an account; return it and the secret text, which is kept nowhere.
 
-        Args:
-            days: after so many days it no longer holds.
-
         Raises:
-            InputError: no such account, an account that is not active, no purpose, or an impossible number of days.
+            InputError: no such active account, no purpose, or an impossible number of days.
         """
         if not purpose.strip():
             raise InputError("a token needs a purpose: say which program it is for")
         if not 0 < days <= MOST_DAYS:
             raise InputError(f"a token holds for 1 to {MOST_DAYS} days, not {days}")
         secret, now = PREFIX + secrets.token_urlsafe(32), self.settings.clock()
-        with self.database.writing() as connection:
-            user = connection.execute(select(users).where(users.c.name == account)).mappings().first()
+        with self.database.writing():
+            user = self.database.row(select(users).where(users.c.name == account))
             if user is None or not user["is_active"]:
                 raise InputError(
                     f"there is no active account {account!r}; people with the role quality add one, on the page People"
                 )
             values: dict[str, Any] = {"token_id": uuid.uuid4().hex[:12], "sha256": _sha256(secret), "account": account}
             values |= {"purpose": purpose, "created": now, "ends_at": now + timedelta(days=days), "is_withdrawn": False}
-            connection.execute(insert(tokens).values(**values))
-            row = self._row(connection, values["token_id"])
-            self._tell(connection, "add", "tokens", (row["token_id"],), actor, after=token_as_told(row))
+            self.database.change(insert(tokens).values(**values))
+            row = self._row(values["token_id"])
+            self._tell("add", "tokens", (row["token_id"],), actor, after=token_as_told(row))
         return of_row(Token, row), secret
 
     def withdraw(self, token_id: str, *, reason: str, actor: str | None = None) -> None:
-        """Make a token useless from now on.
-
-        Raises:
-            InputError: there is no such token, or it was withdrawn already.
-        """
-        with self.database.writing() as connection:
-            before = self._row(connection, token_id)
+        """Make a token useless (`InputError`: there is none, or it was withdrawn already)."""
+        with self.database.writing():
+            before = self._row(token_id)
             if before["is_withdrawn"]:
                 raise InputError(f"token {token_id} was withdrawn already")
-            connection.execute(update(tokens).where(tokens.c.token_id == token_id).values(is_withdrawn=True))
-            told = {"before": token_as_told(before), "after": token_as_told(self._row(connection, token_id))}
-            self._tell(connection, "withdraw", "tokens", (token_id,), actor, reason=reason, **told)
+            self.database.change(update(tokens).where(tokens.c.token_id == token_id).values(is_withdrawn=True))
+            told = {"before": token_as_told(before), "after": token_as_told(self._row(token_id))}
+            self._tell("withdraw", "tokens", (token_id,), actor, reason=reason, **told)
 
     def all(self) -> list[Token]:
         """Return all tokens, the oldest first, without their secrets."""
@@ -78,24 +71,24 @@ class TokenTable(RegistryBase):
         """Return the account a token belongs to, with the role it has now.
 
         Raises:
-            InputError: unknown, ended or withdrawn, or its account is not active; it does not say which.
+            InputError: unknown, ended, withdrawn, or its account is not active.
             RegistryError: the token stands in the table and not in the audit trail.
         """
         query = select(tokens, users.c.name, users.c.role, users.c.is_active, users.c.version).join(users)
-        with self.database.reading() as connection:
-            row = connection.execute(query.where(tokens.c.sha256 == _sha256(secret))).mappings().first()
+        with self.database.reading():
+            row = self.database.row(query.where(tokens.c.sha256 == _sha256(secret)))
             if row is None or row["is_withdrawn"] or not row["is_active"] or row["ends_at"] <= self.settings.clock():
                 raise InputError("this token is unknown, has ended or was withdrawn, or its account is not active")
             of_token = select(audit.c.after).where(
                 audit.c.entity == "tokens", audit.c.key == canonical_json((row["token_id"],))
             )
-            told = connection.execute(of_token.order_by(audit.c.at.desc(), audit.c.seq.desc()).limit(1)).scalar()
+            told = self.database.value(of_token.order_by(audit.c.at.desc(), audit.c.seq.desc()).limit(1))
             if told != canonical_json(history.plain(token_as_told(row))):
                 raise damaged(f"token {row['token_id']} is not what the audit trail tells of it")
-            return user_of(connection, row)
+            return user_of(self.database, row)
 
-    def _row(self, connection: Connection, token_id: str) -> RowMapping:
-        row = connection.execute(select(tokens).where(tokens.c.token_id == token_id)).mappings().first()
+    def _row(self, token_id: str) -> RowMapping:
+        row = self.database.row(select(tokens).where(tokens.c.token_id == token_id))
         if row is None:
             raise InputError(f"there is no token {token_id!r}; `softcal api token list` shows them")
         return row

@@ -1,1 +1,1 @@
-"""What keeps a registry whole: checks, backup and restore, upgrades, bringing two registries together."""
+"""What keeps a registry whole: checks, backups, upgrades, bringing two registries together."""

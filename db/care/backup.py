@@ -1,11 +1,12 @@
-"""Backup and restore of a registry while it is in use. A backup is one SQLite file, whichever database it came from."""
+"""Backup and restore of a registry while it is in use; a backup of any database is one SQLite file."""
 
 import os
 import shutil
 import tempfile
+from itertools import islice
 from pathlib import Path
 
-from sqlalchemy import Connection, Select, delete, insert, select
+from sqlalchemy import Select, delete, insert, select
 
 from softcal.core.errors import RegistryError
 from softcal.db.care.checks import faults
@@ -53,7 +54,7 @@ def restore(path: Path, url: str) -> None:
     other copy of the same backup.
 
     Raises:
-        RegistryError: the backup is missing, damaged or too new, or the target holds a registry already.
+        RegistryError: the backup is missing, damaged or too new, or the target is not empty.
     """
     if not path.is_file():
         raise RegistryError(f"backup {path}: there is no such file")
@@ -74,10 +75,10 @@ def _write_copy(database: Database, part: Path) -> None:
         return
     copy = open_database(f"sqlite:///{part}")
     try:
-        with database.reading() as source, copy.writing() as target:
+        with database.reading(), copy.writing():
             migrate(copy)
-            target.execute(delete(registry_info))
-            _copy_tables(source, target, keep_origin=True)
+            copy.change(delete(registry_info))
+            _copy_tables(database, copy, keep_origin=True)
     finally:
         copy.close()
 
@@ -89,31 +90,32 @@ def _check_backup(source: Database, path: Path) -> None:
     if schema < SCHEMA:
         schema = migrate(source)
     check_schema(source, schema)
-    with source.reading() as connection:
-        found = list(faults(connection))
+    with source.reading():
+        found = list(faults(source))
     if found:
         raise RegistryError(f"backup {path} is damaged, nothing was restored: {found[0]} ({len(found)} faults in all)")
 
 
 def _fill(source: Database, target: Database) -> None:
     try:
-        with source.reading() as rows, target.writing() as connection:
+        with source.reading(), target.writing():
             if schema_of(target) is not None:
                 raise RegistryError(f"registry {target.name} is not empty; restore into a new one")
             migrate(target)
-            connection.execute(delete(registry_info).where(registry_info.c.key.not_in(["origin", "origin_sha256"])))
-            _copy_tables(rows, connection, keep_origin=False)
-            Adoption(target, RegistrySettings()).state_restored(history.heads(rows))
+            target.change(delete(registry_info).where(registry_info.c.key.not_in(["origin", "origin_sha256"])))
+            _copy_tables(source, target, keep_origin=False)
+            Adoption(target, RegistrySettings()).state_restored(history.heads(source))
     finally:
         target.close()
 
 
-def _copy_tables(source: Connection, target: Connection, *, keep_origin: bool) -> None:
+def _copy_tables(source: Database, target: Database, *, keep_origin: bool) -> None:
     for table in metadata.sorted_tables:
         query: Select[tuple[object, ...]] = select(table)
         if table in PASSING:
             continue
         if table is registry_info and not keep_origin:
             query = query.where(registry_info.c.key.not_in(["origin", "origin_sha256"]))
-        for rows in source.execute(query, execution_options={"yield_per": ROWS_AT_ONCE}).mappings().partitions():
-            target.execute(insert(table), [dict(row) for row in rows])
+        rows = source.stream(query, ROWS_AT_ONCE)
+        while chunk := [dict(row) for row in islice(rows, ROWS_AT_ONCE)]:
+            target.change(insert(table), chunk)

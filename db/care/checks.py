@@ -1,4 +1,4 @@
-"""Is a registry whole: pages, indices, references, tables, triggers, rows, blobs and the links of its audit trail."""
+"""Is a registry whole: pages, references, tables, triggers, rows, blobs, links of its audit trail."""
 
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -10,27 +10,15 @@ from sqlalchemy.types import NullType
 from softcal.core.errors import RegistryError
 from softcal.db.access.people import people_as_told
 from softcal.db.access.tokens import token_as_told
-from softcal.db.entries import Anchor
-from softcal.db.schema import append_only
+from softcal.db.entries import Anchor, Heads
+from softcal.db.schema import append_only, tables
 from softcal.db.schema.arrays import ARRAY, ARRAYS, parts_of
-from softcal.db.schema.database import first_line, is_denied
-from softcal.db.schema.tables import (
-    APPEND_ONLY,
-    AUDITED,
-    CanonicalJson,
-    UtcTime,
-    audit,
-    blobs,
-    canonical_json,
-    metadata,
-    registry_info,
-    tokens,
-    users,
-)
+from softcal.db.schema.database import Database, first_line, is_denied
+from softcal.db.schema.tables import AUDITED, audit, blobs, canonical_json, metadata, registry_info, tokens, users
 from softcal.db.truth import history
 
 ROWS_OF_QUICK = 200
-IN_WORDS = (UtcTime, CanonicalJson, Boolean, Date)
+IN_WORDS = (tables.UtcTime, tables.CanonicalJson, Boolean, Date)
 """Types that a database may keep in more than one form."""
 
 TOLD_OF_PEOPLE = ("set_user", "state")
@@ -41,24 +29,23 @@ KINDS_OF = {"certificates": ("document",)}
 
 
 def faults(
-    connection: Connection,
+    database: Database,
     *,
     is_quick: bool = False,
     anchors: Sequence[Anchor] = (),
     on_step: Callable[[str], None] = lambda _: None,
 ) -> Iterator[str]:
-    """Give one line for every page, row, blob, trigger or link of the audit chain that is not what was written.
+    """Give one line for every page, row, blob, trigger or link that is not what was written.
 
     Args:
         is_quick: leave out what reads every page and every blob.
         anchors: what was written down of the chains elsewhere.
-        on_step: told what is checked next.
     """
-    for name, check in _checks(connection, is_quick, anchors):
+    for name, check in _checks(database, is_quick, anchors):
         on_step(name)
         try:
-            # A query that fails ends a transaction of PostgreSQL; the checks after it go on in what is left.
-            with connection.begin_nested():
+            # A query that fails ends a transaction of PostgreSQL; later checks go on.
+            with database.reading() as connection, connection.begin_nested():
                 found = list(check)
             yield from found
         except (ValueError, TypeError, KeyError, RegistryError, DBAPIError) as error:
@@ -68,39 +55,40 @@ def faults(
             yield f"{name}: cannot be read: {first_line(error)[:160]}"
 
 
-def _checks(connection: Connection, is_quick: bool, anchors: Sequence[Anchor]) -> Iterator[tuple[str, Iterator[str]]]:
+def _checks(database: Database, is_quick: bool, anchors: Sequence[Anchor]) -> Iterator[tuple[str, Iterator[str]]]:
     info = registry_info.c
-    origin = str(connection.execute(select(info.value).where(info.key == "origin")).scalar_one_or_none())
+    origin = str(database.value(select(info.value).where(info.key == "origin")))
     if not is_quick:
-        yield "pages and indices", page_faults(connection)
-        yield "tables", schema_faults(connection)
-    yield "foreign tables", alien_tables(connection)
-    yield "triggers", trigger_faults(connection)
-    yield "origin", origin_faults(connection)
-    yield "people", people_faults(connection, origin)
-    yield "tokens", token_faults(connection)
+        yield "pages and indices", page_faults(database)
+        yield "tables", schema_faults(database)
+    yield "foreign tables", alien_tables(database)
+    yield "triggers", trigger_faults(database)
+    yield "origin", origin_faults(database)
+    yield "people", people_faults(database, origin)
+    yield "tokens", token_faults(database)
     for anchor in anchors:
-        yield "what was written down elsewhere", anchor_faults(connection, anchor.heads, anchor.where)
+        yield "what was written down elsewhere", anchor_faults(database, anchor.heads, anchor.where)
     if is_quick:
-        yield "rows", count_faults(connection)
-        yield "audit trail", newest_faults(connection)
+        yield "rows", count_faults(database)
+        yield "audit trail", newest_faults(database)
         return
-    yield "references", reference_faults(connection)
-    yield "audit trail", history.chain_faults(history.rows(connection))
-    yield "rows", _row_faults(connection)
-    yield "values", form_faults(connection)
-    yield "recordings, networks and maps", _blob_faults(connection)
+    yield "references", reference_faults(database)
+    yield "audit trail", history.chain_faults(history.rows(database))
+    yield "rows", _row_faults(database)
+    with database.reading() as connection:
+        yield "values", form_faults(connection)
+    yield "recordings, networks and maps", _blob_faults(database)
 
 
-def _row_faults(connection: Connection) -> Iterator[str]:
+def _row_faults(database: Database) -> Iterator[str]:
     # Two registries may have registered the same thing: the row is the one or the other.
     told: dict[tuple[str, str], set[str]] = {}
-    for entry in history.rows(connection):
+    for entry in history.rows(database):
         if entry.entity in AUDITED and entry.after is not None:
             told.setdefault((entry.entity, entry.key), set()).add(hashlib.sha256(entry.after.encode()).hexdigest())
     for name in AUDITED:
         table = metadata.tables[name]
-        for row in connection.execute(select(table), execution_options={"yield_per": 1000}).mappings():
+        for row in database.stream(select(table)):
             key = canonical_json(history.row_key(table, dict(row)))
             expected = told.pop((name, key), None)
             if expected is None:
@@ -113,9 +101,9 @@ def _row_faults(connection: Connection) -> Iterator[str]:
         yield f"{name} {key}: is in the audit trail but was removed"
 
 
-def _blob_faults(connection: Connection) -> Iterator[str]:
+def _blob_faults(database: Database) -> Iterator[str]:
     stored, parts = dict[str, str](), dict[str, str]()
-    for row in connection.execute(select(blobs), execution_options={"yield_per": 50}):
+    for row in database.stream(select(blobs), 50):
         stored[row.sha256] = row.kind
         if row.size != len(row.data) or row.kind not in BLOB_KINDS:
             yield f"blob {row.sha256[:12]}: its size or kind was changed"
@@ -132,36 +120,36 @@ def _blob_faults(connection: Connection) -> Iterator[str]:
         elif stored[part] != ARRAY:
             yield f"blob {part[:12]}: its size or kind was changed"
     for table in (table for table in metadata.sorted_tables if "blob_sha256" in table.columns):
-        for sha256 in connection.execute(select(table.c.blob_sha256)).scalars():
+        for sha256 in database.values(select(table.c.blob_sha256)):
             if sha256 is not None and sha256 not in stored:
                 yield f"blob {sha256[:12]} of {table.name}: is missing"
             elif sha256 is not None and stored[sha256] not in KINDS_OF.get(table.name, (ARRAYS,)):
                 yield f"blob {sha256[:12]}: its size or kind was changed"
 
 
-def page_faults(connection: Connection) -> Iterator[str]:
-    """Give a line for every damaged page, and for every index that does not agree with its table."""
-    if connection.dialect.name == "sqlite":
-        for (line,) in connection.exec_driver_sql("PRAGMA integrity_check(100)").all():
+def page_faults(database: Database) -> Iterator[str]:
+    """Give a line for every damaged page, and every index that does not agree with its table."""
+    if database.is_sqlite:
+        for line in database.values(text("PRAGMA integrity_check(100)")):
             if line != "ok":
                 yield f"database: {line}"
         return
-    known = connection.execute(text("SELECT 1 FROM pg_extension WHERE extname = 'amcheck'")).first()
+    known = database.row(text("SELECT 1 FROM pg_extension WHERE extname = 'amcheck'"))
     if known is None:
         return
     indices = text(
         "SELECT c.oid, c.relname FROM pg_index i JOIN pg_class c ON c.oid = i.indexrelid JOIN pg_am a ON a.oid = "
         "c.relam JOIN pg_namespace n ON n.oid = c.relnamespace WHERE a.amname = 'btree' AND n.nspname = 'public'"
     )
-    for oid, name in connection.execute(indices).all():
+    for oid, name in database.tuples(indices):
         try:
-            with connection.begin_nested():
+            with database.reading() as connection, connection.begin_nested():
                 connection.execute(text("SELECT bt_index_check(CAST(:oid AS regclass), true)"), {"oid": oid})
         except DBAPIError as error:
             yield f"index {name}: {str(error.orig).splitlines()[0]}"
 
 
-def reference_faults(connection: Connection) -> Iterator[str]:
+def reference_faults(database: Database) -> Iterator[str]:
     """Give a line for every table with rows that refer to rows which are not there."""
     for table in metadata.sorted_tables:
         for constraint in table.foreign_key_constraints:
@@ -170,15 +158,15 @@ def reference_faults(connection: Connection) -> Iterator[str]:
             is_there = select(pairs[0][1]).where(*(child == column for child, column in pairs)).correlate(table)
             is_set = and_(*(child.is_not(None) for child, _ in pairs))
             lost = select(func.count()).select_from(table).where(is_set, ~is_there.exists())
-            count = connection.execute(lost).scalar_one()
+            count = database.value(lost)
             if count:
                 yield f"{table.name}: {count} rows refer to {constraint.referred_table.name} that are not there"
 
 
 def form_faults(connection: Connection) -> Iterator[str]:
-    """Give a line for every value in other words than softcal's: it reads as the same and is sorted as another.
+    """Give a line for every value in other words than softcal's: it sorts as another.
 
-    Times, JSON and truth values are kept as text and numbers that Python reads in more than one form.
+    Python reads times, JSON and truth values in more than one form.
     """
     dialect = connection.dialect
     for table in (*(metadata.tables[name] for name in AUDITED), audit, users):
@@ -196,13 +184,15 @@ def form_faults(connection: Connection) -> Iterator[str]:
                     yield f"{table.name} {canonical_json(named)}: {shown}"
 
 
-def schema_faults(connection: Connection) -> Iterator[str]:
+def schema_faults(database: Database) -> Iterator[str]:
     """Give a line for everything in the schema that is not as the migrations make it."""
     # Alembic takes half a second to import: only the whole check pays.
     from alembic.autogenerate import compare_metadata
     from alembic.runtime.migration import MigrationContext
 
-    for difference in compare_metadata(MigrationContext.configure(connection), metadata):
+    with database.reading() as connection:
+        differences = compare_metadata(MigrationContext.configure(connection), metadata)
+    for difference in differences:
         what = difference if isinstance(difference, tuple) else difference[0]
         yield f"schema: {' '.join(str(part) for part in what[:3])[:160]} is not as this version makes it"
 
@@ -218,12 +208,12 @@ TRIGGERS = {
 """Names of triggers with what they do, by database."""
 
 
-def trigger_faults(connection: Connection) -> Iterator[str]:
-    """Give a line for every table whose rows can be changed because its triggers are gone, off, or others."""
-    rows = connection.execute(text(TRIGGERS[connection.dialect.name]))
+def trigger_faults(database: Database) -> Iterator[str]:
+    """Give a line for every table whose triggers are gone, off, or others: its rows can be changed."""
+    rows = database.tuples(text(TRIGGERS[database.engine.dialect.name]))
     found = {name: " ".join(str(definition).split()) for name, definition in rows}
-    for table in APPEND_ONLY:
-        wanted = append_only.triggers_of(table, connection.dialect.name)
+    for table in tables.APPEND_ONLY:
+        wanted = append_only.triggers_of(table, database.engine.dialect.name)
         for name, definition in wanted.items():
             if name not in found:
                 yield f"trigger {name}: is gone; rows of {table} can be changed"
@@ -233,9 +223,9 @@ def trigger_faults(connection: Connection) -> Iterator[str]:
         yield f"trigger {name}: was put in; softcal made no such trigger"
 
 
-def origin_faults(connection: Connection) -> Iterator[str]:
+def origin_faults(database: Database) -> Iterator[str]:
     """Give a line where the name under which this registry writes its chain was changed."""
-    info = {key: value for key, value in connection.execute(select(registry_info.c.key, registry_info.c.value))}
+    info = {key: value for key, value in database.tuples(select(registry_info.c.key, registry_info.c.value))}
     if info.get("origin_sha256") != origin_sha256(str(info.get("origin"))):
         yield f"registry_info: origin {info.get('origin')!r} is not the one this registry was made with"
     for key in sorted(info.keys() - {"origin", "origin_sha256"}):
@@ -247,23 +237,23 @@ def origin_sha256(origin: str) -> str:
     return hashlib.sha256(f"origin {origin}".encode()).hexdigest()
 
 
-def people_faults(connection: Connection, origin: str) -> Iterator[str]:
-    """Give a line for every person whose row is not what the audit trail of this registry told of last."""
+def people_faults(database: Database, origin: str) -> Iterator[str]:
+    """Give a line for every person whose row is not what this registry's audit trail told last."""
     query = select(audit.c.key, audit.c.after).where(audit.c.entity == "users", audit.c.origin == origin)
     query = query.where(audit.c.action.in_(TOLD_OF_PEOPLE)).order_by(audit.c.seq)
-    told = {key: after for key, after in connection.execute(query)}
-    rows = connection.execute(select(users)).mappings()
+    told = {key: after for key, after in database.tuples(query)}
+    rows = database.rows(select(users))
     here = {canonical_json((row["name"],)): canonical_json(people_as_told(row)) for row in rows}
     yield from _untold("users", here, told, "role, PIN or rights")
     for key in told.keys() - here.keys():
         yield f"users {key}: is in the audit trail but was removed"
 
 
-def token_faults(connection: Connection) -> Iterator[str]:
+def token_faults(database: Database) -> Iterator[str]:
     """Give a line for every token whose row is not what the audit trail told of last."""
     query = select(audit.c.key, audit.c.after).where(audit.c.entity == "tokens").order_by(audit.c.at, audit.c.seq)
-    told = {key: after for key, after in connection.execute(query)}
-    rows = connection.execute(select(tokens)).mappings()
+    told = {key: after for key, after in database.tuples(query)}
+    rows = database.rows(select(tokens))
     here = {canonical_json((row["token_id"],)): canonical_json(history.plain(token_as_told(row))) for row in rows}
     yield from _untold("tokens", here, told, "account, purpose, end or secret")
 
@@ -276,43 +266,41 @@ def _untold(table: str, here: Mapping[str, str], told: Mapping[str, str | None],
             yield f"{table} {key}: {facts} were changed behind the audit trail"
 
 
-def count_faults(connection: Connection) -> Iterator[str]:
-    """Give a line for every table with more rows than the audit trail tells of, or fewer where one chain is all."""
-    is_alone = len(history.origins(connection)) == 1
+def count_faults(database: Database) -> Iterator[str]:
+    """Give a line for every table with more rows than the trail tells of; fewer where one chain is all."""
+    is_alone = len(history.origins(database)) == 1
     query = select(audit.c.entity, func.count()).where(audit.c.entity.in_(AUDITED)).group_by(audit.c.entity)
-    told = {entity: count for entity, count in connection.execute(query)}
+    told = {entity: count for entity, count in database.tuples(query)}
     for name in AUDITED:
-        rows = connection.execute(select(func.count()).select_from(metadata.tables[name])).scalar_one()
+        rows = database.value(select(func.count()).select_from(metadata.tables[name]))
         if rows > told.get(name, 0) or (is_alone and rows < told.get(name, 0)):
             yield f"{name}: {rows} rows, and the audit trail tells of {told.get(name, 0)}"
 
 
-def newest_faults(connection: Connection) -> Iterator[str]:
+def newest_faults(database: Database) -> Iterator[str]:
     """Give a line for every fault of a chain among its newest rows."""
-    for origin in history.origins(connection):
-        seq, _ = history.head(connection, origin)
+    for origin in history.origins(database):
+        seq, _ = history.head(database, origin)
         first = max(0, seq - ROWS_OF_QUICK)
-        rows = list(history.rows(connection, origin, first))
+        rows = list(history.rows(database, origin, first))
         yield from history.chain_faults(iter(rows), first, rows[0].prev_hash if first and rows else history.FIRST_HASH)
 
 
-def anchor_faults(connection: Connection, heads: dict[str, tuple[int, str]], where: str) -> Iterator[str]:
-    """Give a line for every chain that does not hold the row which was its last when it was written down elsewhere.
-
-    Args:
-        heads: number and hash of the last row of each chain.
-    """
+def anchor_faults(database: Database, heads: Heads, where: str) -> Iterator[str]:
+    """Give a line for every chain without the row that was its last when it was written down."""
     for origin, (seq, sha256) in heads.items():
         query = select(audit.c.hash).where(audit.c.origin == origin, audit.c.seq == seq)
-        found = connection.execute(query).scalar_one_or_none()
+        found = database.value(query)
         if found != sha256:
             what = "is gone" if found is None else "is another one"
             yield f"audit {origin} row {seq}: {what} than was written down {where}; the trail was cut or rewritten"
 
 
-def alien_tables(connection: Connection) -> Iterator[str]:
-    """Give a line for every table that softcal did not make: a view or table beside its own may shadow one."""
+def alien_tables(database: Database) -> Iterator[str]:
+    """Give a line for every table that softcal did not make: it may shadow one of its own."""
     known = {table.name for table in metadata.sorted_tables} | {"alembic_version"}
-    for name in (*inspect(connection).get_table_names(), *inspect(connection).get_view_names()):
+    with database.reading() as connection:
+        found = (*inspect(connection).get_table_names(), *inspect(connection).get_view_names())
+    for name in found:
         if name not in known:
             yield f"table {name}: was put in; softcal made no such table"

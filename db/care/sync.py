@@ -11,11 +11,12 @@ from dataclasses import dataclass
 from datetime import date, datetime, timedelta
 from typing import Any
 
-from sqlalchemy import Connection, Date, Table, and_, func, insert, select
+from sqlalchemy import Date, Table, and_, func, insert, select
 
 from softcal.core.errors import InputError, RegistryError
 from softcal.db.entries import AuditRow
 from softcal.db.schema.arrays import copy_blob
+from softcal.db.schema.database import Database
 from softcal.db.schema.found import HAS_TOLD, forget
 from softcal.db.schema.tables import AUDITED, UtcTime, audit, blobs, limits, metadata
 from softcal.db.truth import history
@@ -36,8 +37,8 @@ class SyncReport:
 
     Args:
         sent, received: rows of the audit trail that went to the other registry and came from there.
-        conflicts: what two registries did to the same thing; both results are kept, and a person has to decide.
-        clocks: registries whose clocks do not agree with this computer's; their order of events is not to be trusted.
+        conflicts: what two registries did to the same thing, for a person to decide.
+        clocks: registries whose clocks are wrong; their order is not to be trusted.
     """
 
     sent: int
@@ -51,87 +52,83 @@ def synchronise(here: RegistryBase, there: RegistryBase) -> SyncReport:
 
     Raises:
         InputError: both are the same registry, or copies of one file that were both written to.
-        RegistryError: a chain is damaged or a connection broke; what came over before is kept, run it again.
+        RegistryError: a chain is damaged or a connection broke; run it again.
     """
     if here.origin == there.origin:
         raise InputError(
             "both registries are one and the same, or one is a plain copy of the other's file; "
             "make copies with `softcal registry backup` and `restore`"
         )
-    sent, received = _send(here, there), _send(there, here)
+    sent, received = _send(here.database, there.database), _send(there.database, here.database)
     return SyncReport(sent, received, tuple(conflicts(here)), tuple(_clocks(here, there)))
 
 
 def conflicts(registry: RegistryBase) -> list[str]:
-    """Return one line for everything that two registries did differently: calibrations, limits, facts of a lot."""
-    with registry.database.reading() as connection:
-        used = [conflict_line(connection, lot_id, serial) for lot_id, serial in conflicts_of(connection)]
+    """Return one line for everything that two registries did differently."""
+    database = registry.database
+    with database.reading():
+        used = [conflict_line(database, lot_id, serial) for lot_id, serial in conflicts_of(database)]
         version = (limits.c.lot_id, limits.c.version)
         doubles = select(*version).group_by(*version).having(func.count() > 1).order_by(*version)
         twice = [
             f"lot {lot_id!r} limit version {number} was set by two registries; the newer one holds"
-            for lot_id, number in connection.execute(doubles)
+            for lot_id, number in database.tuples(doubles)
         ]
-        return [*used, *twice, *_differing_lots(connection)]
+        return [*used, *twice, *_differing_lots(database)]
 
 
 def _clocks(here: RegistryBase, there: RegistryBase) -> Iterator[str]:
-    """Give a line for every clock that does not agree: of a server now, of a registry by the newest row it wrote."""
+    """Give a line for every wrong clock: of a server now, of a registry by its newest row."""
     now = here.settings.clock()
     for side in (here, there):
         if not side.database.is_sqlite:
-            with side.database.reading() as connection:
-                server: datetime = connection.execute(select(func.clock_timestamp())).scalar_one()
+            server: datetime = side.database.value(select(func.clock_timestamp()))
             if abs(server - now) > CLOCKS_AGREE:
                 yield f"the clock of this computer and the server's of {side.database.name} are {server - now} apart"
-    with here.database.reading() as connection:
-        for origin in history.origins(connection):
-            newest = select(audit.c.at).where(audit.c.origin == origin).order_by(audit.c.seq.desc()).limit(1)
-            at: datetime = connection.execute(newest).scalar_one()
-            if at - now > CLOCKS_AGREE:
-                yield (
-                    f"registry {origin} wrote its newest row at {at:%Y-%m-%d %H:%M:%S} UTC, {at - now} ahead of this "
-                    "computer's clock; set that station's clock, and do not trust which of two results is the newer"
-                )
+    for origin in history.origins(here.database):
+        newest = select(audit.c.at).where(audit.c.origin == origin).order_by(audit.c.seq.desc()).limit(1)
+        at: datetime = here.database.value(newest)
+        if at - now > CLOCKS_AGREE:
+            yield (
+                f"registry {origin} wrote its newest row at {at:%Y-%m-%d %H:%M:%S} UTC, {at - now} ahead of this "
+                "computer's clock; set that station's clock, and do not trust which of two results is the newer"
+            )
 
 
-def _send(source: RegistryBase, target: RegistryBase) -> int:
+def _send(source: Database, target: Database) -> int:
     sent = 0
     known: set[Named] = set()
-    with source.database.reading() as connection:
-        chains = history.origins(connection)
-    for origin in chains:
+    for origin in history.origins(source):
         while chunk := _missing(source, target, origin):
-            with source.database.reading() as rows, target.database.writing() as connection:
+            with source.reading(), target.writing() as connection:
                 for entry in chunk:
                     if entry.entity in AUDITED:
                         table = metadata.tables[entry.entity]
                         key = zip(table.primary_key.columns, json.loads(entry.key), strict=True)
                         values = {column.name: _typed(column.type, value) for column, value in key}
-                        _copy(rows, connection, table, values, known)
-                connection.execute(insert(audit), [vars(entry) for entry in chunk])
+                        _copy(source, target, table, values, known)
+                target.change(insert(audit), [vars(entry) for entry in chunk])
                 connection.info[HAS_TOLD] = True
                 forget(connection)
             sent += len(chunk)
     return sent
 
 
-def _missing(source: RegistryBase, target: RegistryBase, origin: str) -> list[AuditRow]:
-    """Return the next rows of a chain that the target lacks, after checking that they continue what it has."""
-    with target.database.reading() as connection:
-        seq, sha256 = history.head(connection, origin)
-    with source.database.reading() as connection:
-        newest, _ = history.head(connection, origin)
+def _missing(source: Database, target: Database, origin: str) -> list[AuditRow]:
+    """Return the next rows of a chain that the target lacks, once they continue what it has."""
+    seq, sha256 = history.head(target, origin)
+    with source.reading():
+        newest, _ = history.head(source, origin)
         if newest < seq:
             return []
         if seq:
             query = select(audit.c.hash).where(audit.c.origin == origin, audit.c.seq == seq)
-            if connection.execute(query).scalar_one_or_none() != sha256:
+            if source.value(query) != sha256:
                 raise InputError(
                     f"the history of registry {origin} parts at row {seq}: two copies of one file were both written "
                     "to; bring one of them in with `softcal registry restore`"
                 )
-        rows = list(history.rows(connection, origin, seq, ROWS_AT_ONCE))
+        rows = list(history.rows(source, origin, seq, ROWS_AT_ONCE))
     for entry in rows:
         if entry.prev_hash != sha256 or entry.hash != history.row_hash(entry):
             raise RegistryError(f"audit {origin} row {entry.seq} is damaged; run `softcal registry verify` there")
@@ -139,7 +136,7 @@ def _missing(source: RegistryBase, target: RegistryBase, origin: str) -> list[Au
     return rows
 
 
-def _copy(source: Connection, target: Connection, table: Table, key: dict[str, Any], known: set[Named]) -> None:
+def _copy(source: Database, target: Database, table: Table, key: dict[str, Any], known: set[Named]) -> None:
     """Copy a row and, before it, whatever it refers to, unless the target has it already.
 
     Args:
@@ -150,9 +147,9 @@ def _copy(source: Connection, target: Connection, table: Table, key: dict[str, A
         return
     known.add(named)
     where = and_(*(table.c[name] == value for name, value in key.items()))
-    if target.execute(select(table.primary_key.columns[0]).where(where)).first() is not None:
+    if target.row(select(table.primary_key.columns[0]).where(where)) is not None:
         return
-    row = source.execute(select(table).where(where)).mappings().first()
+    row = source.row(select(table).where(where))
     if row is None:
         raise RegistryError(f"{table.name} {list(key.values())} is missing; run `softcal registry verify` there")
     for constraint in table.foreign_key_constraints:
@@ -163,7 +160,7 @@ def _copy(source: Connection, target: Connection, table: Table, key: dict[str, A
             copy_blob(source, target, parent["sha256"])
         else:
             _copy(source, target, constraint.referred_table, parent, known)
-    target.execute(insert(table), dict(row))
+    target.change(insert(table), dict(row))
 
 
 def _typed(kind: object, value: Any) -> Any:
@@ -172,10 +169,10 @@ def _typed(kind: object, value: Any) -> Any:
     return date.fromisoformat(value) if isinstance(kind, Date) else value
 
 
-def _differing_lots(connection: Connection) -> Iterator[str]:
+def _differing_lots(database: Database) -> Iterator[str]:
     told: dict[str, set[str]] = {}
     query = select(audit.c.key, audit.c.after).where(audit.c.entity == "lots")
-    for key, after in connection.execute(query):
+    for key, after in database.tuples(query):
         facts = json.loads(after)
         told.setdefault(key, set()).add(json.dumps([facts[name] for name in FACTS_OF_A_LOT]))
     for key, versions in sorted(told.items()):

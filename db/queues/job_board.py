@@ -1,6 +1,6 @@
-"""Long computations that a page asks for and another process does: request, progress and result as one row each.
+"""Long computations that a page asks for and another process does, as one row each.
 
-The page writes the request and reads how far it is; the process that computes need not know the page, nor outlive it.
+Neither need know, nor outlive, the other.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from sqlalchemy import RowMapping, Select, insert, select, update
 from softcal.core.errors import InputError
 from softcal.core.orders import RunState
 from softcal.db.schema.arrays import get_arrays, put_arrays
-from softcal.db.schema.database import OncePerCut
+from softcal.db.schema.database import given
 from softcal.db.schema.tables import jobs
+from softcal.db.truth.registry_base import RegistryBase
 
 if TYPE_CHECKING:
     from softcal.db.schema.arrays import Arrays
@@ -26,7 +27,7 @@ SILENT_AFTER = timedelta(seconds=15)
 """A running job whose process gave no sign of life for longer is dead."""
 
 START_WITHIN = timedelta(seconds=90)
-"""A process that has not taken its job after this time never will; imports take seconds on a busy machine."""
+"""A process that has not taken its job by then never will; imports take seconds when busy."""
 
 BRIEF = [jobs.c[name] for name in ("job_id", "kind", "request", "actor", "created", "state", "fraction", "message",
                                    "is_cancel_wanted", "beaten_at")]  # fmt: skip
@@ -38,15 +39,11 @@ class Job:
     """One computation.
 
     Args:
-        job_id: unique text.
         kind: what is computed, a name the worker knows.
         request: JSON values it is computed from.
-        actor: who asked.
-        created: when, UTC.
-        state: queued, running, done, error or cancelled.
+        actor, created: who asked, and when (UTC).
         fraction: 0 ... 1.
         message: what happens now; on an error one line that says what to do.
-        is_cancel_wanted: somebody asked to stop it.
         beaten_at: last sign of life of its process, UTC.
         trace: live values for a chart, by name; empty in lists.
         result: JSON values; empty until it is done, and in lists.
@@ -73,7 +70,7 @@ class Job:
         return self.state.is_active and now - self.beaten_at > patience
 
 
-class JobBoard(OncePerCut):
+class JobBoard(RegistryBase):
     """The jobs of a registry. Every call is one short transaction."""
 
     def place(self, kind: str, request: Mapping[str, Any], actor: str, job_id: str | None = None) -> str:
@@ -82,12 +79,12 @@ class JobBoard(OncePerCut):
         Args:
             job_id: 32 characters of whoever asks: asking twice makes one job; None makes an id.
         """
-        now, job_id = self._clock(), job_id or uuid.uuid4().hex
+        now, job_id = self.settings.clock(), job_id or uuid.uuid4().hex
         values = {"job_id": job_id, "kind": kind, "request": dict(request), "actor": actor, "created": now}
         fresh = {"state": RunState.QUEUED, "fraction": 0.0, "message": "", "trace": {}, "result": {}}
-        with self.database.writing(in_turn=False) as connection:
-            if connection.execute(select(jobs.c.job_id).where(jobs.c.job_id == job_id)).first() is None:
-                connection.execute(insert(jobs).values(**values, **fresh, is_cancel_wanted=False, beaten_at=now))
+        with self.database.writing(in_turn=False):
+            if self.database.row(select(jobs.c.job_id).where(jobs.c.job_id == job_id)) is None:
+                self.database.change(insert(jobs).values(**values, **fresh, is_cancel_wanted=False, beaten_at=now))
         return job_id
 
     def take(self, job_id: str) -> Job:
@@ -96,11 +93,9 @@ class JobBoard(OncePerCut):
         Raises:
             InputError: there is no such job, or it was taken or cancelled already.
         """
-        with self.database.writing(in_turn=False) as connection:
-            running = {"state": RunState.RUNNING, "beaten_at": self._clock()}
-            queued = update(jobs).where(jobs.c.job_id == job_id, jobs.c.state == RunState.QUEUED)
-            if not connection.execute(queued.values(**running)).rowcount:
-                raise InputError(f"job {job_id!r} is not waiting to be done")
+        queued = update(jobs).where(jobs.c.job_id == job_id, jobs.c.state == RunState.QUEUED)
+        if not self.database.change(queued.values(state=RunState.RUNNING, beaten_at=self.settings.clock())):
+            raise InputError(f"job {job_id!r} is not waiting to be done")
         return self.job(job_id)
 
     def report(self, job_id: str, fraction: float, message: str, trace: Mapping[str, Any] | None = None) -> None:
@@ -111,7 +106,7 @@ class JobBoard(OncePerCut):
     def beat(self, job_id: str) -> bool:
         """Give a sign of life; return whether somebody wants the job stopped."""
         self._change(job_id, {})
-        return any(self.database.values(select(jobs.c.is_cancel_wanted).where(jobs.c.job_id == job_id)))
+        return bool(self.database.value(select(jobs.c.is_cancel_wanted).where(jobs.c.job_id == job_id)))
 
     def end(
         self,
@@ -122,26 +117,21 @@ class JobBoard(OncePerCut):
         arrays: Arrays | None = None,
     ) -> None:
         """Write how a job ended, once."""
-        with self.database.writing(in_turn=False) as connection:
-            blob = None if arrays is None else put_arrays(connection, arrays)
+        with self.database.writing(in_turn=False):
+            blob = None if arrays is None else put_arrays(self.database, arrays)
             values = {"state": state, "message": message, "result": dict(result or {}), "blob_sha256": blob}
-            done = {"fraction": 1.0} if state is RunState.DONE else {}
-            self._change(job_id, values | done)
+            self._change(job_id, values | ({"fraction": 1.0} if state is RunState.DONE else {}))
 
     def cancel(self, job_id: str) -> None:
         """Ask for a stop; a job that nobody has taken, or whose process has died, ends at once."""
         job = self.job(job_id)
-        if job.state is RunState.QUEUED or job.is_lost(self._clock()):
+        if job.state is RunState.QUEUED or job.is_lost(self.settings.clock()):
             self.end(job_id, RunState.CANCELLED, "cancelled")
         else:
             self._change(job_id, {"is_cancel_wanted": True}, is_beat=False)
 
     def job(self, job_id: str) -> Job:
-        """Return one job with its trace and result.
-
-        Raises:
-            InputError: there is none of this id.
-        """
+        """Return one job with its trace and result (`InputError`: there is none of this id)."""
         found = self.find(job_id)
         if found is None:
             raise InputError(f"job {job_id!r} is not in the registry")
@@ -154,22 +144,21 @@ class JobBoard(OncePerCut):
 
     def jobs(self, kind: str | None = None, count: int = 20) -> list[Job]:
         """Return the newest jobs, newest first, without traces and results."""
-        query: Select[Any] = select(*BRIEF).order_by(jobs.c.created.desc(), jobs.c.job_id).limit(count)
-        query = query if kind is None else query.where(jobs.c.kind == kind)
-        return [_job(row) for row in self.database.rows(query)]
+        query: Select[Any] = select(*BRIEF).where(*given((jobs.c.kind, kind)))
+        newest = query.order_by(jobs.c.created.desc(), jobs.c.job_id).limit(count)
+        return [_job(row) for row in self.database.rows(newest)]
 
     def arrays(self, job: Job) -> Arrays:
         """Return the arrays a job left; none where it made none."""
         if job.blob_sha256 is None:
             return {}
-        with self.database.reading() as connection:
-            return get_arrays(connection, job.blob_sha256)
+        with self.database.reading():
+            return get_arrays(self.database, job.blob_sha256)
 
     def _change(self, job_id: str, values: Mapping[str, Any], *, is_beat: bool = True) -> None:
-        beat = {"beaten_at": self._clock()} if is_beat else {}
+        beat = {"beaten_at": self.settings.clock()} if is_beat else {}
         open_job = update(jobs).where(jobs.c.job_id == job_id, jobs.c.state.in_(OPEN))
-        with self.database.writing(in_turn=False) as connection:
-            connection.execute(open_job.values(**values, **beat))
+        self.database.change(open_job.values(**values, **beat))
 
 
 def _job(row: RowMapping) -> Job:

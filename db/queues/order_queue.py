@@ -1,10 +1,11 @@
-"""Orders to stations, the progress of their runs and the stations' heartbeats, as rows that page and station share.
+"""Orders to stations, their progress, and heartbeats, as rows that page and station share.
 
 A page writes an order and reads progress; the station takes orders and writes progress. Neither needs the other to be
 there. One run at a time per station is a unique index of the database, not a rule of a program.
 """
 
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from datetime import datetime, timedelta
 from typing import Any, NamedTuple
@@ -15,8 +16,9 @@ from sqlalchemy.exc import IntegrityError
 from softcal.core.errors import InputError
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.words.reason import Reason, packed, reason, to_kept
-from softcal.db.schema.database import OncePerCut
-from softcal.db.schema.tables import heartbeats, orders, run_signals
+from softcal.db.schema.database import given
+from softcal.db.schema.tables import heartbeats, line_places, orders, run_signals
+from softcal.db.truth.registry_base import RegistryBase
 
 SILENT_AFTER = timedelta(seconds=3)
 """A station whose last heartbeat is older is not there, as far as a screen can see."""
@@ -29,6 +31,8 @@ ORDER_FIELDS = ("order_id", "station", "kind", "serial", "lot_id", "actor", "rea
 PROGRESS_FIELDS = tuple(field.name for field in fields(Progress) if field.name != "signal")
 SIGNAL_FIELDS = ("t_s", "output", "stage_mm", "force_N")
 RUNS = tuple(kind for kind in OrderKind if kind.is_run)
+OPEN = (RunState.QUEUED, RunState.RUNNING)
+o = orders.c
 
 
 class Pressed(NamedTuple):
@@ -41,25 +45,24 @@ class Pressed(NamedTuple):
     ended: datetime
 
 
-class OrderQueue(OncePerCut):
-    """Orders, runs and heartbeats of the stations of a registry. Every call is one short transaction."""
+class OrderQueue(RegistryBase):
+    """Orders, runs and heartbeats of a registry's stations. Every call is one short transaction."""
 
     def place(self, order: Order, until_s: float | None = None) -> bool:
-        """Ask a station for something; the same order id again changes nothing.
+        """Ask a station for something; return whether in time. The same id changes nothing.
 
         Args:
-            until_s: `time.monotonic()` after which it is not asked any more, however long the registry was busy.
-
-        Returns:
-            Whether it was asked in time.
+            until_s: `time.monotonic()` after which it is not asked any more.
 
         Raises:
             InputError: the station has a run that is not over.
         """
-        values = {name: getattr(order, name) for name in ORDER_FIELDS} | {"created": order.created or self._clock()}
+        values = {name: getattr(order, name) for name in ORDER_FIELDS} | {
+            "created": order.created or self.settings.clock()
+        }
         progress = _progress_values(Progress(order.order_id, RunState.QUEUED))
         with self.database.writing(in_turn=False) as connection:
-            known = select(orders.c.order_id).where(orders.c.order_id == order.order_id)
+            known = select(o.order_id).where(o.order_id == order.order_id)
             if connection.execute(known).first() is not None:
                 return True
             # Looked at behind the wait for other writers, which is where the time goes.
@@ -67,7 +70,7 @@ class OrderQueue(OncePerCut):
                 return False
             try:
                 with connection.begin_nested():
-                    connection.execute(insert(orders).values(**values | progress, changed_at=self._clock()))
+                    connection.execute(insert(orders).values(**values | progress, changed_at=self.settings.clock()))
             except IntegrityError as error:
                 row = connection.execute(_open_runs(order.station)).mappings().one()
                 what = f"{row['kind']} {row['serial']}".strip()
@@ -76,56 +79,46 @@ class OrderQueue(OncePerCut):
             return True
 
     def take(self, station: str, only: OrderKind | None = None) -> Order | None:
-        """Return the station's next order and mark it running; what is no run (STOP) comes before everything else."""
-        query = select(orders).where(orders.c.station == station, orders.c.state == RunState.QUEUED)
-        query = query if only is None else query.where(orders.c.kind == only)
-        with self.database.writing(in_turn=False) as connection:
-            found = connection.execute(query.order_by(orders.c.created, orders.c.order_id)).mappings().all()
-            if not found:
+        """Return the station's next order and mark it running; what is no run (STOP) comes first."""
+        query = select(orders).where(o.state == RunState.QUEUED, *given((o.station, station), (o.kind, only)))
+        with self.database.writing(in_turn=False):
+            waiting = self.database.rows(query.order_by(o.created, o.order_id))
+            if not waiting:
                 return None
-            row = min(found, key=lambda row: row["kind"] in RUNS)
-            running = {"state": RunState.RUNNING, "changed_at": self._clock()}
-            connection.execute(update(orders).where(orders.c.order_id == row["order_id"]).values(**running))
+            row = min(waiting, key=lambda row: row["kind"] in RUNS)
+            self._set([row["order_id"]], state=RunState.RUNNING)
             return _order(row)
 
     def has_stop(self, station: str) -> bool:
         """Return whether somebody said stop and was not answered yet. It only reads."""
-        waiting = (orders.c.station == station, orders.c.state == RunState.QUEUED, orders.c.kind == OrderKind.STOP)
-        return self.database.row(select(orders.c.order_id).where(*waiting).limit(1)) is not None
+        waiting = (o.station == station, o.state == RunState.QUEUED, o.kind == OrderKind.STOP)
+        return self.database.value(select(o.order_id).where(*waiting).limit(1)) is not None
 
     def report(self, progress: Progress) -> None:
         """Write how far an order is. An order that is over stays as it ended."""
-        with self.database.writing(in_turn=False) as connection:
-            values = _progress_values(progress) | {"changed_at": self._clock()}
-            open_order = update(orders).where(
-                orders.c.order_id == progress.order_id, orders.c.state.in_([RunState.QUEUED, RunState.RUNNING])
-            )
-            if connection.execute(open_order.values(**values)).rowcount and progress.signal.t_s:
-                connection.execute(delete(run_signals).where(run_signals.c.order_id == progress.order_id))
+        open_order = update(orders).where(o.order_id == progress.order_id, o.state.in_(OPEN))
+        with self.database.writing(in_turn=False):
+            values = _progress_values(progress) | {"changed_at": self.settings.clock()}
+            if self.database.change(open_order.values(**values)) and progress.signal.t_s:
+                self.database.change(delete(run_signals).where(run_signals.c.order_id == progress.order_id))
                 signal = vars(progress.signal)
-                connection.execute(insert(run_signals).values(order_id=progress.order_id, signal=signal))
+                self.database.change(insert(run_signals).values(order_id=progress.order_id, signal=signal))
 
     def progress(self, order_id: str) -> Progress:
-        """Return how far an order is, with its live signal.
-
-        Raises:
-            InputError: there is no such order.
-        """
+        """Return how far an order is, with its signal (`InputError`: there is no such order)."""
         with self.database.reading():
-            row = self.database.row(select(orders).where(orders.c.order_id == order_id))
+            row = self.database.row(select(orders).where(o.order_id == order_id))
             if row is None:
                 raise InputError(reason("name.no_order", order=repr(order_id)))
             return _progress(row, self._signal(order_id))
 
     def runs(self, station: str | None = None, count: int = 50) -> list[tuple[Order, Progress]]:
         """Return the newest orders with their progress, newest first, without the live signal."""
-        query = select(orders).order_by(orders.c.created.desc(), orders.c.order_id).limit(count)
-        query = query if station is None else query.where(orders.c.station == station)
+        query = select(orders).where(*given((o.station, station))).order_by(o.created.desc(), o.order_id).limit(count)
         return [(_order(row), _progress(row, Signal())) for row in self.database.rows(query)]
 
     def pressed(self, lot_id: str) -> list[Pressed]:
-        """Return which units of a lot were pressed where and by whom, in time order; broken runs are left out."""
-        o = orders.c
+        """Return which units of a lot were pressed where and by whom, in time order, to the end."""
         query = select(o.serial, o.station, o.actor, o.created, o.changed_at)
         ended = query.where(o.lot_id == lot_id, o.kind == OrderKind.UNIT, o.state == RunState.DONE)
         return [Pressed(*row.values()) for row in self.database.rows(ended.order_by(o.created, o.order_id))]
@@ -139,35 +132,30 @@ class OrderQueue(OncePerCut):
     def interrupt(self, station: str, message: Reason | str) -> list[str]:
         """Mark what a station left running when it died as an error; return the order ids.
 
-        Called by a station that starts. What was queued is cancelled: nothing moves because of an old order.
+        What was queued is cancelled: nothing moves because of an old order.
         """
         ended = {RunState.RUNNING: RunState.ERROR, RunState.QUEUED: RunState.CANCELLED}
-        left = select(orders.c.order_id, orders.c.state).where(
-            orders.c.station == station, orders.c.state.in_(list(ended))
-        )
-        with self.database.writing(in_turn=False) as connection:
-            rows = connection.execute(left.order_by(orders.c.created)).all()
-            for order_id, state in rows:
-                values = {"state": ended[RunState(state)], "code": "E-INTERRUPTED", "message": packed([message])}
-                mine = update(orders).where(orders.c.order_id == order_id)
-                connection.execute(mine.values(**values, changed_at=self._clock()))
-        return [order_id for order_id, _ in rows]
+        left = select(o.order_id, o.state).where(o.station == station, o.state.in_(OPEN)).order_by(o.created)
+        with self.database.writing(in_turn=False):
+            rows = self.database.rows(left)
+            for row in rows:
+                state = ended[RunState(row["state"])]
+                self._set([row["order_id"]], state=state, code="E-INTERRUPTED", message=packed([message]))
+        return [row["order_id"] for row in rows]
 
     def cancel_queued(self, station: str, message: Reason | str) -> list[str]:
-        """Cancel the run that waits, if there is one: whoever says stop means that one too. Return the order ids."""
-        waiting = (orders.c.station == station, orders.c.state == RunState.QUEUED, orders.c.kind.in_(RUNS))
-        with self.database.writing(in_turn=False) as connection:
-            order_ids = list(connection.execute(select(orders.c.order_id).where(*waiting)).scalars())
-            values = {"state": RunState.CANCELLED, "code": "E-STOPPED", "message": packed([message])}
-            mine = update(orders).where(orders.c.order_id.in_(order_ids))
-            connection.execute(mine.values(**values, changed_at=self._clock()))
+        """Cancel the run that waits (who says stop means that one, too); return the order ids."""
+        waiting = (o.station == station, o.state == RunState.QUEUED, o.kind.in_(RUNS))
+        with self.database.writing(in_turn=False):
+            order_ids = self.database.values(select(o.order_id).where(*waiting))
+            self._set(order_ids, state=RunState.CANCELLED, code="E-STOPPED", message=packed([message]))
         return order_ids
 
     def beat(self, heartbeat: Heartbeat, after: timedelta = TAKEN_OVER_AFTER) -> None:
         """Write that a station lives and what it does.
 
         Args:
-            after: how old the beat of another owner must be; zero for who knows that its process is gone.
+            after: how old the beat of another owner must be; zero: it is known to be gone.
 
         Raises:
             InputError: another process serves this station; ports have one owner.
@@ -200,19 +188,47 @@ class OrderQueue(OncePerCut):
     def is_answering(self, station: str) -> bool:
         """Whether a station gave a sign of life in the last seconds."""
         last = self.heartbeat(station)
-        return last is not None and self._clock() - last.at <= SILENT_AFTER
+        return last is not None and self.settings.clock() - last.at <= SILENT_AFTER
+
+    def _set(self, order_ids: Sequence[str], **values: object) -> None:
+        mine = update(orders).where(o.order_id.in_(order_ids))
+        self.database.change(mine.values(**values, changed_at=self.settings.clock()))
 
     def _signal(self, order_id: str) -> Signal:
-        row = self.database.row(select(run_signals.c.signal).where(run_signals.c.order_id == order_id))
-        if row is None:
+        signal = self.database.value(select(run_signals.c.signal).where(run_signals.c.order_id == order_id))
+        if signal is None:
             return Signal()
-        kept = row["signal"]
-        return Signal(**{name: tuple(kept[name]) for name in SIGNAL_FIELDS}, output_unit=kept["output_unit"])
+        return Signal(**{name: tuple(signal[name]) for name in SIGNAL_FIELDS}, output_unit=signal["output_unit"])
+
+
+class LinePlaces(RegistryBase):
+    """What stands at a line beside its runs, a row a station: every screen shows the same.
+
+    A change names the version it was decided on: of two screens one is told to look again.
+    """
+
+    def read(self, station: str) -> tuple[int, Mapping[str, Any]]:
+        """Return version and values of a station's place; 0 and nothing before the first."""
+        row = self.database.row(select(line_places).where(line_places.c.station == station))
+        return (0, {}) if row is None else (row["version"], row["place"])
+
+    def write(self, station: str, seen_version: int, place: Mapping[str, Any]) -> bool:
+        """Put other values in their place; return False where another one was first."""
+        values = {"station": station, "version": seen_version + 1, "place": dict(place)}
+        seen = (line_places.c.station == station, line_places.c.version == seen_version)
+        if seen_version:
+            return self.database.change(update(line_places).where(*seen).values(**values)) == 1
+        with self.database.writing(in_turn=False) as connection:
+            try:
+                with connection.begin_nested():
+                    connection.execute(insert(line_places).values(**values))
+            except IntegrityError:
+                return False
+            return True
 
 
 def _open_runs(station: str) -> Select[Any]:
-    open_states = orders.c.state.in_([RunState.QUEUED, RunState.RUNNING])
-    return select(orders).where(orders.c.station == station, open_states, orders.c.kind.in_(RUNS))
+    return select(orders).where(o.station == station, o.state.in_(OPEN), o.kind.in_(RUNS))
 
 
 def _progress_values(progress: Progress) -> dict[str, object]:

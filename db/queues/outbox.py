@@ -1,6 +1,6 @@
-"""How far each destination outside is in the audit trail: what was sent is behind its cursor, all else waits.
+"""How far each destination is in the audit trail: what is behind its cursor was sent.
 
-The audit trail itself is the outbox: an event cannot be lost that is written in the transaction of its change.
+The trail is the outbox: what is written in the transaction of its change is not lost.
 """
 
 from collections.abc import Mapping
@@ -11,9 +11,9 @@ from sqlalchemy import insert, or_, select, update
 
 from softcal.core.errors import InputError
 from softcal.db.entries import AuditRow
-from softcal.db.schema.database import OncePerCut
 from softcal.db.schema.tables import deliveries
 from softcal.db.truth import history
+from softcal.db.truth.registry_base import RegistryBase
 
 Cursor = Mapping[str, int]
 """Number of the last row taken of each chain of the audit trail, by the registry that wrote it."""
@@ -29,7 +29,6 @@ class Delivery:
         failures: tries in a row that failed.
         not_before: the next try waits until then; None does not wait.
         error: why the last try failed; "" after one that did not.
-        changed_at: UTC.
         holder: the process that serves it; None where none does.
         held_until: from then on another process may take it.
     """
@@ -45,27 +44,27 @@ class Delivery:
     held_until: datetime | None
 
 
-class Outbox(OncePerCut):
+class Outbox(RegistryBase):
     """The destinations of a registry's events. Every call is one short transaction."""
 
     def end(self) -> dict[str, int]:
         """Return the cursor behind everything there is."""
-        with self.database.reading() as connection:
-            return {origin: seq for origin, (seq, _) in history.heads(connection).items()}
+        with self.database.reading():
+            return {origin: seq for origin, (seq, _) in history.heads(self.database).items()}
 
     def after(self, cursor: Cursor, count: int) -> list[AuditRow]:
-        """Return the next rows behind a cursor, in the order of their chains and, between chains, of time."""
-        with self.database.reading() as connection:
-            return history.after(connection, cursor, count)
+        """Return the next rows behind a cursor: in the order of each chain, else of time."""
+        with self.database.reading():
+            return history.after(self.database, cursor, count)
 
     def begin(self, destination: str, cursor: Cursor) -> Delivery:
         """Return where a destination stands; one that is new begins behind `cursor`."""
-        fresh = {"delivered": 0, "failures": 0, "not_before": None, "error": "", "changed_at": self._clock()}
-        with self.database.writing(in_turn=False) as connection:
+        fresh = {"delivered": 0, "failures": 0, "not_before": None, "error": "", "changed_at": self.settings.clock()}
+        with self.database.writing(in_turn=False):
             known = select(deliveries).where(deliveries.c.destination == destination)
-            if connection.execute(known).first() is None:
-                connection.execute(insert(deliveries).values(destination=destination, cursor=dict(cursor), **fresh))
-            return Delivery(**connection.execute(known).mappings().one())
+            if self.database.row(known) is None:
+                self.database.change(insert(deliveries).values(destination=destination, cursor=dict(cursor), **fresh))
+            return Delivery(**self.database.rows(known)[0])
 
     def hold(self, destination: str, holder: str, now: datetime, until: datetime) -> Delivery | None:
         """Take a destination for one process, or keep it; None where another one holds it.
@@ -78,20 +77,19 @@ class Outbox(OncePerCut):
         c = deliveries.c
         is_free = or_(c.holder.is_(None), c.holder == holder, c.held_until <= now)
         mine = c.destination == destination
-        with self.database.writing(in_turn=False) as connection:
-            taken = connection.execute(update(deliveries).where(mine, is_free).values(holder=holder, held_until=until))
-            if not taken.rowcount:
-                return None
-            return Delivery(**connection.execute(select(deliveries).where(mine)).mappings().one())
+        take = update(deliveries).where(mine, is_free).values(holder=holder, held_until=until)
+        with self.database.writing(in_turn=False):
+            row = self.database.row(select(deliveries).where(mine)) if self.database.change(take) else None
+            return None if row is None else Delivery(**row)
 
     def release(self, holder: str) -> None:
         """Give back every destination that a process holds."""
-        with self.database.writing(in_turn=False) as connection:
-            free = {"holder": None, "held_until": None}
-            connection.execute(update(deliveries).where(deliveries.c.holder == holder).values(**free))
+        self.database.change(
+            update(deliveries).where(deliveries.c.holder == holder).values(holder=None, held_until=None)
+        )
 
     def moved(self, destination: str, cursor: Cursor, delivered: int, holder: str | None = None) -> None:
-        """Write that a destination has everything up to a cursor, `delivered` events of it sent now.
+        """Write that a destination has all up to a cursor, `delivered` events of it now.
 
         Args:
             holder: where it is given and no longer holds the destination, nothing is written: the cursor of who
@@ -112,8 +110,7 @@ class Outbox(OncePerCut):
         mine = update(deliveries).where(deliveries.c.destination == destination)
         if holder is not None:
             mine = mine.where(deliveries.c.holder == holder)
-        with self.database.writing(in_turn=False) as connection:
-            connection.execute(mine.values(**values, changed_at=self._clock()))
+        self.database.change(mine.values(**values, changed_at=self.settings.clock()))
 
 
 def cursor_text(cursor: Cursor) -> str:
@@ -122,11 +119,7 @@ def cursor_text(cursor: Cursor) -> str:
 
 
 def cursor_of(text: str) -> dict[str, int]:
-    """Return the cursor a program gave back; "" is the beginning.
-
-    Raises:
-        InputError: softcal gave no such cursor.
-    """
+    """Return the cursor of its text; "" is the beginning (`InputError`: softcal gave none such)."""
     pairs = [part.partition(":") for part in text.split(".")] if text else []
     if not all(origin.isalnum() and seq.isascii() and seq.isdigit() and len(seq) < 10 for origin, _, seq in pairs):
         raise InputError(f"cursor {text[:60]!r}: give what the last answer named `next`, or nothing for the beginning")

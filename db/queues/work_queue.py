@@ -13,8 +13,9 @@ from typing import Any
 
 from sqlalchemy import Connection, Select, and_, delete, func, or_, select, text, update
 
-from softcal.db.schema.database import OncePerCut, parts
+from softcal.db.schema.database import given, parts
 from softcal.db.schema.tables import work_items
+from softcal.db.truth.registry_base import RegistryBase
 
 MOST_ATTEMPTS = 3
 """An item whose workers died this often is failed: it would take down the next worker, too."""
@@ -30,7 +31,6 @@ class WorkSet:
     """Items that are asked for together.
 
     Args:
-        lot_id: the lot whose units they are.
         name: hash of the settings that all of them share.
     """
 
@@ -41,11 +41,7 @@ class WorkSet:
 
 @dataclass(frozen=True)
 class WorkItem:
-    """An item of a set.
-
-    Args:
-        attempts: claims so far.
-    """
+    """An item of a set; `attempts` counts its claims."""
 
     id: int
     serial: str
@@ -53,8 +49,8 @@ class WorkItem:
     attempts: int
 
 
-class WorkQueue(OncePerCut):
-    """The work items of a registry. Every call is one short transaction, or part of the one it is called in."""
+class WorkQueue(RegistryBase):
+    """The work items of a registry. Every call is one short transaction, or part of one."""
 
     def enqueue(self, work: WorkSet, inputs: Mapping[str, str]) -> int:
         """Queue what is not queued or claimed yet and return how many items are new.
@@ -62,11 +58,8 @@ class WorkQueue(OncePerCut):
         An item that failed before is queued again, and attempts are counted anew: asking is a decision to retry. Sets
         of the lot that nobody works at any more are forgotten. Each few hundred items are a transaction of their own,
         so that other writers wait for milliseconds only.
-
-        Args:
-            inputs: input hash of every serial.
         """
-        now, c = self._clock(), work_items.c
+        now, c = self.settings.clock(), work_items.c
         named = {"lot_id": work.lot_id, "kind": work.kind, "work_set": work.name}
         fresh = {**named, **FREE, "attempts": 0, "changed_at": now}
         rows = [{**fresh, "serial": serial, "input_sha256": sha256} for serial, sha256 in inputs.items()]
@@ -86,14 +79,14 @@ class WorkQueue(OncePerCut):
         return new
 
     def claim(self, owner: str, work: WorkSet, count: int, lease_s: float) -> list[WorkItem]:
-        """Take up to `count` items that nobody works on; they are this owner's until the lease runs out.
+        """Take up to `count` free items; they are this owner's until the lease runs out.
 
         Claimants never wait for one another: rows another one is just taking are passed over.
         """
-        now, c = self._clock(), work_items.c
+        now, c = self.settings.clock(), work_items.c
         with self.database.writing(in_turn=False) as connection:
             if not self.database.is_sqlite:
-                # PostgreSQL's default is a spinning disk's: it would rather read the items of all lots in a row.
+                # The default is a spinning disk's: it would read the items of all lots.
                 connection.execute(text("SET LOCAL random_page_cost = 1.1"))
             taken = self._free(connection, work, count, c.state == "queued")
             if len(taken) < count:
@@ -114,7 +107,7 @@ class WorkQueue(OncePerCut):
 
     def extend(self, owner: str, lease_s: float) -> int:
         """Push the lease of all of one's items further out; return how many are still one's own."""
-        now, c = self._clock(), work_items.c
+        now, c = self.settings.clock(), work_items.c
         mine = select(c.id).where(c.owner == owner, c.state == "claimed").with_for_update(skip_locked=True)
         with self.database.writing(in_turn=False) as connection:
             ids = connection.execute(mine).scalars().all()
@@ -124,18 +117,17 @@ class WorkQueue(OncePerCut):
         return len(ids)
 
     def held(self, owner: str, item_ids: Iterable[int]) -> set[int]:
-        """Return which items are still one's own; inside a transaction nobody can take them before it ends."""
+        """Return which items are still one's own; nobody can take them before a transaction ends."""
         c = work_items.c
         mine = select(c.id).where(c.id.in_(list(item_ids)), c.owner == owner, c.state == "claimed")
         with self.database.writing(in_turn=False) as connection:
             return set(connection.execute(mine.order_by(c.id).with_for_update()).scalars())
 
     def finish(self, owner: str, item_ids: Sequence[int]) -> bool:
-        """Take done items out. False: a lease ran out and an item is another one's by now; drop its result."""
+        """Take done items out. False: a lease ran out, and an item is another's; drop its result."""
         c = work_items.c
         mine = delete(work_items).where(c.id.in_(item_ids), c.owner == owner, c.state == "claimed")
-        with self.database.writing(in_turn=False) as connection:
-            return connection.execute(mine).rowcount == len(item_ids)
+        return self.database.change(mine) == len(item_ids)
 
     def give_back(self, owner: str) -> int:
         """Queue all items of an owner that stops in order; the attempt does not count."""
@@ -161,8 +153,7 @@ class WorkQueue(OncePerCut):
         """Return how many items are queued, claimed and failed: of a work, of a lot, or of all."""
         c = work_items.c
         query: Select[Any] = select(c.state, func.count().label("items")).group_by(c.state)
-        query = query if lot_id is None else query.where(c.lot_id == lot_id)
-        query = query if work is None else query.where(*_of(work))
+        query = query.where(*given((c.lot_id, lot_id)), *(() if work is None else _of(work)))
         return dict.fromkeys(STATES, 0) | {row["state"]: row["items"] for row in self.database.rows(query)}
 
     def _insert_new(self) -> Any:
@@ -184,8 +175,7 @@ class WorkQueue(OncePerCut):
     def _free_again(self, owner: str, **more: Any) -> int:
         c = work_items.c
         mine = update(work_items).where(c.owner == owner, c.state == "claimed")
-        with self.database.writing(in_turn=False) as connection:
-            return connection.execute(mine.values(**FREE, **more, changed_at=self._clock())).rowcount
+        return self.database.change(mine.values(**FREE, **more, changed_at=self.settings.clock()))
 
 
 def _of(work: WorkSet) -> tuple[Any, ...]:

@@ -1,1 +1,1 @@
-"""How a registry lies in its database: tables and their history, transactions, blobs, what nobody can change."""
+"""How a registry lies in its database: tables, transactions, blobs, what nobody can change."""

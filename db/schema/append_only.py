@@ -1,4 +1,4 @@
-"""Triggers that refuse every change of a row that was written; used by migrations, on both databases."""
+"""Triggers that refuse every change of a row that was written, made by migrations."""
 
 import hashlib
 
@@ -12,7 +12,7 @@ BEFORE_STATEMENT_ON_CHANGES = 2 + 8 + 16 + 32
 
 
 def forbid_changes(table: str) -> None:
-    """Make UPDATE, DELETE and TRUNCATE of a table fail. A migration that rebuilds a table must call this again."""
+    """Make UPDATE, DELETE and TRUNCATE of a table fail. Who rebuilds a table calls this again."""
     # Alembic takes half a second to import: only migrations pay.
     from alembic import op
 

@@ -1,4 +1,4 @@
-"""Named arrays in the registry: safetensors bytes addressed by their SHA-256, checked on every read. No pickle.
+"""Named arrays: safetensors bytes addressed by their SHA-256, checked on every read.
 
 A large array is a blob of its own, named by its hash in the blob of the small ones: what all units of a lot have in
 common (the source's support model, equal time stamps) is kept once.
@@ -11,10 +11,10 @@ import json
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from sqlalchemy import Connection, bindparam, insert, select
+from sqlalchemy import bindparam, insert, select
 
 from softcal.core.errors import RegistryError
-from softcal.db.schema.found import found_in
+from softcal.db.schema.database import Database
 from softcal.db.schema.tables import blobs, canonical_json
 
 if TYPE_CHECKING:
@@ -30,13 +30,13 @@ LARGEST_BYTES = 512 * 1024 * 1024
 """Far above any recording or map of a line, below what both databases take as one value."""
 
 OWN_BLOB_BYTES = 4096
-"""From this size on an array is a blob of its own; for smaller ones a row more costs as much as it may save."""
+"""From this size on an array is a blob of its own; below, a row costs as much as it saves."""
 
 ARRAYS, ARRAY = "arrays", "array"
 """Kinds of blobs: several arrays by name, and one large array that they refer to."""
 
 
-def put_arrays(connection: Connection, arrays: Arrays) -> str:
+def put_arrays(database: Database, arrays: Arrays) -> str:
     """Store named arrays once and return the SHA-256 (hex) of the bytes that name and hold them."""
     # Imported here and below: whoever lists units reads no array.
     import numpy as np
@@ -45,13 +45,13 @@ def put_arrays(connection: Connection, arrays: Arrays) -> str:
     # safetensors takes the buffer as it lies; a view with strides would be stored wrongly.
     whole = {name: np.asarray(array, order="C") for name, array in arrays.items()}
     large = {name: array for name, array in whole.items() if array.nbytes >= OWN_BLOB_BYTES}
-    parts = {name: put_bytes(connection, ARRAY, save({ARRAY: array})) for name, array in large.items()}
+    parts = {name: put_bytes(database, ARRAY, save({ARRAY: array})) for name, array in large.items()}
     small = {name: array for name, array in whole.items() if name not in parts}
     # One entry only: safetensors writes several in no fixed order.
-    return put_bytes(connection, ARRAYS, save(small, {"parts": canonical_json(parts)} if parts else None))
+    return put_bytes(database, ARRAYS, save(small, {"parts": canonical_json(parts)} if parts else None))
 
 
-def get_arrays(connection: Connection, sha256: str) -> dict[str, NDArray[np.generic]]:
+def get_arrays(database: Database, sha256: str) -> dict[str, NDArray[np.generic]]:
     """Return the named arrays stored under a hash.
 
     Raises:
@@ -60,11 +60,11 @@ def get_arrays(connection: Connection, sha256: str) -> dict[str, NDArray[np.gene
     from safetensors import SafetensorError
     from safetensors.numpy import load
 
-    content = get_bytes(connection, sha256)
+    content = get_bytes(database, sha256)
     try:
         arrays = dict(load(content))
         for name, part in parts_of(content).items():
-            arrays[name] = load(get_bytes(connection, part))[ARRAY]
+            arrays[name] = load(get_bytes(database, part))[ARRAY]
     except SafetensorError as error:
         raise RegistryError(f"blob {sha256[:12]} holds no arrays: {error}") from error
     return arrays
@@ -82,43 +82,43 @@ def parts_of(content: bytes) -> dict[str, str]:
         raise RegistryError(f"a blob of arrays cannot be read: {error}") from error
 
 
-def put_bytes(connection: Connection, kind: str, content: bytes) -> str:
+def put_bytes(database: Database, kind: str, content: bytes) -> str:
     """Store bytes once and return their SHA-256 (hex)."""
     if len(content) > LARGEST_BYTES:
         raise RegistryError(f"{len(content)} bytes are too many for one value; at most {LARGEST_BYTES} are kept")
     sha256 = hashlib.sha256(content).hexdigest()
-    stored = found_in(connection).blobs
-    if sha256 not in stored and not has_blob(connection, sha256):
+    stored = database.found.blobs
+    if sha256 not in stored and not has_blob(database, sha256):
         row = {"sha256": sha256, "kind": kind, "size": len(content), "data": content}
-        connection.execute(INSERT, row)
+        database.change(INSERT, row)
     stored.add(sha256)
     return sha256
 
 
-def has_blob(connection: Connection, sha256: str) -> bool:
+def has_blob(database: Database, sha256: str) -> bool:
     """Whether bytes of this hash are stored, without reading them."""
-    return connection.execute(KNOWN_BLOB, {"sha": sha256}).first() is not None
+    return database.row(KNOWN_BLOB, {"sha": sha256}) is not None
 
 
-def copy_blob(source: Connection, target: Connection, sha256: str) -> None:
+def copy_blob(source: Database, target: Database, sha256: str) -> None:
     """Copy a blob, and what it refers to before it, into a registry that lacks it."""
     if has_blob(target, sha256):
         return
     content = get_bytes(source, sha256)
-    kind = source.execute(select(blobs.c.kind).where(blobs.c.sha256 == sha256)).scalar_one()
+    kind = source.value(select(blobs.c.kind).where(blobs.c.sha256 == sha256))
     if kind == ARRAYS:
         for part in parts_of(content).values():
             copy_blob(source, target, part)
     put_bytes(target, kind, content)
 
 
-def get_bytes(connection: Connection, sha256: str) -> bytes:
+def get_bytes(database: Database, sha256: str) -> bytes:
     """Return the bytes stored under a hash, after checking them.
 
     Raises:
         RegistryError: nothing is stored there, or its bytes are not the ones that were stored.
     """
-    content = connection.execute(READ_BLOB, {"sha": sha256}).scalar_one_or_none()
+    content = database.value(READ_BLOB, {"sha": sha256})
     if content is None:
         raise RegistryError(f"blob {sha256[:12]} is missing from the registry; restore a backup")
     content = bytes(content)

@@ -1,4 +1,4 @@
-"""The database behind a registry URL: checks before opening, settings of SQLite and PostgreSQL, transactions.
+"""The database behind a registry URL: checks before opening, settings, transactions.
 
 Nothing is opened at import. No message of this module contains a password.
 """
@@ -7,21 +7,29 @@ import random
 import sqlite3
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from datetime import datetime
-from functools import wraps
 from pathlib import Path
-from types import FunctionType
 from typing import Any, TypeVar, cast
 
-from sqlalchemy import URL, Connection, Engine, Executable, RowMapping, create_engine, event, inspect, make_url, text
+from sqlalchemy import (
+    URL,
+    Connection,
+    Engine,
+    Executable,
+    RowMapping,
+    create_engine,
+    event,
+    inspect,
+    make_url,
+    text,
+)
 from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError, SQLAlchemyError
 from sqlalchemy.pool import StaticPool
 
 from softcal.core.errors import RegistryError
 from softcal.db.schema.file_system import prepare_file
-from softcal.db.schema.found import HAS_TOLD, forget
+from softcal.db.schema.found import HAS_TOLD, Found, forget, found_in
 from softcal.db.schema.tables import SCHEMA
 
 SQLITE_WAIT_S = 60
@@ -31,7 +39,7 @@ LOOK_EVERY_S = (0.001, 0.005)
 IN_MEMORY = (None, "", ":memory:")
 STATEMENT_TIMEOUT = "120s"
 AGAIN_AFTER_S = 0.5
-"""How long to wait before what was cut is done once more: the server may just be ending all connections."""
+"""Wait before what was cut is done again: the server may be ending all connections."""
 
 WRITER_LOCK = 1_900_178
 """Key of the PostgreSQL advisory lock that puts writers of the audit chain in a row."""
@@ -39,6 +47,7 @@ WRITER_LOCK = 1_900_178
 VALUES_AT_ONCE = 500
 
 Answer = TypeVar("Answer")
+Values = Mapping[str, Any] | Sequence[Mapping[str, Any]] | None
 Part = TypeVar("Part")
 
 
@@ -46,7 +55,7 @@ class ConnectionCut(RegistryError):
     """The connection to the server broke.
 
     Args:
-        is_undone: nothing of the transaction was kept; False where it broke while it was being kept.
+        is_undone: nothing was kept; False where it broke in the commit.
     """
 
     def __init__(self, message: str, is_undone: bool) -> None:
@@ -63,7 +72,7 @@ class _Joined(threading.local):
 
 
 class Database:
-    """An open database: short read transactions, and write transactions that come one after another.
+    """An open database: short read transactions, write transactions one after another.
 
     A transaction of this thread is joined by every read inside it, a write transaction by every write, too: several
     steps are seen, kept or lost together.
@@ -80,12 +89,17 @@ class Database:
         return self._thread.writer or self._thread.reader
 
     @property
+    def found(self) -> Found:
+        """What the transaction of this thread has found; nothing outside one."""
+        return Found() if self._joined is None else found_in(self._joined)
+
+    @property
     def is_sqlite(self) -> bool:
         return self.engine.dialect.name == "sqlite"
 
     @property
     def is_in_memory(self) -> bool:
-        """Whether it is an SQLite database of this process alone, with one connection for all of it."""
+        """Whether it is an SQLite database of this process alone, with one connection."""
         return self.is_sqlite and self.path is None
 
     @property
@@ -111,22 +125,42 @@ class Database:
             with connection.begin(), self._joinable("reader", connection):
                 yield connection
 
-    def rows(self, query: Executable) -> Sequence[RowMapping]:
+    def rows(self, query: Executable, values: Values = None) -> Sequence[RowMapping]:
         with self.reading() as connection:
-            return connection.execute(query).mappings().all()
+            return connection.execute(query, values).mappings().all()
 
-    def row(self, query: Executable) -> RowMapping | None:
+    def row(self, query: Executable, values: Values = None) -> RowMapping | None:
+        """Return the first row of what a query gives; None where it gives nothing."""
         with self.reading() as connection:
-            return connection.execute(query).mappings().first()
+            return connection.execute(query, values).mappings().first()
+
+    def tuples(self, query: Executable) -> list[Any]:
+        with self.reading() as connection:
+            return list(connection.execute(query))
+
+    def stream(self, query: Executable, size: int = 1000) -> Iterator[RowMapping]:
+        """Give the rows of what a query gives, `size` of them in memory at once."""
+        with self.reading() as connection:
+            yield from connection.execute(query, execution_options={"yield_per": size}).mappings()
 
     def values(self, query: Executable) -> list[Any]:
         """Return the first column of what a query gives."""
         with self.reading() as connection:
             return list(connection.execute(query).scalars())
 
+    def value(self, query: Executable, values: Values = None) -> Any:
+        """Return the first value of what a query gives; None where it gives nothing."""
+        with self.reading() as connection:
+            return connection.execute(query, values).scalar()
+
+    def change(self, statement: Executable, values: Values = None) -> int:
+        """Do one statement, in no turn or in the open transaction; return how many rows changed."""
+        with self.writing(in_turn=False) as connection:
+            return connection.execute(statement, values).rowcount
+
     @contextmanager
     def writing(self, *, in_turn: bool = True) -> Iterator[Connection]:
-        """Give a connection whose changes are committed when the block ends well, and are gone when it raises.
+        """Give a connection whose changes are kept when the block ends well, else gone.
 
         Args:
             in_turn: one writer at a time, as the audit chain needs it. SQLite allows nothing else; PostgreSQL lets
@@ -142,7 +176,7 @@ class Database:
                     connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": WRITER_LOCK})
                 connection.info.pop(HAS_TOLD, None)
                 yield connection
-                # What follows is the commit: of a connection cut from here on nobody knows what was kept.
+                # The commit follows: of what is cut from here on nobody knows what was kept.
                 phase["is_committing"] = True
             has_told = connection.info.pop(HAS_TOLD, False)
         if has_told and self.on_first_write is not None:
@@ -152,10 +186,10 @@ class Database:
     def once_more(self, action: Callable[[], Answer], *, is_repeatable: bool = False) -> Answer:
         """Do whole transactions, and do them once more where their connection was cut.
 
-        Inside a transaction that goes on around it an action is done once: what came before it is lost, too.
+        Inside an open transaction it is done once: what came before is lost, too.
 
         Args:
-            is_repeatable: doing it twice changes nothing; otherwise it is repeated only where nothing was kept.
+            is_repeatable: twice changes nothing; else repeated only where nothing was kept.
         """
         if self._joined is not None:
             return action()
@@ -226,37 +260,19 @@ def is_denied(error: Exception) -> bool:
     return "permission denied" in str(error)
 
 
+def given(*pairs: tuple[Any, object]) -> list[Any]:
+    """Return the conditions that columns equal a value, or one of several; None is any value."""
+    wanted = [(column, value) for column, value in pairs if value is not None]
+    return [column.in_(value) if isinstance(value, list | tuple) else column == value for column, value in wanted]
+
+
 def parts(values: Sequence[Part]) -> Iterator[Sequence[Part]]:
     """Cut values into as many as both databases take in one statement."""
     yield from (values[start : start + VALUES_AT_ONCE] for start in range(0, len(values), VALUES_AT_ONCE))
 
 
-class OncePerCut:
-    """Gives every public method a second try where its connection was cut; each is whole transactions.
-
-    A method that makes several transactions repeats those that were kept: they must change nothing the second time.
-    """
-
-    def __init__(self, database: Database, clock: Callable[[], datetime]) -> None:
-        self.database, self._clock = database, clock
-
-    def __init_subclass__(cls, **options: Any) -> None:
-        super().__init_subclass__(**options)
-        for name, method in list(vars(cls).items()):
-            if isinstance(method, FunctionType) and not name.startswith("_"):
-                setattr(cls, name, _once_more(method))
-
-
-def _once_more(method: Callable[..., Any]) -> Callable[..., Any]:
-    @wraps(method)
-    def done(self: OncePerCut, *arguments: Any, **options: Any) -> Any:
-        return self.database.once_more(lambda: method(self, *arguments, **options))
-
-    return done
-
-
 def open_database(url: str, *, create: bool = True) -> Database:
-    """Connect to an SQLite file, `sqlite://` (in memory) or PostgreSQL, without looking at what is inside.
+    """Connect to an SQLite file, `sqlite://` (in memory) or PostgreSQL, whatever is inside.
 
     Args:
         create: an SQLite file that does not exist is made.
@@ -317,7 +333,7 @@ def check_schema(database: Database, schema: str) -> None:
 
 
 def _bare(url: str) -> str:
-    """Return a text that is no URL without what may be a password: all up to its last `@`, or a bare word."""
+    """Return a text that is no URL without what may be a password: up to `@`, or a bare word."""
     scheme, _, rest = url.rpartition("://")
     if not scheme and not set("/.\\") & set(url):
         return "..."
@@ -337,7 +353,7 @@ def _sqlite_engine(url: URL, create: bool) -> Engine:
 
 
 def _set_up_sqlite(connection: sqlite3.Connection, record: object) -> None:
-    # Without this Python starts transactions by itself, deferred, and "database is locked" comes at once.
+    # Else Python starts transactions, deferred, and "database is locked" comes at once.
     connection.isolation_level = None
     for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", f"busy_timeout={SQLITE_WAIT_S * 1000}"):
         connection.execute(f"PRAGMA {pragma}")

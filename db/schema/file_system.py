@@ -1,4 +1,4 @@
-"""The file of an SQLite registry: whether it may lie where it shall. Its write-ahead log works over no network."""
+"""The file of an SQLite registry, whose write-ahead log works over no network."""
 
 import os
 from pathlib import Path
@@ -10,7 +10,7 @@ MOUNTS = Path("/proc/mounts")
 
 
 def prepare_file(path: Path, create: bool) -> None:
-    """Make the file of a registry, unless it is there, and raise `RegistryError` where it cannot be used."""
+    """Make the file of a registry unless it is there (`RegistryError`: it cannot be used)."""
     folder = path.absolute().parent
     if not folder.is_dir():
         raise RegistryError(f"registry {path}: the folder {folder} does not exist; make it or give another URL")
@@ -22,7 +22,7 @@ def prepare_file(path: Path, create: bool) -> None:
         raise RegistryError(f"registry {path}: {folder} cannot be written; SQLite needs the folder, too")
     refuse_network_share(folder)
     if not path.exists():
-        # There are hashes of PINs in it: nobody else may read it. SQLite gives its log the same mode.
+        # It holds hashes of PINs: for its owner alone. SQLite gives its log the same mode.
         try:
             os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600))
         except FileExistsError:
@@ -32,7 +32,7 @@ def prepare_file(path: Path, create: bool) -> None:
 
 
 def refuse_network_share(folder: Path, mounts: Path = MOUNTS) -> None:
-    """Raise `RegistryError` where `folder` lies on a network share (Linux mount table, or a Windows UNC path)."""
+    """Raise `RegistryError` where `folder` is on a network share (Linux mounts, Windows UNC path)."""
     inside, best, kind = folder.resolve(), Path("/"), ""
     for line in mounts.read_text(errors="replace").splitlines() if mounts.is_file() else ():
         match line.split():

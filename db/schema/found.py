@@ -23,7 +23,7 @@ class Found:
         blobs: hashes of blobs that are stored.
         networks: ids of networks that are stored.
         units: lot and serial of units that are registered.
-        without: table, lot and serial, where the transaction registered the unit and wrote no such row of it yet.
+        without: table, lot, serial: the unit was registered here, without such a row yet.
     """
 
     lots: dict[str, RowMapping] = field(default_factory=dict)

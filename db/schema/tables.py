@@ -1,29 +1,11 @@
-"""The tables of the registry. Their history is in `migrations/`; `SCHEMA` names the step these definitions equal."""
+"""The tables of the registry as after the step `SCHEMA` of `migrations/`."""
 
 import json
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import (
-    BigInteger,
-    Boolean,
-    CheckConstraint,
-    Column,
-    Date,
-    DateTime,
-    Dialect,
-    Double,
-    ForeignKey,
-    ForeignKeyConstraint,
-    Index,
-    Integer,
-    LargeBinary,
-    MetaData,
-    String,
-    Table,
-    Text,
-    false,
-)
+import sqlalchemy as sa
+from sqlalchemy import CheckConstraint, Column, Double, ForeignKey, Index, Integer, String, Table, Text
 from sqlalchemy.types import TypeDecorator
 
 from softcal.core.errors import RegistryError
@@ -31,7 +13,7 @@ from softcal.core.errors import RegistryError
 SCHEMA = "0009"
 """Revision of the newest migration: what a registry must have to be used by this version."""
 
-metadata = MetaData(
+metadata = sa.MetaData(
     naming_convention={
         "ix": "ix_%(table_name)s_%(column_0_N_name)s",
         "uq": "uq_%(table_name)s_%(column_0_N_name)s",
@@ -43,7 +25,7 @@ metadata = MetaData(
 
 
 def _read_or_damaged(process: Any) -> Any:
-    """Say of a value that cannot be read that the registry is damaged: softcal has never written it."""
+    """Call the registry damaged where a value cannot be read: softcal never wrote it."""
 
     def read(value: Any) -> Any:
         try:
@@ -58,29 +40,29 @@ def _read_or_damaged(process: Any) -> Any:
 
 
 class UtcTime(TypeDecorator[datetime]):
-    """An instant in UTC; a time without zone is refused. SQLite would drop the zone without a word."""
+    """An instant in UTC; a time without zone is refused. SQLite would drop the zone."""
 
-    impl = DateTime(timezone=True)
+    impl = sa.DateTime(timezone=True)
     cache_ok = True
 
-    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+    def process_bind_param(self, value: datetime | None, dialect: sa.Dialect) -> datetime | None:
         if value is None:
             return None
         if value.tzinfo is None:
             raise ValueError(f"{value} has no time zone; give an instant in UTC")
         return value.astimezone(UTC)
 
-    def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+    def process_result_value(self, value: datetime | None, dialect: sa.Dialect) -> datetime | None:
         if value is None:
             return None
         return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
 
-    def result_processor(self, dialect: Dialect, coltype: object) -> Any:
+    def result_processor(self, dialect: sa.Dialect, coltype: object) -> Any:
         return _read_or_damaged(_of_text(super().result_processor(dialect, coltype)))
 
 
 def _of_text(process: Any) -> Any:
-    """Refuse an instant that SQLite keeps in other words: it would read as the same and sort as another one."""
+    """Refuse an instant in other words: SQLite would read it as the same and sort it as another."""
 
     def read(value: Any) -> Any:
         instant = process(value)
@@ -92,18 +74,18 @@ def _of_text(process: Any) -> Any:
 
 
 class CanonicalJson(TypeDecorator[Any]):
-    """JSON as text with sorted keys, so that equal values have equal bytes on every database. NaN is refused."""
+    """JSON as text with sorted keys: equal values, equal bytes on every database. NaN is refused."""
 
     impl = Text
     cache_ok = True
 
-    def process_bind_param(self, value: Any, dialect: Dialect) -> str | None:
+    def process_bind_param(self, value: Any, dialect: sa.Dialect) -> str | None:
         return None if value is None else canonical_json(value)
 
-    def process_result_value(self, value: str | None, dialect: Dialect) -> Any:
+    def process_result_value(self, value: str | None, dialect: sa.Dialect) -> Any:
         return None if value is None else json.loads(value)
 
-    def result_processor(self, dialect: Dialect, coltype: object) -> Any:
+    def result_processor(self, dialect: sa.Dialect, coltype: object) -> Any:
         return _read_or_damaged(super().result_processor(dialect, coltype))
 
 
@@ -115,50 +97,53 @@ def canonical_json(value: object) -> str:
     return ENCODER.encode(value)
 
 
-def sha256_column(name: str, *rest: Any, **options: Any) -> Column[str]:
-    """Return a column for a content hash in hex."""
-    return Column(name, String(64), *rest, **options)
+SHA256 = String(64)
+"""A content hash in hex."""
 
 
-registry_info = Table(
-    "registry_info",
-    metadata,
-    Column("key", String(64), primary_key=True),
-    Column("value", Text, nullable=False),
-)
+def keys(kind: Any, *names: str) -> list[Column[Any]]:
+    """Return columns of the primary key."""
+    return [Column(name, kind, primary_key=True) for name in names]
+
+
+def needed(kind: Any, *names: str) -> list[Column[Any]]:
+    return [Column(name, kind, nullable=False) for name in names]
+
+
+def optional(kind: Any, *names: str) -> list[Column[Any]]:
+    return [Column(name, kind) for name in names]
+
+
+registry_info = Table("registry_info", metadata, *keys(String(64), "key"), *needed(Text, "value"))
 
 blobs = Table(
     "blobs",
     metadata,
-    sha256_column("sha256", primary_key=True),
-    Column("kind", String(16), nullable=False),
-    Column("size", Integer, nullable=False),
-    Column("data", LargeBinary, nullable=False),
+    *keys(SHA256, "sha256"),
+    *needed(String(16), "kind"),
+    *needed(Integer, "size"),
+    *needed(sa.LargeBinary, "data"),
 )
 
 lots = Table(
     "lots",
     metadata,
-    Column("id", String(64), primary_key=True),
-    Column("source", String(64), nullable=False),
-    Column("sample_rate_Hz", Double, nullable=False),
-    Column("sensor_model", Text, nullable=False),
-    Column("reference_quantity", Text, nullable=False),
-    Column("reference_unit", Text, nullable=False),
-    Column("output_unit", Text, nullable=False),
-    Column("added_at", UtcTime, nullable=False),
+    *keys(String(64), "id"),
+    *needed(String(64), "source"),
+    *needed(Double, "sample_rate_Hz"),
+    *needed(Text, "sensor_model", "reference_quantity", "reference_unit", "output_unit"),
+    *needed(UtcTime, "added_at"),
 )
 
 limits = Table(
     "limits",
     metadata,
     Column("lot_id", ForeignKey("lots.id"), primary_key=True),
-    Column("version", Integer, primary_key=True),
-    Column("origin", String(32), primary_key=True),
+    *keys(Integer, "version"),
+    *keys(String(32), "origin"),
     Column("rmse", Double),
-    Column("made_at", UtcTime, nullable=False),
-    Column("actor", Text, nullable=False),
-    Column("reason", Text, nullable=False),
+    *needed(UtcTime, "made_at"),
+    *needed(Text, "actor", "reason"),
     CheckConstraint("version >= 1", name="version"),
 )
 
@@ -166,12 +151,11 @@ line_rules = Table(
     "line_rules",
     metadata,
     Column("lot_id", ForeignKey("lots.id"), primary_key=True),
-    Column("version", Integer, primary_key=True),
-    Column("origin", String(32), primary_key=True),
-    Column("rules", CanonicalJson, nullable=False),
-    Column("made_at", UtcTime, nullable=False),
-    Column("actor", Text, nullable=False),
-    Column("reason", Text, nullable=False),
+    *keys(Integer, "version"),
+    *keys(String(32), "origin"),
+    *needed(CanonicalJson, "rules"),
+    *needed(UtcTime, "made_at"),
+    *needed(Text, "actor", "reason"),
     CheckConstraint("version >= 1", name="version"),
 )
 
@@ -179,9 +163,9 @@ units = Table(
     "units",
     metadata,
     Column("lot_id", ForeignKey("lots.id"), primary_key=True),
-    Column("serial", String(64), primary_key=True),
-    Column("role", String(8), nullable=False),
-    Column("added_at", UtcTime, nullable=False),
+    *keys(String(64), "serial"),
+    *needed(String(8), "role"),
+    *needed(UtcTime, "added_at"),
     CheckConstraint("role IN ('source', 'target')", name="role"),
     Index("ix_units_serial", "serial"),
 )
@@ -189,17 +173,17 @@ units = Table(
 recordings = Table(
     "recordings",
     metadata,
-    sha256_column("sha256", primary_key=True),
-    Column("lot_id", String(64), primary_key=True),
-    Column("kind", String(8), primary_key=True),
-    Column("serial", String(64), nullable=False),
-    Column("samples", Integer, nullable=False),
-    Column("sample_rate_Hz", Double, nullable=False),
-    Column("output_unit", Text, nullable=False),
+    *keys(SHA256, "sha256"),
+    *keys(String(64), "lot_id"),
+    *keys(String(8), "kind"),
+    *needed(String(64), "serial"),
+    *needed(Integer, "samples"),
+    *needed(Double, "sample_rate_Hz"),
+    *needed(Text, "output_unit"),
     Column("reference_unit", Text),
-    sha256_column("blob_sha256", ForeignKey("blobs.sha256"), nullable=False),
-    Column("added_at", UtcTime, nullable=False),
-    ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
+    Column("blob_sha256", SHA256, ForeignKey("blobs.sha256"), nullable=False),
+    *needed(UtcTime, "added_at"),
+    sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
     CheckConstraint("kind IN ('source', 'unit', 'audit')", name="kind"),
     Index("ix_recordings_lot_id_serial", "lot_id", "serial"),
 )
@@ -207,43 +191,34 @@ recordings = Table(
 networks = Table(
     "networks",
     metadata,
-    sha256_column("id", primary_key=True),
+    *keys(SHA256, "id"),
     Column("lot_id", ForeignKey("lots.id"), nullable=False),
-    sha256_column("input_sha256", nullable=False, index=True),
-    Column("settings", CanonicalJson, nullable=False),
-    Column("training", CanonicalJson, nullable=False),
-    Column("metrics", CanonicalJson, nullable=False),
-    sha256_column("blob_sha256", ForeignKey("blobs.sha256"), nullable=False),
-    Column("added_at", UtcTime, nullable=False),
+    Column("input_sha256", SHA256, nullable=False, index=True),
+    *needed(CanonicalJson, "settings", "training", "metrics"),
+    Column("blob_sha256", SHA256, ForeignKey("blobs.sha256"), nullable=False),
+    *needed(UtcTime, "added_at"),
 )
 
 calibrations = Table(
     "calibrations",
     metadata,
-    Column("serial", String(64), primary_key=True),
-    Column("revision", Integer, primary_key=True),
-    Column("origin", String(32), primary_key=True),
-    Column("lot_id", String(64), nullable=False),
-    Column("made_at", UtcTime, nullable=False),
-    Column("actor", Text, nullable=False),
-    Column("reason", Text, nullable=False),
+    *keys(String(64), "serial"),
+    *keys(Integer, "revision"),
+    *keys(String(32), "origin"),
+    *needed(String(64), "lot_id"),
+    *needed(UtcTime, "made_at"),
+    *needed(Text, "actor", "reason"),
     Column("rolled_back_to", Integer),
     Column("network_id", ForeignKey("networks.id"), nullable=False),
-    Column("family", Text, nullable=False),
-    sha256_column("map_sha256", nullable=False),
-    sha256_column("blob_sha256", ForeignKey("blobs.sha256"), nullable=False),
-    Column("settings", CanonicalJson, nullable=False),
-    Column("predicted_rmse", Double),
-    Column("before_rmse", Double),
-    Column("after_rmse", Double),
-    Column("own_rmse", Double),
-    Column("fit_s", Double),
-    Column("verdict", String(16), nullable=False),
-    Column("reasons", CanonicalJson, nullable=False),
-    Column("evidence", CanonicalJson, nullable=False),
-    sha256_column("input_sha256", nullable=False),
-    sha256_column("recording_sha256", nullable=False),
-    ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
+    *needed(Text, "family"),
+    *needed(SHA256, "map_sha256"),
+    Column("blob_sha256", SHA256, ForeignKey("blobs.sha256"), nullable=False),
+    *needed(CanonicalJson, "settings"),
+    *optional(Double, "predicted_rmse", "before_rmse", "after_rmse", "own_rmse", "fit_s"),
+    *needed(String(16), "verdict"),
+    *needed(CanonicalJson, "reasons", "evidence"),
+    *needed(SHA256, "input_sha256", "recording_sha256"),
+    sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
     CheckConstraint("revision >= 1", name="revision"),
     CheckConstraint("verdict IN ('pass', 'conditional', 'fail', 'retest')", name="verdict"),
     Index("ix_calibrations_lot_id_serial", "lot_id", "serial", "made_at"),
@@ -253,37 +228,34 @@ calibrations = Table(
 refusals = Table(
     "refusals",
     metadata,
-    Column("lot_id", String(64), primary_key=True),
-    Column("serial", String(64), primary_key=True),
-    Column("made_at", UtcTime, primary_key=True),
-    Column("origin", String(32), primary_key=True),
-    Column("actor", Text, nullable=False),
-    Column("verdict", String(16), nullable=False),
-    Column("reasons", CanonicalJson, nullable=False),
-    sha256_column("work_sha256"),
-    ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
+    *keys(String(64), "lot_id", "serial"),
+    *keys(UtcTime, "made_at"),
+    *keys(String(32), "origin"),
+    *needed(Text, "actor"),
+    *needed(String(16), "verdict"),
+    *needed(CanonicalJson, "reasons"),
+    Column("work_sha256", SHA256),
+    sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
     CheckConstraint("verdict IN ('fail', 'retest')", name="verdict"),
 )
 
 in_use = Table(
     "in_use",
     metadata,
-    Column("lot_id", String(64), primary_key=True),
-    Column("serial", String(64), primary_key=True),
-    Column("origin", String(32), primary_key=True),
-    Column("number", Integer, primary_key=True),
-    Column("revision", Integer, nullable=False),
-    Column("made_by", String(32), nullable=False),
+    *keys(String(64), "lot_id", "serial"),
+    *keys(String(32), "origin"),
+    *keys(Integer, "number"),
+    *needed(Integer, "revision"),
+    *needed(String(32), "made_by"),
     Column("follows_origin", String(32)),
     Column("follows_number", Integer),
-    Column("decided_by", String(16), nullable=False),
-    sha256_column("work_sha256"),
-    sha256_column("input_sha256"),
-    Column("made_at", UtcTime, nullable=False),
-    Column("actor", Text, nullable=False),
-    Column("reason", Text, nullable=False),
-    ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
-    ForeignKeyConstraint(
+    *needed(String(16), "decided_by"),
+    Column("work_sha256", SHA256),
+    Column("input_sha256", SHA256),
+    *needed(UtcTime, "made_at"),
+    *needed(Text, "actor", "reason"),
+    sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
+    sa.ForeignKeyConstraint(
         ["serial", "revision", "made_by"], ["calibrations.serial", "calibrations.revision", "calibrations.origin"]
     ),
     CheckConstraint("number >= 1", name="number"),
@@ -296,35 +268,30 @@ that name different maps are a conflict, which a person ends."""
 audit = Table(
     "audit",
     metadata,
-    Column("origin", String(32), primary_key=True),
-    Column("seq", Integer, primary_key=True),
-    Column("at", UtcTime, nullable=False),
-    Column("actor", Text, nullable=False),
-    Column("action", String(32), nullable=False),
-    Column("entity", String(32), nullable=False),
-    Column("key", Text, nullable=False),
-    Column("before", Text),
-    Column("after", Text),
-    Column("reason", Text, nullable=False),
-    sha256_column("prev_hash", nullable=False),
-    sha256_column("hash", nullable=False),
+    *keys(String(32), "origin"),
+    *keys(Integer, "seq"),
+    *needed(UtcTime, "at"),
+    *needed(Text, "actor"),
+    *needed(String(32), "action", "entity"),
+    *needed(Text, "key"),
+    *optional(Text, "before", "after"),
+    *needed(Text, "reason"),
+    *needed(SHA256, "prev_hash", "hash"),
     Index("ix_audit_entity_key", "entity", "key"),
 )
 
 work_items = Table(
     "work_items",
     metadata,
-    Column("id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True, autoincrement=True),
-    Column("lot_id", String(64), nullable=False),
-    Column("serial", String(64), nullable=False),
-    Column("kind", String(32), nullable=False),
-    sha256_column("work_set", nullable=False),
-    sha256_column("input_sha256", nullable=False),
-    Column("state", String(8), nullable=False),
-    Column("attempts", Integer, nullable=False),
+    Column("id", sa.BigInteger().with_variant(Integer, "sqlite"), primary_key=True, autoincrement=True),
+    *needed(String(64), "lot_id", "serial"),
+    *needed(String(32), "kind"),
+    *needed(SHA256, "work_set", "input_sha256"),
+    *needed(String(8), "state"),
+    *needed(Integer, "attempts"),
     Column("owner", Text),
     Column("lease_until", UtcTime),
-    Column("changed_at", UtcTime, nullable=False),
+    *needed(UtcTime, "changed_at"),
     CheckConstraint("state IN ('queued', 'claimed', 'failed')", name="state"),
     Index("uq_work_items_item", "lot_id", "kind", "serial", "work_set", "input_sha256", unique=True),
     Index("ix_work_items_set_state", "lot_id", "kind", "work_set", "state", "id"),
@@ -334,145 +301,131 @@ work_items = Table(
 adaptations = Table(
     "adaptations",
     metadata,
-    Column("serial", String(64), primary_key=True),
-    Column("number", Integer, primary_key=True),
-    Column("origin", String(32), primary_key=True),
-    Column("revision", Integer, nullable=False),
-    Column("stream", Text, nullable=False),
-    Column("sample", Integer, nullable=False),
-    Column("made_at", UtcTime, nullable=False),
-    Column("entry", CanonicalJson, nullable=False),
+    *keys(String(64), "serial"),
+    *keys(Integer, "number"),
+    *keys(String(32), "origin"),
+    *needed(Integer, "revision"),
+    *needed(Text, "stream"),
+    *needed(Integer, "sample"),
+    *needed(UtcTime, "made_at"),
+    *needed(CanonicalJson, "entry"),
     CheckConstraint("number >= 1", name="number"),
 )
 
 certificates = Table(
     "certificates",
     metadata,
-    Column("cell_serial", String(64), primary_key=True),
-    Column("issued_on", Date, primary_key=True),
-    Column("origin", String(32), primary_key=True),
-    Column("due_on", Date, nullable=False),
-    Column("number", Text, nullable=False),
-    Column("laboratory", Text, nullable=False),
-    Column("capacity_N", Double, nullable=False),
-    Column("uncertainty_N", Double, nullable=False),
-    sha256_column("blob_sha256", ForeignKey("blobs.sha256")),
-    Column("added_at", UtcTime, nullable=False),
+    *keys(String(64), "cell_serial"),
+    *keys(sa.Date, "issued_on"),
+    *keys(String(32), "origin"),
+    *needed(sa.Date, "due_on"),
+    *needed(Text, "number", "laboratory"),
+    *needed(Double, "capacity_N", "uncertainty_N"),
+    Column("blob_sha256", SHA256, ForeignKey("blobs.sha256")),
+    *needed(UtcTime, "added_at"),
     CheckConstraint("due_on > issued_on", name="due_on"),
 )
 
 golden_runs = Table(
     "golden_runs",
     metadata,
-    Column("station", String(64), primary_key=True),
-    Column("serial", String(64), primary_key=True),
-    Column("made_at", UtcTime, primary_key=True),
-    Column("origin", String(32), primary_key=True),
-    Column("value", Double, nullable=False),
-    Column("unit", Text, nullable=False),
-    Column("passed", Boolean, nullable=False),
-    Column("reasons", CanonicalJson, nullable=False),
-    Column("actor", Text, nullable=False),
-    sha256_column("recording_sha256"),
+    *keys(String(64), "station", "serial"),
+    *keys(UtcTime, "made_at"),
+    *keys(String(32), "origin"),
+    *needed(Double, "value"),
+    *needed(Text, "unit"),
+    *needed(sa.Boolean, "passed"),
+    *needed(CanonicalJson, "reasons"),
+    *needed(Text, "actor"),
+    Column("recording_sha256", SHA256),
 )
 
 users = Table(
     "users",
     metadata,
-    Column("name", String(64), primary_key=True),
-    Column("role", String(16), nullable=False),
-    Column("pin_hash", Text, nullable=False),
-    Column("is_active", Boolean, nullable=False),
-    Column("failures", Integer, nullable=False),
+    *keys(String(64), "name"),
+    *needed(String(16), "role"),
+    *needed(Text, "pin_hash"),
+    *needed(sa.Boolean, "is_active"),
+    *needed(Integer, "failures"),
     Column("locked_until", UtcTime),
-    Column("version", Integer, nullable=False),
-    Column("changed_at", UtcTime, nullable=False),
+    *needed(Integer, "version"),
+    *needed(UtcTime, "changed_at"),
     CheckConstraint("role IN ('operator', 'engineer', 'quality')", name="role"),
 )
 
 orders = Table(
     "orders",
     metadata,
-    Column("order_id", String(64), primary_key=True),
-    Column("station", String(64), nullable=False),
-    Column("kind", String(16), nullable=False),
-    Column("serial", String(64), nullable=False),
-    Column("lot_id", String(64), nullable=False),
-    Column("actor", Text, nullable=False),
-    Column("reason", Text, nullable=False),
-    Column("created", UtcTime, nullable=False),
-    Column("state", String(16), nullable=False),
-    Column("phase", Text, nullable=False),
-    Column("fraction", Double, nullable=False),
-    Column("remaining_s", Double, nullable=False),
-    Column("code", Text, nullable=False),
-    Column("message", Text, nullable=False),
-    Column("recording_sha256", Text, nullable=False),
+    *keys(String(64), "order_id"),
+    *needed(String(64), "station"),
+    *needed(String(16), "kind"),
+    *needed(String(64), "serial", "lot_id"),
+    *needed(Text, "actor", "reason"),
+    *needed(UtcTime, "created"),
+    *needed(String(16), "state"),
+    *needed(Text, "phase"),
+    *needed(Double, "fraction", "remaining_s"),
+    *needed(Text, "code", "message", "recording_sha256"),
     Column("verdict", Text, nullable=False, server_default=""),
-    Column("changed_at", UtcTime, nullable=False),
+    *needed(UtcTime, "changed_at"),
     CheckConstraint("state IN ('queued', 'running', 'done', 'error', 'cancelled')", name="state"),
     Index("ix_orders_station", "station", "created"),
 )
 Index("uq_orders_active", orders.c.station, unique=True)
-# Of runs that are not over only. The migration says so: naming a dialect here loads both, a tenth of a second.
+# Of runs that are not over, as the migration says: naming a dialect here would load both.
 
 run_signals = Table(
     "run_signals",
     metadata,
     Column("order_id", ForeignKey("orders.order_id"), primary_key=True),
-    Column("signal", CanonicalJson, nullable=False),
+    *needed(CanonicalJson, "signal"),
 )
 
 heartbeats = Table(
     "heartbeats",
     metadata,
-    Column("station", String(64), primary_key=True),
-    Column("state", String(16), nullable=False),
-    Column("at", UtcTime, nullable=False),
-    Column("reasons", CanonicalJson, nullable=False),
-    Column("process", Text, nullable=False),
-    Column("order_id", String(64), nullable=False),
+    *keys(String(64), "station"),
+    *needed(String(16), "state"),
+    *needed(UtcTime, "at"),
+    *needed(CanonicalJson, "reasons"),
+    *needed(Text, "process"),
+    *needed(String(64), "order_id"),
     Column("gate", CanonicalJson, nullable=False, server_default="[]"),
-    Column("is_overridden", Boolean, nullable=False, server_default=false()),
+    Column("is_overridden", sa.Boolean, nullable=False, server_default=sa.false()),
 )
 
 line_places = Table(
-    "line_places",
-    metadata,
-    Column("station", String(64), primary_key=True),
-    Column("version", Integer, nullable=False),
-    Column("place", CanonicalJson, nullable=False),
+    "line_places", metadata, *keys(String(64), "station"), *needed(Integer, "version"), *needed(CanonicalJson, "place")
 )
 
 network_releases = Table(
     "network_releases",
     metadata,
     Column("network_id", ForeignKey("networks.id"), primary_key=True),
-    Column("made_at", UtcTime, primary_key=True),
-    Column("origin", String(32), primary_key=True),
+    *keys(UtcTime, "made_at"),
+    *keys(String(32), "origin"),
     Column("lot_id", ForeignKey("lots.id"), nullable=False),
-    Column("state", String(16), nullable=False),
-    Column("actor", Text, nullable=False),
-    Column("reason", Text, nullable=False),
+    *needed(String(16), "state"),
+    *needed(Text, "actor", "reason"),
     CheckConstraint("state IN ('released', 'withdrawn')", name="state"),
 )
 
 jobs = Table(
     "jobs",
     metadata,
-    Column("job_id", String(32), primary_key=True),
-    Column("kind", String(32), nullable=False),
-    Column("request", CanonicalJson, nullable=False),
-    Column("actor", Text, nullable=False),
-    Column("created", UtcTime, nullable=False),
-    Column("state", String(16), nullable=False),
-    Column("fraction", Double, nullable=False),
-    Column("message", Text, nullable=False),
-    Column("trace", CanonicalJson, nullable=False),
-    Column("result", CanonicalJson, nullable=False),
-    sha256_column("blob_sha256", ForeignKey("blobs.sha256")),
-    Column("is_cancel_wanted", Boolean, nullable=False),
-    Column("beaten_at", UtcTime, nullable=False),
+    *keys(String(32), "job_id"),
+    *needed(String(32), "kind"),
+    *needed(CanonicalJson, "request"),
+    *needed(Text, "actor"),
+    *needed(UtcTime, "created"),
+    *needed(String(16), "state"),
+    *needed(Double, "fraction"),
+    *needed(Text, "message"),
+    *needed(CanonicalJson, "trace", "result"),
+    Column("blob_sha256", SHA256, ForeignKey("blobs.sha256")),
+    *needed(sa.Boolean, "is_cancel_wanted"),
+    *needed(UtcTime, "beaten_at"),
     CheckConstraint("state IN ('queued', 'running', 'done', 'error', 'cancelled')", name="state"),
     Index("ix_jobs_kind", "kind", "created"),
 )
@@ -480,52 +433,40 @@ jobs = Table(
 tokens = Table(
     "tokens",
     metadata,
-    Column("token_id", String(32), primary_key=True),
-    sha256_column("sha256", nullable=False),
+    *keys(String(32), "token_id"),
+    *needed(SHA256, "sha256"),
     Column("account", ForeignKey("users.name"), nullable=False),
-    Column("purpose", Text, nullable=False),
-    Column("created", UtcTime, nullable=False),
-    Column("ends_at", UtcTime, nullable=False),
-    Column("is_withdrawn", Boolean, nullable=False),
+    *needed(Text, "purpose"),
+    *needed(UtcTime, "created", "ends_at"),
+    *needed(sa.Boolean, "is_withdrawn"),
     Index("uq_tokens_sha256", "sha256", unique=True),
 )
 
 deliveries = Table(
     "deliveries",
     metadata,
-    Column("destination", String(64), primary_key=True),
-    Column("cursor", CanonicalJson, nullable=False),
-    Column("delivered", BigInteger, nullable=False),
-    Column("failures", Integer, nullable=False),
+    *keys(String(64), "destination"),
+    *needed(CanonicalJson, "cursor"),
+    *needed(sa.BigInteger, "delivered"),
+    *needed(Integer, "failures"),
     Column("not_before", UtcTime),
-    Column("error", Text, nullable=False),
-    Column("changed_at", UtcTime, nullable=False),
+    *needed(Text, "error"),
+    *needed(UtcTime, "changed_at"),
     Column("holder", String(128)),
     Column("held_until", UtcTime),
 )
 
-AUDITED = (
-    "lots",
-    "limits",
-    "line_rules",
-    "units",
-    "recordings",
-    "networks",
-    "network_releases",
-    "calibrations",
-    "refusals",
-    "in_use",
-    "adaptations",
-    "certificates",
-    "golden_runs",
+AUDITED = tuple(
+    "lots limits line_rules units recordings networks network_releases calibrations refusals in_use adaptations "
+    "certificates golden_runs".split()
 )
-"""Tables whose every row has a row in the audit trail with the same values, in the order their rows may be copied."""
+"""Tables whose every row stands in the audit trail, too, in the order rows may be copied."""
 
 LATER_COLUMNS = {"refusals": ("work_sha256",)}
-"""Columns that rows of older schemas do not have: the audit trail of such a row does not name them."""
+"""Columns that older schemas did not have: the audit trail of their rows names none."""
 
 APPEND_ONLY = ("blobs", "audit", *AUDITED)
 """Tables whose rows are never changed or deleted; triggers on both databases see to it."""
 
 TOLD_BY_HASH = {"adaptations": ("entry",)}
-"""Columns that the audit trail holds as a SHA-256 only: thousands of rows a day would be kept twice."""
+"""Columns of which the audit trail holds a SHA-256 only, as there are thousands of rows a day."""

@@ -1,1 +1,1 @@
-"""What is known and stays known: lots, recordings, networks, calibrations, what is in use, and the trail of it all."""
+"""What is known and stays known: lots, recordings, networks, calibrations, and their trail."""

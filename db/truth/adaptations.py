@@ -1,4 +1,4 @@
-"""The course of long-term adaptation: every map a unit in use got, from which stream, with its evidence."""
+"""Long-term adaptation: every map a unit in use got, from which stream, with evidence."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,11 +8,11 @@ from typing import Any
 from sqlalchemy import Select, Text, func, select, type_coerce
 
 from softcal.core.errors import InputError
+from softcal.db.schema.database import given
 from softcal.db.schema.tables import adaptations, calibrations
 from softcal.db.truth.registry_base import RegistryBase, of_row
 
 Entry = Mapping[str, Any]
-NEEDED = ("stream", "sample")
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class AdaptedUnit:
     """A unit in use and the newest step of its adaptation.
 
     Args:
-        steps: how many steps the registry holds of it, on all streams, without states to resume from.
+        steps: how many steps the registry holds of it, without checkpoints.
     """
 
     serial: str
@@ -34,56 +34,48 @@ class AdaptationTables(RegistryBase):
     """The part of the registry that knows adaptations."""
 
     def add(self, serial: str, revision: int, entries: Sequence[Entry], actor: str | None = None) -> int:
-        """Store steps, all or none of them, and return the number of the last one (1, 2, ... per serial).
+        """Store steps, all or none, and return the last one's number (1, 2, ... a serial).
 
         Args:
             revision: the calibration the adaptation started from.
-            entries: JSON values with at least `stream` (its name) and `sample` (the row the step belongs to).
+            entries: JSON values with at least `stream` and `sample` (the row of the step).
 
         Raises:
             InputError: the serial has no such revision.
         """
-        with self.database.writing() as connection:
+        with self.database.writing():
             c = calibrations.c
             known = select(c.serial).where(c.serial == serial, c.revision == revision).limit(1)
-            if connection.execute(known).first() is None:
+            if self.database.row(known) is None:
                 raise InputError(f"serial {serial!r} has no revision {revision} to adapt")
-            query = select(func.max(adaptations.c.number)).where(
-                adaptations.c.serial == serial, adaptations.c.origin == self.origin
-            )
-            number = int(connection.execute(query).scalar_one() or 0)
-            for entry in entries:
-                number += 1
-                values = {
-                    "serial": serial,
-                    "number": number,
-                    "origin": self.origin,
-                    "revision": revision,
-                    **{name: entry[name] for name in NEEDED},
-                    "made_at": self.settings.clock(),
-                    "entry": dict(entry),
-                }
-                self._store(connection, adaptations, values, "adapt", actor)
-            return number
+            mine = (adaptations.c.serial == serial, adaptations.c.origin == self.origin)
+            last = int(self.database.value(select(func.max(adaptations.c.number)).where(*mine)) or 0)
+            for number, entry in enumerate(entries, last + 1):
+                values = {"serial": serial, "number": number, "origin": self.origin, "revision": revision}
+                values |= {"stream": entry["stream"], "sample": entry["sample"], "entry": dict(entry)}
+                values["made_at"] = self.settings.clock()
+                self._store(adaptations, values, "adapt", actor)
+            return last + len(entries)
 
     def last(self, serial: str, revision: int, stream: str) -> Entry | None:
-        """Return the newest step of a stream, to go on after a stop; None where it has not begun."""
-        return next(iter(self.database.values(_newest_first(serial, revision, stream).limit(1))), None)
+        """Return the newest step of a stream, to go on after a stop; None before the first."""
+        entry: Entry | None = self.database.value(_newest_first(serial, revision, stream).limit(1))
+        return entry
 
     def last_checkpoint(self, serial: str, revision: int, stream: str) -> Entry | None:
-        """Return the newest step of a stream that holds a `state` to go on from; None where there is none."""
-        with self.database.reading() as connection:
-            newest = connection.execute(_newest_first(serial, revision, stream)).scalars()
-            return next((entry for entry in newest if "state" in entry), None)
+        """Return the newest step of a stream that holds a `state` to go on from."""
+        with self.database.reading():
+            newest = self.database.stream(_newest_first(serial, revision, stream))
+            return next((row["entry"] for row in newest if "state" in row["entry"]), None)
 
     def all(self, serial: str, stream: str | None = None) -> list[Entry]:
         """Return the steps of a serial, of one stream or of all, in the order they were made."""
         c = adaptations.c
-        query: Select[Any] = select(c.entry).where(c.serial == serial).order_by(c.made_at, c.origin, c.number)
-        return self.database.values(query if stream is None else query.where(c.stream == stream))
+        query = select(c.entry).where(*given((c.serial, serial), (c.stream, stream)))
+        return self.database.values(query.order_by(c.made_at, c.origin, c.number))
 
     def units(self) -> list[AdaptedUnit]:
-        """Return the units in use with their newest step, the one adapted last first; a checkpoint is no step."""
+        """Return the units in use, adapted last first, with their newest step but a checkpoint."""
         a = adaptations.c
         is_step = type_coerce(a.entry, Text).not_like('%"event":"checkpoint"%')
         order = (a.made_at.desc(), a.sample.desc(), a.number.desc())

@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import Connection, RowMapping, bindparam, func, select
+from sqlalchemy import RowMapping, bindparam, func, select
 
 from softcal.core.errors import InputError
 from softcal.core.words.reason import Reason, to_kept
 from softcal.db.entries import StoredCalibration
 from softcal.db.schema.arrays import get_arrays, put_arrays
-from softcal.db.schema.found import found_in
+from softcal.db.schema.database import given
 from softcal.db.schema.tables import calibrations, networks, refusals
 from softcal.db.truth import history
 from softcal.db.truth.in_use import NEWEST_FIRST, InUseTable, heads_of, lots_of, names_several, newest_of_unit
-from softcal.db.truth.lot_pages import standing_units
-from softcal.db.truth.records import PLAIN_FIELDS, record_of
+from softcal.db.truth.lot_pages import PLAIN_FIELDS, record_of, standing_units
 from softcal.db.truth.registry_base import damaged, of_row
 
 if TYPE_CHECKING:
@@ -45,41 +44,41 @@ class CalibrationTables(InUseTable):
         decided_by: str = "line",
         work_sha256: str | None = None,
     ) -> int:
-        """Store a calibration as the next revision of its serial, put it into use in its lot and return the revision.
+        """Store a calibration as the next revision of its serial and put it into use.
 
         Args:
             decided_by: who puts it into use. A batch and the line ask for what their input gives; what others decide
             (release, trim) stays until another input is asked for.
-            work_sha256: hash of the files and settings it answers, to be found again without reading the files.
+            work_sha256: hash of the files and settings it answers.
 
         Raises:
             InputError: the lot or the network is not registered.
         """
-        with self.database.writing() as connection:
-            self._lot_row(connection, lot_id)
-            stored, network = found_in(connection).networks, record.network_id
+        with self.database.writing():
+            self._lot_row(lot_id)
+            stored, network = self.database.found.networks, record.network_id
             if network not in stored:
-                if connection.execute(KNOWN_NETWORK, {"network": network}).first() is None:
+                if self.database.row(KNOWN_NETWORK, {"network": network}) is None:
                     raise InputError(f"network {network[:12]} is not in the registry; add it before its maps")
                 stored.add(network)
-            self._add_unit(connection, lot_id, record.serial, "target", actor)
+            self._add_unit(lot_id, record.serial, "target", actor)
             values = {field: getattr(record, field) for field in PLAIN_FIELDS} | {
                 "lot_id": lot_id,
                 "settings": dict(record.settings),
                 "reasons": [to_kept(why) for why in record.reasons],
                 "evidence": dict(record.evidence),
-                "blob_sha256": put_arrays(connection, record.arrays),
+                "blob_sha256": put_arrays(self.database, record.arrays),
                 "rolled_back_to": None,
             }
             asked = record.input_sha256 if decided_by in ASKING else None
             told = {"decided_by": decided_by, "work_sha256": work_sha256, "input_sha256": asked}
-            return self._add_revision(connection, values, told, "calibrate", actor, reason)
+            return self._add_revision(values, told, "calibrate", actor, reason)
 
     def decide(self, stored: StoredCalibration, decided_by: str, *, actor: str | None = None, reason: str = "") -> None:
         """Put a calibration that was made before into use, until another input is asked for."""
-        with self.database.writing() as connection:
+        with self.database.writing():
             named = {"revision": stored.revision, "made_by": stored.origin}
-            self._state(connection, stored.lot_id, stored.serial, named, {"decided_by": decided_by}, actor, reason)
+            self._state(stored.lot_id, stored.serial, named, {"decided_by": decided_by}, actor, reason)
 
     def rollback(
         self,
@@ -91,7 +90,7 @@ class CalibrationTables(InUseTable):
         lot_id: str | None = None,
         origin: str | None = None,
     ) -> int:
-        """Bring an older revision back into use, as a new revision that repeats it; return the new one.
+        """Bring an older revision back into use as a new one; return that.
 
         It is also how a person decides between two registries that put different maps into use.
 
@@ -100,41 +99,39 @@ class CalibrationTables(InUseTable):
             origin: registry that made the revision; needed where two made one of this number.
 
         Raises:
-            InputError: no reason, no such serial or revision, more than one that fits, or it is the one in use.
+            InputError: no reason, not one such revision, or it is in use.
         """
         if not reason.strip():
             raise InputError("a rollback needs a reason; nothing was changed")
-        with self.database.writing() as connection:
-            lot = self._only_lot(connection, serial, lot_id)
-            old = self._revision_row(connection, lot, serial, to, origin)
-            heads = heads_of(connection, lot, serial)
+        with self.database.writing():
+            lot = self._only_lot(serial, lot_id)
+            old = self._revision_row(lot, serial, to, origin)
+            heads = heads_of(self.database, lot, serial)
             before = None
-            if heads and not names_several(connection, heads):
-                used = self._revision_row(connection, lot, serial, heads[0]["revision"], heads[0]["made_by"])
+            if heads and not names_several(self.database, heads):
+                used = self._revision_row(lot, serial, heads[0]["revision"], heads[0]["made_by"])
                 if (old["map_sha256"], old["blob_sha256"]) == (used["map_sha256"], used["blob_sha256"]):
                     raise InputError(f"revision {to} of {serial} is the one in use; nothing was changed")
                 before = {"revision": used["revision"], "map_sha256": used["map_sha256"]}
             told = {"decided_by": "rollback"}
             again = {**old, "rolled_back_to": to}
-            return self._add_revision(connection, again, told, "rollback", actor, reason, before)
+            return self._add_revision(again, told, "rollback", actor, reason, before)
 
     def find(self, serial: str, input_sha256: str, *, lot_id: str | None = None) -> StoredCalibration | None:
-        """Return the newest calibration of a serial made from this input, or None: the work is still to be done."""
+        """Return the newest calibration of a serial from this input; None: it is to be made."""
         c = calibrations.c
-        query = select(calibrations).where(c.serial == serial, c.input_sha256 == input_sha256)
-        query = query if lot_id is None else query.where(c.lot_id == lot_id)
-        with self.database.reading() as connection:
-            row = connection.execute(query.order_by(*NEWEST_FIRST).limit(1)).mappings().first()
-            return None if row is None else self._stored(connection, row)
+        named = given((c.serial, serial), (c.input_sha256, input_sha256), (c.lot_id, lot_id))
+        with self.database.reading():
+            row = self.database.row(select(calibrations).where(*named).order_by(*NEWEST_FIRST).limit(1))
+            return None if row is None else self._stored(row)
 
     def known_inputs(self, lot_id: str, serials: Sequence[str]) -> dict[str, frozenset[str]]:
-        """Return the input hashes from which units of a lot have calibrations, by serial; few serials at a time."""
+        """Return the input hashes of the calibrations of some units of a lot, by serial."""
         c = calibrations.c
         query = select(c.serial, c.input_sha256).where(c.lot_id == lot_id, c.serial.in_(serials))
         known: dict[str, set[str]] = {}
-        with self.database.reading() as connection:
-            for serial, sha256 in connection.execute(query):
-                known.setdefault(serial, set()).add(sha256)
+        for row in self.database.rows(query):
+            known.setdefault(row["serial"], set()).add(row["input_sha256"])
         return {serial: frozenset(hashes) for serial, hashes in known.items()}
 
     def get(
@@ -150,40 +147,40 @@ class CalibrationTables(InUseTable):
             InputError: the serial or the revision is not in the registry, it is not clear which one is meant, or two
                 registries put different maps into use.
         """
-        with self.database.reading() as connection:
-            lot = self._only_lot(connection, serial, lot_id)
+        with self.database.reading():
+            lot = self._only_lot(serial, lot_id)
             if revision is None:
-                statement = self._in_use(connection, lot, serial)
+                statement = self._in_use(lot, serial)
                 if statement is None:
                     raise InputError(f"serial {serial!r} has no calibration in lot {lot!r}")
                 try:
-                    row = self._revision_row(connection, lot, serial, statement["revision"], statement["made_by"])
+                    row = self._revision_row(lot, serial, statement["revision"], statement["made_by"])
                 except InputError as error:
                     raise damaged(f"unit {serial} of lot {lot}: the calibration in use was not found") from error
             else:
-                row = self._revision_row(connection, lot, serial, revision, origin)
-            return self._stored(connection, row)
+                row = self._revision_row(lot, serial, revision, origin)
+            return self._stored(row)
 
     def history(self, serial: str, lot_id: str | None = None) -> list[StoredCalibration]:
-        """Return every revision of a serial, of one lot or of all, oldest first; a unit that got no map yet has none.
+        """Return every revision of a serial, of one lot or of all, oldest first.
 
         Raises:
             InputError: the serial is not in the registry.
         """
         query = select(calibrations).where(calibrations.c.serial == serial).order_by(*NEWEST_FIRST)
-        with self.database.reading() as connection:
-            self._known_serial(connection, serial)
-            rows = connection.execute(query).mappings().all()
+        with self.database.reading():
+            self._known_serial(serial)
+            rows = self.database.rows(query)
             revisions = {row["revision"] for row in rows}
             newest = max(revisions, default=0)
             # A damaged index hides rows without a word.
             if len(revisions) != newest:
                 raise damaged(f"serial {serial}: a revision before {newest} was not found")
-            names = {*history.origins(connection), *(row["origin"] for row in rows)}
-            self._check_hidden(connection, calibrations, [(serial, newest + 1, name) for name in sorted(names)])
+            names = {*history.origins(self.database), *(row["origin"] for row in rows)}
+            self._check_hidden(calibrations, [(serial, newest + 1, name) for name in sorted(names)])
             for row in rows:
-                self._check_row(connection, calibrations, row)
-            return [self._stored(connection, row) for row in reversed(rows) if lot_id in (None, row["lot_id"])]
+                self._check_row(calibrations, row)
+            return [self._stored(row) for row in reversed(rows) if lot_id in (None, row["lot_id"])]
 
     def refuse(
         self,
@@ -195,35 +192,34 @@ class CalibrationTables(InUseTable):
         actor: str | None = None,
         work_sha256: str | None = None,
     ) -> None:
-        """Register that a unit got no map (`UnitRefused`, unreadable recording); its verdict is fail or retest.
+        """Register that a unit got no map; its verdict is fail or retest.
 
         The verdict and reasons the unit has already are not written again.
 
         Args:
-            work_sha256: hash of the files and settings it answers; None: asking again may end otherwise.
+            work_sha256: hash of what it answers; None: asking again may end otherwise.
         """
-        with self.database.writing() as connection:
-            self._lot_row(connection, lot_id)
-            self._add_unit(connection, lot_id, serial, "target", actor)
-            ((unit, _),) = standing_units(connection, lot_id, [serial])
+        with self.database.writing():
+            self._lot_row(lot_id)
+            self._add_unit(lot_id, serial, "target", actor)
+            ((unit, _),) = standing_units(self.database, lot_id, [serial])
             answered = self.decided_works(lot_id, [serial]).get(serial)
             if (unit.verdict, unit.reasons, answered) == (verdict, reasons, work_sha256):
                 return
             values = {
                 "lot_id": lot_id,
                 "serial": serial,
-                "made_at": self._after(newest_of_unit(connection, lot_id, serial)),
+                "made_at": self._after(newest_of_unit(self.database, lot_id, serial)),
                 "origin": self.origin,
                 "actor": self._actor(actor),
                 "verdict": verdict,
                 "reasons": [to_kept(why) for why in reasons],
                 "work_sha256": work_sha256,
             }
-            self._store(connection, refusals, values, "refuse", actor)
+            self._store(refusals, values, "refuse", actor)
 
     def _add_revision(
         self,
-        connection: Connection,
         values: Mapping[str, Any],
         told: Mapping[str, Any],
         action: str,
@@ -232,9 +228,9 @@ class CalibrationTables(InUseTable):
         before: Mapping[str, object] | None = None,
     ) -> int:
         lot_id, serial = values["lot_id"], values["serial"]
-        newest = connection.execute(LAST_REVISION, {"unit": serial}).one()
-        times = (newest.made_at, newest_of_unit(connection, lot_id, serial))
-        revision = (newest.revision or 0) + 1
+        newest = self.database.rows(LAST_REVISION, {"unit": serial})[0]
+        times = (newest["made_at"], newest_of_unit(self.database, lot_id, serial))
+        revision = (newest["revision"] or 0) + 1
         new: dict[str, Any] = {
             "revision": revision,
             "origin": self.origin,
@@ -242,29 +238,26 @@ class CalibrationTables(InUseTable):
             "actor": self._actor(actor),
             "reason": reason,
         }
-        self._store(connection, calibrations, {**values, **new}, action, actor, reason, before)
+        self._store(calibrations, {**values, **new}, action, actor, reason, before)
         named = {"revision": revision, "made_by": self.origin}
-        self._state(connection, lot_id, serial, named, told, actor, reason, new["made_at"])
+        self._state(lot_id, serial, named, told, actor, reason, new["made_at"])
         return int(revision)
 
-    def _only_lot(self, connection: Connection, serial: str, lot_id: str | None) -> str:
-        """Return the lot of a serial; a serial that stands in several has to be asked for with its lot."""
-        self._known_serial(connection, serial)
-        lots = lots_of(connection, serial)
+    def _only_lot(self, serial: str, lot_id: str | None) -> str:
+        """Return the lot of a serial; one that stands in several is asked for with its lot."""
+        self._known_serial(serial)
+        lots = lots_of(self.database, serial)
         if lot_id is None and len(lots) > 1:
             raise InputError(f"serial {serial!r} stands in the lots {', '.join(map(repr, lots))}; say which lot")
         if lot_id is not None and lot_id not in lots:
-            self._lot_row(connection, lot_id)
+            self._lot_row(lot_id)
             raise InputError(f"serial {serial!r} is not in lot {lot_id!r}; it is in {', '.join(map(repr, lots))}")
         return lots[0] if lot_id is None else lot_id
 
-    def _revision_row(
-        self, connection: Connection, lot_id: str, serial: str, revision: int, origin: str | None
-    ) -> RowMapping:
+    def _revision_row(self, lot_id: str, serial: str, revision: int, origin: str | None) -> RowMapping:
         c = calibrations.c
-        query = select(calibrations).where(c.lot_id == lot_id, c.serial == serial, c.revision == revision)
-        query = query if origin is None else query.where(c.origin == origin)
-        rows = connection.execute(query.order_by(c.origin)).mappings().all()
+        named = given((c.lot_id, lot_id), (c.serial, serial), (c.revision, revision), (c.origin, origin))
+        rows = self.database.rows(select(calibrations).where(*named).order_by(c.origin))
         if not rows:
             by = "" if origin is None else f" of registry {origin}"
             raise InputError(f"serial {serial!r} has no revision {revision}{by} in lot {lot_id!r}")
@@ -273,18 +266,18 @@ class CalibrationTables(InUseTable):
             raise InputError(
                 f"revision {revision} of serial {serial!r} was made by the registries {names}; say which origin"
             )
-        self._check_row(connection, calibrations, rows[0])
+        self._check_row(calibrations, rows[0])
         return rows[0]
 
-    def _stored(self, connection: Connection, row: RowMapping) -> StoredCalibration:
-        heads = heads_of(connection, row["lot_id"], row["serial"])
-        is_conflict = names_several(connection, heads)
+    def _stored(self, row: RowMapping) -> StoredCalibration:
+        heads = heads_of(self.database, row["lot_id"], row["serial"])
+        is_conflict = names_several(self.database, heads)
         named = {(head["revision"], head["made_by"]) for head in (heads if is_conflict else heads[:1])}
         is_named = (row["revision"], row["origin"]) in named
         return of_row(
             StoredCalibration,
             row,
-            record=record_of(row, get_arrays(connection, row["blob_sha256"]), row["settings"]),
+            record=record_of(row, get_arrays(self.database, row["blob_sha256"]), row["settings"]),
             is_current=is_named and not is_conflict,
             is_conflict=is_named and is_conflict,
         )

@@ -6,15 +6,17 @@ or put in between is found (after Schneier and Kelsey 1999, Secure audit logs, s
 
 import hashlib
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from datetime import date, datetime
 from heapq import merge
 from itertools import islice
 
-from sqlalchemy import Connection, Table, bindparam, insert, select
+from sqlalchemy import Table, bindparam, insert, select
 
 from softcal.core.errors import RegistryError
 from softcal.db.entries import AuditRow, Heads
-from softcal.db.schema.found import HAS_TOLD, found_in
+from softcal.db.schema.database import Database
+from softcal.db.schema.found import HAS_TOLD
 from softcal.db.schema.tables import LATER_COLUMNS, TOLD_BY_HASH, audit, canonical_json
 
 FIRST_HASH = "0" * 64
@@ -28,7 +30,7 @@ INSERT = insert(audit)
 
 
 def append(
-    connection: Connection,
+    database: Database,
     origin: str,
     at: datetime,
     actor: str,
@@ -41,8 +43,8 @@ def append(
     reason: str = "",
 ) -> AuditRow:
     """Write the next row of the chain of `origin`, in the transaction of the change it tells of."""
-    heads = found_in(connection).heads
-    seq, prev_hash = heads[origin] if origin in heads else head(connection, origin)
+    heads = database.found.heads
+    seq, prev_hash = heads[origin] if origin in heads else head(database, origin)
     row = AuditRow(
         origin=origin,
         seq=seq + 1,
@@ -57,9 +59,10 @@ def append(
         prev_hash=prev_hash,
         hash="",
     )
-    row = row.with_hash(row_hash(row))
-    connection.execute(INSERT, vars(row))
-    connection.info[HAS_TOLD] = True
+    row = replace(row, hash=row_hash(row))
+    database.change(INSERT, vars(row))
+    with database.writing() as connection:
+        connection.info[HAS_TOLD] = True
     heads[origin] = row.seq, row.hash
     return row
 
@@ -70,36 +73,36 @@ def row_hash(row: AuditRow) -> str:
     return hashlib.sha256(canonical_json(plain(fields)).encode()).hexdigest()
 
 
-def origins(connection: Connection) -> list[str]:
+def origins(database: Database) -> list[str]:
     """Return the registries whose chains are here."""
     # One look into the index per registry; DISTINCT would read the whole trail.
     found: list[str] = []
     query = select(audit.c.origin).order_by(audit.c.origin).limit(1)
-    name = connection.execute(query).scalar_one_or_none()
+    name = database.value(query)
     while name is not None:
         found.append(name)
-        name = connection.execute(query.where(audit.c.origin > name)).scalar_one_or_none()
+        name = database.value(query.where(audit.c.origin > name))
     return found
 
 
 def rows(
-    connection: Connection, origin: str | None = None, after_seq: int = 0, count: int | None = None
+    database: Database, origin: str | None = None, after_seq: int = 0, count: int | None = None
 ) -> Iterator[AuditRow]:
     """Give the rows of one chain, or of all chains one after another, oldest first."""
     query = select(audit).where(audit.c.seq > after_seq).order_by(audit.c.origin, audit.c.seq).limit(count)
     if origin is not None:
         query = query.where(audit.c.origin == origin)
-    for row in connection.execute(query, execution_options={"yield_per": 1000}):
-        yield AuditRow(**row._mapping)
+    for row in database.stream(query):
+        yield AuditRow(**row)
 
 
-def after(connection: Connection, cursor: Mapping[str, int], count: int) -> list[AuditRow]:
-    """Return up to `count` rows behind a cursor; the order of each chain is kept, between chains the older is first.
+def after(database: Database, cursor: Mapping[str, int], count: int) -> list[AuditRow]:
+    """Return up to `count` rows behind a cursor; between chains the older is first.
 
     Args:
-        cursor: number of the last row already taken of each chain; a chain it does not name begins at its first row.
+        cursor: number of the last row taken of each chain; 0 where it names none.
     """
-    chains = [list(rows(connection, origin, cursor.get(origin, 0), count)) for origin in origins(connection)]
+    chains = [list(rows(database, origin, cursor.get(origin, 0), count)) for origin in origins(database)]
     # A clock that was set back must not put a row before the one it follows.
     return list(islice(merge(*chains, key=lambda row: row.at), count))
 
@@ -108,7 +111,7 @@ def chain_faults(trail: Iterator[AuditRow], after_seq: int = 0, after_hash: str 
     """Give one line for every row that does not fit its chain.
 
     Args:
-        after_seq, after_hash: the row before the first one, where a chain is not read from its beginning.
+        after_seq, after_hash: the row before the first, of a chain read in part.
     """
     origin, seq, prev_hash = "", after_seq, after_hash
     for row in trail:
@@ -123,15 +126,15 @@ def chain_faults(trail: Iterator[AuditRow], after_seq: int = 0, after_hash: str 
         seq, prev_hash = row.seq, row.hash
 
 
-def head(connection: Connection, origin: str) -> tuple[int, str]:
+def head(database: Database, origin: str) -> tuple[int, str]:
     """Return number and hash of the newest row of a chain."""
-    newest = connection.execute(NEWEST, {"chain": origin}).first()
+    newest = database.row(NEWEST, {"chain": origin})
     return (0, FIRST_HASH) if newest is None else (newest.seq, newest.hash)
 
 
-def heads(connection: Connection) -> Heads:
+def heads(database: Database) -> Heads:
     """Return number and hash of the newest row of every chain."""
-    return {origin: head(connection, origin) for origin in origins(connection)}
+    return {origin: head(database, origin) for origin in origins(database)}
 
 
 def row_key(table: Table, values: Values) -> tuple[str | int, ...]:
@@ -150,7 +153,7 @@ def told(table: Table, values: Values) -> dict[str, object]:
 
 
 def forms(table: Table, values: Values) -> set[str]:
-    """Return the texts by which the audit trail may tell of a row: as it is, or as before later columns came."""
+    """Return how the audit trail may tell of a row: as it is, or before later columns came."""
     now = told(table, values)
     later = [name for name in LATER_COLUMNS.get(table.name, ()) if now[name] is None]
     older = {name: value for name, value in now.items() if name not in later}

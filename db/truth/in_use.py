@@ -1,34 +1,23 @@
-"""Which calibration a unit uses: statements that follow one another, made by a batch, a line, a person or an upgrade.
+"""Which calibration a unit uses: statements that follow one another.
 
 A unit is a serial of a lot. The newest statement holds. Two registries that were apart may both have made one; where
 they name different maps nobody can say which is right, and a person has to.
 """
 
+import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import (
-    ColumnElement,
-    Connection,
-    RowMapping,
-    Select,
-    Table,
-    Text,
-    and_,
-    bindparam,
-    func,
-    or_,
-    select,
-    type_coerce,
-)
+import sqlalchemy as sa
+from sqlalchemy import RowMapping, and_, bindparam, func, select
 
 from softcal.core.errors import InputError
-from softcal.db.schema.database import parts
-from softcal.db.schema.found import found_in
+from softcal.core.words.reason import Reason, reason
+from softcal.db.schema.database import Database, given, parts
 from softcal.db.schema.tables import calibrations, in_use, limits, lots, refusals, units
 from softcal.db.truth import history
-from softcal.db.truth.judged_against import LimitInForce
 from softcal.db.truth.registry_base import RegistryBase, damaged
 
 NEWEST_STATEMENT = (in_use.c.made_at.desc(), in_use.c.number.desc(), in_use.c.origin.desc())
@@ -38,10 +27,16 @@ OF_STATEMENT = and_(
     calibrations.c.origin == in_use.c.made_by,
 )
 NEWEST_FIRST = (calibrations.c.made_at.desc(), calibrations.c.revision.desc(), calibrations.c.origin.desc())
-"""No registry writes a revision older than the one it follows. Which one is in use is not told by this order."""
+"""No registry writes a revision older than the one it follows. The order does not say what is in use."""
+
+STALE = (LIMIT_IS_OTHER, LIMIT_IS_GONE) = ("stale_limit", "stale_limit_open")
+"""Codes of the reasons why a verdict does not stand any more."""
+
+STATED = str(Reason("part.stated"))
+RMSE, ORIGIN = "limit_rmse", "limit_origin"
 
 
-def _of_unit(table: Table, *columns: Any) -> Select[Any]:
+def _of_unit(table: sa.Table, *columns: Any) -> sa.Select[Any]:
     return select(*columns).where(table.c.lot_id == bindparam("lot"), table.c.serial == bindparam("unit"))
 
 
@@ -49,7 +44,7 @@ STATEMENTS = _of_unit(in_use, in_use).order_by(*NEWEST_STATEMENT)
 LAST_STATEMENT = _of_unit(in_use, func.max(in_use.c.made_at))
 LAST_REFUSAL = _of_unit(refusals, func.max(refusals.c.made_at))
 LAST_NUMBER = _of_unit(in_use, func.max(in_use.c.number)).where(in_use.c.origin == bindparam("registry"))
-"""Built once, as every unit of a batch needs them: building a statement takes longer than running it."""
+"""Built once, for every unit of a batch: to build a statement takes longer than to run it."""
 
 
 class InUseTable(RegistryBase):
@@ -65,41 +60,39 @@ class InUseTable(RegistryBase):
         work_sha256: str | None = None,
         actor: str | None = None,
     ) -> bool:
-        """Put the calibration that was made from an input into use again; False where there is none.
+        """Put the calibration of an input into use again; False where there is none.
 
-        What a person decided since the same input was decided last stays: nothing new was asked. A conflict stays, too.
+        What a person decided since the same input stays: nothing new was asked. So does a conflict.
 
         Args:
             decided_by: who decides: batch or line.
-            work_sha256: hash of the files and settings that ask, to be found again without reading the files.
+            work_sha256: hash of the files and settings that ask.
         """
         c = calibrations.c
-        with self.database.writing() as connection:
+        with self.database.writing():
             query = select(calibrations).where(c.lot_id == lot_id, c.serial == serial, c.input_sha256 == input_sha256)
-            made = connection.execute(query.order_by(*NEWEST_FIRST).limit(1)).mappings().first()
+            made = self.database.row(query.order_by(*NEWEST_FIRST).limit(1))
             if made is None:
                 return False
-            heads = heads_of(connection, lot_id, serial)
-            if names_several(connection, heads):
+            heads = heads_of(self.database, lot_id, serial)
+            if names_several(self.database, heads):
                 return True
-            refused = newest_refusal(connection, lot_id, serial)
+            refused = newest_refusal(self.database, lot_id, serial)
             last = STATEMENTS.where(in_use.c.input_sha256.is_not(None)).limit(1)
-            asked = connection.execute(last, {"lot": lot_id, "unit": serial}).mappings().first()
-            is_asked_again = (
-                asked is not None
-                and asked["input_sha256"] == input_sha256
-                and (refused is None or refused < asked["made_at"])
-            )
-            if is_asked_again and work_sha256 in (None, asked and asked["work_sha256"]):
-                return True
+            asked = self.database.row(last, {"lot": lot_id, "unit": serial})
+            is_asked_again = False
+            if asked is not None and asked["input_sha256"] == input_sha256:
+                is_asked_again = refused is None or refused < asked["made_at"]
+                if is_asked_again and work_sha256 in (None, asked["work_sha256"]):
+                    return True
             again = {"revision": made["revision"], "made_by": made["origin"]}
             named = dict(heads[0]) if is_asked_again else again
             told = {"work_sha256": work_sha256, "input_sha256": input_sha256, "decided_by": decided_by}
-            self._state(connection, lot_id, serial, named, told, actor, "the same input again")
+            self._state(lot_id, serial, named, told, actor, "the same input again")
             return True
 
     def decided_works(self, lot_id: str, serials: Sequence[str]) -> dict[str, str]:
-        """Return the work that each unit's newest result answers, by serial; units without such a result are left out.
+        """Return the work that each unit's newest result answers, by serial.
 
         A refusal that may pass (a worker that died, a disk that was away) answers no work.
         """
@@ -108,9 +101,9 @@ class InUseTable(RegistryBase):
             u, r = in_use.c, refusals.c
             asked = select(u.serial, u.made_at, u.work_sha256).where(u.lot_id == lot_id, u.serial.in_(part))
             refused = select(r.serial, r.made_at, r.work_sha256).where(r.lot_id == lot_id, r.serial.in_(part))
-            with self.database.reading() as connection:
+            with self.database.reading():
                 for query in (asked.where(u.input_sha256.is_not(None)), refused):
-                    for serial, made_at, work in connection.execute(query):
+                    for serial, made_at, work in self.database.tuples(query):
                         if serial not in newest or made_at > newest[serial][0]:
                             newest[serial] = made_at, work
         return {serial: work for serial, (_, work) in newest.items() if work is not None}
@@ -118,58 +111,49 @@ class InUseTable(RegistryBase):
     def inputs_of_works(self, lot_id: str, works: Mapping[str, str]) -> dict[str, str]:
         """Return the input from which each work was once calibrated, by serial."""
         u = in_use.c
-        found = {}
-        for part in parts(list(works)):
-            query = select(u.serial, u.work_sha256, u.input_sha256).where(u.lot_id == lot_id, u.serial.in_(part))
-            with self.database.reading() as connection:
-                for serial, work, input_sha256 in connection.execute(query.where(u.work_sha256.is_not(None))):
-                    if works[serial] == work:
-                        found[serial] = input_sha256
-        return found
+        columns = select(u.serial, u.work_sha256, u.input_sha256).where(u.lot_id == lot_id)
+        rows = [row for part in parts(list(works)) for row in self.database.rows(columns.where(u.serial.in_(part)))]
+        return {row["serial"]: row["input_sha256"] for row in rows if works[row["serial"]] == row["work_sha256"]}
 
     def was_decided_by(self, decided_by: str, lot_id: str, serial: str) -> bool:
-        """Return whether a calibration of a unit was ever put into use by this: a trim, a release, a rollback."""
+        """Return whether a trim, a release or a rollback ever put a unit's calibration into use."""
         told = _of_unit(in_use, in_use.c.number).where(in_use.c.decided_by == decided_by).limit(1)
-        with self.database.reading() as connection:
-            return connection.execute(told, {"lot": lot_id, "unit": serial}).first() is not None
+        return self.database.row(told, {"lot": lot_id, "unit": serial}) is not None
 
     def passed_once(self, lot_id: str) -> frozenset[str]:
-        """Return the serials of a lot for which a calibration that passed was in use, now or before."""
+        """Return the serials of a lot for which a calibration that passed was ever in use."""
         query = select(in_use.c.serial).distinct().join(calibrations, OF_STATEMENT)
         query = query.where(in_use.c.lot_id == lot_id, calibrations.c.verdict == "pass")
-        with self.database.reading() as connection:
-            return frozenset(connection.execute(query).scalars())
+        return frozenset(self.database.values(query))
 
     def lots_of(self, serial: str) -> list[str]:
-        with self.database.reading() as connection:
-            return lots_of(connection, serial)
+        return lots_of(self.database, serial)
 
-    def _in_use(self, connection: Connection, lot_id: str, serial: str) -> RowMapping | None:
+    def _in_use(self, lot_id: str, serial: str) -> RowMapping | None:
         """Return the newest statement of a unit, or None before the first.
 
         Raises:
             InputError: two registries put different maps into use.
-            RegistryError: the audit trail tells of a statement that was not found: an older one would hold.
+            RegistryError: the audit trail tells of a statement that was not found.
         """
-        heads = heads_of(connection, lot_id, serial)
+        heads = heads_of(self.database, lot_id, serial)
         # A damaged index hides rows without a word; the audit trail is found by another one.
         u = in_use.c
         query = select(u.origin, func.max(u.number), func.count()).where(u.lot_id == lot_id, u.serial == serial)
-        last = {origin: (number, count) for origin, number, count in connection.execute(query.group_by(u.origin))}
+        last = {origin: (number, count) for origin, number, count in self.database.tuples(query.group_by(u.origin))}
         if any(number != count for number, count in last.values()):
             raise damaged(f"unit {serial} of lot {lot_id}: a statement of what is in use was not found")
-        names = sorted({*history.origins(connection), *last})
+        names = sorted({*history.origins(self.database), *last})
         following = [(lot_id, serial, name, last.get(name, (0, 0))[0] + 1) for name in names]
-        self._check_hidden(connection, in_use, following)
+        self._check_hidden(in_use, following)
         for head in heads:
-            self._check_row(connection, in_use, head)
-        if names_several(connection, heads):
-            raise InputError(conflict_line(connection, lot_id, serial))
+            self._check_row(in_use, head)
+        if names_several(self.database, heads):
+            raise InputError(conflict_line(self.database, lot_id, serial))
         return heads[0] if heads else None
 
     def _state(
         self,
-        connection: Connection,
         lot_id: str,
         serial: str,
         named: Mapping[str, Any],
@@ -185,11 +169,11 @@ class InUseTable(RegistryBase):
             told: `decided_by`, and the work and input that asked for it.
             made_at: its time where the calibration was made just now.
         """
-        is_first = (in_use.name, lot_id, serial) in found_in(connection).without
-        heads = [] if is_first else heads_of(connection, lot_id, serial)
-        at = made_at or self._after(newest_of_unit(connection, lot_id, serial))
+        is_first = (in_use.name, lot_id, serial) in self.database.found.without
+        heads = [] if is_first else heads_of(self.database, lot_id, serial)
+        at = made_at or self._after(newest_of_unit(self.database, lot_id, serial))
         mine = {"lot": lot_id, "unit": serial, "registry": self.origin}
-        number = 0 if is_first else connection.execute(LAST_NUMBER, mine).scalar_one() or 0
+        number = 0 if is_first else self.database.value(LAST_NUMBER, mine) or 0
         for head in (*heads,) or (None,):
             number += 1
             values = {
@@ -209,37 +193,37 @@ class InUseTable(RegistryBase):
                 "reason": reason,
             }
             before = None if head is None else {name: head[name] for name in ("revision", "made_by")}
-            self._store(connection, in_use, values, "put_in_use", actor, reason, before)
+            self._store(in_use, values, "put_in_use", actor, reason, before)
 
 
-def heads_of(connection: Connection, lot_id: str, serial: str) -> list[RowMapping]:
-    """Return the statements of a unit that nothing follows, the newest first; more than one after a parted history."""
-    rows = connection.execute(STATEMENTS, {"lot": lot_id, "unit": serial}).mappings().all()
+def heads_of(database: Database, lot_id: str, serial: str) -> list[RowMapping]:
+    """Return the statements of a unit that nothing follows, newest first; several once histories parted."""
+    rows = database.rows(STATEMENTS, {"lot": lot_id, "unit": serial})
     followed = {(row["follows_origin"], row["follows_number"]) for row in rows}
     return [row for row in rows if (row["origin"], row["number"]) not in followed]
 
 
-def names_several(connection: Connection, heads: Sequence[RowMapping]) -> bool:
-    """Whether statements name calibrations that differ; the same map with the same verdict made twice is one."""
+def names_several(database: Database, heads: Sequence[RowMapping]) -> bool:
+    """Whether statements name calibrations that differ in map or verdict."""
     if len({(head["revision"], head["made_by"]) for head in heads}) < 2:
         return False
     c = calibrations.c
     found = set()
     for head in heads:
         is_named = (c.serial == head["serial"], c.revision == head["revision"], c.origin == head["made_by"])
-        found.add(tuple(connection.execute(select(c.blob_sha256, c.verdict).where(*is_named)).one()))
+        found.add(tuple(database.tuples(select(c.blob_sha256, c.verdict).where(*is_named))[0]))
     return len(found) > 1
 
 
 def conflicts_of(
-    connection: Connection, lot_id: str | None = None, serials: Sequence[str] | None = None
+    database: Database, lot_id: str | None = None, serials: Sequence[str] | None = None
 ) -> list[tuple[str, str]]:
     """Return lot and serial of the units for which registries put different maps into use.
 
     Args:
         lot_id, serials: of this lot, of these units only.
     """
-    if len(history.origins(connection)) < 2:
+    if len(history.origins(database)) < 2:
         return []
     u, follower = in_use.c, in_use.alias()
     is_followed = select(follower.c.number).where(
@@ -248,31 +232,65 @@ def conflicts_of(
         follower.c.follows_origin == u.origin,
         follower.c.follows_number == u.number,
     )
-    differ = or_(
+    differ = sa.or_(
         func.min(calibrations.c.blob_sha256) != func.max(calibrations.c.blob_sha256),
         func.min(calibrations.c.verdict) != func.max(calibrations.c.verdict),
     )
     query = select(u.lot_id, u.serial).select_from(in_use).join(calibrations, OF_STATEMENT)
     query = query.where(~is_followed.correlate(in_use).exists()).group_by(u.lot_id, u.serial).having(differ)
-    query = query if lot_id is None else query.where(u.lot_id == lot_id)
-    query = query if serials is None else query.where(u.serial.in_(serials))
-    return [(lot, name) for lot, name in connection.execute(query.order_by(u.lot_id, u.serial))]
+    query = query.where(*given((u.lot_id, lot_id), (u.serial, serials)))
+    return [(lot, name) for lot, name in database.tuples(query.order_by(u.lot_id, u.serial))]
 
 
-def limit_in_force(connection: Connection, lot_id: str) -> LimitInForce:
+@dataclass(frozen=True)
+class LimitInForce:
+    """The limit of a lot as verdicts are held against it.
+
+    Args:
+        rmse: in `unit`; None leaves it to the source's own error.
+        unit: of the lot's reference.
+    """
+
+    rmse: float | None
+    unit: str
+
+    def is_other_in_sql(self) -> sa.ColumnElement[bool]:
+        """Return whether a calibration was judged against another limit, by its evidence (JSON).
+
+        Older versions did not keep it.
+        """
+        text = sa.type_coerce(calibrations.c.evidence, sa.Text)
+
+        def says(name: str, value: object) -> sa.ColumnElement[bool]:
+            pair = json.dumps({name: value}, separators=(",", ":"))[1:-1]
+            return sa.or_(*(text.contains(f"{pair}{end}", autoescape=True) for end in ",}"))
+
+        if self.rmse is None:
+            return says(ORIGIN, STATED)
+        return and_(text.contains(f'"{RMSE}":', autoescape=True), ~says(RMSE, self.rmse))
+
+    def why(self, evidence: Mapping[str, object]) -> Reason:
+        """Return why a verdict does not stand any more."""
+        judged = float(str(evidence[RMSE]))
+        if self.rmse is None:
+            return reason(LIMIT_IS_GONE, judged=judged, unit=self.unit)
+        return reason(LIMIT_IS_OTHER, judged=judged, limit=self.rmse, unit=self.unit)
+
+
+def limit_in_force(database: Database, lot_id: str) -> LimitInForce:
     """Return the newest limit of a lot."""
     of_lot = select(limits.c.rmse).where(limits.c.lot_id == lot_id)
     newest = of_lot.order_by(limits.c.made_at.desc(), limits.c.origin.desc()).limit(1)
     unit = select(lots.c.reference_unit).where(lots.c.id == lot_id)
-    return LimitInForce(connection.execute(newest).scalar(), connection.execute(unit).scalar() or "")
+    return LimitInForce(database.value(newest), database.value(unit) or "")
 
 
-def conflict_line(connection: Connection, lot_id: str, serial: str) -> str:
+def conflict_line(database: Database, lot_id: str, serial: str) -> str:
     """Return what a person has to decide, and how."""
     sides = [
         f"revision {head['revision']} of registry {head['made_by']} ({head['decided_by']}, "
         f"{head['made_at']:%Y-%m-%d %H:%M:%S} UTC)"
-        for head in heads_of(connection, lot_id, serial)
+        for head in heads_of(database, lot_id, serial)
     ]
     return (
         f"unit {serial} of lot {lot_id}: two registries put different maps into use: {', '.join(sides)}; decide "
@@ -280,30 +298,30 @@ def conflict_line(connection: Connection, lot_id: str, serial: str) -> str:
     )
 
 
-def lots_of(connection: Connection, serial: str) -> list[str]:
+def lots_of(database: Database, serial: str) -> list[str]:
     """Return the lots a serial stands in."""
     query = select(units.c.lot_id).where(units.c.serial == serial).order_by(units.c.lot_id)
-    return list(connection.execute(query).scalars())
+    return database.values(query)
 
 
-def newest_refusal(connection: Connection, lot_id: str, serial: str) -> datetime | None:
+def newest_refusal(database: Database, lot_id: str, serial: str) -> datetime | None:
     """Return when a unit was refused last."""
-    if (refusals.name, lot_id, serial) in found_in(connection).without:
+    if (refusals.name, lot_id, serial) in database.found.without:
         return None
-    made_at: datetime | None = connection.execute(LAST_REFUSAL, {"lot": lot_id, "unit": serial}).scalar_one()
+    made_at: datetime | None = database.value(LAST_REFUSAL, {"lot": lot_id, "unit": serial})
     return made_at
 
 
-def newest_of_unit(connection: Connection, lot_id: str, serial: str) -> datetime | None:
+def newest_of_unit(database: Database, lot_id: str, serial: str) -> datetime | None:
     """Return the time of the newest statement or refusal of a unit."""
     stated: datetime | None = None
-    if (in_use.name, lot_id, serial) not in found_in(connection).without:
-        stated = connection.execute(LAST_STATEMENT, {"lot": lot_id, "unit": serial}).scalar_one()
-    times = [at for at in (stated, newest_refusal(connection, lot_id, serial)) if at is not None]
+    if (in_use.name, lot_id, serial) not in database.found.without:
+        stated = database.value(LAST_STATEMENT, {"lot": lot_id, "unit": serial})
+    times = [at for at in (stated, newest_refusal(database, lot_id, serial)) if at is not None]
     return max(times, default=None)
 
 
-def of_this_method() -> ColumnElement[bool]:
+def of_this_method() -> sa.ColumnElement[bool]:
     """Return whether a calibration was made with the method of this version, as SQL.
 
     The settings are canonical JSON text: the hash of today's method stands in it or it does not.
@@ -311,4 +329,4 @@ def of_this_method() -> ColumnElement[bool]:
     # Whoever lists units needs none of the method's numbers.
     from softcal.core.unit.method import Method
 
-    return type_coerce(calibrations.c.settings, Text).contains(f'"method_id":"{Method().id}"')
+    return sa.type_coerce(calibrations.c.settings, sa.Text).contains(f'"method_id":"{Method().id}"')

@@ -1,41 +1,43 @@
-"""Where the units of a lot stand: the calibration in use, a newer refusal, or what a person has to decide.
+"""Where the units of a lot stand: the calibration in use, a newer refusal, or a conflict.
 
-One question in SQL says it for a unit, for a sorted and filtered page of a lot of any size, for counts and for reports.
+One question in SQL says it for a unit, a page of a lot of any size, counts and reports.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from sqlalchemy import (
-    ColumnElement,
-    Connection,
-    RowMapping,
-    Subquery,
-    Table,
-    Text,
-    and_,
-    case,
-    func,
-    or_,
-    select,
-    tuple_,
-    type_coerce,
-)
+import sqlalchemy as sa
+from sqlalchemy import ColumnElement, and_, case, func, select
 
 from softcal.core.errors import InputError
 from softcal.core.words.reason import DOUBT, Reason, plain
 from softcal.db.entries import UNDECIDED, MadeCalibration, UnitEntry, UnitStanding
-from softcal.db.schema.database import parts
+from softcal.db.schema.database import Database, given, parts
 from softcal.db.schema.tables import calibrations, in_use, refusals, units
 from softcal.db.truth import history
-from softcal.db.truth.in_use import OF_STATEMENT, conflict_line, conflicts_of, limit_in_force, of_this_method
-from softcal.db.truth.judged_against import LimitInForce
-from softcal.db.truth.records import PLAIN_FIELDS, record_of
+from softcal.db.truth.in_use import (
+    OF_STATEMENT,
+    LimitInForce,
+    conflict_line,
+    conflicts_of,
+    limit_in_force,
+    of_this_method,
+)
 from softcal.db.truth.registry_base import RegistryBase, damaged, of_row
+
+if TYPE_CHECKING:
+    from softcal.core.identity import Settings
+    from softcal.core.unit.calibration import CalibrationRecord
+
+PLAIN_FIELDS = tuple(
+    "serial network_id family map_sha256 predicted_rmse before_rmse after_rmse own_rmse fit_s verdict input_sha256 "
+    "recording_sha256".split()
+)
+"""Fields of `CalibrationRecord` that are columns as they are."""
 
 ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
 SORTABLE = ("serial", "verdict", "made_at", "family", *ERRORS)
@@ -62,7 +64,7 @@ class UnitFilter:
     Args:
         verdicts: of these only; empty takes all, `none` those without a result.
         text: serials that hold this text, in any case.
-        sort: one of `SORTABLE`, or `severity`: the worst verdict first, then the largest predicted error.
+        sort: one of `SORTABLE`, or `severity`: worst verdict, then largest forecast.
         is_descending: largest first; units without a value stand last either way.
         serials: of these units only; None takes all.
     """
@@ -79,7 +81,7 @@ class UnitFilter:
         if len(self.serials or ()) > MOST_SERIALS:
             raise InputError(f"{len(self.serials or ())} units at once; choose fewer than {MOST_SERIALS}, by days")
 
-    def conditions(self, table: Subquery) -> Iterator[ColumnElement[bool]]:
+    def conditions(self, table: sa.Subquery) -> Iterator[ColumnElement[bool]]:
         if self.verdicts:
             yield func.coalesce(table.c.verdict, "none").in_(self.verdicts)
         if self.text:
@@ -87,7 +89,7 @@ class UnitFilter:
         if self.serials is not None:
             yield table.c.serial.in_(self.serials)
 
-    def order(self, table: Subquery) -> list[ColumnElement[Any]]:
+    def order(self, table: sa.Subquery) -> list[ColumnElement[Any]]:
         if self.sort == "severity":
             severity = case(_severities(), value=table.c.verdict, else_=1)
             return [severity, table.c.predicted_rmse.desc().nulls_last(), table.c.serial]
@@ -104,7 +106,7 @@ class UnitPage:
 
 
 class UnitErrors(NamedTuple):
-    """The errors of one unit's newest map in the reference unit, None where they were not found, and its verdict.
+    """The errors of one unit's newest map in the reference unit, and its verdict.
 
     Of an audit that is set aside, whose errors may be another unit's, there are none.
     """
@@ -126,19 +128,19 @@ class LotPages(RegistryBase):
         Raises:
             InputError: the lot is not in the registry.
         """
-        with self.database.reading() as connection:
-            self._lot_row(connection, lot_id)
-            standing = StandingQuery.of(connection, lot_id)
+        with self.database.reading():
+            self._lot_row(lot_id)
+            standing = StandingQuery.of(self.database, lot_id)
             table = standing.table(role="target")
             condition: ColumnElement[bool] = and_(True, *wanted.conditions(table))
             order = wanted.order(table)
             query = select(table).where(condition).order_by(*order).limit(size).offset((page - 1) * size)
-            total = connection.execute(select(func.count()).select_from(table).where(condition)).scalar_one()
-            entries = [standing.entry(connection, row) for row in connection.execute(query).mappings().all()]
+            total = self.database.value(select(func.count()).select_from(table).where(condition))
+            entries = [standing.entry(row) for row in self.database.rows(query)]
         return UnitPage(tuple(entries), int(total))
 
     def standings(self, lot_id: str, serials: Sequence[str]) -> dict[str, UnitStanding]:
-        """Return where units of a lot stand, as a report needs it: the calibration in use, or a newer refusal.
+        """Return where units of a lot stand, as a report needs it.
 
         A unit with a conflict is to be decided by a person: its verdict is retest. So is that of one judged against
         another limit than the one in force.
@@ -147,12 +149,12 @@ class LotPages(RegistryBase):
         c = calibrations.c
         columns = [*(c[name] for name in PLAIN_FIELDS), c.revision, c.settings, c.reasons, c.evidence]
         for part in parts(serials):
-            with self.database.reading() as connection:
-                stands = standing_units(connection, lot_id, part)
+            with self.database.reading():
+                stands = standing_units(self.database, lot_id, part)
                 named = [(unit.serial, unit.revision) for unit, is_made in stands if is_made]
-                query = select(*columns).where(c.lot_id == lot_id, tuple_(c.serial, c.revision).in_(named))
-                # Registries that were apart may both have made a revision of this number: the map tells which stands.
-                rows = {(row["serial"], row["map_sha256"]): row for row in connection.execute(query).mappings()}
+                query = select(*columns).where(c.lot_id == lot_id, sa.tuple_(c.serial, c.revision).in_(named))
+                # Two registries may have made a revision of this number: the map tells which.
+                rows = {(row["serial"], row["map_sha256"]): row for row in self.database.rows(query)}
             for unit, is_made in stands:
                 if unit.verdict is not None and unit.made_at is not None:
                     made, row = None, rows.get((unit.serial, unit.map_sha256))
@@ -163,8 +165,8 @@ class LotPages(RegistryBase):
         return found
 
     def find_serials(self, text: str, count: int = 50) -> list[str]:
-        """Return serials of target units with a result that hold a text in any case; those that begin with it first."""
-        has_result = or_(
+        """Return serials of target units with a result that hold a text; those it begins first."""
+        has_result = sa.or_(
             *(
                 select(table.c.serial)
                 .where(table.c.lot_id == units.c.lot_id, table.c.serial == units.c.serial)
@@ -175,41 +177,40 @@ class LotPages(RegistryBase):
         query = select(units.c.serial).distinct().where(units.c.role == "target", has_result)
         order: list[ColumnElement[Any]] = [units.c.serial]
         if text:
-            # Without a text the index of the serials gives the first ones, and nothing else is read.
+            # Without a text the index gives the first serials, and nothing else is read.
             name = func.lower(units.c.serial)
             query = query.where(name.contains(text.lower(), autoescape=True))
             begins = case((name.startswith(text.lower(), autoescape=True), 0), else_=1)
             query, order = query.add_columns(begins), [begins, *order]
-        with self.database.reading() as connection:
-            return [str(row[0]) for row in connection.execute(query.order_by(*order).limit(count))]
+        return self.database.values(query.order_by(*order).limit(count))
 
     def verdict_counts(self, lot_id: str) -> dict[str, int]:
-        """Return a lot's target units by the verdict of their newest result; `none` counts those without."""
-        with self.database.reading() as connection:
-            self._lot_row(connection, lot_id)
-            table = StandingQuery.of(connection, lot_id).table(role="target")
+        """Return the count of a lot's target units by verdict; `none` counts those without."""
+        with self.database.reading():
+            self._lot_row(lot_id)
+            table = StandingQuery.of(self.database, lot_id).table(role="target")
             verdict = func.coalesce(table.c.verdict, "none")
-            found = {str(v): int(n) for v, n in connection.execute(select(verdict, func.count()).group_by(verdict))}
+            found = {str(v): int(n) for v, n in self.database.tuples(select(verdict, func.count()).group_by(verdict))}
         return {name: found.get(name, 0) for name in (*_severities(), "none")}
 
     def lot_errors(self, lot_id: str) -> list[UnitErrors]:
         """Return the errors of every target unit with a map, by serial."""
-        with self.database.reading() as connection:
-            self._lot_row(connection, lot_id)
-            table = StandingQuery.of(connection, lot_id).table(role="target")
+        with self.database.reading():
+            self._lot_row(lot_id)
+            table = StandingQuery.of(self.database, lot_id).table(role="target")
             measured = {name: case((table.c.is_doubted, None), else_=table.c[name]) for name in ERRORS[1:]}
             query = select(table.c.revision, table.c.serial, table.c.verdict, table.c[ERRORS[0]], *measured.values())
             # Asked for in SQL, "with a map" makes PostgreSQL read the calibrations of all lots.
-            rows = connection.execute(query.order_by(table.c.serial))
+            rows = self.database.tuples(query.order_by(table.c.serial))
             return [UnitErrors(*row) for revision, *row in rows if revision is not None]
 
     def change_marker(self, lot_id: str) -> str:
-        """Return text that changes whenever a unit, result, limit, rule, network, release or check is added.
+        """Return text that changes whenever anything of a lot does.
 
-        A cheap key for what was computed from a lot: every change ends a chain of the audit trail with another row.
+        A cheap key for what was computed: every change ends a chain of the audit trail anew.
         """
-        with self.database.reading() as connection:
-            return "|".join([lot_id, *(sha256 for _, sha256 in history.heads(connection).values())])
+        with self.database.reading():
+            return "|".join([lot_id, *(sha256 for _, sha256 in history.heads(self.database).values())])
 
 
 @dataclass(frozen=True)
@@ -221,18 +222,19 @@ class StandingQuery:
         limit: of the lot; a verdict against another one does not stand.
     """
 
+    database: Database
     lot_id: str
     undecided: Sequence[str]
     limit: LimitInForce
 
     @classmethod
-    def of(cls, connection: Connection, lot_id: str, serials: Sequence[str] | None = None) -> StandingQuery:
+    def of(cls, database: Database, lot_id: str, serials: Sequence[str] | None = None) -> StandingQuery:
         """Return how a lot, or some of its units, are asked for now."""
-        undecided = [serial for _, serial in conflicts_of(connection, lot_id, serials)]
-        return cls(lot_id, undecided, limit_in_force(connection, lot_id))
+        undecided = [serial for _, serial in conflicts_of(database, lot_id, serials)]
+        return cls(database, lot_id, undecided, limit_in_force(database, lot_id))
 
-    def table(self, serials: Sequence[str] | None = None, role: str | None = None) -> Subquery:
-        """Return every unit beside its map in use and its newest verdict, which may be a later refusal's.
+    def table(self, serials: Sequence[str] | None = None, role: str | None = None) -> sa.Subquery:
+        """Return every unit beside its map in use and its newest verdict, or a later refusal's.
 
         "Nothing newer exists" is found through the index of the table; a window function over all rows is not, and its
         join with the units would take the square of their number.
@@ -241,11 +243,11 @@ class StandingQuery:
             serials, role: of these units only.
         """
         c, u, r = calibrations, in_use, refusals
-        is_refused = and_(r.c.made_at.is_not(None), or_(u.c.made_at.is_(None), r.c.made_at > u.c.made_at))
+        is_refused = and_(r.c.made_at.is_not(None), sa.or_(u.c.made_at.is_(None), r.c.made_at > u.c.made_at))
         is_open = units.c.serial.in_(self.undecided)
         is_stated = and_(u.c.made_at.is_not(None), ~is_refused)
         is_unjudged = and_(is_stated, ~is_open, self.limit.is_other_in_sql())
-        is_undecided = and_(is_stated, or_(is_open, is_unjudged))
+        is_undecided = and_(is_stated, sa.or_(is_open, is_unjudged))
         columns: dict[str, ColumnElement[Any]] = {
             "verdict": case((is_refused, r.c.verdict), (is_undecided, UNDECIDED), else_=c.c.verdict),
             "reasons": case((is_refused, r.c.reasons), else_=c.c.reasons),
@@ -256,7 +258,7 @@ class StandingQuery:
             # What is left out of an entry.
             "is_made": and_(is_stated, ~is_undecided),
             "is_refused": is_refused,
-            "is_doubted": type_coerce(c.c.reasons, Text).contains(f'"code":"{DOUBT}'),
+            "is_doubted": sa.type_coerce(c.c.reasons, sa.Text).contains(f'"code":"{DOUBT}'),
             "evidence": case((is_unjudged, c.c.evidence), else_=None),
         }
         joined = (
@@ -266,15 +268,14 @@ class StandingQuery:
         )
         query = select(units.c.lot_id, units.c.serial, units.c.role, *(c.label(name) for name, c in columns.items()))
         query = query.select_from(joined).where(units.c.lot_id == self.lot_id)
-        query = query if role is None else query.where(units.c.role == role)
-        return (query if serials is None else query.where(units.c.serial.in_(serials))).subquery("standing")
+        return query.where(*given((units.c.role, role), (units.c.serial, serials))).subquery("standing")
 
-    def entry(self, connection: Connection, row: RowMapping) -> UnitEntry:
+    def entry(self, row: sa.RowMapping) -> UnitEntry:
         serial = row["serial"]
         if row["is_stale"] is None:
             raise damaged(f"unit {serial} of lot {self.lot_id}: the calibration in use was not found")
         if row["is_conflict"] and not row["is_refused"]:
-            reasons: tuple[Reason, ...] = (plain(conflict_line(connection, self.lot_id, serial)),)
+            reasons: tuple[Reason, ...] = (plain(conflict_line(self.database, self.lot_id, serial)),)
         elif row["evidence"] is not None:
             reasons = (self.limit.why(row["evidence"]),)
         else:
@@ -283,27 +284,40 @@ class StandingQuery:
 
 
 def standing_units(
-    connection: Connection, lot_id: str, serials: Sequence[str] | None = None
+    database: Database, lot_id: str, serials: Sequence[str] | None = None
 ) -> list[tuple[UnitEntry, bool]]:
-    """Return units of a lot by serial, each with whether its verdict is that of its calibration in use."""
-    standing = StandingQuery.of(connection, lot_id, serials)
-    rows = connection.execute(select(table := standing.table(serials)).order_by(table.c.serial)).mappings().all()
+    """Return units of a lot by serial, each with whether its calibration in use is judged."""
+    standing = StandingQuery.of(database, lot_id, serials)
+    rows = database.rows(select(table := standing.table(serials)).order_by(table.c.serial))
     known = {row["serial"] for row in rows}
     # A damaged index hides rows without a word.
     for results in (in_use, refusals):
-        query = select(results.c.serial).where(results.c.lot_id == lot_id).distinct()
-        found = query if serials is None else query.where(results.c.serial.in_(serials))
-        if lost := sorted({*connection.execute(found).scalars()} - known):
+        query = select(results.c.serial).where(*given((results.c.lot_id, lot_id), (results.c.serial, serials)))
+        if lost := sorted({*database.values(query.distinct())} - known):
             raise damaged(f"unit {lost[0]} of lot {lot_id} has a result and was not found itself")
-    return [(standing.entry(connection, row), bool(row["is_made"])) for row in rows]
+    return [(standing.entry(row), bool(row["is_made"])) for row in rows]
 
 
-def _is_of_unit(table: Table) -> ColumnElement[bool]:
+def record_of(row: sa.RowMapping, arrays: Mapping[str, Any], settings: Settings) -> CalibrationRecord:
+    """Return the calibration of a row, with the arrays and settings that belong to it."""
+    # Whoever lists units needs none.
+    from softcal.core.unit.calibration import CalibrationRecord
+
+    return CalibrationRecord(
+        **{field: row[field] for field in PLAIN_FIELDS},
+        arrays=arrays,
+        settings=settings,
+        reasons=tuple(map(Reason.of, row["reasons"])),
+        evidence=row["evidence"],
+    )
+
+
+def _is_of_unit(table: sa.Table) -> ColumnElement[bool]:
     return and_(table.c.lot_id == units.c.lot_id, table.c.serial == units.c.serial)
 
 
-def _is_newest(table: Table, names: Sequence[str]) -> ColumnElement[bool]:
+def _is_newest(table: sa.Table, names: Sequence[str]) -> ColumnElement[bool]:
     other = table.alias()
     is_same = and_(other.c.lot_id == table.c.lot_id, other.c.serial == table.c.serial)
-    is_newer = tuple_(*(other.c[name] for name in names)) > tuple_(*(table.c[name] for name in names))
+    is_newer = sa.tuple_(*(other.c[name] for name in names)) > sa.tuple_(*(table.c[name] for name in names))
     return ~select(other.c.serial).where(is_same, is_newer).correlate(table).exists()

@@ -1,16 +1,16 @@
-"""Lots, their units, and in versions their limits and their rules at the line: who set them, when and why."""
+"""Lots, their units, and in versions their limits and rules: who set them, when and why."""
 
 from dataclasses import replace
 from datetime import datetime
-from typing import Any
 
-from sqlalchemy import RowMapping, Select, select
+from sqlalchemy import RowMapping, select
 
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.quality.line_rules import LineRules, rules_for
 from softcal.core.words.reason import Reason
 from softcal.db.entries import LimitEntry, LineRulesEntry, RunEntry, UnitEntry
+from softcal.db.schema.database import given
 from softcal.db.schema.tables import calibrations, limits, line_rules, lots, refusals
 from softcal.db.truth.in_use import lots_of
 from softcal.db.truth.lot_pages import standing_units
@@ -23,26 +23,26 @@ class LotTables(RegistryBase):
     """The part of the registry that knows lots, limits and units."""
 
     def add(self, lot: Lot, *, actor: str | None = None) -> None:
-        """Register a lot and its source unit; the same lot again changes nothing, another limit adds a version.
+        """Register a lot and its source unit; another limit adds a version.
 
-        A limit that somebody set in the registry stays until the lot states another one than it did before.
+        A limit set in the registry stays until the lot states another one than before.
 
         Raises:
             InputError: a lot of this id with other facts is registered.
         """
         facts = {name: value for name, value in lot.settings().items() if name != "limit_rmse"}
-        with self.database.writing() as connection:
-            known = connection.execute(select(lots).where(lots.c.id == lot.id)).mappings().first()
+        with self.database.writing():
+            known = self.database.row(select(lots).where(lots.c.id == lot.id))
             if known is None:
                 values = {"id": lot.id, **facts, "added_at": self.settings.clock()}
-                self._store(connection, lots, values, "add", actor)
+                self._store(lots, values, "add", actor)
             elif others := [name for name, value in facts.items() if known[name] != value]:
                 name = others[0]
                 raise InputError(
                     f"lot {lot.id!r} is registered with {name} = {known[name]!r}, now it is {facts[name]!r}; "
                     "correct lot.toml, or give the new lot an id of its own"
                 )
-            self._add_unit(connection, lot.id, lot.source, "source", actor)
+            self._add_unit(lot.id, lot.source, "source", actor)
             versions = self.limit_versions(lot.id)
             stated = [entry.rmse for entry in versions if entry.reason == STATED]
             # A lot that was read from the registry states the limit in force; that is no new one.
@@ -60,43 +60,41 @@ class LotTables(RegistryBase):
 
     def get(self, lot_id: str) -> Lot:
         """Return one lot, or raise `InputError` naming the known ones."""
-        with self.database.reading() as connection:
-            return self._lot(self._lot_row(connection, lot_id))
+        with self.database.reading():
+            return self._lot(self._lot_row(lot_id))
 
     def units(self, lot_id: str | None = None, serial: str | None = None) -> list[UnitEntry]:
-        """Return units with their newest result, by lot and serial: of one lot, of one serial, or all of them.
+        """Return units with their newest result, by lot and serial: of one of them, or all.
 
         Raises:
             InputError: the lot or the serial is not in the registry.
         """
-        with self.database.reading() as connection:
+        with self.database.reading():
             if lot_id is not None:
-                self._lot_row(connection, lot_id)
+                self._lot_row(lot_id)
             if serial is not None:
-                self._known_serial(connection, serial)
-            known = self.ids() if serial is None else lots_of(connection, serial)
+                self._known_serial(serial)
+            known = self.ids() if serial is None else lots_of(self.database, serial)
             in_lots = known if lot_id is None else [lot_id]
             serials = None if serial is None else [serial]
-            return [unit for name in in_lots for unit, _ in standing_units(connection, name, serials)]
+            return [unit for name in in_lots for unit, _ in standing_units(self.database, name, serials)]
 
     def runs(self, lot_id: str, serial: str | None = None) -> list[RunEntry]:
-        """Return every result of a lot's units, or of one of them, in time order, with units that got no map.
+        """Return every result of a lot's units, or of one of them, in time order.
 
         One press is one result, with the newest verdict on its recording: an audit of other units, or a batch, may
         decide anew on it. The last of a unit is as the unit stands now. Rollbacks are left out.
         """
         c, r = calibrations.c, refusals.c
         columns = (c.serial, c.made_at, c.verdict, c.reasons, c.predicted_rmse, c.recording_sha256)
-        made = _of(select(*columns), calibrations, lot_id, serial)
-        refused = _of(select(r.serial, r.made_at, r.verdict, r.reasons), refusals, lot_id, serial)
-        queries = (made.where(c.rolled_back_to.is_(None)), refused)
-        with self.database.reading() as connection:
-            self._lot_row(connection, lot_id)
-            rows = [dict(row) for query in queries for row in connection.execute(query).mappings()]
-            stands = {
-                unit.serial: unit
-                for unit, _ in standing_units(connection, lot_id, None if serial is None else [serial])
-            }
+        made = select(*columns).where(c.rolled_back_to.is_(None), *given((c.lot_id, lot_id), (c.serial, serial)))
+        refused = select(r.serial, r.made_at, r.verdict, r.reasons)
+        refused = refused.where(*given((r.lot_id, lot_id), (r.serial, serial)))
+        serials = None if serial is None else [serial]
+        with self.database.reading():
+            self._lot_row(lot_id)
+            rows = [dict(row) for query in (made, refused) for row in self.database.rows(query)]
+            stands = {unit.serial: unit for unit, _ in standing_units(self.database, lot_id, serials)}
         presses: dict[object, RunEntry] = {}
         for number, row in enumerate(sorted(rows, key=lambda row: (row["made_at"], row["serial"]))):
             press = (row["serial"], row.pop("recording_sha256", number))
@@ -130,27 +128,27 @@ class LotTables(RegistryBase):
         """Write the next version of a lot's limit.
 
         Args:
-            rmse: largest acceptable error in the lot's reference unit; None leaves it to the source's own error.
-            expected_version: the version the change was decided on (0: none yet); None takes whatever is there.
+            rmse: largest acceptable error in the lot's unit; None: the source's own error.
+            expected_version: the version it was decided on (0: none yet); None: any.
 
         Raises:
-            InputError: the limit is no positive number, or somebody else changed it since `expected_version`.
+            InputError: no positive number, or not the expected version.
         """
         if rmse is not None and not 0 < rmse < float("inf"):
             raise InputError(f"limit {rmse}; a positive number was expected")
-        with self.database.writing() as connection:
-            self._lot_row(connection, lot_id)
+        with self.database.writing():
+            self._lot_row(lot_id)
             newest = self.limit(lot_id)
             changed = f"the limit of lot {lot_id!r} was changed to {newest and newest.rmse}"
             version, made_at = self._next_version(newest, expected_version, changed)
             entry = LimitEntry(lot_id, version, rmse, made_at, self._actor(actor), reason)
             values = {**vars(entry), "origin": self.origin}
             before = vars(newest) if newest else None
-            self._store(connection, limits, values, "set_limit", actor, reason, before)
+            self._store(limits, values, "set_limit", actor, reason, before)
             return entry
 
     def line_rules(self, lot: Lot) -> LineRules:
-        """Return the rules of a lot that hold now; where nobody set any, those that follow from the lot."""
+        """Return the rules of a lot that hold; where nobody set any, those that follow from it."""
         versions = self.line_rules_versions(lot.id)
         return versions[-1].rules if versions else rules_for(lot)
 
@@ -172,28 +170,28 @@ class LotTables(RegistryBase):
         """Write the next version of a lot's rules.
 
         Args:
-            expected_version: the version the change was decided on (0: none yet); None takes whatever is there.
+            expected_version: the version it was decided on (0: none yet); None: any.
 
         Raises:
-            InputError: no reason, no such lot, or somebody else changed the rules since `expected_version`.
+            InputError: no reason, no such lot, or not the expected version.
         """
         if not reason.strip():
             raise InputError("a change of the line's rules needs a reason; nothing was changed")
-        with self.database.writing() as connection:
-            self._lot_row(connection, lot_id)
+        with self.database.writing():
+            self._lot_row(lot_id)
             newest = next(iter(reversed(self.line_rules_versions(lot_id))), None)
             changed = f"the rules of lot {lot_id!r} were changed"
             version, made_at = self._next_version(newest, expected_version, changed)
             entry = LineRulesEntry(lot_id, version, rules, made_at, self._actor(actor), reason)
             values = {**vars(entry), "rules": rules.settings(), "origin": self.origin}
             before = {"version": newest.version, "rules": newest.rules.settings()} if newest else None
-            self._store(connection, line_rules, values, "set_rules", actor, reason, before)
+            self._store(line_rules, values, "set_rules", actor, reason, before)
             return entry
 
     def _next_version(
         self, newest: LimitEntry | LineRulesEntry | None, expected: int | None, changed: str
     ) -> tuple[int, datetime]:
-        """Return number and time of the version after the newest, which must be the one that was expected, if any."""
+        """Return number and time of the version after the newest, which must be the expected one."""
         if newest is None:
             return 1, self._after(None)
         if expected not in (None, newest.version):
@@ -207,8 +205,3 @@ class LotTables(RegistryBase):
         newest = self.limit(row["id"])
         facts = {name: value for name, value in row.items() if name not in ("id", "added_at")}
         return Lot.from_settings(row["id"], facts | {"limit_rmse": newest.rmse if newest else None})
-
-
-def _of(query: Select[Any], table: Any, lot_id: str | None, serial: str | None) -> Select[Any]:
-    query = query if lot_id is None else query.where(table.c.lot_id == lot_id)
-    return query if serial is None else query.where(table.c.serial == serial)

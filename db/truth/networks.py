@@ -1,4 +1,4 @@
-"""Shared networks, and which of a lot the line may use: released or withdrawn with a reason; all others are drafts."""
+"""Shared networks, and which the line may use: released or withdrawn; all others are drafts."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import TYPE_CHECKING, cast
 
-from sqlalchemy import Connection, RowMapping, select
+from sqlalchemy import RowMapping, select
 
 from softcal.core.errors import InputError
 from softcal.db.entries import NetworkEntry
@@ -60,11 +60,11 @@ class NetworkTables(RegistryBase):
         A network of the same input that is there already, from another worker, is kept and its id returned: go on
         with the id you get.
         """
-        with self.database.writing() as connection:
-            self._lot_row(connection, lot_id)
+        with self.database.writing():
+            self._lot_row(lot_id)
             known = self.find(input_sha256)
             same = select(networks.c.id).where(networks.c.id == network.id)
-            if known is not None or connection.execute(same).first() is not None:
+            if known is not None or self.database.row(same) is not None:
                 return known or network.id
             values = {
                 "id": network.id,
@@ -73,42 +73,42 @@ class NetworkTables(RegistryBase):
                 "settings": network.settings(),
                 "training": dict(settings),
                 "metrics": dict(metrics),
-                "blob_sha256": put_arrays(connection, network.arrays()),
+                "blob_sha256": put_arrays(self.database, network.arrays()),
                 "added_at": self.settings.clock(),
             }
-            self._store(connection, networks, values, "add", actor)
+            self._store(networks, values, "add", actor)
             return network.id
 
     def find(self, input_sha256: str) -> str | None:
         """Return the id of the first network trained from this input, or None."""
         query = select(networks.c.id).where(networks.c.input_sha256 == input_sha256)
-        return next(iter(self.database.values(query.order_by(networks.c.added_at, networks.c.id).limit(1))), None)
+        first: str | None = self.database.value(query.order_by(networks.c.added_at, networks.c.id).limit(1))
+        return first
 
     def get(self, network_id: str) -> Network:
         """Return a network by its id, or raise `InputError`."""
         from softcal.core.network.network import Network
 
-        with self.database.reading() as connection:
-            row = self._network_row(connection, network_id)
-            arrays = cast("dict[str, Array]", get_arrays(connection, row["blob_sha256"]))
+        with self.database.reading():
+            row = self._network_row(network_id)
+            arrays = cast("dict[str, Array]", get_arrays(self.database, row["blob_sha256"]))
             return Network.from_arrays(arrays, row["settings"])
 
     def entry(self, network_id: str) -> NetworkEntry:
         """Return what is known of a network beside its weights, or raise `InputError`."""
-        with self.database.reading() as connection:
-            row = self._network_row(connection, network_id)
-            return of_row(NetworkEntry, row)
+        with self.database.reading():
+            return of_row(NetworkEntry, self._network_row(network_id))
 
     def all(self) -> list[NetworkEntry]:
         """Return what is known of every network beside its weights, oldest first."""
         query = select(networks).order_by(networks.c.added_at, networks.c.id)
         return [of_row(NetworkEntry, row) for row in self.database.rows(query)]
 
-    def _network_row(self, connection: Connection, network_id: str) -> RowMapping:
-        row = connection.execute(select(networks).where(networks.c.id == network_id)).mappings().first()
+    def _network_row(self, network_id: str) -> RowMapping:
+        row = self.database.row(select(networks).where(networks.c.id == network_id))
         if row is None:
             raise InputError(f"network {network_id[:12]} is not in the registry")
-        self._check_row(connection, networks, row)
+        self._check_row(networks, row)
         return row
 
     def states(self, lot_id: str) -> list[NetworkState]:
@@ -125,7 +125,7 @@ class NetworkTables(RegistryBase):
         ]
 
     def released(self, lot_id: str) -> NetworkState | None:
-        """Return the network of a lot that the line uses: the one released last; None where there is none."""
+        """Return the network of a lot that the line uses: the one released last, if any."""
         released = [state for state in self.states(lot_id) if state.state == RELEASED]
         return max(released, key=lambda state: state.since) if released else None
 
@@ -142,7 +142,7 @@ class NetworkTables(RegistryBase):
         self._decide(entry, RELEASED, reason, actor)
 
     def withdraw(self, network_id: str, *, reason: str, actor: str | None = None) -> None:
-        """Take a released network from the line; the one released before it is in use again, where there is one.
+        """Take a released network from the line; the one released before is in use again.
 
         Raises:
             InputError: no reason, no such network, or it is not released.
@@ -156,19 +156,12 @@ class NetworkTables(RegistryBase):
     def _decide(self, entry: NetworkEntry, state: str, reason: str, actor: str | None) -> None:
         if not reason.strip():
             raise InputError(f"network {entry.id[:12]}: a reason was expected; nothing was changed")
-        with self.database.writing() as connection:
+        with self.database.writing():
             decisions = self._decisions(entry.lot_id)
             made_at = self._after(max((decision.since for decision in decisions.values()), default=None))
-            values = {
-                "network_id": entry.id,
-                "made_at": made_at,
-                "origin": self.origin,
-                "lot_id": entry.lot_id,
-                "state": state,
-                "actor": self._actor(actor),
-                "reason": reason,
-            }
-            self._store(connection, network_releases, values, ACTIONS[state], actor, reason)
+            values = {"network_id": entry.id, "made_at": made_at, "origin": self.origin, "lot_id": entry.lot_id}
+            values |= {"state": state, "actor": self._actor(actor), "reason": reason}
+            self._store(network_releases, values, ACTIONS[state], actor, reason)
 
     def _decisions(self, lot_id: str) -> dict[str, NetworkState]:
         """Return the newest decision of each network of a lot that somebody decided about."""

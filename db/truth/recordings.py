@@ -9,7 +9,7 @@ from sqlalchemy import bindparam, select
 from softcal.core.errors import InputError
 from softcal.db.entries import RecordingEntry
 from softcal.db.schema.arrays import get_arrays, put_arrays
-from softcal.db.schema.found import found_in
+from softcal.db.schema.database import given
 from softcal.db.schema.tables import recordings
 from softcal.db.truth.registry_base import RegistryBase, of_row
 
@@ -40,32 +40,28 @@ class RecordingTables(RegistryBase):
         """
         if kind not in KINDS or (kind == "unit") == ("reference" in recording.arrays()):
             raise ValueError(f"{type(recording).__name__} of kind {kind!r}; only `unit` recordings have no reference")
-        with self.database.writing() as connection:
-            self._lot_row(connection, lot_id)
-            self._add_unit(connection, lot_id, recording.serial, "source" if kind == "source" else "target", actor)
+        with self.database.writing():
+            self._lot_row(lot_id)
+            self._add_unit(lot_id, recording.serial, "source" if kind == "source" else "target", actor)
             sha256 = recording.sha256
-            is_first = (recordings.name, lot_id, recording.serial) in found_in(connection).without
+            is_first = (recordings.name, lot_id, recording.serial) in self.database.found.without
             named = {"sha": sha256, "lot": lot_id, "of_kind": kind}
-            if is_first or connection.execute(KNOWN_RECORDING, named).first() is None:
-                blob = put_arrays(connection, recording.arrays())
+            if is_first or self.database.row(KNOWN_RECORDING, named) is None:
+                blob = put_arrays(self.database, recording.arrays())
                 facts = {"sha256": sha256, "lot_id": lot_id, "kind": kind, "samples": len(recording)}
                 values = facts | recording.settings() | {"blob_sha256": blob, "added_at": self.settings.clock()}
-                self._store(connection, recordings, {"reference_unit": None} | values, "add", actor)
+                self._store(recordings, {"reference_unit": None} | values, "add", actor)
             return sha256
 
     def get(self, sha256: str) -> Recording:
-        """Return the recording of a content hash; labelled where it has a reference.
-
-        Raises:
-            InputError: there is none.
-        """
+        """Return a recording; labelled where it has a reference (`InputError`: there is none)."""
         query = select(recordings).where(recordings.c.sha256 == sha256).limit(1)
-        with self.database.reading() as connection:
-            row = connection.execute(query).mappings().first()
+        with self.database.reading():
+            row = self.database.row(query)
             if row is None:
                 raise InputError(f"recording {sha256[:12]} is not in the registry")
-            self._check_row(connection, recordings, row)
-            arrays = cast("dict[str, Array]", get_arrays(connection, row["blob_sha256"]))
+            self._check_row(recordings, row)
+            arrays = cast("dict[str, Array]", get_arrays(self.database, row["blob_sha256"]))
             # Whoever lists units reads none.
             from softcal.core.recording import LabelledRecording, OutputRecording
 
@@ -76,9 +72,8 @@ class RecordingTables(RegistryBase):
             return LabelledRecording(unlabelled, arrays["reference"], row["reference_unit"])
 
     def of_lot(self, lot_id: str, serial: str | None = None, kind: str | None = None) -> list[RecordingEntry]:
-        """Return what is known of a lot's recordings, oldest first, without reading their samples."""
-        query = select(recordings).where(recordings.c.lot_id == lot_id)
-        query = query if serial is None else query.where(recordings.c.serial == serial)
-        query = query if kind is None else query.where(recordings.c.kind == kind)
-        query = query.order_by(recordings.c.added_at, recordings.c.sha256)
-        return [of_row(RecordingEntry, row) for row in self.database.rows(query)]
+        """Return what is known of a lot's recordings, oldest first, without their samples."""
+        c = recordings.c
+        query = select(recordings).where(*given((c.lot_id, lot_id), (c.serial, serial), (c.kind, kind)))
+        rows = self.database.rows(query.order_by(c.added_at, c.sha256))
+        return [of_row(RecordingEntry, row) for row in rows]

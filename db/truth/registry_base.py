@@ -1,17 +1,17 @@
-"""What every part of the registry stands on: the database, who writes by which clock, and rows that leave a trace."""
+"""What every part of the registry stands on: who writes by which clock, and rows that leave a trace."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime, timedelta
-from functools import cache
+from functools import cache, wraps
+from types import FunctionType
 from typing import Any, TypeVar
 
-from sqlalchemy import Connection, Insert, RowMapping, Table, bindparam, insert, select
+from sqlalchemy import Insert, RowMapping, Table, bindparam, insert, select
 
 from softcal.core.errors import InputError, RegistryError
 from softcal.core.words.reason import reason
-from softcal.db.schema.database import Database, OncePerCut
-from softcal.db.schema.found import found_in
+from softcal.db.schema.database import Database
 from softcal.db.schema.tables import audit, canonical_json, in_use, lots, recordings, refusals, registry_info, units
 from softcal.db.truth import history
 
@@ -46,21 +46,30 @@ def damaged(what: str) -> RegistryError:
     return RegistryError(f"{what}; the registry is damaged; run `softcal registry verify` and go back to a backup")
 
 
-class RegistryBase(OncePerCut):
-    """A part of an open registry.
+class RegistryBase:
+    """A part of an open registry; a public method is tried again when its connection is cut.
+
+    A method is whole transactions; one that makes several repeats those that were kept: they must change nothing the
+    second time.
 
     Args:
-        origin: the name under which this registry writes its audit trail; None reads it from the database.
+        origin: the name of this registry's chain; None reads it from the database.
     """
 
     def __init__(self, database: Database, settings: RegistrySettings, origin: str | None = None) -> None:
         self.database = database
         self.settings = settings
-        self.origin = _origin(database) if origin is None else origin
+        named = select(registry_info.c.value).where(registry_info.c.key == "origin")
+        self.origin = str(database.value(named)) if origin is None else origin
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        for name, method in list(vars(cls).items()):
+            if isinstance(method, FunctionType) and not name.startswith("_"):
+                setattr(cls, name, _once_more(method))
 
     def _store(
         self,
-        connection: Connection,
         table: Table,
         values: Mapping[str, Any],
         action: str,
@@ -69,42 +78,36 @@ class RegistryBase(OncePerCut):
         before: Mapping[str, object] | None = None,
     ) -> None:
         """Insert one row together with the row of the audit trail that tells of it."""
-        connection.execute(_insert_into(table), dict(values))
+        self.database.change(_insert_into(table), dict(values))
         if table.name in OF_UNITS:
-            found_in(connection).without.discard((table.name, values["lot_id"], values["serial"]))
+            self.database.found.without.discard((table.name, values["lot_id"], values["serial"]))
         key, after = history.row_key(table, values), history.told(table, values)
-        self._tell(connection, action, table.name, key, actor, after=after, before=before, reason=reason)
+        self._tell(action, table.name, key, actor, after=after, before=before, reason=reason)
 
     def _tell(
-        self,
-        connection: Connection,
-        action: str,
-        entity: str,
-        key: tuple[str | int, ...],
-        actor: str | None = None,
-        **told: Any,
+        self, action: str, entity: str, key: tuple[str | int, ...], actor: str | None = None, **told: Any
     ) -> None:
-        """Write a row of the audit trail, by this registry's clock; `told` is what `history.append` takes by name."""
+        """Write a row of the audit trail now; `told` is what `history.append` takes by name."""
         at, who = self.settings.clock(), self._actor(actor)
-        history.append(connection, self.origin, at, who, action, entity, key, **told)
+        history.append(self.database, self.origin, at, who, action, entity, key, **told)
 
-    def _check_row(self, connection: Connection, table: Table, row: RowMapping) -> None:
-        """Raise `RegistryError` where a row is not what the audit trail tells of it: nobody may go on with it."""
+    def _check_row(self, table: Table, row: RowMapping) -> None:
+        """Raise `RegistryError` where a row is not what the audit trail tells of it."""
         values = {column.name: row[column.name] for column in table.columns}
         key = canonical_json(history.row_key(table, values))
         query = select(audit.c.after).where(audit.c.entity == table.name, audit.c.key == key)
-        told = connection.execute(query).scalars().all()
+        told = self.database.values(query)
         if not history.forms(table, values) & {after for after in told if after is not None}:
             raise RegistryError(
                 f"{table.name} {key} is not what the audit trail tells of it: it was damaged or changed; run "
                 "`softcal registry verify` and go back to a backup"
             )
 
-    def _check_hidden(self, connection: Connection, table: Table, keys: Iterable[tuple[str | int, ...]]) -> None:
-        """Raise `RegistryError` where the audit trail tells of a row that was not found: an index hides it."""
+    def _check_hidden(self, table: Table, keys: Iterable[tuple[str | int, ...]]) -> None:
+        """Raise `RegistryError` where the audit trail tells of a row that an index hides."""
         wanted = [canonical_json(key) for key in keys]
         query = select(audit.c.key).where(audit.c.entity == table.name, audit.c.key.in_(wanted)).limit(1)
-        hidden = connection.execute(query).scalar_one_or_none()
+        hidden = self.database.value(query)
         if hidden is not None:
             raise damaged(f"{table.name} {hidden} was not found")
 
@@ -112,42 +115,44 @@ class RegistryBase(OncePerCut):
         return actor or self.settings.actor
 
     def _after(self, previous: datetime | None) -> datetime:
-        """Return the time now, but never before what it follows: a clock set back must not reorder the history."""
+        """Return the time now, never before what it follows: a clock may have been set back."""
         now = self.settings.clock()
         return now if previous is None else max(now, previous + TICK)
 
-    def _lot_row(self, connection: Connection, lot_id: str) -> RowMapping:
-        # A chunk of a batch asks for each of its units, and nobody can change a lot while a transaction goes on.
-        checked = found_in(connection).lots
+    def _lot_row(self, lot_id: str) -> RowMapping:
+        # A chunk of a batch asks for each unit; no lot changes inside a transaction.
+        checked = self.database.found.lots
         if lot_id not in checked:
-            row = connection.execute(KNOWN_LOT, {"lot": lot_id}).mappings().first()
+            row = self.database.row(KNOWN_LOT, {"lot": lot_id})
             if row is None:
-                known = connection.execute(select(lots.c.id).order_by(lots.c.id).limit(6)).scalars().all()
+                known = self.database.values(select(lots.c.id).order_by(lots.c.id).limit(6))
                 raise InputError(reason("name.no_such_lot", lot=repr(lot_id), known=_some(known)))
-            self._check_row(connection, lots, row)
+            self._check_row(lots, row)
             checked[lot_id] = row
         return checked[lot_id]
 
-    def _add_unit(self, connection: Connection, lot_id: str, serial: str, role: str, actor: str | None) -> None:
-        found = found_in(connection)
+    def _add_unit(self, lot_id: str, serial: str, role: str, actor: str | None) -> None:
+        found = self.database.found
         if (lot_id, serial) in found.units:
             return
-        if connection.execute(KNOWN_UNIT, {"lot": lot_id, "unit": serial}).first() is None:
+        if self.database.row(KNOWN_UNIT, {"lot": lot_id, "unit": serial}) is None:
             values = {"lot_id": lot_id, "serial": serial, "role": role, "added_at": self.settings.clock()}
-            self._store(connection, units, values, "add", actor)
+            self._store(units, values, "add", actor)
             found.without.update((table, lot_id, serial) for table in OF_UNITS)
         found.units.add((lot_id, serial))
 
-    def _known_serial(self, connection: Connection, serial: str) -> None:
-        if connection.execute(select(units.c.serial).where(units.c.serial == serial).limit(1)).first() is None:
-            known = connection.execute(select(units.c.serial).distinct().order_by(units.c.serial).limit(6)).scalars()
-            raise InputError(reason("name.no_such_serial", serial=repr(serial), known=_some(known.all())))
+    def _known_serial(self, serial: str) -> None:
+        if self.database.row(select(units.c.serial).where(units.c.serial == serial).limit(1)) is None:
+            known = self.database.values(select(units.c.serial).distinct().order_by(units.c.serial).limit(6))
+            raise InputError(reason("name.no_such_serial", serial=repr(serial), known=_some(known)))
 
 
-def _origin(database: Database) -> str:
-    with database.reading() as connection:
-        query = select(registry_info.c.value).where(registry_info.c.key == "origin")
-        return str(connection.execute(query).scalar_one())
+def _once_more(method: Callable[..., Any]) -> Callable[..., Any]:
+    @wraps(method)
+    def done(self: RegistryBase, *arguments: Any, **options: Any) -> Any:
+        return self.database.once_more(lambda: method(self, *arguments, **options))
+
+    return done
 
 
 def of_row(kind: type[Entry], row: RowMapping, **others: Any) -> Entry:
@@ -161,6 +166,6 @@ def _insert_into(table: Table) -> Insert:
     return insert(table)
 
 
-def _some(names: Any) -> str:
+def _some(names: list[str]) -> str:
     listed = ", ".join(names[:5]) or "nothing yet"
     return f"{listed}, ..." if len(names) > 5 else listed

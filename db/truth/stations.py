@@ -1,15 +1,15 @@
-"""What decides whether a station may run: certificates of load cells and checks with golden units."""
+"""What lets a station run: certificates of load cells and checks with golden units."""
 
 from dataclasses import fields
 from datetime import date, datetime
-from typing import Any
 
-from sqlalchemy import Connection, RowMapping, Select, select
+from sqlalchemy import RowMapping, select
 
 from softcal.core.errors import InputError
 from softcal.core.words.reason import to_kept
 from softcal.db.entries import CellCertificate, GoldenRun
 from softcal.db.schema.arrays import get_bytes, put_bytes
+from softcal.db.schema.database import Database, given
 from softcal.db.schema.tables import certificates, golden_runs
 from softcal.db.truth.registry_base import RegistryBase, of_row
 
@@ -24,10 +24,10 @@ class StationTables(RegistryBase):
             InputError: another certificate of this cell begins on the same day.
         """
         day = (certificates.c.cell_serial == certificate.cell_serial, certificates.c.issued_on == certificate.issued_on)
-        with self.database.writing() as connection:
-            known = connection.execute(select(certificates).where(*day)).mappings().first()
+        with self.database.writing():
+            known = self.database.row(select(certificates).where(*day))
             if known is not None:
-                if _certificate(connection, known) != certificate:
+                if _certificate(self.database, known) != certificate:
                     raise InputError(
                         f"load cell {certificate.cell_serial} has certificate {known['number']} of the same day; "
                         "nothing was changed"
@@ -35,45 +35,40 @@ class StationTables(RegistryBase):
                 return
             values = {f.name: getattr(certificate, f.name) for f in fields(certificate) if f.name != "document"}
             document = certificate.document
-            values["blob_sha256"] = None if document is None else put_bytes(connection, "document", document)
+            values["blob_sha256"] = None if document is None else put_bytes(self.database, "document", document)
             values |= {"origin": self.origin, "added_at": self.settings.clock()}
-            self._store(connection, certificates, values, "add", actor)
+            self._store(certificates, values, "add", actor)
 
     def certificates(self, cell_serial: str | None = None) -> list[CellCertificate]:
         """Return the certificates of one load cell or of all, oldest first per cell."""
-        query: Select[Any] = select(certificates).order_by(certificates.c.cell_serial, certificates.c.issued_on)
-        query = query if cell_serial is None else query.where(certificates.c.cell_serial == cell_serial)
-        with self.database.reading() as connection:
-            return [_certificate(connection, row) for row in connection.execute(query).mappings().all()]
+        c = certificates.c
+        query = select(certificates).where(*given((c.cell_serial, cell_serial))).order_by(c.cell_serial, c.issued_on)
+        with self.database.reading():
+            return [_certificate(self.database, row) for row in self.database.rows(query)]
 
     def certificate(self, cell_serial: str, on: date) -> CellCertificate | None:
-        """Return the newest certificate of a cell that holds on a day; None: the cell may not be used."""
-        valid = [entry for entry in self.certificates(cell_serial) if entry.is_valid(on)]
-        return valid[-1] if valid else None
+        """Return the newest certificate of a cell on a day; None: it may not be used."""
+        return next((entry for entry in reversed(self.certificates(cell_serial)) if entry.is_valid(on)), None)
 
     def add_golden_run(self, run: GoldenRun) -> None:
         """Store a check with a golden unit."""
         values = {f.name: getattr(run, f.name) for f in fields(run)}
-        values |= {
-            "reasons": [to_kept(why) for why in run.reasons],
-            "actor": self._actor(run.actor),
-            "origin": self.origin,
-        }
-        with self.database.writing() as connection:
-            self._store(connection, golden_runs, values, "golden_run", run.actor)
+        values |= {"reasons": [to_kept(why) for why in run.reasons], "actor": self._actor(run.actor)}
+        values["origin"] = self.origin
+        with self.database.writing():
+            self._store(golden_runs, values, "golden_run", run.actor)
 
     def golden_runs(
         self, station: str | None = None, serial: str | None = None, since: datetime | None = None
     ) -> list[GoldenRun]:
-        """Return checks with golden units, oldest first, of one station, one unit or all of them."""
+        """Return checks with golden units, oldest first, of one station or unit, or all."""
         c = golden_runs.c
-        query: Select[Any] = select(golden_runs).order_by(c.made_at, c.station, c.serial)
-        query = query if station is None else query.where(c.station == station)
-        query = query if serial is None else query.where(c.serial == serial)
+        query = select(golden_runs).where(*given((c.station, station), (c.serial, serial)))
         query = query if since is None else query.where(c.made_at >= since)
-        return [of_row(GoldenRun, row, reasons=tuple(row["reasons"])) for row in self.database.rows(query)]
+        rows = self.database.rows(query.order_by(c.made_at, c.station, c.serial))
+        return [of_row(GoldenRun, row, reasons=tuple(row["reasons"])) for row in rows]
 
 
-def _certificate(connection: Connection, row: RowMapping) -> CellCertificate:
+def _certificate(database: Database, row: RowMapping) -> CellCertificate:
     blob = row["blob_sha256"]
-    return of_row(CellCertificate, row, document=None if blob is None else get_bytes(connection, blob))
+    return of_row(CellCertificate, row, document=None if blob is None else get_bytes(database, blob))

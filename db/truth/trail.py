@@ -12,7 +12,7 @@ from softcal.db.truth.registry_base import RegistryBase
 
 
 class AuditTrail(RegistryBase):
-    """The part of the registry that tells what was done; the other parts write what they do themselves."""
+    """The part of the registry that tells what was done; other parts write it themselves."""
 
     def add(
         self,
@@ -24,12 +24,12 @@ class AuditTrail(RegistryBase):
         reason: str = "",
         actor: str | None = None,
     ) -> None:
-        """Put what changes no table (an export, an override of the station's gate) into the audit trail."""
-        with self.database.writing() as connection:
-            self._tell(connection, action, entity, key, actor, after=values, reason=reason)
+        """Put what changes no table (an export, an override) into the audit trail."""
+        with self.database.writing():
+            self._tell(action, entity, key, actor, after=values, reason=reason)
 
     def of(self, entity: str, key: tuple[str | int, ...]) -> list[AuditRow]:
-        """Return what the audit trail tells of one entity, in time order, whichever registry wrote it."""
+        """Return what the audit trail tells of one entity, in time order."""
         return self.of_several(entity, [key])
 
     def of_several(self, entity: str, keys: Sequence[tuple[str | int, ...]]) -> list[AuditRow]:
@@ -47,22 +47,21 @@ class AuditTrail(RegistryBase):
         return [AuditRow(**row) for row in self.database.rows(query)]
 
     def rows(self, origin: str | None = None) -> list[AuditRow]:
-        """Return the audit trail of one registry, or of all that were synchronised, oldest first per origin."""
-        with self.database.reading() as connection:
-            return list(history.rows(connection, origin))
+        """Return the audit trail of one registry, or of all, oldest first per origin."""
+        return list(history.rows(self.database, origin))
 
     def newest(self, count: int) -> list[AuditRow]:
         """Return the newest rows of the audit trail, whoever wrote them, the newest first."""
         found: list[RowMapping] = []
-        with self.database.reading() as connection:
-            # The newest of each chain are found through the index; sorted by time, all rows would be read.
-            for origin in history.origins(connection):
+        with self.database.reading():
+            # The index finds the newest of each chain; sorted by time, all would be read.
+            for origin in history.origins(self.database):
                 chain = select(audit).where(audit.c.origin == origin)
                 found += self.database.rows(chain.order_by(audit.c.seq.desc()).limit(count))
         rows = sorted((AuditRow(**row) for row in found), key=lambda row: (row.at, row.origin, row.seq), reverse=True)
         return rows[:count]
 
     def heads(self) -> Heads:
-        """Return number and hash of the last row of every chain of the audit trail: what to write down elsewhere."""
-        with self.database.reading() as connection:
-            return history.heads(connection)
+        """Return the last row of every chain of the audit trail: what to write down elsewhere."""
+        with self.database.reading():
+            return history.heads(self.database)

@@ -16,10 +16,9 @@ import paho.mqtt.client as paho
 import pytest
 from paho.mqtt.enums import CallbackAPIVersion
 
-from softcal.app.connect.estimates import estimate_json, publish_estimates
 from softcal.app.connect.events import events_after
 from softcal.app.connect.forwarder import Destination, Forwarder, NotDelivered
-from softcal.app.connect.mqtt import open_mqtt, state_messages
+from softcal.app.connect.mqtt import estimate_json, open_mqtt, publish_estimates, state_messages
 from softcal.app.connect.settings import MqttSettings
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot

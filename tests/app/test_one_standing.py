@@ -15,7 +15,7 @@ from softcal.app.batch.release import lot_standing
 from softcal.app.batch.results import lot_results
 from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions
-from softcal.app.export.certificates.lot_facts import lot_statement_facts
+from softcal.app.export.certificates.lot_statement import lot_statement_facts
 from softcal.app.export.export import lot_serials
 from softcal.app.line.facts import Screen, read_line
 from softcal.app.registry.limit import lot_limit

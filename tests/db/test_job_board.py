@@ -8,13 +8,14 @@ import pytest
 from softcal.core.errors import InputError
 from softcal.core.orders import RunState
 from softcal.db.queues.job_board import SILENT_AFTER, START_WITHIN, JobBoard
+from softcal.db.truth.registry_base import RegistrySettings
 
 NOW = datetime(2026, 5, 4, tzinfo=UTC)
 
 
 @pytest.fixture
 def board(registry):
-    return JobBoard(registry.database, lambda: NOW)
+    return JobBoard(registry.database, RegistrySettings(clock=lambda: NOW))
 
 
 def test_a_job_is_taken_once_and_tells_how_far_it_is(board):
@@ -53,13 +54,13 @@ def test_a_job_whose_process_died_is_seen_and_can_be_ended(registry, board):
     assert not board.job(running).is_lost(NOW + SILENT_AFTER)
     later = NOW + START_WITHIN + timedelta(seconds=1)
     assert board.job(running).is_lost(later) and board.job(waiting).is_lost(later)
-    JobBoard(registry.database, lambda: later).cancel(running)
+    JobBoard(registry.database, RegistrySettings(clock=lambda: later)).cancel(running)
     assert board.job(running).state is RunState.CANCELLED
 
 
 def test_jobs_are_listed_newest_first_by_kind(registry):
     times = iter(NOW + timedelta(seconds=k) for k in range(9))
-    board = JobBoard(registry.database, lambda: next(times))
+    board = JobBoard(registry.database, RegistrySettings(clock=lambda: next(times)))
     first, other, last = board.place("train", {}, "a"), board.place("diagnose", {}, "a"), board.place("train", {}, "a")
     assert [job.job_id for job in board.jobs("train")] == [last, first]
     assert {job.job_id for job in board.jobs()} == {first, other, last}

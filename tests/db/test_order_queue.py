@@ -7,13 +7,14 @@ import pytest
 from softcal.core.errors import InputError
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.db.queues.order_queue import SILENT_AFTER, TAKEN_OVER_AFTER, OrderQueue
+from softcal.db.truth.registry_base import RegistrySettings
 
 NOW = datetime(2026, 5, 4, tzinfo=UTC)
 
 
 @pytest.fixture
 def queue(registry):
-    return OrderQueue(registry.database, lambda: NOW)
+    return OrderQueue(registry.database, RegistrySettings(clock=lambda: NOW))
 
 
 def press(order_id="o1", station="s1"):
@@ -104,7 +105,7 @@ def test_a_run_that_waits_is_cancelled_by_a_stop(queue):
 def test_silence_is_seen(registry, queue):
     assert not queue.is_answering("s1")
     queue.beat(Heartbeat("s1", StationState.READY, NOW))
-    later = OrderQueue(registry.database, lambda: NOW + timedelta(seconds=4))
+    later = OrderQueue(registry.database, RegistrySettings(clock=lambda: NOW + timedelta(seconds=4)))
     assert queue.is_answering("s1") and not later.is_answering("s1")
     assert [beat.station for beat in queue.stations()] == ["s1"]
 

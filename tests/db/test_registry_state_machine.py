@@ -67,8 +67,7 @@ def server() -> Engine | None:
 def as_before(path: Path, older: Path) -> None:
     """Write what a registry holds as the version before would have: tables, columns and audit trail of its own."""
     registry = open_registry(f"sqlite:///{path}", create=False)
-    with registry.database.reading() as connection:
-        trail = [row for row in history.rows(connection) if row.entity not in STATED_SINCE]
+    trail = [row for row in history.rows(registry.database) if row.entity not in STATED_SINCE]
     registry.close()
     migrate(database := open_database(f"sqlite:///{older}"), BEFORE)
     database.close()

@@ -6,6 +6,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from softcal.db.queues.work_queue import MOST_ATTEMPTS, WorkQueue, WorkSet
+from softcal.db.truth.registry_base import RegistrySettings
 
 WORK = WorkSet("L1", "a" * 64)
 
@@ -25,7 +26,7 @@ def clock():
 
 @pytest.fixture
 def queue(registry, clock):
-    return WorkQueue(registry.database, clock)
+    return WorkQueue(registry.database, RegistrySettings(clock=clock))
 
 
 def requests(count):

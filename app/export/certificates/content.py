@@ -96,7 +96,7 @@ SIMULATED = (
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """U_est: expanded uncertainty (k = 2) of an estimate in one band of its range, mean over the unit's recording."""
+    """U_est (k = 2) of an estimate in one band of its range, mean over the unit's recording."""
 
     low: float
     high: float
@@ -105,24 +105,24 @@ class Uncertainty:
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """What is certified, how it was found and what it rests on. Errors and ranges are in `reference_unit`.
+    """What is certified and what it rests on. Errors and ranges are in `reference_unit`.
 
     Args:
         identifier: unique over all certificates of a registry.
         made_on: UTC date the calibration was calculated.
-        in_registry_since, source_since: UTC dates the recordings of unit and source came into the registry.
+        in_registry_since, source_since: UTC dates recordings of unit and source came in.
         low, high: range that both the source's reference and the unit's own recording cover.
-        forecast, measured: predicted RMSE, and that on an audit recording; None where there is none.
+        forecast, measured: predicted RMSE, and that on an audit recording, if any.
         limit: largest error a unit may have, and where that comes from.
         is_sampled: whether audits of other units decided.
         is_trimmed: whether its map was trimmed since it was judged by its recording and its audit.
         reference: what the source was compared with; None where nobody said.
         bars: why the reference lets no unit pass; empty where it does.
-        budget: uncertainty of an estimate at the source's RMS load; None after a trim and in older versions.
+        budget: at the source's RMS load; None after a trim and in older versions.
         by_loads: what known loads did to the map; empty where there were none.
-        by_audits: what was taken off the map since the lot's audited units misread it alike; empty where nothing was.
+        by_audits: what was taken off the map as audited units misread alike, if any.
         made_because: why this revision was made, in the registry's words.
-        bands: U_est by range of the estimate; none where no estimate of the recording lies in the source's range.
+        bands: U_est by range; none where no estimate lies in the source's range.
         output, mapped: (k,) output levels of this unit and the source output each stands for.
         estimated: the unit's own recording as estimated, with U_est around it.
     """
@@ -182,13 +182,13 @@ class Certificate:
         return self.measured or self.forecast
 
     def interval_of(self, error: ErrorForecast) -> tuple[float, float] | None:
-        """Return the 95 % interval of an error; None where it is not known, or is what other units' audits leave."""
+        """Return the 95 % interval of an error; None where it is not known, or audits leave it."""
         is_known = np.isfinite(error.upper) and not (self.is_sampled and error is self.forecast)
         return (error.lower, error.upper) if is_known else None
 
     @property
     def deciding(self) -> list[tuple[str, float, str]]:
-        """The numbers of the decision rule: name with its symbol first, value, and a note where one is needed."""
+        """The numbers of the decision rule: name with its symbol, value, and a note."""
         numbers = []
         if self.error is not None and np.isfinite(self.error.upper):
             numbers += [
@@ -325,7 +325,7 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
     """Gather the facts of a calibrated unit.
 
     Raises:
-        InputError: the laboratory file cannot be used, or names another instrument than the lot does.
+        InputError: the laboratory file cannot be used, or names another instrument.
     """
     record, lot = unit.stored.record, unit.lot
     found = _at_two_sigma(estimate(unit.network, unit.calibration, unit.recording))
@@ -450,7 +450,7 @@ def _by_audits(record: CalibrationRecord, unit: str) -> str:
 
 
 def _covered(found: Estimate, source: Array) -> tuple[float, float]:
-    """Return the part of the source's range that the unit's own recording reaches; all of it where it reaches none."""
+    """Return the part of the source's range that the unit's recording reaches; all where none."""
     low, high = float(source.min()), float(source.max())
     inside = found.estimate[(found.estimate >= low) & (found.estimate <= high)]
     return (float(inside.min()), float(inside.max())) if len(inside) else (low, high)

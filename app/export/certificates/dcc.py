@@ -1,14 +1,13 @@
-"""The certificate as a Digital Calibration Certificate of the PTB (XML, schema 3.1.2) with D-SI units."""
+"""The certificate as a Digital Calibration Certificate (PTB, XML, schema 3.1.2) with D-SI units."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Iterator
 
 from softcal.app.export.certificates.content import DECISION_RULE, ONLY_THIS, SIMULATED, Certificate
 from softcal.app.export.certificates.laboratory import NOT_STATED, Party
-from softcal.core.unit.budget import Reference
 
 SCHEMA_VERSION = "3.1.2"
-"""Each schema accepts its own version alone: another one is another writer, never another number here."""
+"""Each schema accepts its own version alone: another one is another writer."""
 
 DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"
 
@@ -25,284 +24,284 @@ SI_UNITS = {
 }
 """Factor and D-SI name of the units sensors are calibrated in; others are told as text."""
 
-CONFORMITY = {
-    "pass": "pass",
-    "conditional pass": "conditionalPass",
-    "fail": "fail",
-}
+CONFORMITY = {"pass": "pass", "conditional pass": "conditionalPass", "fail": "fail"}
 
 
 def certificate_xml(facts: Certificate) -> bytes:
     """Return the document, indented, UTF-8; the same facts give the same bytes."""
     ET.register_namespace("dcc", DCC)
     ET.register_namespace("si", SI)
-    root = ET.Element(f"{{{DCC}}}digitalCalibrationCertificate", {"schemaVersion": SCHEMA_VERSION})
-    _administrative(_child(root, "administrativeData"), facts)
-    _result(_child(_child(root, "measurementResults"), "measurementResult"), facts)
+    results = _node("measurementResults", _result(facts))
+    root = _node("digitalCalibrationCertificate", _administrative(facts), results, schemaVersion=SCHEMA_VERSION)
     ET.indent(root, "  ")
     content: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
     return content + b"\n"
 
 
-def _child(parent: ET.Element, name: str, text: str | None = None, **attributes: str) -> ET.Element:
-    element = ET.SubElement(parent, f"{{{DCC}}}{name}", attributes)
-    # The PTB's strings neither begin nor end with a space.
-    element.text = None if text is None else " ".join(text.split())
+def _node(name: str, *content: ET.Element | str | None, **attributes: str) -> ET.Element:
+    """Return an element with a text or with elements; None is one that is left out.
+
+    Args:
+        name: of the DCC's own namespace, or of the D-SI's with "si:" before it.
+    """
+    space, _, tag = name.rpartition(":")
+    element = ET.Element(f"{{{SI if space else DCC}}}{tag}", attributes)
+    for part in content:
+        if isinstance(part, str):
+            # The PTB's strings neither begin nor end with a space.
+            element.text = " ".join(part.split())
+        elif part is not None:
+            element.append(part)
     return element
 
 
-def _text(parent: ET.Element, name: str, content: str) -> ET.Element:
-    element = _child(parent, name)
-    _child(element, "content", content, lang="en")
-    return element
+def _text(name: str, content: str) -> ET.Element:
+    return _node(name, _node("content", content, lang="en"))
 
 
-def _administrative(parent: ET.Element, facts: Certificate) -> None:
-    software = _child(_child(parent, "dccSoftware"), "software")
-    _software(software, facts)
-    core = _child(parent, "coreData")
-    _child(core, "countryCodeISO3166_1", facts.laboratory.laboratory.country)
-    _child(core, "usedLangCodeISO639_1", "en")
-    _child(core, "mandatoryLangCodeISO639_1", "en")
-    _child(core, "uniqueIdentifier", facts.identifier)
-    performance = facts.laboratory.performance
-    if performance.received_on is not None:
-        _child(core, "receiptDate", performance.received_on.isoformat())
-    _child(core, "beginPerformanceDate", facts.began_on.isoformat())
-    _child(core, "endPerformanceDate", facts.ended_on.isoformat())
-    # The schema wants one of five places; the scope says where nobody stated it.
-    _child(core, "performanceLocation", "other" if performance.at == NOT_STATED else performance.at)
-    _item(_child(_child(parent, "items"), "item"), facts)
-    _contact(_child(_child(parent, "calibrationLaboratory"), "contact"), facts.laboratory.laboratory)
-    _person(_child(_child(parent, "respPersons"), "respPerson"), facts)
-    _contact(_child(parent, "customer"), facts.laboratory.customer)
-    _statements(_child(parent, "statements"), facts)
+def _stated(name: str, value: str) -> ET.Element | None:
+    return None if value == NOT_STATED else _node(name, value)
 
 
-def _software(parent: ET.Element, facts: Certificate) -> None:
+def _administrative(facts: Certificate) -> ET.Element:
+    laboratory, performance = facts.laboratory.laboratory, facts.laboratory.performance
+    person, customer = facts.laboratory.person, facts.laboratory.customer
+    received = performance.received_on
+    core = _node(
+        "coreData",
+        _node("countryCodeISO3166_1", laboratory.country),
+        _node("usedLangCodeISO639_1", "en"),
+        _node("mandatoryLangCodeISO639_1", "en"),
+        _node("uniqueIdentifier", facts.identifier),
+        None if received is None else _node("receiptDate", received.isoformat()),
+        _node("beginPerformanceDate", facts.began_on.isoformat()),
+        _node("endPerformanceDate", facts.ended_on.isoformat()),
+        # The schema wants one of five places; the scope says where nobody stated it.
+        _node("performanceLocation", "other" if performance.at == NOT_STATED else performance.at),
+    )
+    item = _node(
+        "item",
+        _text("name", f"{_simulated(facts)}Soft sensor {facts.serial}"),
+        _text("description", f"Condition: {performance.condition}"),
+        _node("manufacturer", _text("name", NOT_STATED)),
+        _node("model", facts.sensor_model) if facts.sensor_model.strip() else None,
+        _node(
+            "identifications",
+            _identification("other", facts.serial, "Serial number"),
+            _identification("other", facts.lot, "Lot"),
+            _identification("calibrationLaboratory", str(facts.revision), "Revision of the calibration"),
+        ),
+    )
+    responsible = _node(
+        "respPerson",
+        _node("person", _text("name", person.name)),
+        _stated("role", person.role),
+        None if person.name == NOT_STATED else _node("mainSigner", "true"),
+    )
+    return _node(
+        "administrativeData",
+        _node("dccSoftware", _software(facts)),
+        core,
+        _node("items", item),
+        _node("calibrationLaboratory", _contact("contact", laboratory)),
+        _node("respPersons", responsible),
+        _contact("customer", customer),
+        _statements(facts),
+    )
+
+
+def _simulated(facts: Certificate) -> str:
+    return "SIMULATED: " if facts.is_simulated else ""
+
+
+def _software(facts: Certificate) -> ET.Element:
     name, release = facts.software.split(" ", 1)
-    _text(parent, "name", name)
-    _child(parent, "release", release)
-    _child(parent, "type", "application")
+    return _node("software", _text("name", name), _node("release", release), _node("type", "application"))
 
 
-def _item(parent: ET.Element, facts: Certificate) -> None:
-    simulated = "SIMULATED: " if facts.is_simulated else ""
-    _text(parent, "name", f"{simulated}Soft sensor {facts.serial}")
-    _text(parent, "description", f"Condition: {facts.laboratory.performance.condition}")
-    _text(_child(parent, "manufacturer"), "name", NOT_STATED)
-    if facts.sensor_model.strip():
-        _child(parent, "model", facts.sensor_model)
-    identifications = _child(parent, "identifications")
-    _identification(identifications, "other", facts.serial, "Serial number")
-    _identification(identifications, "other", facts.lot, "Lot")
-    _identification(identifications, "calibrationLaboratory", str(facts.revision), "Revision of the calibration")
+def _identification(issuer: str, value: str, name: str) -> ET.Element:
+    return _node("identification", _node("issuer", issuer), _node("value", value), _text("name", name))
 
 
-def _identification(parent: ET.Element, issuer: str, value: str, name: str) -> None:
-    element = _child(parent, "identification")
-    _child(element, "issuer", issuer)
-    _child(element, "value", value)
-    _text(element, "name", name)
+def _contact(name: str, party: Party) -> ET.Element:
+    city, country = _node("city", party.city), _node("countryCode", party.country)
+    location = _node("location", city, country, _stated("postCode", party.post_code), _stated("street", party.street))
+    return _node(name, _text("name", party.name), _node("eMail", party.email), location)
 
 
-def _contact(parent: ET.Element, party: Party) -> None:
-    _text(parent, "name", party.name)
-    _child(parent, "eMail", party.email)
-    location = _child(parent, "location")
-    _child(location, "city", party.city)
-    _child(location, "countryCode", party.country)
-    for name, value in (("postCode", party.post_code), ("street", party.street)):
-        if value != NOT_STATED:
-            _child(location, name, value)
-
-
-def _person(parent: ET.Element, facts: Certificate) -> None:
-    person = facts.laboratory.person
-    _text(_child(parent, "person"), "name", person.name)
-    if person.role != NOT_STATED:
-        _child(parent, "role", person.role)
-    if person.name != NOT_STATED:
-        _child(parent, "mainSigner", "true")
-
-
-def _statements(parent: ET.Element, facts: Certificate) -> None:
-    if facts.is_simulated:
-        _text(_child(parent, "statement"), "declaration", SIMULATED)
-    decision = _child(parent, "statement", refType="basic_conformity")
-    _child(decision, "norm", "ILAC-G8:09/2019")
+def _statements(facts: Certificate) -> ET.Element:
     verdict = f"Verdict of the line: {facts.verdict}; {'; '.join(facts.reasons)}."
-    _text(decision, "declaration", " ".join((facts.no_statement, DECISION_RULE, verdict)))
-    if facts.conformity:
-        _child(decision, "conformity", CONFORMITY[facts.conformity])
-    trace = _child(parent, "statement")
-    _child(trace, "traceable", "true" if facts.is_traceable else "false")
-    _text(trace, "declaration", f"{facts.traceability} {facts.basis}")
-    scope = _child(parent, "statement")
-    _child(scope, "norm", "ISO/IEC 17025:2017")
-    _text(scope, "declaration", f"{ONLY_THIS} Place: {facts.place}. Performance: {facts.performed}.")
-    issue = _child(parent, "statement")
-    _text(issue, "declaration", "Date of issue")
-    _child(issue, "date", facts.issued_on.isoformat())
+    performed = f"{ONLY_THIS} Place: {facts.place}. Performance: {facts.performed}."
+    return _node(
+        "statements",
+        _node("statement", _text("declaration", SIMULATED)) if facts.is_simulated else None,
+        _node(
+            "statement",
+            _node("norm", "ILAC-G8:09/2019"),
+            _text("declaration", " ".join((facts.no_statement, DECISION_RULE, verdict))),
+            _node("conformity", CONFORMITY[facts.conformity]) if facts.conformity else None,
+            refType="basic_conformity",
+        ),
+        _node(
+            "statement",
+            _node("traceable", "true" if facts.is_traceable else "false"),
+            _text("declaration", f"{facts.traceability} {facts.basis}"),
+        ),
+        _node("statement", _node("norm", "ISO/IEC 17025:2017"), _text("declaration", performed)),
+        _node("statement", _text("declaration", "Date of issue"), _node("date", facts.issued_on.isoformat())),
+    )
 
 
-def _result(parent: ET.Element, facts: Certificate) -> None:
-    simulated = "SIMULATED: " if facts.is_simulated else ""
-    _text(parent, "name", f"{simulated}Calibration of {facts.quantity}, transferred from source unit {facts.source}")
-    method = _child(_child(parent, "usedMethods"), "usedMethod")
-    _text(method, "name", f"Transfer calibration: {facts.method_name}")
+def _result(facts: Certificate) -> ET.Element:
     because = f" Revision {facts.revision}: {facts.made_because}." if facts.made_because else ""
-    _text(method, "description", facts.method + because)
-    _software(_child(_child(parent, "usedSoftware"), "software"), facts)
-    if facts.reference is not None and facts.reference.certificate and not facts.is_simulated:
-        equipment = _child(_child(parent, "measuringEquipments"), "measuringEquipment", refType="basic_normalUsed")
-        _load_cell(equipment, facts, facts.reference)
-    _conditions(parent, facts)
-    results = _child(parent, "results")
-    _errors(results, facts)
-    _expanded(results, facts)
-    _budget(results, facts)
-    _provenance(results, facts)
+    title = f"Calibration of {facts.quantity}, transferred from source unit {facts.source}"
+    method = _node(
+        "usedMethod",
+        _text("name", f"Transfer calibration: {facts.method_name}"),
+        _text("description", facts.method + because),
+    )
+    recorded = f"{facts.samples} samples at {facts.sample_rate_Hz:g} Hz, output in {facts.output_unit}"
+    provenance = [f"Map of family {facts.map_family}, from {recorded}."]
+    provenance += [f"SHA-256 of the {name}: {sha256}" for name, sha256 in facts.hashes]
+    results = (
+        _listed("Error of the unit", *_errors(facts)),
+        _listed("U_est: expanded uncertainty of an estimate, k = 2, by range of the estimate", _expanded(facts)),
+        _budget(facts),
+        _listed("Provenance", *(_text("text", said) for said in provenance)),
+    )
+    return _node(
+        "measurementResult",
+        _text("name", f"{_simulated(facts)}{title}"),
+        _node("usedMethods", method),
+        _node("usedSoftware", _software(facts)),
+        _load_cell(facts),
+        _conditions(facts),
+        _node("results", *results),
+    )
 
 
-def _load_cell(parent: ET.Element, facts: Certificate, reference: Reference) -> None:
-    cell = facts.laboratory.load_cell
+def _listed(name: str, *data: ET.Element) -> ET.Element:
+    return _node("result", _text("name", name), _node("data", *data))
+
+
+def _load_cell(facts: Certificate) -> ET.Element | None:
+    cell, reference = facts.laboratory.load_cell, facts.reference
+    if reference is None or not reference.certificate or facts.is_simulated:
+        return None
     issuer = reference.laboratory or cell.laboratory
-    _text(parent, "name", "Reference of the source's calibration")
-    if cell.certificate_sha256:
-        certificate = _child(parent, "certificate")
-        _text(certificate, "referral", f"Calibration certificate by {issuer}")
-        _child(certificate, "referralID", reference.certificate)
-        _child(certificate, "procedure", "SHA-256")
-        _child(certificate, "value", cell.certificate_sha256)
-    if cell.manufacturer != NOT_STATED:
-        _text(_child(parent, "manufacturer"), "name", cell.manufacturer)
-    if cell.model != NOT_STATED:
-        _child(parent, "model", cell.model)
-    identifications = _child(parent, "identifications")
     serial = reference.cell or cell.serial
-    if serial != NOT_STATED:
-        _identification(identifications, "other", serial, "Serial number")
-    _identification(identifications, "other", reference.certificate, f"Certificate of {issuer}")
-    if reference.uncertainty is not None:
-        quantities = _child(parent, "measuringEquipmentQuantities")
-        name = f"U_cell: expanded uncertainty of its certificate, k = {reference.coverage_factor:g}"
-        _quantity(
-            quantities, facts, name, reference.uncertainty, None, "basic_uncertainty", "measuringEquipmentQuantity"
+    certificate = quantities = None
+    if cell.certificate_sha256:
+        certificate = _node(
+            "certificate",
+            _text("referral", f"Calibration certificate by {issuer}"),
+            _node("referralID", reference.certificate),
+            _node("procedure", "SHA-256"),
+            _node("value", cell.certificate_sha256),
         )
+    if reference.uncertainty is not None:
+        name = f"U_cell: expanded uncertainty of its certificate, k = {reference.coverage_factor:g}"
+        kind, element = "basic_uncertainty", "measuringEquipmentQuantity"
+        quantity = _quantity(facts, name, reference.uncertainty, reference=kind, element=element)
+        quantities = _node("measuringEquipmentQuantities", quantity)
+    identifications = _node(
+        "identifications",
+        None if serial == NOT_STATED else _identification("other", serial, "Serial number"),
+        _identification("other", reference.certificate, f"Certificate of {issuer}"),
+    )
+    equipment = _node(
+        "measuringEquipment",
+        _text("name", "Reference of the source's calibration"),
+        certificate,
+        None if cell.manufacturer == NOT_STATED else _node("manufacturer", _text("name", cell.manufacturer)),
+        _stated("model", cell.model),
+        identifications,
+        quantities,
+        refType="basic_normalUsed",
+    )
+    return _node("measuringEquipments", equipment)
 
 
-def _conditions(parent: ET.Element, facts: Certificate) -> None:
+def _conditions(facts: Certificate) -> ET.Element | None:
     given = facts.laboratory.conditions
-    rows = [
+    conditions = []
+    for name, kind, value, shift, factor, unit in (
         ("Temperature", "basic_temperature", given.temperature_C, 273.15, 1.0, r"\kelvin"),
         ("Relative humidity", "basic_humidityRelative", given.humidity_pct, 0.0, 0.01, r"\one"),
-    ]
-    known = [row for row in rows if row[2] is not None]
-    if not known:
-        return
-    conditions = _child(parent, "influenceConditions")
-    for name, reference, value, shift, factor, unit in known:
-        condition = _child(conditions, "influenceCondition", refType=reference)
-        _text(condition, "name", name)
-        quantity = _child(_child(condition, "data"), "quantity", refType=reference)
-        _text(quantity, "name", name)
-        _real(quantity, (value or 0.0) * factor + shift, unit)
+    ):
+        if value is not None:
+            quantity = _node("quantity", _text("name", name), _real(value * factor + shift, unit), refType=kind)
+            condition = _node("influenceCondition", _text("name", name), _node("data", quantity), refType=kind)
+            conditions.append(condition)
+    return _node("influenceConditions", *conditions) if conditions else None
 
 
-def _errors(parent: ET.Element, facts: Certificate) -> None:
-    result = _child(parent, "result")
-    _text(result, "name", "Error of the unit")
-    data = _child(result, "data")
+def _errors(facts: Certificate) -> Iterator[ET.Element]:
     for told, found in (("Predicted", facts.forecast), ("Measured", facts.measured)):
         if found is not None:
-            _quantity(data, facts, f"{told} root mean square error", found.rmse, facts.interval_of(found))
+            yield _quantity(facts, f"{told} root mean square error", found.rmse, facts.interval_of(found))
     for name, value, note in facts.deciding:
-        _quantity(data, facts, f"{name} ({note})" if note else name, value)
+        yield _quantity(facts, f"{name} ({note})" if note else name, value)
     if facts.bands:
-        _quantity(data, facts, "Lower end of the calibrated range", facts.low, reference="basic_validityRangeMin")
-        _quantity(data, facts, "Upper end of the calibrated range", facts.high, reference="basic_validityRangeMax")
+        yield _quantity(facts, "Lower end of the calibrated range", facts.low, reference="basic_validityRangeMin")
+        yield _quantity(facts, "Upper end of the calibrated range", facts.high, reference="basic_validityRangeMax")
 
 
 def _quantity(
-    parent: ET.Element,
     facts: Certificate,
     name: str,
     value: float,
     interval: tuple[float, float] | None = None,
     reference: str | None = None,
     element: str = "quantity",
-) -> None:
-    quantity = _child(parent, element, **({"refType": reference} if reference else {}))
-    _text(quantity, "name", name)
+) -> ET.Element:
     if facts.reference_unit not in SI_UNITS:
-        _text(quantity, "noQuantity", f"{value:.6g} {facts.reference_unit}")
-        return
-    factor, unit = SI_UNITS[facts.reference_unit]
-    real = _real(quantity, value * factor, unit)
-    if interval is not None:
-        low, high = (end * factor for end in interval)
-        coverage = ET.SubElement(real, f"{{{SI}}}coverageInterval")
-        for tag, text in (
-            ("standardUnc", _number((high - low) / 4)),
-            ("intervalMin", _number(low)),
-            ("intervalMax", _number(high)),
-            ("coverageProbability", "0.95"),
-        ):
-            ET.SubElement(coverage, f"{{{SI}}}{tag}").text = text
+        said = _text("noQuantity", f"{value:.6g} {facts.reference_unit}")
+    else:
+        factor, unit = SI_UNITS[facts.reference_unit]
+        coverage = None
+        if interval is not None:
+            low, high = (end * factor for end in interval)
+            coverage = _node(
+                "si:coverageInterval",
+                _node("si:standardUnc", _number((high - low) / 4)),
+                _node("si:intervalMin", _number(low)),
+                _node("si:intervalMax", _number(high)),
+                _node("si:coverageProbability", "0.95"),
+            )
+        said = _real(value * factor, unit, coverage)
+    return _node(element, _text("name", name), said, **({"refType": reference} if reference else {}))
 
 
-def _budget(parent: ET.Element, facts: Certificate) -> None:
+def _budget(facts: Certificate) -> ET.Element | None:
     if facts.budget is None:
-        return
-    result = _child(parent, "result")
-    at = f"{facts.budget.load:.4g} {facts.reference_unit}"
-    _text(result, "name", f"Uncertainty budget of an estimate at {at} (GUM, JCGM 100:2008)")
-    data = _child(result, "data")
-    for each in facts.budget.contributions:
-        _quantity(data, facts, f"Standard uncertainty: {each.name} ({each.distribution})", each.standard)
-    _quantity(data, facts, "Combined standard uncertainty", facts.budget.standard)
-    _quantity(data, facts, "U_est: expanded uncertainty, k = 2", facts.budget.expanded)
+        return None
+    title = f"Uncertainty budget of an estimate at {facts.budget.load:.4g} {facts.reference_unit} (GUM, JCGM 100:2008)"
+    values = [(f"Standard uncertainty: {c.name} ({c.distribution})", c.standard) for c in facts.budget.contributions]
+    values += [("Combined standard uncertainty", facts.budget.standard)]
+    values += [("U_est: expanded uncertainty, k = 2", facts.budget.expanded)]
+    return _listed(title, *(_quantity(facts, name, value) for name, value in values))
 
 
-def _expanded(parent: ET.Element, facts: Certificate) -> None:
-    result = _child(parent, "result")
-    _text(result, "name", "U_est: expanded uncertainty of an estimate, k = 2, by range of the estimate")
-    data = _child(result, "data")
+def _expanded(facts: Certificate) -> ET.Element:
     if facts.reference_unit not in SI_UNITS or not facts.bands:
         told = "; ".join(f"{b.low:.4g} to {b.high:.4g}: U_est = {b.expanded:.3g}" for b in facts.bands)
-        _text(data, "text", f"{told} {facts.reference_unit}" if told else "no estimate lies in the calibrated range")
-        return
+        return _text("text", f"{told} {facts.reference_unit}" if told else "no estimate lies in the calibrated range")
     factor, unit = SI_UNITS[facts.reference_unit]
-    rows = _child(data, "list")
-    columns: list[tuple[str, Sequence[float]]] = [
+    quantities = []
+    for name, values in (
         ("Lower end of the range", [band.low for band in facts.bands]),
         ("Upper end of the range", [band.high for band in facts.bands]),
         ("U_est: expanded uncertainty, k = 2", [band.expanded for band in facts.bands]),
-    ]
-    for name, values in columns:
-        quantity = _child(rows, "quantity")
-        _text(quantity, "name", name)
-        numbers = ET.SubElement(quantity, f"{{{SI}}}realListXMLList")
-        ET.SubElement(numbers, f"{{{SI}}}valueXMLList").text = " ".join(_number(v * factor) for v in values)
-        ET.SubElement(numbers, f"{{{SI}}}unitXMLList").text = unit
+    ):
+        numbers = _node("si:valueXMLList", " ".join(_number(value * factor) for value in values))
+        real = _node("si:realListXMLList", numbers, _node("si:unitXMLList", unit))
+        quantities.append(_node("quantity", _text("name", name), real))
+    return _node("list", *quantities)
 
 
-def _provenance(parent: ET.Element, facts: Certificate) -> None:
-    result = _child(parent, "result")
-    _text(result, "name", "Provenance")
-    data = _child(result, "data")
-    recorded = f"{facts.samples} samples at {facts.sample_rate_Hz:g} Hz, output in {facts.output_unit}"
-    _text(data, "text", f"Map of family {facts.map_family}, from {recorded}.")
-    for name, sha256 in facts.hashes:
-        _text(data, "text", f"SHA-256 of the {name}: {sha256}")
-
-
-def _real(parent: ET.Element, value: float, unit: str) -> ET.Element:
-    real = ET.SubElement(parent, f"{{{SI}}}real")
-    ET.SubElement(real, f"{{{SI}}}value").text = _number(value)
-    ET.SubElement(real, f"{{{SI}}}unit").text = unit
-    return real
+def _real(value: float, unit: str, coverage: ET.Element | None = None) -> ET.Element:
+    return _node("si:real", _node("si:value", _number(value)), _node("si:unit", unit), coverage)
 
 
 def _number(value: float) -> str:

@@ -1,4 +1,4 @@
-"""Fonts of a certificate: ReportLab's own for Latin letters, one of the computer's for everything else; embedded."""
+"""Embedded fonts: ReportLab's own for Latin letters, one of the computer's for all else."""
 
 import html
 import itertools
@@ -27,7 +27,7 @@ CANDIDATES = {
 
 @cache
 def register() -> None:
-    """Make the two built-in fonts known to ReportLab, and what every drawing begins with: its own is never embedded."""
+    """Make the two built-in fonts known to ReportLab, and the one every drawing begins with."""
     for name in (PLAIN, BOLD):
         pdfmetrics.registerFont(TTFont(name, f"{name}.ttf"))
     STATE_DEFAULTS["fontName"] = PLAIN
@@ -43,7 +43,7 @@ def font_for(text: str) -> str:
     """Return the font to draw a text with.
 
     Raises:
-        InputError: no font at hand has all its characters; a certificate with holes in a name is none.
+        InputError: no font at hand has all its characters.
     """
     register()
     if has_all(PLAIN, text):
@@ -70,12 +70,11 @@ def _registered(place: str) -> bool:
 
 
 def marked_up(text: str) -> str:
-    """Return a text as ReportLab's paragraph markup, every run of letters in a font that has them."""
+    """Return a text as ReportLab's markup, every run of letters in a font that has them."""
     register()
-    runs = itertools.groupby(text, key=lambda character: has_all(PLAIN, character))
-    return "".join(_run("".join(characters), is_plain) for is_plain, characters in runs)
-
-
-def _run(text: str, is_plain: bool) -> str:
-    escaped = html.escape(text)
-    return escaped if is_plain else f'<font name="{html.escape(font_for(text))}">{escaped}</font>'
+    marked = ""
+    for is_plain, characters in itertools.groupby(text, key=lambda character: has_all(PLAIN, character)):
+        run = "".join(characters)
+        escaped = html.escape(run)
+        marked += escaped if is_plain else f'<font name="{html.escape(font_for(run))}">{escaped}</font>'
+    return marked

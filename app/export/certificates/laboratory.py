@@ -1,4 +1,4 @@
-"""Who calibrates, for whom, where and in which condition: a TOML file people keep beside their station."""
+"""Who calibrates, for whom, where and how: a TOML file people keep beside their station."""
 
 from dataclasses import dataclass, fields
 from datetime import date
@@ -76,15 +76,15 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Performance:
-    """How the calibration was performed, as far as no recording knows it (ISO/IEC 17025:2017, 7.8.2.1).
+    """How the calibration was performed, beside the recordings (ISO/IEC 17025:2017, 7.8.2.1).
 
     Args:
         at: one of `PLACES`.
-        place: address or room; where it is left out, the address of the laboratory or customer that `at` names.
+        place: address or room; left out, the address of who `at` names.
         condition: of the item when it was received.
         received_on: day the item was received.
         issued_on: day of issue; the day of the export where it is left out.
-        deviations: from the method; what the registry knows of them is said whatever is stated here.
+        deviations: from the method, beside those that the registry knows.
         began_on, ended_on: first and last day the units were pressed.
     """
 
@@ -132,7 +132,7 @@ def read_laboratory(path: Path | None) -> Laboratory:
 
 
 def kept_laboratory() -> Path | None:
-    """Return the file with what this machine's pages put on every certificate; None before it was filled in."""
+    """Return the file of what this machine puts on every certificate; None before it is filled in."""
     file = data_folder() / LABORATORY
     return file if file.is_file() else None
 

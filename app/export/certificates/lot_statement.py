@@ -1,36 +1,28 @@
-"""The statement on a lot as one page for people: what is promised, on what evidence, at what risk, and what is not."""
+"""The statement on a lot as one page: what is promised, on what evidence, at what risk."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import date
+from datetime import UTC, date, datetime
 from functools import partial
+from importlib.metadata import version
 
 import numpy as np
 from reportlab.lib.units import mm
 from reportlab.platypus import Flowable, Paragraph, Spacer, Table
 
-from softcal.app.export.certificates.archival import archival
+from softcal.app.batch.audit import lot_audit
+from softcal.app.export.certificates import parts
 from softcal.app.export.certificates.fonts import BOLD, PLAIN, has_all, marked_up
-from softcal.app.export.certificates.parts import (
-    WIDTH,
-    Document,
-    document_pdf,
-    facts_table,
-    grid,
-    marked,
-    paragraph,
-    section,
-    style,
-)
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import Words, said
 from softcal.core.lot import Lot
 from softcal.core.quality.lot_release import LotRelease, any_form
 from softcal.core.quality.lot_standing import LotStanding, Way
+from softcal.db.registry import Registry
 
 GIVEN, NOT_GIVEN = "#1b7f3b", "#b3261e"
 MOST_AUDITS, MOST_SERIALS, MOST_KEPT_BACK = 10, 20, 6
-"""Rows and serials that fit one page; the rest stand in the registry, and the page says how many."""
+"""Rows and serials that fit one page; of the rest the page says how many."""
 
 ENGLISH: Words = partial(text, "en")
 
@@ -58,9 +50,32 @@ class LotStatementFacts:
     is_simulated: bool = False
 
 
+def lot_statement_facts(registry: Registry, standing: LotStanding, decided: LotRelease) -> LotStatementFacts:
+    """Gather what the page on a lot says.
+
+    Args:
+        decided: on its units that nobody measured.
+    """
+    lot_id, now, plan = standing.lot_id, datetime.now(UTC), lot_audit(registry, standing.lot_id)
+    calibrated = next(u.serial for u in registry.lots.units(lot_id) if u.role == "target" and u.revision is not None)
+    record = registry.calibrations.get(calibrated, lot_id=lot_id).record
+    return LotStatementFacts(
+        lot=registry.lots.get(lot_id),
+        standing=standing,
+        decided=decided,
+        network_id=record.network_id,
+        method_id=record.method_id,
+        made_on=now.date(),
+        software=f"softcal {version('softcal')}",
+        drawn=None if plan is None else (len(plan.plan.random), plan.plan.population),
+        identifier=f"{lot_id} {now:%Y-%m-%d %H:%M} UTC",
+        is_simulated=record.reference is not None and record.reference.is_simulated,
+    )
+
+
 def lot_statement_pdf(facts: LotStatementFacts, words: Words = ENGLISH) -> bytes:
     """Return the page in the language of `words`: the same bytes for the same facts."""
-    page = Document(
+    page = parts.Document(
         title=words("paper.title", lot=facts.lot.id),
         author="",
         software=facts.software,
@@ -68,30 +83,30 @@ def lot_statement_pdf(facts: LotStatementFacts, words: Words = ENGLISH) -> bytes
         made_on=facts.made_on,
         across=words("paper.simulated") if facts.is_simulated else "",
     )
-    return archival(document_pdf(_story(facts, words), page), page)
+    return parts.archival(parts.document_pdf(_story(facts, words), page), page)
 
 
 def _story(facts: LotStatementFacts, words: Words) -> list[Flowable]:
     return [
-        Paragraph(marked_up(words("paper.title", lot=facts.lot.id)), style(18, BOLD)),
+        Paragraph(marked_up(words("paper.title", lot=facts.lot.id)), parts.style(18, BOLD)),
         Spacer(1, 4 * mm),
         _promise(facts.decided, words),
-        *section(words("paper.lot"), facts_table(_lot_rows(facts, words))),
-        *section(words("paper.evidence"), facts_table(_evidence_rows(facts, words))),
-        *section(words("paper.audited"), _audit_table(facts, words)),
-        *section(words("paper.released"), paragraph(_serials(facts.decided.released, words), 7)),
-        *section(words("paper.means"), paragraph(words("paper.means.is"), 7)),
-        *section(words("paper.assumes"), paragraph(words("paper.assumes.is"), 7)),
+        *parts.section(words("paper.lot"), parts.facts_table(_lot_rows(facts, words))),
+        *parts.section(words("paper.evidence"), parts.facts_table(_evidence_rows(facts, words))),
+        *parts.section(words("paper.audited"), _audit_table(facts, words)),
+        *parts.section(words("paper.released"), parts.paragraph(_serials(facts.decided.released, words), 7)),
+        *parts.section(words("paper.means"), parts.paragraph(words("paper.means.is"), 7)),
+        *parts.section(words("paper.assumes"), parts.paragraph(words("paper.assumes.is"), 7)),
     ]
 
 
 def _promise(decided: LotRelease, words: Words) -> Flowable:
     colour, word = (GIVEN, "paper.given") if decided.released else (NOT_GIVEN, "paper.not_given")
     lines = [
-        Paragraph(f'<font color="{colour}">{marked_up(words(word))}</font>', style(13, BOLD)),
-        paragraph(said(decided.statement, words), 10),
+        Paragraph(f'<font color="{colour}">{marked_up(words(word))}</font>', parts.style(13, BOLD)),
+        parts.paragraph(said(decided.statement, words), 10),
     ]
-    return Table([[lines]], colWidths=[WIDTH], style=marked(colour))
+    return Table([[lines]], colWidths=[parts.WIDTH], style=parts.marked(colour))
 
 
 def _lot_rows(facts: LotStatementFacts, words: Words) -> list[tuple[str, str]]:
@@ -116,9 +131,12 @@ def _lot_rows(facts: LotStatementFacts, words: Words) -> list[tuple[str, str]]:
 
 def _evidence_rows(facts: LotStatementFacts, words: Words) -> list[tuple[str, str]]:
     promise, found = facts.decided.promise, facts.decided.found
+    drawn = words("paper.drawn.not")
+    if facts.drawn is not None:
+        drawn = words("paper.drawn.is", drawn=facts.drawn[0], population=facts.drawn[1])
     rows = [
         (words("paper.audits"), _audited(facts, words)),
-        (words("paper.drawn"), _drawn(facts.drawn, words)),
+        (words("paper.drawn"), drawn),
         (words("paper.promise"), words("paper.promise.is", risk=promise.risk, confidence=promise.confidence)),
     ]
     if found is not None and np.isfinite(found.factor):
@@ -136,16 +154,10 @@ def _audited(facts: LotStatementFacts, words: Words) -> str:
     return words("paper.audits.lots", lots=", ".join(lots), **counts)
 
 
-def _drawn(drawn: tuple[int, int] | None, words: Words) -> str:
-    if drawn is None:
-        return words("paper.drawn.not")
-    return words("paper.drawn.is", drawn=drawn[0], population=drawn[1])
-
-
 def _audit_table(facts: LotStatementFacts, words: Words) -> Flowable:
     audits, limit = sorted(facts.decided.audits, key=lambda audit: -audit.ratio), facts.decided.limit
     if not audits:
-        return paragraph(words("paper.none"))
+        return parts.paragraph(words("paper.none"))
     names = ("unit", "lot", "forecast", "measured", "ratio", "verdict")
     rows = [[words(f"paper.column.{name}", unit=limit.unit) for name in names]]
     for a in audits[:MOST_AUDITS]:
@@ -154,12 +166,12 @@ def _audit_table(facts: LotStatementFacts, words: Words) -> Flowable:
         rows.append([a.serial, a.lot_id or facts.lot.id, *numbers, word])
     if len(audits) > MOST_AUDITS:
         rows.append([words("paper.more", count=len(audits) - MOST_AUDITS), *[""] * 5])
-    return Table([[_cell(text) for text in row] for row in rows], colWidths=[WIDTH / 6] * 6, style=grid(7))
+    return Table([[_cell(text) for text in row] for row in rows], colWidths=[parts.WIDTH / 6] * 6, style=parts.grid(7))
 
 
 def _cell(text: str) -> str | Flowable:
-    """Return a text as it stands, which is lower than a paragraph, where the page's own font has its letters."""
-    return text if has_all(PLAIN, text) else paragraph(text, 7)
+    """Return a text as it stands, lower than a paragraph, where the page's font has its letters."""
+    return text if has_all(PLAIN, text) else parts.paragraph(text, 7)
 
 
 def _serials(serials: Sequence[str], words: Words, most: int = MOST_SERIALS) -> str:

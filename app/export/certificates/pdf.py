@@ -1,27 +1,15 @@
-"""The certificate as a PDF for people: vector plots, embedded fonts, the same bytes for the same facts."""
+"""The certificate as a PDF for people: the same bytes for the same facts."""
 
 from reportlab.graphics.barcode.qr import QrCodeWidget
 from reportlab.graphics.shapes import Drawing
 from reportlab.lib.units import mm
 from reportlab.platypus import Flowable, Paragraph, Spacer, Table
 
-from softcal.app.export.certificates.archival import Attachment, archival
+from softcal.app.export.certificates import parts
 from softcal.app.export.certificates.content import DECISION_RULE, ONLY_THIS, Certificate
 from softcal.app.export.certificates.dcc import certificate_xml
 from softcal.app.export.certificates.fonts import BOLD, marked_up
 from softcal.app.export.certificates.laboratory import NO_COUNTRY, NOT_STATED, Party
-from softcal.app.export.certificates.parts import (
-    WIDTH,
-    Document,
-    document_pdf,
-    facts_table,
-    flush,
-    grid,
-    marked,
-    paragraph,
-    section,
-    style,
-)
 from softcal.app.export.certificates.plots import SHOWN_S, estimate_plot, map_plot
 from softcal.core.unit.uncertainty import ErrorForecast
 
@@ -31,7 +19,7 @@ VERDICT_COLOURS = {"pass": "#1b7f3b", "conditional": "#8a6100", "fail": "#b3261e
 def certificate_pdf(facts: Certificate) -> bytes:
     """Return the document: PDF/A-3 with the DCC of the same facts inside."""
     simulated = "SIMULATED" if facts.is_simulated else ""
-    page = Document(
+    page = parts.Document(
         title=f"Calibration certificate {facts.identifier}",
         author=facts.laboratory.laboratory.name,
         software=facts.software,
@@ -39,8 +27,8 @@ def certificate_pdf(facts: Certificate) -> bytes:
         made_on=facts.issued_on,
         across=simulated,
     )
-    attached = Attachment(f"certificate-{facts.serial}.xml", certificate_xml(facts), "The same facts as a DCC")
-    return archival(document_pdf(_story(facts), page), page, attached)
+    attached = parts.Attachment(f"certificate-{facts.serial}.xml", certificate_xml(facts), "The same facts as a DCC")
+    return parts.archival(parts.document_pdf(_story(facts), page), page, attached)
 
 
 def _story(facts: Certificate) -> list[Flowable]:
@@ -48,21 +36,21 @@ def _story(facts: Certificate) -> list[Flowable]:
         _head(facts),
         Spacer(1, 4 * mm),
         _verdict(facts),
-        *section("Unit and parties", facts_table(_unit_rows(facts))),
-        *section("Result", facts_table(_result_rows(facts))),
-        *section("Expanded uncertainty of an estimate, U_est (k = 2)", _band_table(facts)),
+        *parts.section("Unit and parties", parts.facts_table(_unit_rows(facts))),
+        *parts.section("Result", parts.facts_table(_result_rows(facts))),
+        *parts.section("Expanded uncertainty of an estimate, U_est (k = 2)", _band_table(facts)),
         *_budget(facts),
-        *section(
+        *parts.section(
             f"Estimates of the unit's own recording with U_est (k = 2), first {SHOWN_S:g} s",
-            estimate_plot(facts, WIDTH),
+            estimate_plot(facts, parts.WIDTH),
         ),
-        *section("Map from the unit's output to the source's", map_plot(facts, WIDTH)),
-        *section("Traceability", facts_table(_trace_rows(facts))),
-        *section("Method", paragraph(facts.method)),
-        *section("Decision rule", paragraph(DECISION_RULE)),
-        *section("Provenance (SHA-256)", facts_table(list(facts.hashes), size=7)),
-        *section("Scope", paragraph(ONLY_THIS)),
-        *section("End of the certificate", paragraph(f"Issued on {facts.issued_on.isoformat()}.")),
+        *parts.section("Map from the unit's output to the source's", map_plot(facts, parts.WIDTH)),
+        *parts.section("Traceability", parts.facts_table(_trace_rows(facts))),
+        *parts.section("Method", parts.paragraph(facts.method)),
+        *parts.section("Decision rule", parts.paragraph(DECISION_RULE)),
+        *parts.section("Provenance (SHA-256)", parts.facts_table(list(facts.hashes), size=7)),
+        *parts.section("Scope", parts.paragraph(ONLY_THIS)),
+        *parts.section("End of the certificate", parts.paragraph(f"Issued on {facts.issued_on.isoformat()}.")),
     ]
 
 
@@ -71,12 +59,12 @@ def _head(facts: Certificate) -> Flowable:
     picture = Drawing(24 * mm, 24 * mm)
     picture.add(code)
     title = [
-        Paragraph("Calibration certificate", style(18, BOLD)),
+        Paragraph("Calibration certificate", parts.style(18, BOLD)),
         Spacer(1, 5 * mm),
-        paragraph(f"Laboratory: {_stated(facts.laboratory.laboratory.name, facts.laboratory.laboratory.city)}"),
-        paragraph(f"Certificate {facts.identifier}, issued on {facts.issued_on.isoformat()}"),
+        parts.paragraph(f"Laboratory: {_stated(facts.laboratory.laboratory.name, facts.laboratory.laboratory.city)}"),
+        parts.paragraph(f"Certificate {facts.identifier}, issued on {facts.issued_on.isoformat()}"),
     ]
-    return Table([[title, picture]], colWidths=[WIDTH - 26 * mm, 26 * mm], style=flush())
+    return Table([[title, picture]], colWidths=[parts.WIDTH - 26 * mm, 26 * mm], style=parts.flush())
 
 
 def _verdict(facts: Certificate) -> Flowable:
@@ -84,16 +72,18 @@ def _verdict(facts: Certificate) -> Flowable:
     is_made = bool(facts.conformity)
     colour = VERDICT_COLOURS[facts.verdict if is_made else "retest"]
     word = facts.verdict.upper() if is_made else "NO STATEMENT OF CONFORMITY"
-    lines = [Paragraph(f'<font color="{colour}">{marked_up(word)}</font>', style(13, BOLD))]
+    lines = [Paragraph(f'<font color="{colour}">{marked_up(word)}</font>', parts.style(13, BOLD))]
     told = [] if is_made else [facts.no_statement, facts.traceability]
-    lines += [paragraph(each) for each in (*told, *(facts.reasons if is_made else ()))]
-    return Table([[lines]], colWidths=[WIDTH], style=marked(colour))
+    lines += [parts.paragraph(each) for each in (*told, *(facts.reasons if is_made else ()))]
+    return Table([[lines]], colWidths=[parts.WIDTH], style=parts.marked(colour))
 
 
 def _unit_rows(facts: Certificate) -> list[tuple[str, str]]:
     model = f" ({facts.sensor_model})" if facts.sensor_model else ""
     performance = facts.laboratory.performance
-    received = performance.received_on
+    received, given = performance.received_on, facts.laboratory.conditions
+    conditions = [] if given.temperature_C is None else [f"{given.temperature_C:g} °C"]
+    conditions += [] if given.humidity_pct is None else [f"{given.humidity_pct:g} % relative humidity"]
     return [
         ("Unit", f"{facts.serial}{model}, lot {facts.lot}"),
         ("Calibration", f"revision {facts.revision}{f': {facts.made_because}' if facts.made_because else ''}"),
@@ -102,7 +92,7 @@ def _unit_rows(facts: Certificate) -> list[tuple[str, str]]:
         ("Performed", facts.performed),
         ("Place", facts.place),
         ("Received", f"{received.isoformat() if received else NOT_STATED}; condition: {performance.condition}"),
-        ("Conditions", _conditions(facts)),
+        ("Conditions", ", ".join(conditions) or NOT_STATED),
         ("Laboratory", _party(facts.laboratory.laboratory)),
         ("Customer", _party(facts.laboratory.customer)),
         ("Responsible", _stated(facts.laboratory.person.name, facts.laboratory.person.role)),
@@ -122,13 +112,6 @@ def _party(party: Party) -> str:
 
 def _stated(*parts: str) -> str:
     return ", ".join(part for part in parts if part != NOT_STATED) or NOT_STATED
-
-
-def _conditions(facts: Certificate) -> str:
-    given = facts.laboratory.conditions
-    parts = [] if given.temperature_C is None else [f"{given.temperature_C:g} °C"]
-    parts += [] if given.humidity_pct is None else [f"{given.humidity_pct:g} % relative humidity"]
-    return ", ".join(parts) or "not stated"
 
 
 def _result_rows(facts: Certificate) -> list[tuple[str, str]]:
@@ -197,20 +180,20 @@ def _budget(facts: Certificate) -> list[Flowable]:
         ["expanded, k = 2", "", "normal", "", "", f"U_est = {budget.expanded:.3g}"],
     ]
     first = 48 * mm
-    table = Table([head, *rows, *sums], colWidths=[first, *[(WIDTH - first) / 5] * 5], style=grid(7))
+    table = Table([head, *rows, *sums], colWidths=[first, *[(parts.WIDTH - first) / 5] * 5], style=parts.grid(7))
     unsaid = "" if facts.reference is not None else " The reference's own uncertainty was not stated and is not in it."
-    said = paragraph(f"At {budget.load:.4g} {unit}, the RMS load of the source (GUM, JCGM 100:2008).{unsaid}", 7)
-    return [*section("Uncertainty budget of an estimate", table), said]
+    said = parts.paragraph(f"At {budget.load:.4g} {unit}, the RMS load of the source (GUM, JCGM 100:2008).{unsaid}", 7)
+    return [*parts.section("Uncertainty budget of an estimate", table), said]
 
 
 def _band_table(facts: Certificate) -> Flowable:
     if not facts.bands:
-        return paragraph("No estimate of the unit's recording lies in the calibrated range.")
+        return parts.paragraph("No estimate of the unit's recording lies in the calibrated range.")
     unit = facts.reference_unit
     rows = [
         [f"Estimate, {unit}", *(f"{band.low:.3g} to {band.high:.3g}" for band in facts.bands)],
         [f"U_est (k = 2), {unit}", *(f"{band.expanded:.3g}" for band in facts.bands)],
     ]
     first = 38 * mm
-    widths = [first, *[(WIDTH - first) / len(facts.bands)] * len(facts.bands)]
-    return Table(rows, colWidths=widths, style=grid(8))
+    widths = [first, *[(parts.WIDTH - first) / len(facts.bands)] * len(facts.bands)]
+    return Table(rows, colWidths=widths, style=parts.grid(8))

@@ -1,4 +1,4 @@
-"""The plots of certificates and reports as vector drawings: axes, curves, bars and bands, nothing else."""
+"""The plots of certificates and reports as vector drawings."""
 
 import math
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ DECIDES = colors.HexColor("#b3261e")
 LEFT, RIGHT, BOTTOM, TOP = 46.0, 8.0, 26.0, 8.0
 HEIGHT = 112.0
 SHOWN_S = 20.0
-"""So much of a recording is shown: enough for several presses, little enough to see the interval."""
+"""So much of a recording is shown: several presses, and the interval can be seen."""
 
 MOST_TICKS = 7
 MOST_POINTS = 1200
@@ -114,7 +114,7 @@ class _Axes:
     def around(
         cls, x: Array, y: Array, width: float, labels: tuple[str, str], *, room: float = 0.04, is_count: bool = False
     ) -> "_Axes":
-        """Return axes that hold all values, `room` of the upright span beyond them, drawn with the name of each."""
+        """Return axes that hold all values, `room` of the upright span beyond, with their names."""
         drawing = Drawing(width, HEIGHT)
         across, up = XValueAxis(), YValueAxis()
         across.tickDown = up.tickLeft = 2
@@ -138,7 +138,7 @@ class _Axes:
         return cls(across, up, drawing)
 
     def points(self, x: Array, y: Array) -> list[float]:
-        """Return paper coordinates as x, y, x, y, ..., rounded so that every machine writes the same file."""
+        """Return paper coordinates x, y, x, y, ..., rounded alike on every machine."""
         pairs = zip(x.tolist(), y.tolist(), strict=True)
         return [round(at, 2) for one, other in pairs for at in (self.across.scale(one), self.up.scale(other))]
 

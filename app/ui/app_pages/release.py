@@ -9,8 +9,7 @@ import streamlit as st
 
 from softcal.app.batch.release import judge_lot, lot_standing
 from softcal.app.export.certificates import laboratory
-from softcal.app.export.certificates.lot_facts import lot_statement_facts
-from softcal.app.export.certificates.lot_statement import lot_statement_pdf
+from softcal.app.export.certificates.lot_statement import lot_statement_facts, lot_statement_pdf
 from softcal.app.export.names import FORMATS
 from softcal.app.jobs.lot_jobs import archive_path
 from softcal.app.ui.account import actor, permit
