@@ -4,15 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import (
-    add_columns,
-    add_json,
-    add_lot_of_serial,
-    add_registry,
-    column_names,
-    registry_of,
-    say_caution,
-)
+from softcal.app.cli.options import add_columns, add_shared, column_names, registry_of, say_caution
 from softcal.app.output import ProgressLine, say, write_json
 from softcal.core.errors import InputError
 
@@ -48,7 +40,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """
     parser.add_argument("source", metavar="IN", help="CSV or Parquet with t_s, output; -, serial:PORT or simulated")
     parser.add_argument("--out", required=True, metavar="OUT", help="CSV or Parquet; live also - or tcp://HOST:PORT")
-    parser.add_argument("--serial", required=True, metavar="S")
+    add_shared(parser, "serial")
     parser.add_argument("--revision", type=int, metavar="N", help="calibration to start from; default: the current one")
     modes = ("improved", "basic", "none", "ot", "ot-improved")
     parser.add_argument("--mode", choices=modes, default="improved", help=MODE_HELP)
@@ -69,9 +61,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     live.add_argument("--station", type=Path, metavar="FILE", help="station file with the readout's scale and rate")
     live.add_argument("--duration", type=float, metavar="S", help="stop after so many seconds; default: until Ctrl-C")
     live.add_argument("--view", action="store_true", help="show the estimate in the terminal")
-    add_lot_of_serial(parser)
-    add_registry(parser)
-    add_json(parser)
+    add_shared(parser, "lot", "registry", "json")
 
 
 MODE_HELP = (

@@ -5,15 +5,7 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import (
-    add_csv,
-    add_json,
-    add_network,
-    add_registry,
-    batch_watch,
-    network_config,
-    registry_of,
-)
+from softcal.app.cli.options import add_network, add_shared, batch_watch, network_config, registry_of
 from softcal.app.output import WIDTH, print_reasons, print_table, say, shown, write_json
 
 if TYPE_CHECKING:
@@ -34,7 +26,7 @@ HELP = "calibrate a lot: train or reuse f, fit every map, verdicts, registry, ex
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Calibrate a lot folder. One bad unit never stops the lot; what is done is never done again."""
     parser.add_argument("lot", type=Path, metavar="LOT", help="lot folder")
-    add_registry(parser)
+    add_shared(parser, "registry")
     parser.add_argument("--out", type=Path, metavar="DIR", help="write calibration files of the released units here")
     parser.add_argument(
         "--release",
@@ -61,8 +53,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         help="write the results of the lot as a .parquet table, a row a unit",
     )
     add_network(parser)
-    add_json(parser)
-    add_csv(parser)
+    add_shared(parser, "json", "csv")
 
 
 def _parquet(text: str) -> Path:

@@ -6,8 +6,8 @@ import sys
 import threading
 from pathlib import Path
 
-from softcal.app.cli.options import add_csv, add_json, add_registry, positive, registry_of
-from softcal.app.output import print_table, say, write_json
+from softcal.app.cli.options import actions_of, add_shared, answer, positive, registry_of
+from softcal.app.output import print_table, say
 from softcal.core.errors import InputError
 
 DONE = 0
@@ -23,29 +23,22 @@ HELP = "send verdicts and alerts: webhooks, mail, MQTT, OPC UA"
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Bring events to other programs and people, each at least once, across restarts of both sides."""
-    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
-    run = actions.add_parser("run", help="serve every destination of a file until Ctrl-C")
+    action = actions_of(parser)
+    run = action("run", "serve every destination of a file until Ctrl-C", _run)
     run.add_argument("file", type=Path, metavar="FILE", help="TOML with the destinations")
-    add_registry(run)
-    run.set_defaults(run=_run)
-    check = actions.add_parser("check", help="read the file and reach every destination once; nothing is sent")
+    add_shared(run, "registry")
+    check = action("check", "read the file and reach every destination once; nothing is sent", _check)
     check.add_argument("file", type=Path, metavar="FILE", help="TOML with the destinations")
-    check.set_defaults(run=_check)
-    status = actions.add_parser("status", help="how far every destination is")
-    add_registry(status)
-    add_json(status)
-    add_csv(status)
-    status.set_defaults(run=_status)
-    secret = actions.add_parser("secret", help="write a new secret for the signature of a webhook")
+    status = action("status", "how far every destination is", _status)
+    add_shared(status, "registry", "json", "csv")
+    secret = action("secret", "write a new secret for the signature of a webhook", _secret)
     secret.add_argument("--out", type=Path, required=True, metavar="FILE", help="new file; only its owner may read it")
-    secret.set_defaults(run=_secret)
-    estimates = actions.add_parser("estimates", help="publish live estimates from standard input over MQTT")
+    estimates = action("estimates", "publish live estimates from standard input over MQTT", _estimates)
     estimates.add_argument("file", type=Path, metavar="FILE", help="TOML with one [[mqtt]] destination")
     estimates.add_argument("--serial", required=True)
     estimates.add_argument(
         "--rate", type=positive, default=10.0, metavar="HZ", help="rows a second at most; default 10"
     )
-    estimates.set_defaults(run=_estimates)
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -75,7 +68,7 @@ def _status(options: argparse.Namespace) -> int:
 
     with registry_of(options, create=False) as registry:
         found = status_json(registry)
-    write_json(options.json, {"schema": "softcal.connect.status/1", "destinations": found})
+    answer(options, "connect.status/1", {"destinations": found})
     print_table(("destination", "sent", "waits", "failed", "next try", "why", "served by"), status_rows(found))
     return DONE
 

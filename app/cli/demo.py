@@ -4,7 +4,7 @@ import argparse
 import time
 from pathlib import Path
 
-from softcal.app.cli.options import add_csv, add_json, add_network, batch_watch, network_config, registry_at
+from softcal.app.cli.options import add_network, add_shared, batch_watch, network_config, registry_at
 from softcal.app.output import print_table, say, write_json
 
 EXAMPLES = """examples:
@@ -28,8 +28,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--twin", type=Path, metavar="FILE", help="units like this twin (softcal gap apply)")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="worker processes (default 2)")
     add_network(parser)
-    add_json(parser)
-    add_csv(parser)
+    add_shared(parser, "json", "csv")
 
 
 def run(options: argparse.Namespace) -> int:

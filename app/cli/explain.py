@@ -3,8 +3,9 @@
 import argparse
 from pathlib import Path
 
-from softcal.app.cli.options import add_csv, add_json, add_lot_of_serial, add_registry, registry_of
+from softcal.app.cli.options import add_shared, answer, registry_of
 from softcal.app.output import print_reasons, print_table, say, write_json
+from softcal.core.errors import InputError
 
 EXAMPLES = """examples:
   softcal explain --serial A1
@@ -17,14 +18,11 @@ HELP = "why the verdict of a unit is what it is: reasons, error budget, one figu
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Show what a unit's verdict rests on: reasons, what the predicted error is made of, limit."""
-    parser.add_argument("--serial", required=True, metavar="S")
+    add_shared(parser, "serial")
     parser.add_argument("--revision", type=int, metavar="N", help="an older map; default: the current one")
     parser.add_argument("--method", action="store_true", help="print every number of the method, with its origin")
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the figure as a page (.html)")
-    add_lot_of_serial(parser)
-    add_registry(parser)
-    add_json(parser)
-    add_csv(parser)
+    add_shared(parser, "lot", "registry", "json", "csv")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -59,7 +57,6 @@ def run(options: argparse.Namespace) -> int:
 
 def _print_method(options: argparse.Namespace) -> int:
     """Print the method of one calibration: every number, its origin, and what this version would use instead."""
-    from softcal.core.errors import InputError
     from softcal.core.unit.method import Method
 
     with registry_of(options, create=False) as registry:
@@ -68,10 +65,7 @@ def _print_method(options: argparse.Namespace) -> int:
     if method is None:
         raise InputError(f"{options.serial}: calibrated by a version that kept no method; run the batch again")
     here = {name: value for name, value, _ in ours.numbers()}
-    if options.json:
-        facts = {"schema": "softcal.method/1", "id": method.id, "numbers": dict(method.to_json())}
-        write_json(options.json, facts)
-    if options.json != "-" or options.csv:
+    if answer(options, "method/1", {"id": method.id, "numbers": dict(method.to_json())}):
         stale = "" if method == ours else ", stale: this version uses another"
         print(f"{options.serial}: method {method.id[:12]}{stale}")
         for name, value, origin in method.numbers():

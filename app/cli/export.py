@@ -4,11 +4,12 @@ import argparse
 import sys
 from collections.abc import Mapping, Sequence
 from datetime import date
+from functools import partial
 from getpass import getpass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import add_csv, add_json, add_registry, registry_of, say_caution
+from softcal.app.cli.options import add_shared, converted, registry_of, say_caution
 from softcal.app.export.names import formats
 from softcal.app.output import ProgressLine, print_table, say, write_json
 
@@ -65,19 +66,16 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     device.add_argument(
         "--unit-bytes", type=int, choices=(256, 512, 1024), help="most a unit file may take; default: as little as does"
     )
-    device.add_argument("--unit-address", type=_address, default=0x3FF00, metavar="ADDR", help="for hex: 0x3ff00")
-    device.add_argument("--network-address", type=_address, default=0x38000, metavar="ADDR", help="for hex: 0x38000")
-    _add_certificate_options(parser)
-    add_registry(parser)
-    add_json(parser)
-    add_csv(parser)
-
-
-def _add_certificate_options(parser: argparse.ArgumentParser) -> None:
+    address = converted(partial(int, base=0), "{!r} is no address such as 0x3ff00")
+    device.add_argument("--unit-address", type=address, default=0x3FF00, metavar="ADDR", help="for hex: 0x3ff00")
+    device.add_argument("--network-address", type=address, default=0x38000, metavar="ADDR", help="for hex: 0x38000")
     paper = parser.add_argument_group("certificates and signatures")
     paper.add_argument("--laboratory", type=Path, metavar="TOML", help="laboratory, person, customer and load cell")
     paper.add_argument(
-        "--issued-on", type=_day, metavar="DATE", help="date of issue of certificates; default: the file's, else today"
+        "--issued-on",
+        type=converted(date.fromisoformat, "{!r} is no date such as 2026-01-31"),
+        metavar="DATE",
+        help="date of issue of certificates; default: the file's, else today",
     )
     paper.add_argument(
         "--sign", type=Path, metavar="PEM", help="Ed25519 key, encrypted or not: signs the manifest and certificates"
@@ -91,20 +89,7 @@ def _add_certificate_options(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="with --check: a key (PEM) or a ring of keys with their validity (TOML); may be repeated",
     )
-
-
-def _address(text: str) -> int:
-    try:
-        return int(text, 0)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text!r} is no address such as 0x3ff00") from error
-
-
-def _day(text: str) -> date:
-    try:
-        return date.fromisoformat(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text!r} is no date such as 2026-01-31") from error
+    add_shared(parser, "registry", "json", "csv")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -5,15 +5,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from softcal.app.cli import gap_challenge, gap_effects, gap_lot, gap_transfer
-from softcal.app.cli.options import add_json
+from softcal.app.cli.gap_challenge import add_challenge_actions
+from softcal.app.cli.gap_effects import add_effects
+from softcal.app.cli.gap_lot import add_lot, add_transfer
+from softcal.app.cli.options import actions_of, add_shared, answer
 from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
     from softcal.core.gap.diagnosis import Diagnosis
     from softcal.core.gap.gap_diagnosis import GapDiagnosis
-    from softcal.core.gap.identifiability import Identifiability
     from softcal.core.gap.named_causes import RankedCause
     from softcal.core.gap.plausibility import DataMistake
     from softcal.core.twin.parameters import ReadoutMetadata
@@ -55,41 +56,50 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Compare the twin with recordings of a rig: where it is wrong, which effect causes it, how far the gap shrinks,
     what to press next.
     """
-    inner = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    _add_diagnose(inner)
-    _add_check(inner)
-    _add_apply(inner)
-    gap_lot.add_parser(inner)
-    gap_effects.add_parser(inner)
-    gap_transfer.add_parser(inner)
-    gap_challenge.add_parsers(inner)
-
-
-def _add_diagnose(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    parser = commands.add_parser(
+    action = actions_of(parser, "commands", "COMMAND")
+    diagnose = action(
         "diagnose",
-        help="find the causes of the gap in a case",
-        description="Fit the base twin and every effect of the catalogue together to all runs of a case. Report where "
+        "find the causes of the gap in a case",
+        _diagnose,
+        "Fit the base twin and every effect of the catalogue together to all runs of a case. Report where "
         "the gap lies, its causes with probabilities, the shrink on runs held back, and the next experiment.",
         epilog=_DIAGNOSE_EXAMPLES,
     )
-    _add_case(parser)
-    add_json(parser)
-    parser.add_argument("--page", type=Path, metavar="FILE", help="write a page of figures (standalone HTML)")
-    parser.set_defaults(run=_diagnose)
-
-
-def _add_check(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    parser = commands.add_parser(
+    _add_case(diagnose)
+    add_shared(diagnose, "json")
+    diagnose.add_argument("--page", type=Path, metavar="FILE", help="write a page of figures (standalone HTML)")
+    check = action(
         "check",
-        help="say what the runs of a case can tell, before anything is diagnosed",
-        description="Look for mistakes in the recordings and fit the base. Say which of its parameters and which "
+        "say what the runs of a case can tell, before anything is diagnosed",
+        _check,
+        "Look for mistakes in the recordings and fit the base. Say which of its parameters and which "
         "causes these runs can tell, which they cannot, and which run would. Nothing is diagnosed.",
         epilog=_CHECK_EXAMPLES,
     )
-    _add_case(parser)
-    add_json(parser)
-    parser.set_defaults(run=_check)
+    _add_case(check)
+    add_shared(check, "json")
+    apply = action(
+        "apply",
+        "write the twin that explains a case",
+        _apply,
+        "Diagnose a case and write base parameters, noise and named causes as a twin that the simulated "
+        "station and simulated lots can load.",
+        epilog=_APPLY_EXAMPLES,
+    )
+    apply.add_argument("case", type=Path, nargs="?", metavar="CASE", help=_CASE_HELP)
+    apply.add_argument("--report", type=Path, metavar="FILE", help="take the twin of this report instead of CASE")
+    apply.add_argument("--simulator", metavar="MODULE:NAME", help="write the parameters of this simulator for CASE")
+    apply.add_argument("--out", type=Path, required=True, metavar="FILE", help="twin or parameters as JSON")
+    apply.add_argument(
+        "--empirical",
+        action="store_true",
+        help="add the empirical terms that describe what no cause explains, and the causes they stand beside",
+    )
+    add_shared(apply, "json")
+    add_lot(action)
+    add_effects(action)
+    add_transfer(action)
+    add_challenge_actions(action)
 
 
 def _add_case(parser: argparse.ArgumentParser) -> None:
@@ -108,27 +118,6 @@ def _add_case(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _add_apply(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    parser = commands.add_parser(
-        "apply",
-        help="write the twin that explains a case",
-        description="Diagnose a case and write base parameters, noise and named causes as a twin that the simulated "
-        "station and simulated lots can load.",
-        epilog=_APPLY_EXAMPLES,
-    )
-    parser.add_argument("case", type=Path, nargs="?", metavar="CASE", help=_CASE_HELP)
-    parser.add_argument("--report", type=Path, metavar="FILE", help="take the twin of this report instead of CASE")
-    parser.add_argument("--simulator", metavar="MODULE:NAME", help="write the parameters of this simulator for CASE")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="twin or parameters as JSON")
-    parser.add_argument(
-        "--empirical",
-        action="store_true",
-        help="add the empirical terms that describe what no cause explains, and the causes they stand beside",
-    )
-    add_json(parser)
-    parser.set_defaults(run=_apply)
-
-
 def _diagnose(options: argparse.Namespace) -> int:
     from softcal.app.gap.diagnose import diagnose_case, write_page
 
@@ -144,17 +133,15 @@ def _diagnose(options: argparse.Namespace) -> int:
 def _check(options: argparse.Namespace) -> int:
     from softcal.app.gap.diagnose import check_case
     from softcal.app.gap.simulator import check_with, load_simulator
+    from softcal.core.gap.identifiability import sentences
 
     if options.simulator:
         _refuse_electronics(options)
         found, told = check_with(options.case, load_simulator(options.simulator))
     else:
         found, told = check_case(options.case, _table_readout(options))
-    if options.json:
-        identifiability = None if told is None else told.record()
-        data = [one.record() for one in found]
-        write_json(options.json, {"schema": "softcal.gap.check/1", "data": data, "identifiability": identifiability})
-    if options.json == "-":
+    data, identifiability = [one.record() for one in found], None if told is None else told.record()
+    if not answer(options, "gap.check/1", {"data": data, "identifiability": identifiability}):
         return 0
     _show_mistakes(found)
     if told is None:
@@ -163,15 +150,9 @@ def _check(options: argparse.Namespace) -> int:
     for kind, is_base in (("base parameters", True), ("causes", False)):
         every = [one for one in told.every if one.is_base == is_base]
         print(f"told        {sum(one.is_told for one in every)} of {len(every)} {kind}")
-    _show_untold(told)
-    return 0
-
-
-def _show_untold(told: "Identifiability") -> None:
-    from softcal.core.gap.identifiability import sentences
-
     for line in sentences(told):
         print(f"not told    {line}")
+    return 0
 
 
 def _show_mistakes(found: "tuple[DataMistake, ...]") -> None:
@@ -305,37 +286,30 @@ def _show_twin(diagnosis: "Diagnosis", target: str | None) -> None:
         print(f"not judged  {', '.join(diagnosis.case.unseen_stages)}: these recordings cannot show them")
 
 
-def _chosen_otherwise(diagnosis: "GapDiagnosis[Any]") -> list[tuple[int, tuple[str, ...]]]:
-    """Return the parts without which other causes are chosen, and those causes."""
-    ids = diagnosis.best.hypothesis.ids
-    return [(k, causes) for k, causes in enumerate(diagnosis.chosen, start=1) if causes != ids]
-
-
 def _show_result(diagnosis: "GapDiagnosis[Any]") -> None:
+    from softcal.core.gap.identifiability import sentences
+
     shrink = diagnosis.shrink
     print(f"verdict     {diagnosis.verdict}")
     for channel, gap in diagnosis.gap.items():
         print(f"{channel:<11} {gap.rmse_before:.4g} before, {gap.rmse_after:.4g} after, floor {gap.noise_floor:.4g}")
     forecast = f"{shrink.predicted:.2f} [{shrink.low:.2f}, {shrink.high:.2f}]"
     print(f"shrink      {shrink.held_out:.2f} held out; forecast {forecast}")
-    for part, causes in _chosen_otherwise(diagnosis):
-        print(f"            without part {part} of the runs: {' + '.join(causes) or 'no cause'}; scored so there")
+    for part, causes in enumerate(diagnosis.chosen, start=1):
+        if causes != diagnosis.best.hypothesis.ids:
+            print(f"            without part {part} of the runs: {' + '.join(causes) or 'no cause'}; scored so there")
     named = [c for c in diagnosis.causes if c.probability > 0.01]
     if named:
-        print_table(
-            ["effect", "stage", "probability", "shrink", "hidden", "parameters"],
-            [
-                [c.effect, c.stage, c.probability, c.shrink, diagnosis.hidden_fraction.get(c.effect), _values(c)]
-                for c in named
-            ],
-        )
+        hidden = diagnosis.hidden_fraction
+        rows = [[c.effect, c.stage, c.probability, c.shrink, hidden.get(c.effect), _values(c)] for c in named]
+        print_table(["effect", "stage", "probability", "shrink", "hidden", "parameters"], rows)
     for place in diagnosis.places:
         print(f"where       {place.stage}, {place.channel}, {place.regime}: {place.share:.0%}  {place.detail}")
     for pair in diagnosis.ambiguous_with:
         print(f"ambiguous   {' / '.join(pair)}")
     print(f"next        {diagnosis.next_experiment.profile}: {diagnosis.next_experiment.why}")
-    if diagnosis.told is not None:
-        _show_untold(diagnosis.told)
+    for line in () if diagnosis.told is None else sentences(diagnosis.told):
+        print(f"not told    {line}")
 
 
 def _values(cause: "RankedCause") -> str:

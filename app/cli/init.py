@@ -7,7 +7,7 @@ from dataclasses import MISSING, Field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
 
-from softcal.app.cli.options import positive
+from softcal.app.cli.options import actions_of, positive
 from softcal.app.output import say
 from softcal.core.errors import InputError
 
@@ -28,8 +28,8 @@ HELP = "make a lot folder or a station file by questions"
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Ask what a lot or a station is, and write it down. Nothing that exists is written over."""
-    kinds = parser.add_subparsers(title="what to make", metavar="WHAT", required=True)
-    lot = kinds.add_parser("lot", help="a folder with lot.toml, for recordings that are still to come")
+    action = actions_of(parser, "what to make", "WHAT")
+    lot = action("lot", "a folder with lot.toml, for recordings that are still to come", run_lot)
     lot.add_argument("folder", type=Path, metavar="FOLDER", help="lot folder to make")
     lot.add_argument("--lot-id", help="default: the name of the folder")
     lot.add_argument("--source", metavar="SERIAL", help="unit with the reference that trains f")
@@ -40,12 +40,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     lot.add_argument("--output-unit", help="default V")
     lot.add_argument("--limit", type=positive, metavar="RMSE", help="largest acceptable error, in the reference unit")
     lot.add_argument("--yes", action="store_true", help="ask nothing: take the defaults of what is not given")
-    lot.set_defaults(run=run_lot)
-    station = kinds.add_parser(
-        "station", help="a station file; `softcal station check --write` finds USB devices itself"
-    )
+    station = action("station", "a station file; `softcal station check --write` finds USB devices itself", run_station)
     station.add_argument("file", type=Path, metavar="FILE", help="station file to make")
-    station.set_defaults(run=run_station)
 
 
 def run_lot(options: argparse.Namespace) -> int:

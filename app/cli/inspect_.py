@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from softcal.app.cli.options import add_csv, add_json
+from softcal.app.cli.options import add_shared
 from softcal.app.output import print_table, write_json
 
 EXAMPLES = """examples:
@@ -20,8 +20,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Show a network or unit file (.ssc, or its JSON twin), after checking all that can be checked."""
     parser.add_argument("file", type=Path, metavar="FILE", help=".ssc or .json")
     parser.add_argument("--network", type=Path, metavar="FILE", help="the network file, to run a unit's self-tests")
-    add_json(parser)
-    add_csv(parser)
+    add_shared(parser, "json", "csv")
 
 
 def run(options: argparse.Namespace) -> int:

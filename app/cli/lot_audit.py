@@ -3,8 +3,8 @@
 import argparse
 from pathlib import Path
 
-from softcal.app.cli.options import add_json, add_registry, positive, registry_of
-from softcal.app.output import print_table, say, write_json
+from softcal.app.cli.options import Action, add_shared, answer, lot_id_of, positive, registry_of
+from softcal.app.output import print_table, say
 from softcal.core.errors import InputError
 
 DONE, SOME_UNIT_NOT_PASSED, REFUSED = 0, 1, 2
@@ -19,12 +19,13 @@ registry: they are kept there, and scored at once.
 """
 
 
-def add_audit(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+def add_audit(action: Action) -> None:
     """Add `softcal lot audit`."""
-    parser = actions.add_parser(
+    parser = action(
         "audit",
-        help="bring labelled recordings of units into the lot; confirm one that is in doubt",
-        description="Take labelled recordings of units, one file a unit and called by its serial. A file that cannot "
+        "bring labelled recordings of units into the lot; confirm one that is in doubt",
+        _run,
+        "Take labelled recordings of units, one file a unit and called by its serial. A file that cannot "
         "be used is named and left out, and the others are taken.",
         epilog=EXAMPLES,
     )
@@ -37,9 +38,7 @@ def add_audit(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     parser.add_argument("--sheet", help="sheet of an Excel file")
     parser.add_argument("--confirm", metavar="SERIAL", help="the audit of this unit is right in spite of the doubt")
     parser.add_argument("--reason", default="", help="why; needed with --confirm")
-    add_registry(parser)
-    add_json(parser)
-    parser.set_defaults(run=_run)
+    add_shared(parser, "registry", "json")
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -54,16 +53,13 @@ def _run(options: argparse.Namespace) -> int:
 
 def _confirm(options: argparse.Namespace) -> int:
     from softcal.app.batch.judging import confirm
-    from softcal.app.cli.lot import lot_id_of
 
     lot_id = lot_id_of(options.lot)
     with registry_of(options, create=False) as registry:
         confirm(registry, lot_id, options.confirm, reason=options.reason)
         standing = registry.pages.standings(lot_id, [options.confirm])[options.confirm]
     say(f"{options.confirm}: confirmed; its verdict is {standing.verdict}: {standing.reasons[0]}")
-    if options.json:
-        facts = {"serial": options.confirm, "verdict": standing.verdict}
-        write_json(options.json, {"schema": "softcal.lot.audit-confirm/1", "lot": lot_id, **facts})
+    answer(options, "lot.audit-confirm/1", {"lot": lot_id, "serial": options.confirm, "verdict": standing.verdict})
     return DONE if standing.verdict == "pass" else SOME_UNIT_NOT_PASSED
 
 
@@ -91,11 +87,9 @@ def _bring(options: argparse.Namespace) -> int:
             store_audits(registry, lot.id, found)
             judge_again(registry, [lot.id])
     taken = [one.serial for one in found if one.recording is not None]
-    if options.json:
-        refused = {one.file: str(one.refusal) for one in found if one.recording is None}
-        facts = {"lot": lot.id, "audited": taken, "replaced": replaced, "refused": refused}
-        write_json(options.json, {"schema": "softcal.lot.audit-files/1", **facts})
-    if options.json != "-":
+    refused = {one.file: str(one.refusal) for one in found if one.recording is None}
+    facts = {"lot": lot.id, "audited": taken, "replaced": replaced, "refused": refused}
+    if answer(options, "lot.audit-files/1", facts):
         rows = [[one.file, one.serial, "taken" if one.recording else f"refused: {one.refusal}"] for one in found]
         print_table(("file", "serial", "result"), rows)
     if replaced:
