@@ -85,12 +85,7 @@ class AuditReader:
         self._golden: dict[tuple[str, str], float] = {}
 
     def evidence(self, lot_id: str, method_id: str, now: datetime) -> AuditEvidence:
-        """Return what is known about a lot from audits.
-
-        Args:
-            method_id: of the forecasts that the audits are to speak for.
-            now: the time of the decision.
-        """
+        """Return what is known about a lot from audits."""
         registry, lot = self._registry, self._registry.lots.get(lot_id)
         audited = self._audited(lot)
         readings = {serial: self._reading(lot_id, made) for serial, (_, _, made) in audited.items()}
@@ -111,7 +106,10 @@ class AuditReader:
             for audit, at, made in audited.values()
             if made.method_id != method_id
         ]
-        golden_failed_at, units = self._golden_failed_at(lot), self._units(lot)
+        # How many units the lot has, or is planned to have where a line was told so
+        planned = registry.lots.line_rules(lot).target or 0
+        units = max(planned, sum(registry.pages.verdict_counts(lot.id).values()))
+        golden_failed_at = self._golden_failed_at(lot)
         qualification = qualify(here, past, now, lot.sensor_model, method_id, golden_failed_at, units, RULES)
         gains = [reading.gain for audit in here if (reading := readings[audit.serial]) is not None]
         widening = self._widening(qualification, lot_id)
@@ -124,11 +122,6 @@ class AuditReader:
         }
         common = common_misreading(lines, RULES) if qualification.source == THIS_LOT else None
         return AuditEvidence(qualification, limit, widening, seen_gains(gains), days, doubts, lines, common)
-
-    def _units(self, lot: Lot) -> int:
-        """Return how many units the lot has, or is planned to have where a line was told so."""
-        planned = self._registry.lots.line_rules(lot).target or 0
-        return max(planned, sum(self._registry.pages.verdict_counts(lot.id).values()))
 
     def _days(self, lot: Lot, now: datetime) -> SeenGains | None:
         """Return the gains of golden units of this sensor model, one a day, each about its unit's own mean."""

@@ -39,16 +39,17 @@ class Claims:
 
     def take(self, count: int) -> list[WorkItem]:
         """Claim up to `count` items; where none is free, those of processes of this machine that died come free."""
-        items = self._claim(count)
-        return items if items or not self.take_back_from_dead() else self._claim(count)
-
-    def _claim(self, count: int) -> list[WorkItem]:
-        return self.queue.claim(self.owner, self.work, count, LEASE_S)
+        items = self.queue.claim(self.owner, self.work, count, LEASE_S)
+        if not items and self.take_back_from_dead():
+            items = self.queue.claim(self.owner, self.work, count, LEASE_S)
+        return items
 
     def take_back_from_dead(self) -> int:
         """Free what processes of this machine held when they died; return how many items came free."""
-        dead = [owner for owner in self.queue.owners(self.work) if _is_dead(owner)]
-        return sum(self.queue.take_back(owner) for owner in dead)
+        if os.name != "posix":
+            return 0  # Nobody may ask there without harm: leases tell.
+        owners = self.queue.owners(self.work)
+        return sum(self.queue.take_back(owner) for owner in owners if is_alive(owner.rpartition(":")[0]) is False)
 
     def _keep(self) -> None:
         while not self._ended.wait(EXTEND_EVERY_S):
@@ -59,15 +60,15 @@ class Claims:
                 continue
 
 
-def _is_dead(owner: str) -> bool:
-    """Whether an owner is a process of this machine that is gone. Where that cannot be known, leases tell."""
-    host, pid, _ = owner.rsplit(":", 2)
-    if host != socket.gethostname() or os.name != "posix":
-        return False
+def is_alive(process: str) -> bool | None:
+    """Return whether a process lives: `host:process id`. None where it is on another machine."""
+    host, _, number = process.rpartition(":")
+    if host != socket.gethostname() or not number.isdecimal():
+        return None
     try:
-        os.kill(int(pid), 0)
+        os.kill(int(number), 0)
     except ProcessLookupError:
-        return True
-    except OSError:
         return False
-    return False
+    except PermissionError:
+        return True  # It is there, and somebody else's.
+    return True

@@ -25,7 +25,6 @@ def compare_on_lot(registry: Registry, request: Mapping[str, Any], tell: Tell) -
 
     Args:
         request: lot, networks (ids), families (of the catalogue, or auto), units (how many at most).
-        tell: told fraction and a sentence.
 
     Raises:
         InputError: a lot, network or source recording is not in the registry.

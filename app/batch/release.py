@@ -1,6 +1,5 @@
 """Release the unmeasured units of a lot on its audits: read from the registry, decided, kept as revisions."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -9,7 +8,8 @@ import numpy as np
 
 from softcal.app.batch.audit_evidence import PROMISE, RELEASABLE, AuditEvidence, AuditReader
 from softcal.app.registry.limit import limit_or_none, lot_limit
-from softcal.app.registry.lot_recordings import audit_of, newest_audits, source_recording, unlabelled
+from softcal.app.registry.lot_recordings import audit_of, newest_audits, source_recording, target_serials, unlabelled
+from softcal.app.registry.stated import is_stated, state
 from softcal.core.identity import content_sha256
 from softcal.core.quality.lot_release import LotRelease, release_lot
 from softcal.core.quality.lot_standing import LotStanding, UnitInLot
@@ -36,9 +36,6 @@ def judge_lot(
 ) -> LotRelease | None:
     """Judge every unit of a lot by the limit in force and by the audits, and keep what changed; nothing is fitted.
 
-    Args:
-        now: the time of the decision.
-
     Returns:
         None where the lot has no unit with a forecast yet.
     """
@@ -52,10 +49,8 @@ def judge_lot(
     with registry.transaction():
         for made in standing.moved():
             _keep(registry, lot_id, made, decided, standing.evidence, actor)
-        # Keep the statement, where it says something new
-        if not is_told(registry, lot_id, decided):
-            facts = decided.to_json()
-            registry.trail.add("release" if decided.released else "withhold", STATEMENT, (lot_id,), facts, actor=actor)
+        action = "release" if decided.released else "withhold"
+        state(registry, STATEMENT, (lot_id,), decided.to_json(), action=action, actor=actor)
     return decided
 
 
@@ -86,9 +81,6 @@ def _is_to_correct(made: MadeCalibration, evidence: AuditEvidence) -> bool:
 def lot_standing(registry: Registry, lot_id: str, now: datetime | None = None) -> LotStanding:
     """Return where a lot stands; nothing is written.
 
-    Args:
-        now: the time of the decision.
-
     Raises:
         InputError: the lot is not in the registry.
     """
@@ -96,7 +88,7 @@ def lot_standing(registry: Registry, lot_id: str, now: datetime | None = None) -
     units, limit = _whole_lot(registry, lot_id), limit_or_none(registry, lot_id)
     standing = _standing(registry, lot_id, now or datetime.now(UTC), units)
     audits, passed = newest_audits(registry, lot_id), registry.calibrations.passed_once(lot_id)
-    targets = [unit.serial for unit in registry.lots.units(lot_id) if unit.role == "target"]
+    targets = target_serials(registry, lot_id)
     rows = [_in_lot(serial, units.get(serial), audits.get(serial), serial in passed) for serial in targets]
     return LotStanding(lot_id, rows, limit, None if standing is None else standing.decided())
 
@@ -123,18 +115,15 @@ def _measure_anew(registry: Registry, lot_id: str, actor: str | None) -> None:
         made, entry = standing.made, entries[serial]
         if made is None or (made.audit is not None and made.audit.recording_sha256 in ("", entry.sha256)):
             continue
-        audit, base = (
-            audit_of(registry, entry),
-            _base(registry, lot_id, registry.calibrations.get(serial, lot_id=lot_id)),
-        )
+        audit = audit_of(registry, entry)
+        base = _base(registry, lot_id, registry.calibrations.get(serial, lot_id=lot_id))
         if audit is None or base.grounds is None or base.grounds.rules:
             continue
         recording = unlabelled(registry.recordings.get(base.recording_sha256))
         record = measured(registry.networks.get(base.network_id), base, audit, recording, lot_limit(registry, lot_id))
         # It is fitted as it was; what others say is asked again.
         evidence = {name: value for name, value in record.evidence.items() if name != BASE}
-        record = replace(record, evidence=evidence)
-        _put(registry, lot_id, record, "scored on a newer audit", actor)
+        _put(registry, lot_id, replace(record, evidence=evidence), "scored on a newer audit", actor)
 
 
 def _judge_anew(registry: Registry, lot_id: str, actor: str | None) -> None:
@@ -183,7 +172,21 @@ class _Standing:
         }
 
     def decided(self) -> LotRelease:
-        return _decided(self.evidence, self.open, self.least)
+        """Decide on the units that nobody measured."""
+        evidence, units = self.evidence, self.open
+        days = {} if evidence.days is None else {s: evidence.day_rmse(made.load_rms) for s, made in units.items()}
+        return release_lot(
+            {serial: made.forecast_rmse for serial, made in units.items() if made.forecast_rmse},
+            evidence.qualification,
+            evidence.limit,
+            PROMISE,
+            widening=evidence.widening,
+            least=self.least,
+            seen=evidence.seen,
+            days=days,
+            doubts=evidence.doubts,
+            common=evidence.common,
+        )
 
     def moved(self) -> list[MadeCalibration]:
         """Return the units that the audits of the lot may move: open ones, audited ones, those in doubt."""
@@ -237,9 +240,7 @@ class LineRelease:
 
 
 def _whole_lot(registry: Registry, lot_id: str) -> Mapping[str, UnitStanding]:
-    return registry.pages.standings(
-        lot_id, [unit.serial for unit in registry.lots.units(lot_id) if unit.role == "target"]
-    )
+    return registry.pages.standings(lot_id, target_serials(registry, lot_id))
 
 
 def _made(units: Mapping[str, UnitStanding]) -> list[MadeCalibration]:
@@ -253,23 +254,6 @@ def _least(units: Mapping[str, UnitStanding]) -> float:
     return least_passing(len(units), len(held))
 
 
-def _decided(evidence: AuditEvidence, units: Mapping[str, MadeCalibration], least: float) -> LotRelease:
-    forecasts = {serial: made.forecast_rmse for serial, made in units.items() if made.forecast_rmse}
-    days = {} if evidence.days is None else {s: evidence.day_rmse(made.load_rms) for s, made in units.items()}
-    return release_lot(
-        forecasts,
-        evidence.qualification,
-        evidence.limit,
-        PROMISE,
-        widening=evidence.widening,
-        least=least,
-        seen=evidence.seen,
-        days=days,
-        doubts=evidence.doubts,
-        common=evidence.common,
-    )
-
-
 def _keep(
     registry: Registry,
     lot_id: str,
@@ -278,11 +262,7 @@ def _keep(
     evidence: AuditEvidence,
     actor: str | None,
 ) -> None:
-    """Store what is decided on a unit as a revision of its own, where it is not what stands.
-
-    Args:
-        decided: on the lot; None where only what all misread alike is taken off.
-    """
+    """Store what is decided on a unit as a revision of its own, where it is not what stands."""
     doubt, known = evidence.doubts.get(made.serial), made.decision
     is_released = decided is not None and decided.found is not None and made.serial in decided.forecasts
     # Asked first: most lots have no audits, and reading a calibration whole costs more than most of the batch's writes.
@@ -353,11 +333,7 @@ def doubted_record(base: CalibrationRecord, doubt: Reason) -> CalibrationRecord:
 
 
 def judged_record(base: CalibrationRecord, decided: LotRelease) -> CalibrationRecord:
-    """Return a calibration with what the audits of its lot say: forecast and interval scaled, the judgement beside.
-
-    Args:
-        decided: on its lot; the unit must be among `forecasts`.
-    """
+    """Return a calibration with what the audits of its lot say: forecast and interval scaled, the judgement beside."""
     judgement = decided.judgement(base.serial)
     decision = replace(base.decision, measured=None, sampled=judgement)
     scale, widening = decided.forecast_scale, decided.widening
@@ -385,5 +361,4 @@ def judged_record(base: CalibrationRecord, decided: LotRelease) -> CalibrationRe
 
 def is_told(registry: Registry, lot_id: str, decided: LotRelease) -> bool:
     """Return whether this very decision is the last that was kept: then units and files follow it already."""
-    told = registry.trail.of(STATEMENT, (lot_id,))
-    return bool(told) and json.loads(told[-1].after or "{}") == json.loads(json.dumps(decided.to_json()))
+    return is_stated(registry, STATEMENT, (lot_id,), decided.to_json())

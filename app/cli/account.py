@@ -40,7 +40,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         add_shared(each, "registry", "json")
 
 
-def _set(options: argparse.Namespace) -> int:
+def _set(options: argparse.Namespace) -> None:
     name = options.name.strip()
     with registry_of(options, create=False) as registry:
         known = next((user for user in registry.people.all() if user.name == name), None)
@@ -60,7 +60,6 @@ def _set(options: argparse.Namespace) -> int:
     state = "may sign in" if user.is_active else "may not sign in"
     say(f"{user.name}: {user.role}, {state}")
     answer(options, "account/1", _account(user))
-    return 0
 
 
 def _pin(options: argparse.Namespace) -> str:
@@ -81,12 +80,11 @@ def _pin(options: argparse.Namespace) -> str:
     return pin
 
 
-def _list(options: argparse.Namespace) -> int:
+def _list(options: argparse.Namespace) -> None:
     with registry_of(options, create=False) as registry:
         users = registry.people.all()
     answer(options, "accounts/1", {"accounts": [_account(user) for user in users]})
     print_table(("name", "role", "may sign in"), [[u.name, u.role, "yes" if u.is_active else "no"] for u in users])
-    return 0
 
 
 def _account(user: User) -> dict[str, object]:

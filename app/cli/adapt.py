@@ -72,7 +72,7 @@ MODE_HELP = (
 )
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Follow the stream, and say what was followed, held and flagged."""
     from softcal.app.use.adapt import AdaptOptions
     from softcal.core.use.adapter import AdaptConfig
@@ -84,7 +84,6 @@ def run(options: argparse.Namespace) -> int:
         report = _follow(registry, options, adapt)
         say_caution(registry, (report.serial, report.revision, report.lot.id), "adapt")
         _report(registry, options, report)
-    return 0
 
 
 def _method(options: argparse.Namespace) -> "UseMethod":

@@ -12,7 +12,6 @@ from softcal.app.output import print_table, say
 if TYPE_CHECKING:
     from softcal.db.entries import Token
 
-DONE = 0
 EXAMPLES = """examples:
   softcal api token create --account MES --purpose "MES of hall 3" --days 365
   softcal api serve
@@ -57,7 +56,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         add_shared(each, "registry", "json")
 
 
-def _serve(options: argparse.Namespace) -> int:
+def _serve(options: argparse.Namespace) -> None:
     from softcal.app.connect.serving import ServingOptions, serve_api
 
     serving = ServingOptions(
@@ -66,19 +65,16 @@ def _serve(options: argparse.Namespace) -> int:
     scheme = "http" if options.cert is None else "https"
     say(f"the REST interface is at {scheme}://{options.host}:{options.port}/v1; Ctrl-C ends it")
     serve_api(serving, say_written)
-    return DONE
 
 
-def _openapi(options: argparse.Namespace) -> int:
+def _openapi(options: argparse.Namespace) -> None:
     write_text(options.out, json.dumps(_document(), indent=2) + "\n")
-    return DONE
 
 
-def _client(options: argparse.Namespace) -> int:
+def _client(options: argparse.Namespace) -> None:
     from softcal.app.connect.client_text import client_text
 
     write_text(options.out, client_text(_document()))
-    return DONE
 
 
 def _document() -> dict[str, Any]:
@@ -88,17 +84,16 @@ def _document() -> dict[str, Any]:
         return openapi_document(rest_app(registry))
 
 
-def _create(options: argparse.Namespace) -> int:
+def _create(options: argparse.Namespace) -> None:
     with registry_of(options, create=False) as registry:
         token, secret = registry.tokens.add(options.account, options.purpose, options.days)
     if answer(options, "api.token/1", {**_token_json(token), "token": secret}):
         print(secret)
         until = token.ends_at.astimezone()
         say(f"token {token.token_id} of {token.account} holds until {until:%Y-%m-%d}; it is not shown again")
-    return DONE
 
 
-def _list(options: argparse.Namespace) -> int:
+def _list(options: argparse.Namespace) -> None:
     with registry_of(options, create=False) as registry:
         tokens, now = registry.tokens.all(), registry.settings.clock()
     answer(options, "api.tokens/1", {"tokens": [_token_json(each) for each in tokens]})
@@ -108,15 +103,13 @@ def _list(options: argparse.Namespace) -> int:
         holds = "yes" if token.holds(now) else "no"
         rows.append((token.token_id, token.account, token.purpose, made, until, holds))
     print_table(("token", "account", "purpose", "made", "until", "holds"), rows)
-    return DONE
 
 
-def _withdraw(options: argparse.Namespace) -> int:
+def _withdraw(options: argparse.Namespace) -> None:
     with registry_of(options, create=False) as registry:
         registry.tokens.withdraw(options.token, reason=options.reason)
     if answer(options, "api.withdrawn/1", {"token_id": options.token}):
         print(f"token {options.token} was withdrawn; what it was used for until now stands in the audit trail")
-    return DONE
 
 
 def _token_json(token: "Token") -> dict[str, object]:

@@ -109,7 +109,9 @@ def run(options: argparse.Namespace) -> int:
             print_reasons(f"{unit.serial} {unit.verdict}", unit.reasons)
     for line in audit_lines(report):
         print(textwrap.fill(shown(line), WIDTH))
-    print(_summary(report.counts, folder.lot.reference_unit, report.wall_s))
+    words = ", ".join(f"{count} {word}" for word, count in report.counts.items())
+    in_all = f"{sum(report.counts.values())} units in {report.wall_s:.1f} s"
+    print(f"{in_all}: {words}; errors are RMSE in {folder.lot.reference_unit}")
     write_json(options.json, report_json(report))
     return 0 if report.has_passed else 1
 
@@ -128,8 +130,3 @@ def _write_files(registry: "Registry", report: "BatchReport", out: Path) -> None
     held = report.counts["conditional"] if report.release is Release.PASS else 0
     more = f"; {held} conditional units have theirs with --release conditional" if held else ""
     say(f"{out}: calibration files of {len(released)} units{more}")
-
-
-def _summary(counts: dict[str, int], unit: str, wall_s: float) -> str:
-    words = ", ".join(f"{count} {word}" for word, count in counts.items())
-    return f"{sum(counts.values())} units in {wall_s:.1f} s: {words}; errors are RMSE in {unit}"

@@ -10,7 +10,6 @@ from softcal.app.cli.options import actions_of, add_shared, answer, positive, re
 from softcal.app.output import print_table, say
 from softcal.core.errors import InputError
 
-DONE = 0
 EXAMPLES = """examples:
   softcal connect secret --out mes.secret               a secret for the signature of a webhook
   softcal connect check plant.toml                      read the file, reach every destination
@@ -41,7 +40,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _run(options: argparse.Namespace) -> int:
+def _run(options: argparse.Namespace) -> None:
     from softcal.app.connect.run import run_connect
     from softcal.app.connect.settings import read_settings
 
@@ -51,37 +50,33 @@ def _run(options: argparse.Namespace) -> int:
     with registry_of(options, create=False) as registry:
         say(f"{options.file}: events are sent; Ctrl-C ends it, and what waits is kept")
         run_connect(registry, settings, over, say)
-    return DONE
 
 
-def _check(options: argparse.Namespace) -> int:
+def _check(options: argparse.Namespace) -> None:
     from softcal.app.connect.reach import reach
     from softcal.app.connect.settings import read_settings
 
     for name in reach(read_settings(options.file)):
         print(f"{name}: reached")
-    return DONE
 
 
-def _status(options: argparse.Namespace) -> int:
+def _status(options: argparse.Namespace) -> None:
     from softcal.app.connect.forwarder import status_json, status_rows
 
     with registry_of(options, create=False) as registry:
         found = status_json(registry)
     answer(options, "connect.status/1", {"destinations": found})
     print_table(("destination", "sent", "waits", "failed", "next try", "why", "served by"), status_rows(found))
-    return DONE
 
 
-def _secret(options: argparse.Namespace) -> int:
+def _secret(options: argparse.Namespace) -> None:
     from softcal.app.connect.webhook import write_new_secret
 
     write_new_secret(options.out)
     print(f"{options.out}: give its first line to whoever receives the webhook")
-    return DONE
 
 
-def _estimates(options: argparse.Namespace) -> int:
+def _estimates(options: argparse.Namespace) -> None:
     from softcal.app.connect.estimates import publish_estimates
     from softcal.app.connect.settings import read_settings
 
@@ -90,4 +85,3 @@ def _estimates(options: argparse.Namespace) -> int:
         raise InputError(f"{options.file}: one [[mqtt]] was expected, there are {len(mqtts)}")
     published, left_out = publish_estimates(sys.stdin, options.serial, mqtts[0], options.rate)
     say(f"{published} estimates were published, {left_out} were left out")
-    return DONE

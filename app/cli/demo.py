@@ -33,12 +33,13 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the demo and print its table."""
+    from softcal.app.batch.batch import run_batch
     from softcal.app.batch.engine import EngineChoice
     from softcal.app.batch.lot_work import BatchConfig
     from softcal.app.batch.report import report_json
     from softcal.app.export.export import export_units
     from softcal.app.gap.diagnose import read_twin
-    from softcal.app.line.demo import TABLE_HEADER, DemoConfig, press_demo_lot, run_demo, table_row
+    from softcal.app.line.demo import TABLE_HEADER, DemoConfig, press_demo_lot, table_row
 
     start_s = time.monotonic()
     batch = BatchConfig(network=network_config(options), engine=EngineChoice("local", options.jobs), chunk=1)
@@ -47,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
     folder = press_demo_lot(config, options.out / "lot", say)
     url = f"sqlite:///{options.out / 'registry.db'}"
     with registry_at(url) as registry:
-        report = run_demo(config, folder, registry, batch_watch("N"))
+        report = run_batch(folder, registry, config.batch, batch_watch("N"))
         passed = [unit.serial for unit in report.units if report.releases(unit)]
         export_units(registry, passed, ("json",), options.out / "files")
     print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])

@@ -8,7 +8,6 @@ from softcal.app.cli.configuration import files_in_use
 from softcal.app.cli.options import add_shared, answer
 from softcal.app.output import print_table, say
 
-DONE = 0
 EXAMPLES = """examples:
   softcal doctor
   softcal doctor --registry postgresql://line@db/softcal --out support.zip
@@ -24,7 +23,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="ZIP", help="write report and logs into one file for support")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Print the facts, the problems on standard error."""
     from softcal.app.registry.doctor import collect, examine
 
@@ -39,7 +38,6 @@ def run(options: argparse.Namespace) -> int:
         print(f"{len(problems)} problems" if problems else "no problems found")
     for problem in problems:
         say(f"problem: {problem}")
-    return DONE
 
 
 def _text(value: object) -> str:

@@ -26,7 +26,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_shared(parser, "lot", "registry", "json")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Estimate, and say how much of it can be trusted."""
     from softcal.app.use.estimate import estimate_file
 
@@ -39,4 +39,3 @@ def run(options: argparse.Namespace) -> int:
     said = ", ".join(f"{count} {flag}" for flag, count in counts.items()) or "no row flagged"
     say(f"{options.out}: {len(result.flag)} rows; {said}")
     answer(options, "estimate/1", {"rows": len(result.flag), "flags": counts})
-    return 0

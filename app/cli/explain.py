@@ -25,7 +25,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_shared(parser, "lot", "registry", "json", "csv")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Print reasons and budget, write the figure."""
     from softcal.app.charts.why_page import explain_unit, why_json
     from softcal.app.registry.standing import standing_of
@@ -33,7 +33,8 @@ def run(options: argparse.Namespace) -> int:
     from softcal.core.words.reason import joined
 
     if options.method:
-        return _print_method(options)
+        _print_method(options)
+        return
 
     with registry_of(options, create=False) as registry:
         if options.out is None:
@@ -52,10 +53,9 @@ def run(options: argparse.Namespace) -> int:
         print_reasons(f"{options.serial} {decision.verdict} ({view.calibration.knowledge})", decision.reasons)
         rows = [[name, value] for name, value in view.explanation.contributions.items()]
         print_table(("part of the predicted error", view.lot.reference_unit), rows)
-    return 0
 
 
-def _print_method(options: argparse.Namespace) -> int:
+def _print_method(options: argparse.Namespace) -> None:
     """Print the method of one calibration: every number, its origin, and what this version would use instead."""
     from softcal.core.unit.method import Method
 
@@ -71,4 +71,3 @@ def _print_method(options: argparse.Namespace) -> int:
         for name, value, origin in method.numbers():
             now = "" if here.get(name) == value else f"; this version: {here.get(name)}"
             print(f"{name} = {value}{now}\n    {origin}")
-    return 0

@@ -14,7 +14,7 @@ from softcal.app.export.names import formats
 from softcal.app.output import ProgressLine, print_table, say, write_json
 
 if TYPE_CHECKING:
-    from softcal.app.export.signature import SigningKey
+    pass
 
 EXAMPLES = """examples:
   softcal export --serial A1 --format blob --adc-bits 10 --adc-full-scale 5 --out files --check
@@ -112,6 +112,7 @@ def run(options: argparse.Namespace) -> int:
 def _export(options: argparse.Namespace) -> tuple[list[dict[str, object]], int]:
     from softcal.app.export.calibrated_unit import ExportOptions
     from softcal.app.export.export import export_units, lot_serials
+    from softcal.app.export.signature import open_signing_key
     from softcal.core.errors import InputError, UnitRefused
     from softcal.core.export.device import DeviceOptions
     from softcal.core.unit.verdict import Release
@@ -119,6 +120,10 @@ def _export(options: argparse.Namespace) -> tuple[list[dict[str, object]], int]:
     with registry_of(options, create=False) as registry:
         if not 0 <= options.max_deviation <= 0.5:
             raise InputError(f"--max-deviation {options.max_deviation}: 0 ... 0.5 is allowed")
+        signing_key = None
+        if options.sign is not None:
+            ask = getpass if sys.stdin.isatty() else None
+            signing_key = open_signing_key(options.sign, options.passphrase_file, ask)
         choices = ExportOptions(
             adc_bits=options.adc_bits,
             adc_full_scale=options.adc_full_scale,
@@ -129,7 +134,7 @@ def _export(options: argparse.Namespace) -> tuple[list[dict[str, object]], int]:
             failed_too=options.failed_too,
             revision=options.revision,
             lot_id=options.lot,
-            signing_key=_signing_key(options),
+            signing_key=signing_key,
             laboratory=options.laboratory,
             issued_on=options.issued_on,
         )
@@ -144,17 +149,15 @@ def _export(options: argparse.Namespace) -> tuple[list[dict[str, object]], int]:
     if len(units) == 1 and refused:
         raise UnitRefused(f"{refused[0].refusal}; written: {', '.join(refused[0].files) or 'nothing'}")
     header = ("serial", "revision", "verdict", "bytes", "map rms", "error rms", "error max", "unit", "files")
-    print_table(header, [_row(unit.serial, unit.revision, unit.verdict, unit.device, unit.files) for unit in units])
+    names, rows = ("unit_bytes", "map_rms_deviation", "rms_error", "max_error", "unit"), []
+    for unit in units:
+        numbers = [(unit.device or {}).get(name) for name in names]
+        rows.append([unit.serial, unit.revision, unit.verdict, *numbers, len(unit.files)])
+    print_table(header, rows)
     _say_cost([unit.device for unit in units if unit.device])
     for unit in refused:
         say(f"refused: {unit.refusal}")
     return [vars(unit) for unit in units], 1 if refused else 0
-
-
-def _row(serial: str, revision: int, verdict: str, device: object, files: tuple[str, ...]) -> list[object]:
-    facts = device if isinstance(device, dict) else {}
-    numbers = [facts.get(name) for name in ("unit_bytes", "map_rms_deviation", "rms_error", "max_error", "unit")]
-    return [serial, revision, verdict, *numbers, len(files)]
 
 
 def _say_cost(devices: Sequence[Mapping[str, object]]) -> None:
@@ -167,14 +170,6 @@ def _say_cost(devices: Sequence[Mapping[str, object]]) -> None:
         f"on a Cortex-M0+ at 48 MHz: network {dearest['network_bytes']} B, code 1.9 KB, RAM {dearest['ram_bytes']} B, "
         f"about {ms:.2f} ms per estimate (at most {1000 / ms:.0f} Hz)"
     )
-
-
-def _signing_key(options: argparse.Namespace) -> "SigningKey | None":
-    from softcal.app.export.signature import open_signing_key
-
-    if options.sign is None:
-        return None
-    return open_signing_key(options.sign, options.passphrase_file, getpass if sys.stdin.isatty() else None)
 
 
 def _check(options: argparse.Namespace) -> tuple[dict[str, object], tuple[str, ...]]:

@@ -118,19 +118,19 @@ def _add_case(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _diagnose(options: argparse.Namespace) -> int:
+def _diagnose(options: argparse.Namespace) -> None:
     from softcal.app.gap.diagnose import diagnose_case, write_page
 
     if options.simulator:
-        return _diagnose_simulator(options)
+        _diagnose_simulator(options)
+        return
     diagnosis = diagnose_case(options.case, say, _table_readout(options))
     if options.page:
         write_page(options.page, diagnosis)
     _show_twin(diagnosis, options.json)
-    return 0
 
 
-def _check(options: argparse.Namespace) -> int:
+def _check(options: argparse.Namespace) -> None:
     from softcal.app.gap.diagnose import check_case
     from softcal.app.gap.simulator import check_with, load_simulator
     from softcal.core.gap.identifiability import sentences
@@ -142,17 +142,16 @@ def _check(options: argparse.Namespace) -> int:
         found, told = check_case(options.case, _table_readout(options))
     data, identifiability = [one.record() for one in found], None if told is None else told.record()
     if not answer(options, "gap.check/1", {"data": data, "identifiability": identifiability}):
-        return 0
+        return
     _show_mistakes(found)
     if told is None:
         print("check       repair the recordings and check again; nothing else was judged")
-        return 0
+        return
     for kind, is_base in (("base parameters", True), ("causes", False)):
         every = [one for one in told.every if one.is_base == is_base]
         print(f"told        {sum(one.is_told for one in every)} of {len(every)} {kind}")
     for line in sentences(told):
         print(f"not told    {line}")
-    return 0
 
 
 def _show_mistakes(found: "tuple[DataMistake, ...]") -> None:
@@ -169,7 +168,7 @@ def _refuse_electronics(options: argparse.Namespace) -> None:
         raise InputError("--simulator knows no electronics; leave those options out")
 
 
-def _diagnose_simulator(options: argparse.Namespace) -> int:
+def _diagnose_simulator(options: argparse.Namespace) -> None:
     from softcal.app.gap.diagnose import write_page
     from softcal.app.gap.simulator import diagnose_with, load_simulator
 
@@ -183,7 +182,6 @@ def _diagnose_simulator(options: argparse.Namespace) -> int:
     if diagnosis.failures.count:
         failed = diagnosis.failures
         say(f"{failed.first}; so at {failed.count} of {failed.of} places, which were avoided")
-    return 0
 
 
 def _table_readout(options: argparse.Namespace) -> "ReadoutMetadata | None":
@@ -202,32 +200,32 @@ def _table_readout(options: argparse.Namespace) -> "ReadoutMetadata | None":
     return ReadoutMetadata(options.vref_V, options.adc_bits, options.series_ohm or 1.0, options.rate_Hz)
 
 
-def _apply(options: argparse.Namespace) -> int:
+def _apply(options: argparse.Namespace) -> None:
     from softcal.app.gap.diagnose import apply_case, apply_report, read_report
     from softcal.app.gap.simulator import diagnose_with, load_simulator, read_parameters
 
     if (options.case is None) == (options.report is None):
         raise InputError("give either a case to diagnose or --report with the JSON of a diagnosis")
     if options.report is not None and (report := read_report(options.report)).get("simulator"):
-        return _apply_parameters(options, report, str(options.report))
+        _apply_parameters(options, report, str(options.report))
+        return
     if options.simulator:
         diagnosed = diagnose_with(options.case, simulator := load_simulator(options.simulator), say)
         _show(diagnosed)
         _apply_parameters(options, diagnosed.report(), str(options.case))
         read_parameters(options.out, simulator)
-        return 0
+        return
     if options.report is not None:
         say(f"twin written to {options.out}: {_contents(apply_report(options.report, options.out, options.empirical))}")
-        return 0
+        return
     diagnosis, twin = apply_case(options.case, options.out, say, options.empirical)
     is_bare = diagnosis.verdict == "unknown" and not options.empirical
     said = "nothing explains the gap, so it is the refitted base alone" if is_bare else _contents(twin)
     say(f"twin written to {options.out}: {said}")
     _show_twin(diagnosis, options.json)
-    return 0
 
 
-def _apply_parameters(options: argparse.Namespace, report: Mapping[str, object], source: str) -> int:
+def _apply_parameters(options: argparse.Namespace, report: Mapping[str, object], source: str) -> None:
     from softcal.app.gap.simulator import write_parameters
 
     found = write_parameters(options.out, report, source, options.empirical)
@@ -236,7 +234,6 @@ def _apply_parameters(options: argparse.Namespace, report: Mapping[str, object],
     said = "nothing explains the gap, so they are those of the refitted base alone: " if is_bare else ""
     say(f"parameters of {report['simulator']} written to {options.out}: {said}{told}")
     write_json(options.json, dict(report))
-    return 0
 
 
 def _contents(twin: "Twin") -> str:

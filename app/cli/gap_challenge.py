@@ -75,7 +75,7 @@ def add_challenge_actions(action: Action) -> None:
     )
 
 
-def _challenge(options: argparse.Namespace) -> int:
+def _challenge(options: argparse.Namespace) -> None:
     from softcal.app.gap.challenge import make_challenge
 
     folder: Path = options.out
@@ -84,17 +84,15 @@ def _challenge(options: argparse.Namespace) -> int:
     made = make_challenge(folder, seal_file, options.cases, options.seed, options.line, progress.step)
     print(f"commitment  {made.commitment}")
     say(f"{len(made.cases)} cases in {folder}; labels in {seal_file}: keep it away from whoever diagnoses")
-    return 0
 
 
-def _ask(options: argparse.Namespace) -> int:
+def _ask(options: argparse.Namespace) -> None:
     from softcal.app.gap.challenge import ask_rig, press_rig_lot
 
     if options.lot is not None:
         print(press_rig_lot(options.folder, options.seal, options.case, options.units, options.lot))
-        return 0
+        return
     print(ask_rig(options.folder, options.seal, options.case, options.experiment))
-    return 0
 
 
 def _score(options: argparse.Namespace) -> int:

@@ -28,19 +28,17 @@ def add_effects(action: Action) -> None:
     add_shared(parser, "json", "csv")
 
 
-def _list(options: argparse.Namespace) -> int:
+def _list(options: argparse.Namespace) -> None:
     from softcal.core.twin.catalogue import EFFECTS
 
     if answer(options, "gap.effects/1", {"effects": [_record(effect) for effect in EFFECTS.values()]}):
         header = ["effect", "stage", "equation", "needs", "hides behind", "shown by"]
-        print_table(header, [_row(effect) for effect in EFFECTS.values()])
-    return 0
-
-
-def _row(effect: "Effect") -> list[object]:
-    signs = effect.signs
-    lists = (signs.needs, signs.hides_behind, signs.shown_by)
-    return [effect.id, effect.stage, effect.equation, *(", ".join(names) or None for names in lists)]
+        rows = []
+        for effect in EFFECTS.values():
+            lists = (effect.signs.needs, effect.signs.hides_behind, effect.signs.shown_by)
+            signs = [", ".join(names) or None for names in lists]
+            rows.append([effect.id, effect.stage, effect.equation, *signs])
+        print_table(header, rows)
 
 
 def _record(effect: "Effect") -> dict[str, object]:

@@ -47,7 +47,7 @@ def add_lot(action: Action) -> None:
     add_shared(parser, "json")
 
 
-def _lot(options: argparse.Namespace) -> int:
+def _lot(options: argparse.Namespace) -> None:
     from softcal.app.gap.lot import diagnose_lot_folder
 
     found = diagnose_lot_folder(options.folder, say)
@@ -55,7 +55,6 @@ def _lot(options: argparse.Namespace) -> int:
     if options.json != "-":
         _show(found.diagnosis)
         _show_worth(found.calibration)
-    return 0
 
 
 def _show(found: "LotDiagnosis") -> None:
@@ -110,7 +109,7 @@ def add_transfer(action: Action) -> None:
     add_shared(parser, "json")
 
 
-def _transfer(options: argparse.Namespace) -> int:
+def _transfer(options: argparse.Namespace) -> None:
     from softcal.app.gap.transfer import check_transfer
 
     found = check_transfer(options.report, options.lot, options.seed, say)
@@ -118,4 +117,3 @@ def _transfer(options: argparse.Namespace) -> int:
     if options.json != "-":
         header = ("median over units", "rig", "base twin", "explained twin", "base off by", "explained off by")
         print_table(header, [(_WORDS[n], *v, f"{b:.0%}", f"{e:.0%}") for n, *v, b, e in found.rows()])
-    return 0

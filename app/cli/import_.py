@@ -69,7 +69,7 @@ def _rows(text: str) -> tuple[int, int]:
     return int(start), int(stop)
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Import, and say what was made."""
     from softcal.app.files.importing import Columns, ImportPlan, import_lot, median_rate_Hz, tables_of
     from softcal.core.lot import Lot
@@ -100,4 +100,3 @@ def run(options: argparse.Namespace) -> int:
     units = import_lot(plan, options.out, lambda remark: say(f"note: {remark}"))
     say(f"{options.out}: lot {lot.id!r}, source {', '.join(options.source)}, {len(units)} target units, {rate_Hz:g} Hz")
     answer(options, "import/1", {"lot": lot.id, "source": lot.source, "units": units})
-    return 0

@@ -74,7 +74,7 @@ def run_lot(options: argparse.Namespace) -> int:
     return 0
 
 
-def run_station(options: argparse.Namespace) -> int:
+def run_station(options: argparse.Namespace) -> None:
     """Ask for the parts of the rig and its limits, and write the station file."""
     from softcal.app.files.atomic import write_text
     from softcal.station.devices.catalogue import SECTIONS
@@ -92,7 +92,6 @@ def run_station(options: argparse.Namespace) -> int:
     write_text(options.file, station_toml(station_from_table(table)))
     say(f"{options.file}: every key is in it with its meaning; read it once")
     say(f"then: softcal station check --station {options.file}")
-    return 0
 
 
 def _device(section: str, role: "Role") -> dict[str, Any]:

@@ -23,7 +23,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_shared(parser, "json", "csv")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Read, check and show one file."""
     from softcal.app.export.inspect_file import file_rows, file_values, read_device_file
     from softcal.core.errors import InputError
@@ -37,4 +37,3 @@ def run(options: argparse.Namespace) -> int:
     write_json(options.json, file_values(file))
     if options.json != "-" or options.csv:
         print_table(("what", "value"), rows)
-    return 0

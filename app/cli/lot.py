@@ -6,15 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from softcal.app.cli.lot_audit import add_audit
-from softcal.app.cli.options import (
-    actions_of,
-    add_network,
-    add_shared,
-    answer,
-    lot_id_of,
-    network_config,
-    registry_of,
-)
+from softcal.app.cli.options import actions_of, add_network, add_shared, answer, lot_id_of, network_config, registry_of
 from softcal.app.output import print_table, say, write_json
 from softcal.app.texts.catalogue import here
 from softcal.core.errors import InputError, RegistryError
@@ -168,14 +160,13 @@ def _release(options: argparse.Namespace) -> int:
     return DONE if decided.released or not decided.forecasts else SOME_UNIT_NOT_PASSED
 
 
-def _folder(options: argparse.Namespace) -> int:
+def _folder(options: argparse.Namespace) -> None:
     from softcal.app.registry.laid_out import write_lot_folder
 
     with registry_of(options, create=False) as registry:
         written = write_lot_folder(registry, options.lot, options.out)
     say(f"{options.out}: " + ", ".join(f"{len(serials)} in {part}/" for part, serials in written.items()))
     answer(options, "lot.folder/1", {"lot": options.lot, **written})
-    return DONE
 
 
 def _audit_plan(options: argparse.Namespace) -> int:
@@ -226,7 +217,7 @@ def _watch(options: argparse.Namespace) -> int:
     return DONE if passed else SOME_UNIT_NOT_PASSED
 
 
-def _limit(options: argparse.Namespace) -> int:
+def _limit(options: argparse.Namespace) -> None:
     from softcal.app.batch.judging import judge_again
 
     is_new = options.rmse is not None or options.automatic
@@ -242,10 +233,9 @@ def _limit(options: argparse.Namespace) -> int:
     if answer(options, "lot.limit/1", {"unit": unit, "versions": entries}):
         rows = [[e.version, e.rmse, here(e.made_at), e.actor, e.reason] for e in versions]
         print_table(("version", f"limit {unit}", "set", "by", "reason"), rows)
-    return DONE
 
 
-def _network(options: argparse.Namespace) -> int:
+def _network(options: argparse.Namespace) -> None:
     with registry_of(options, create=False) as registry:
         registry.lots.get(options.lot)
         if asked := options.release or options.withdraw:
@@ -262,10 +252,9 @@ def _network(options: argparse.Namespace) -> int:
     if answer(options, "lot.network/1", {"lot": options.lot, "networks": networks}):
         rows = [[one.network.id[:12], one.state, here(one.network.added_at)] for one in states]
         print_table(("network", "state", "trained"), rows)
-    return DONE
 
 
-def _rules(options: argparse.Namespace) -> int:
+def _rules(options: argparse.Namespace) -> None:
     changes = {name: getattr(options, name) for name in ("serial_pattern", "letters", "target")}
     changes = {name: value for name, value in changes.items() if value is not None}
     with registry_of(options, create=False) as registry:
@@ -285,7 +274,6 @@ def _rules(options: argparse.Namespace) -> int:
         )
         rows = [[e.version, here(e.made_at), e.actor, e.reason] for e in versions]
         print_table(("version", "set", "by", "reason"), rows)
-    return DONE
 
 
 def _retest(text: str) -> tuple[str, int]:

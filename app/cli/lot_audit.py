@@ -64,10 +64,11 @@ def _confirm(options: argparse.Namespace) -> int:
 
 
 def _bring(options: argparse.Namespace) -> int:
-    from softcal.app.batch.audit_files import look_at_audits, store_audits, target_serials, write_audits
+    from softcal.app.batch.audit_files import look_at_audits, store_audits, write_audits
     from softcal.app.batch.judging import judge_again
     from softcal.app.files.importing import Columns, tables_of
     from softcal.app.files.lot_folder import open_lot_folder
+    from softcal.app.registry.lot_recordings import target_serials
 
     time = options.time_column or (None if options.sample_rate else "t_s")
     columns = Columns(options.output_column, options.reference_column, time)

@@ -50,11 +50,7 @@ SHARED: dict[str, dict[str, Any]] = {
     "serial": {"required": True, "metavar": "S"},
     "depth": {"type": positive, "default": 3.5, "metavar": "MM", "help": "deepest press (default 3.5 mm)"},
     "profile-seed": {"type": int, "default": 0, "help": "draws the random presses (default 0)"},
-    "spool": {
-        "type": Path,
-        "metavar": "DIR",
-        "help": "where samples go as they come; default: the user's data folder",
-    },
+    "spool": {"type": Path, "metavar": "DIR", "help": "where samples go as they come; default: the user's data folder"},
 }
 """Options that several commands have, without their dashes. `csv` is of commands whose answer is one table."""
 
@@ -88,7 +84,7 @@ def actions_of(
     def add(
         name: str,
         summary: str,
-        run: Callable[[argparse.Namespace], int] | None,
+        run: Callable[[argparse.Namespace], int | None] | None,
         description: str | None = None,
         **facts: Any,
     ) -> argparse.ArgumentParser:
@@ -190,11 +186,7 @@ def lot_id_of(lot: str) -> str:
 
 
 def say_caution(registry: "Registry", unit: "tuple[str, int | None, str | None]", action: str) -> None:
-    """Warn in one line, and record in the audit trail, where the unit that is used did not pass.
-
-    Args:
-        unit: serial, revision and lot as they were asked for.
-    """
+    """Warn in one line, and record in the audit trail, where the unit that is used did not pass."""
     from softcal.app.registry.standing import caution
 
     serial, revision, lot_id = unit
@@ -215,18 +207,14 @@ def batch_watch(unit: str) -> "Watch":
     """Return a watch that prints the progress of a lot, which other batches may work at, too; errors are in `unit`."""
     from softcal.app.batch.lot_work import Watch
 
-    units, note = 0, ""
     progress: ProgressLine | None = None
-
-    def on_start(total: int) -> None:
-        nonlocal units
-        units = total
+    note = ""
 
     def on_unit(result: "UnitResult") -> None:
         nonlocal note
         note = f"{result.serial} {result.verdict}"
 
-    def on_done(done: int) -> None:
+    def on_done(done: int, units: int) -> None:
         nonlocal progress
         if progress is None:
             progress = ProgressLine("units", units, done)
@@ -235,7 +223,6 @@ def batch_watch(unit: str) -> "Watch":
 
     return Watch(
         on_epoch=lambda report: say_epoch(report, unit),
-        on_start=on_start,
         on_unit=on_unit,
         on_done=on_done,
         on_wait=lambda held: say(f"waiting for {held} units that other batches hold"),

@@ -3,7 +3,7 @@
 import argparse
 import difflib
 from collections.abc import Iterable, Sequence
-from typing import Any, NoReturn
+from typing import Any
 
 
 class Parser(argparse.ArgumentParser):
@@ -25,12 +25,10 @@ class Parser(argparse.ArgumentParser):
         """Parse; an unknown option is refused here, by the command that knows its own options."""
         found, left = super().parse_known_args(args, namespace)
         if left:
-            self._refuse(left)
+            unknown = next((word for word in left if word.startswith("-")), left[0]).partition("=")[0]
+            near = suggestion(unknown, self._option_string_actions)
+            self.error(f"unrecognized arguments: {' '.join(left)}{near}")
         return found, left
-
-    def _refuse(self, left: list[str]) -> NoReturn:
-        unknown = next((word for word in left if word.startswith("-")), left[0]).partition("=")[0]
-        self.error(f"unrecognized arguments: {' '.join(left)}{suggestion(unknown, self._option_string_actions)}")
 
 
 def suggestion(word: str, known: Iterable[object]) -> str:

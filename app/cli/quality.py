@@ -3,16 +3,11 @@
 import argparse
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from softcal.app.cli.options import actions_of, add_shared, answer, registry_of
 from softcal.app.output import print_table
 from softcal.core.errors import InputError
 
-if TYPE_CHECKING:
-    from softcal.core.quality.control_chart import ControlChart
-
-DONE = 0
 EXAMPLES = """examples:
   softcal quality grr study.csv              columns unit, station, trial, value; one row per press
   softcal quality yield --lot lot-1
@@ -50,7 +45,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     golden.add_argument("--baseline", type=int, metavar="N", help="limits from the first N checks (default: all)")
 
 
-def _grr(options: argparse.Namespace) -> int:
+def _grr(options: argparse.Namespace) -> None:
     from softcal.app.registry.quality import gauge_study, study_json
 
     if options.tolerance is not None and not options.tolerance > 0:
@@ -71,10 +66,10 @@ def _grr(options: argparse.Namespace) -> int:
         header.append("% of tolerance")
         rows = [[*row, 600 * spread / options.tolerance] for row, (_, spread) in zip(rows, parts, strict=True)]
     closing = f"{study.word}: {study.grr_percent:.1f} % gauge R&R, {study.categories} distinct categories, 5 are wanted"
-    return _show(options, "grr", value, header, rows, closing)
+    _show(options, "grr", value, header, rows, closing)
 
 
-def _capability(options: argparse.Namespace) -> int:
+def _capability(options: argparse.Namespace) -> None:
     from dataclasses import asdict
 
     from softcal.app.registry.quality import chart_json, file_chart, lot_capability
@@ -93,10 +88,10 @@ def _capability(options: argparse.Namespace) -> int:
     value = {"capability": asdict(found), "chart": chart_json(chart)}
     row = [found.count, found.cp, found.cpk, found.cpk_lower, found.cpk_upper, found.pp, found.ppk]
     header = ["values", "Cp", "Cpk", "lower 95 %", "upper 95 %", "Pp", "Ppk"]
-    return _show(options, "capability", value, header, [row], "the process is stable")
+    _show(options, "capability", value, header, [row], "the process is stable")
 
 
-def _yield(options: argparse.Namespace) -> int:
+def _yield(options: argparse.Namespace) -> None:
     from softcal.app.registry.quality import lot_yields, named_shares, yields_json
 
     with registry_of(options, create=False) as registry:
@@ -105,24 +100,23 @@ def _yield(options: argparse.Namespace) -> int:
     rows = [[name.replace("_", " "), s.count, s.of, s.value, *s.interval] for name, s in named_shares(found)]
     reasons = "; ".join(f"{count} x {reason}" for reason, count in found.reasons[:5])
     header = ["yield", "good", "of", "share", "lower 95 %", "upper 95 %"]
-    return _show(options, "yield", value, header, rows, f"not good: {reasons}" if reasons else "")
+    _show(options, "yield", value, header, rows, f"not good: {reasons}" if reasons else "")
 
 
-def _golden(options: argparse.Namespace) -> int:
+def _golden(options: argparse.Namespace) -> None:
     from softcal.app.registry.quality import chart_json, golden_charts
 
     with registry_of(options, create=False) as registry:
         charts = golden_charts(registry, options.station, options.serial, options.baseline)
     found = [{"station": key[0], "serial": key[1]} | chart_json(chart) for key, chart in charts.items()]
     header = ["station", "unit", "checks", "centre", "lower", "upper", "newest", "state"]
-    rows = [[*key, *_golden_row(chart)] for key, chart in charts.items()]
-    return _show(options, "golden", {"charts": found}, header, rows, "")
-
-
-def _golden_row(chart: "ControlChart") -> list[object]:
-    newest = chart.signals[-1] if chart.signals else None
-    state = f"check {newest.index + 1}: {newest.text}" if newest else "in control"
-    return [len(chart.values), chart.centre, chart.lower, chart.upper, float(chart.values[-1]), state]
+    rows = []
+    for key, chart in charts.items():
+        newest = chart.signals[-1] if chart.signals else None
+        state = f"check {newest.index + 1}: {newest.text}" if newest else "in control"
+        limits = (chart.centre, chart.lower, chart.upper)
+        rows.append([*key, len(chart.values), *limits, float(chart.values[-1]), state])
+    _show(options, "golden", {"charts": found}, header, rows, "")
 
 
 def _show(
@@ -132,9 +126,8 @@ def _show(
     header: Sequence[str],
     rows: Sequence[Sequence[object]],
     closing: str,
-) -> int:
+) -> None:
     answer(options, f"quality.{study}/1", value)
     print_table(header, rows)
     if closing:
         print(closing)
-    return DONE

@@ -2,7 +2,6 @@
 
 import argparse
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 from softcal.app.bootstrap import registry_url
@@ -10,7 +9,6 @@ from softcal.app.cli.options import actions_of, add_shared, answer, registry_of,
 from softcal.app.output import print_table, say, shown
 from softcal.core.errors import RegistryError
 
-DONE = 0
 EXAMPLES = """examples:
   softcal registry list --lot lot-1
   softcal registry history --serial A17
@@ -65,24 +63,22 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     action("upgrade", "bring the tables to this version (SQLite: after a backup)", _upgrade)
 
 
-def _done(options: argparse.Namespace, action: str, line: str, **facts: object) -> int:
+def _done(options: argparse.Namespace, action: str, line: str, **facts: object) -> None:
     """Say what was done: as JSON where asked for, else as one line on standard output."""
     if answer(options, f"registry.{action}/1", facts):
         print(line)
-    return DONE
 
 
-def _list(options: argparse.Namespace) -> int:
+def _list(options: argparse.Namespace) -> None:
     from softcal.app.registry.listing import UNIT_HEADER, unit_json, unit_row
 
     with registry_of(options, create=False) as registry:
         units = registry.lots.units(options.lot)
     answer(options, "registry.list/1", {"units": [unit_json(unit) for unit in units]})
     print_table(UNIT_HEADER, [unit_row(unit) for unit in units])
-    return DONE
 
 
-def _history(options: argparse.Namespace) -> int:
+def _history(options: argparse.Namespace) -> None:
     from softcal.app.registry.listing import HISTORY_HEADER, history_json, history_row, only_lot
 
     with registry_of(options, create=False) as registry:
@@ -99,52 +95,53 @@ def _history(options: argparse.Namespace) -> int:
     for unit in units:
         if unit.is_conflict:
             say(f"conflict: {unit.reasons[0]}")
-    return DONE
 
 
-def _verify(options: argparse.Namespace) -> int:
+def _verify(options: argparse.Namespace) -> None:
     from softcal.app.registry.maintenance import verify
 
+    start_s = time.monotonic()
+
+    def on_step(name: str) -> None:
+        if not options.quick:
+            say(f"{time.monotonic() - start_s:5.1f} s  checking {name}")
+
     with registry_of(options, create=False) as registry:
-        found = verify(registry, is_quick=options.quick, files=options.against, on_step=_checking(options))
+        found = verify(registry, is_quick=options.quick, files=options.against, on_step=on_step)
     facts = {"faults": list(found.faults), "audit_rows": found.audit_rows, "heads": found.heads}
     facts["is_quick"] = options.quick
     if not found.faults:
         ends = ", ".join(f"{origin} {seq} {sha256}" for origin, (seq, sha256) in found.heads.items())
         what = "what was looked at is whole" if options.quick else "the registry is whole"
         line = f"{what}: {found.audit_rows} rows in the audit trail, ending with {ends or 'nothing'}"
-        return _done(options, "verify", line, **facts)
+        _done(options, "verify", line, **facts)
+        return
     for fault in found.faults:
         say(fault)
     answer(options, "registry.verify/1", facts)
     raise RegistryError(f"{len(found.faults)} faults; keep the file as evidence and go back to a backup")
 
 
-def _checking(options: argparse.Namespace) -> Callable[[str], None]:
-    start_s = time.monotonic()
-    return lambda name: None if options.quick else say(f"{time.monotonic() - start_s:5.1f} s  checking {name}")
-
-
-def _backup(options: argparse.Namespace) -> int:
+def _backup(options: argparse.Namespace) -> None:
     from softcal.app.registry.maintenance import back_up_registry
 
     with registry_of(options, create=False) as registry:
         back_up_registry(registry, options.file)
     size_MB = options.file.stat().st_size / 1e6
     line = f"{options.file}: {size_MB:.1f} MB"
-    return _done(options, "backup", line, file=str(options.file), size_MB=size_MB)
+    _done(options, "backup", line, file=str(options.file), size_MB=size_MB)
 
 
-def _restore(options: argparse.Namespace) -> int:
-    from softcal.app.registry.maintenance import restore_registry
+def _restore(options: argparse.Namespace) -> None:
+    from softcal.db.care.backup import restore
 
-    restore_registry(options.file, registry_url(options.registry))
+    restore(options.file, registry_url(options.registry))
     say_written(registry_url(options.registry))
     line = f"restored from {options.file}; every byte of it was checked"
-    return _done(options, "restore", line, file=str(options.file))
+    _done(options, "restore", line, file=str(options.file))
 
 
-def _rollback(options: argparse.Namespace) -> int:
+def _rollback(options: argparse.Namespace) -> None:
     from softcal.app.batch.judging import judge_again
 
     with registry_of(options, create=False) as registry:
@@ -152,10 +149,10 @@ def _rollback(options: argparse.Namespace) -> int:
         revision = registry.calibrations.rollback(options.serial, options.to, reason=options.reason, **which)
         judge_again(registry, [options.lot] if options.lot else registry.calibrations.lots_of(options.serial))
     line = f"{options.serial}: revision {revision} is in use, it repeats revision {options.to}"
-    return _done(options, "rollback", line, serial=options.serial, revision=revision, rolled_back_to=options.to)
+    _done(options, "rollback", line, serial=options.serial, revision=revision, rolled_back_to=options.to)
 
 
-def _sync(options: argparse.Namespace) -> int:
+def _sync(options: argparse.Namespace) -> None:
     from softcal.app.batch.judging import judge_stale
     from softcal.app.registry.maintenance import synchronise_with
 
@@ -170,17 +167,17 @@ def _sync(options: argparse.Namespace) -> int:
         say(f"clock: {clock}")
     line = f"sent {report.sent}, received {report.received} changes, {len(report.conflicts)} conflicts"
     facts = {"conflicts": list(report.conflicts), "clocks": list(report.clocks)}
-    return _done(options, "sync", line, sent=report.sent, received=report.received, **facts)
+    _done(options, "sync", line, sent=report.sent, received=report.received, **facts)
 
 
-def _grants(options: argparse.Namespace) -> int:
+def _grants(options: argparse.Namespace) -> None:
     from softcal.db.access.grants import grant_statements
 
     statements = grant_statements(options.line, options.reader, options.manager)
-    return _done(options, "grants", "\n".join(statements), sql=statements)
+    _done(options, "grants", "\n".join(statements), sql=statements)
 
 
-def _upgrade(options: argparse.Namespace) -> int:
+def _upgrade(options: argparse.Namespace) -> None:
     from softcal.app.registry.maintenance import upgrade
 
     done = upgrade(registry_url(options.registry))
@@ -191,4 +188,4 @@ def _upgrade(options: argparse.Namespace) -> int:
         line = f"schema {done.before or 'none'} -> {done.after}" + (
             f"; backup of the old one: {backup}" if backup else ""
         )
-    return _done(options, "upgrade", line, before=done.before, after=done.after, backup=backup)
+    _done(options, "upgrade", line, before=done.before, after=done.after, backup=backup)

@@ -26,7 +26,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_shared(parser, "registry")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Write the page."""
     from softcal.app.charts.lot_page import lot_page
     from softcal.app.files.atomic import write_text
@@ -42,4 +42,3 @@ def run(options: argparse.Namespace) -> int:
     out = options.out or Path(f"{lot_id}.html")
     write_text(out, lot_page(view, units, words, made))
     say(f"{out}: lot {lot_id}, {view.judged} of {view.total} units have a result")
-    return 0

@@ -16,7 +16,6 @@ from softcal.core.errors import InputError
 from softcal.core.words.reason import Reason
 
 if TYPE_CHECKING:
-    from softcal.core.twin.simulate import Twin
     from softcal.station.devices.catalogue import Offer
     from softcal.station.tasks.acquisition import OnProgress
     from softcal.station.tasks.identify import DeviceIdentity
@@ -173,7 +172,7 @@ def _choose(part: Reason, candidates: Sequence["DeviceIdentity"]) -> "DeviceIden
         return None
 
 
-def run_profiles(options: argparse.Namespace) -> int:
+def run_profiles(options: argparse.Namespace) -> None:
     """List the profiles, or write one."""
     import numpy as np
 
@@ -188,22 +187,24 @@ def run_profiles(options: argparse.Namespace) -> int:
             raise InputError(f"profile {name!r} is unknown; known are {', '.join(made)}")
         write_text(Path(file), profile_toml(made[name]))
         say(f"{file}: profile {name!r} written; edit it, then give it to --profile")
-        return 0
+        return
     names = ("duration_s", "presses", "deepest_mm", "fastest_mm_s")
     rows = [{"name": name} | {fact: getattr(profile, fact) for fact in names} for name, profile in made.items()]
     print_table(
         ("profile", "seconds", "presses", "deepest, mm", "fastest, mm/s"), [tuple(row.values()) for row in rows]
     )
     answer(options, "station-profiles/1", {"profiles": rows})
-    return 0
 
 
-def run_press(options: argparse.Namespace) -> int:
+def run_press(options: argparse.Namespace) -> None:
     """Press one unit and write its recording."""
+    from softcal.app.gap.diagnose import read_twin
     from softcal.app.line.rig import chosen_bench, profile_for, record_to_files, run_json, spool_folder
 
     profile = profile_for(options.kind, options.profile_seed, options.seconds, options.depth, options.profile)
-    twin = _chosen_twin(options)
+    if options.twin is not None and options.simulated is None:
+        raise InputError("--twin is the unit of the simulated rig; give --simulated as well, or leave it out")
+    twin = None if options.twin is None else read_twin(options.twin)
     bench_of = chosen_bench(options.station, options.simulated, len(options.serial), twin)
     with _signals_as_ctrl_c(), bench_of as bench:
         with_reference, spools = options.kind == "source", spool_folder(options.spool)
@@ -213,7 +214,6 @@ def run_press(options: argparse.Namespace) -> int:
     for remark in run.remarks:
         say(remark)
     write_json(options.json, run_json(run))
-    return 0
 
 
 @contextmanager
@@ -232,17 +232,7 @@ def _signals_as_ctrl_c() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _chosen_twin(options: argparse.Namespace) -> "Twin | None":
-    from softcal.app.gap.diagnose import read_twin
-
-    if options.twin is None:
-        return None
-    if options.simulated is None:
-        raise InputError("--twin is the unit of the simulated rig; give --simulated as well, or leave it out")
-    return read_twin(options.twin)
-
-
-def run_calibrate_cell(options: argparse.Namespace) -> int:
+def run_calibrate_cell(options: argparse.Namespace) -> None:
     """Ask for weights, fit, write the station file."""
     from softcal.app.files.atomic import write_text
     from softcal.app.line.cell_scale import calibrate_cell
@@ -260,7 +250,6 @@ def run_calibrate_cell(options: argparse.Namespace) -> int:
     say(f"{options.station}: {found.per_N:.6g} counts per N, off by {found.largest_error_N:.3g} N at most")
     facts = {"per_N": found.per_N, "zero": found.zero, "largest_error_N": found.largest_error_N}
     answer(options, "station-cell/1", facts)
-    return 0
 
 
 def run_drivers(options: argparse.Namespace) -> int:
@@ -272,7 +261,12 @@ def run_drivers(options: argparse.Namespace) -> int:
     if not found:
         raise InputError(f"no driver of kind {options.kind!r}; `softcal station drivers` lists them all")
     answer(options, "station-drivers/1", {"drivers": [_driver_json(offer) for offer in found]})
-    print_table(("section", "kind", "for", "port", "from"), [_driver_row(offer) for offer in found])
+    rows = []
+    for offer in found:
+        driver = offer.driver
+        what, wires = ("cannot be loaded", "") if driver is None else (driver.what, "/".join(driver.wires))
+        rows.append((f"[{SECTIONS[offer.role]}]", offer.kind, what, wires, f"{offer.package} {offer.version}"))
+    print_table(("section", "kind", "for", "port", "from"), rows)
     for offer in found:
         if offer.driver is None:
             say(f"{offer.kind} of {offer.package}: {offer.fault}")
@@ -285,15 +279,6 @@ def run_drivers(options: argparse.Namespace) -> int:
     return 3 if any(offer.driver is None for offer in found) else 0
 
 
-def _driver_row(offer: "Offer") -> tuple[str, str, str, str, str]:
-    from softcal.station.devices.catalogue import SECTIONS
-
-    what, wires = (
-        ("cannot be loaded", "") if offer.driver is None else (offer.driver.what, "/".join(offer.driver.wires))
-    )
-    return f"[{SECTIONS[offer.role]}]", offer.kind, what, wires, f"{offer.package} {offer.version}"
-
-
 def _driver_json(offer: "Offer") -> dict[str, object]:
     facts: dict[str, object] = {"role": offer.role, "kind": offer.kind, "package": offer.package}
     facts |= {"version": offer.version, "fault": offer.fault}
@@ -302,7 +287,7 @@ def _driver_json(offer: "Offer") -> dict[str, object]:
     return facts
 
 
-def run_recover(options: argparse.Namespace) -> int:
+def run_recover(options: argparse.Namespace) -> None:
     """Write what the spools hold."""
     from softcal.app.line.recover import recover
     from softcal.app.line.rig import spool_folder
@@ -316,7 +301,6 @@ def run_recover(options: argparse.Namespace) -> int:
         if not run.files:
             say(run.end)
     say(f"{len(found)} spool(s) read; they were left where they are")
-    return 0
 
 
 def _progress() -> "OnProgress":

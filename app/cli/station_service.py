@@ -129,7 +129,7 @@ def add_service_actions(action: Action) -> None:
     add_shared(certificate, "registry", "json")
 
 
-def run_serve(options: argparse.Namespace) -> int:
+def run_serve(options: argparse.Namespace) -> None:
     """Serve until Ctrl-C or a terminate signal."""
     from softcal.app.line.gate_facts import RIG_ONLY, GateRules
     from softcal.app.line.rig import spool_folder
@@ -165,7 +165,6 @@ def run_serve(options: argparse.Namespace) -> int:
     with registry_of(options) as registry:
         serve(registry, serving, spool_folder(options.spool), lambda: is_wanted)
     say(f"station {options.name}: ports given back")
-    return 0
 
 
 def run_order(options: argparse.Namespace) -> int:
@@ -198,7 +197,7 @@ def run_order(options: argparse.Namespace) -> int:
 
 def _is_there(queue: "OrderQueue", station: str) -> bool:
     """Return whether a station's service is there: its beat is fresh, or late while its process is seen to live."""
-    from softcal.app.line.place import is_alive
+    from softcal.app.batch.claims import is_alive
     from softcal.db.queues.order_queue import TAKEN_OVER_AFTER
 
     beat = queue.heartbeat(station)
@@ -227,7 +226,7 @@ def _followed(registry: "Registry", station: str, order_id: str) -> Progress:
     return progress
 
 
-def run_status(options: argparse.Namespace) -> int:
+def run_status(options: argparse.Namespace) -> None:
     """Print what stations say of themselves."""
     from softcal.app.line.gate_facts import quarantine
 
@@ -249,12 +248,11 @@ def run_status(options: argparse.Namespace) -> int:
         held = row["quarantine"]
         if isinstance(held, list) and held:
             say(f"in quarantine since the last good golden unit: {', '.join(held)}")
-    return 0
 
 
 def _status(registry: "Registry", beat: "Heartbeat", held: tuple[str, ...]) -> dict[str, object]:
+    from softcal.app.batch.claims import is_alive
     from softcal.app.line.facts import SILENT, state_of
-    from softcal.app.line.place import is_alive
 
     active = registry.order_queue.active(beat.station)
     run = "" if active is None else f"{active[0].kind} {active[0].serial}, {active[1].phase or active[1].state}".strip()
@@ -272,7 +270,7 @@ def _status(registry: "Registry", beat: "Heartbeat", held: tuple[str, ...]) -> d
     }
 
 
-def run_certificate(options: argparse.Namespace) -> int:
+def run_certificate(options: argparse.Namespace) -> None:
     """Put a certificate on file, or list them."""
     from softcal.app.line.cell_certificate import certificate_from
 
@@ -297,6 +295,5 @@ def run_certificate(options: argparse.Namespace) -> int:
     answer(options, "cell-certificates/1", {"certificates": texts})
     if not rows:
         say("no certificate on file; give --cell, --number, --issued, --due, --capacity and --uncertainty, or --dcc")
-        return 0
+        return
     print_table(names, [tuple(row.values()) for row in rows])
-    return 0

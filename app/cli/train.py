@@ -23,7 +23,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_shared(parser, "json", "csv")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Train or find f, and print what it is."""
     from softcal.app.batch.train import train_or_find
     from softcal.app.files.lot_folder import open_lot_folder
@@ -48,4 +48,3 @@ def run(options: argparse.Namespace) -> int:
     metrics = [trained.metrics.get(name) for name in ("validation_rmse", "train_s")]
     print_table(header, [[lot.id, lot.source, network.id[:16], layers, status, *metrics]])
     answer(options, "train/1", {"lot": lot.id, "network": network.id, "is_new": trained.is_new, **trained.metrics})
-    return 0

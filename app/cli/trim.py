@@ -22,7 +22,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_shared(parser, "lot", "registry", "json")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Trim, and say what it changed."""
     from softcal.app.use.trim import trim_unit
 
@@ -38,4 +38,3 @@ def run(options: argparse.Namespace) -> int:
         )
         print(f"error at the loads: RMSE {found.before_rmse:.3g} before, {found.after_rmse:.3g} after")
     say("a trimmed unit is conditional at best, and one that failed its audit stays so, until it is audited again")
-    return 0

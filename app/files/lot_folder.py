@@ -161,25 +161,21 @@ def _same_files(units: Mapping[str, Path], root: Path) -> Iterator[str]:
 
     Whatever is no file, or cannot be read, is told as that unit's result later.
     """
-    by_size: dict[int, list[str]] = {}
-    for serial, path in units.items():
-        if path.is_file():
-            by_size.setdefault(path.stat().st_size, []).append(serial)
-    for alike in by_size.values():
-        if len(alike) > 1:
-            yield from _same_content({serial: units[serial] for serial in alike}, root)
+    sizes = {serial: path.stat().st_size for serial, path in units.items() if path.is_file()}
+    for candidates in alike(sizes):
+        contents = {}
+        for serial in candidates:
+            with suppress(InputError):
+                contents[serial] = hashlib.sha256(read_regular(units[serial], root)).digest()
+        yield from map(same_recording, alike(contents))
 
 
-def _same_content(units: Mapping[str, Path], root: Path) -> Iterator[str]:
-    by_hash: dict[str, list[str]] = {}
-    for serial, path in units.items():
-        # What cannot be read is the result of its unit and of no other.
-        with suppress(InputError):
-            content = read_regular(path, root)
-            by_hash.setdefault(hashlib.sha256(content).hexdigest(), []).append(serial)
-    for serials in by_hash.values():
-        if len(serials) > 1:
-            yield same_recording(serials)
+def alike(contents: Mapping[str, object]) -> list[list[str]]:
+    """Return the serials that have the same content, several at a time."""
+    holders: dict[object, list[str]] = {}
+    for serial, content in contents.items():
+        holders.setdefault(content, []).append(serial)
+    return [serials for serials in holders.values() if len(serials) > 1]
 
 
 def same_recording(serials: Sequence[str]) -> str:
@@ -202,9 +198,7 @@ def _recordings(folder: Path) -> dict[str, Path]:
     return found
 
 
-def _read_lot_toml(
-    path: Path,
-) -> tuple[Lot, LineSpread | None, Reference | None, tuple[str, ...], tuple[str, ...]]:
+def _read_lot_toml(path: Path) -> tuple[Lot, LineSpread | None, Reference | None, tuple[str, ...], tuple[str, ...]]:
     content = read_toml(path, "`softcal import` writes one", path.parent)
     with naming(path):
         tables = {name: content.get(name, {}) for name in ("lot", "reference", "output", "limit", "line")}

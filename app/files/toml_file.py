@@ -44,7 +44,6 @@ def read_section(where: str, kind: type[Section], table: object, folder: Path = 
 
     Args:
         where: file and section, for errors.
-        folder: where files that are named lie.
 
     Raises:
         InputError: it is no table, a key is unknown or missing, or a value is not what its field holds.

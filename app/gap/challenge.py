@@ -4,6 +4,7 @@ import hashlib
 import json
 import secrets
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -52,10 +53,7 @@ def make_challenge(
     Args:
         folder: where the cases go; must not exist or be empty.
         seal_file: where the labels go; outside of `folder`.
-        count: how many cases.
         seed: seed of the draw; a secret one is chosen when it is not given.
-        line: draw this one line instead of the mix.
-        on_case: called with the name of each case when it is written.
 
     Raises:
         InputError: the folder is not empty, the seal would lie in it or exists, a count below 1, an unknown line.
@@ -202,17 +200,15 @@ def score_challenge(folder: Path, reports: Path, seal_file: Path) -> ScoreSheet:
     """
     labels = open_challenge(folder, seal_file)
     found = {label.case.name: reports / f"{label.case.name}.json" for label in labels}
-    read = {name: _report(path) for name, path in found.items() if path.exists()}
+    read: dict[str, dict[str, Any]] = {}
+    for name, path in found.items():
+        if path.exists():
+            read[name] = {}
+            with suppress(InputError):
+                read[name] = _json(path)
     if not read:
         raise InputError(f"{reports}: no report of this challenge; expected files such as {labels[0].case.name}.json")
     return score_reports(labels, read, lambda label, report: realised_shrink(label.case, report))
-
-
-def _report(path: Path) -> dict[str, Any]:
-    try:
-        return _json(path)
-    except InputError:
-        return {}
 
 
 def _text(path: Path) -> str:

@@ -41,11 +41,7 @@ def diagnose_case(
 def check_case(
     place: Path, readout: ReadoutMetadata | None = None
 ) -> tuple[tuple[DataMistake, ...], Identifiability | None]:
-    """Read a case and return its mistakes and, where it can be diagnosed, what its runs tell; nothing is searched.
-
-    Raises:
-        InputError: as for `diagnose_case`.
-    """
+    """Read a case and return its mistakes and, where it can be diagnosed, what its runs tell; nothing is searched."""
     return checked(_opened(place, readout))
 
 

@@ -130,7 +130,8 @@ def compare(registry: Registry, job: Job, tell: Teller) -> Outcome:
 
 def diagnose(registry: Registry, job: Job, tell: Teller) -> Outcome:
     """Diagnose a case; request: case, and experiment where the sealed rig is to be pressed once more before."""
-    from softcal.app.gap.desk import ask_case, diagnosis_outcome
+    from softcal.app.gap.desk import ask_case, kept_of
+    from softcal.app.gap.diagnose import diagnose_case
 
     folder = Path(job.request["case"])
     if experiment := job.request.get("experiment"):
@@ -143,7 +144,7 @@ def diagnose(registry: Registry, job: Job, tell: Teller) -> Outcome:
         steps += 1
         tell(min(0.95, 1 - 0.9**steps), text)
 
-    report, arrays = diagnosis_outcome(folder, on_step)
+    report, arrays = kept_of(diagnose_case(folder, on_step))
     return Outcome(report["verdict"], report, arrays)
 
 

@@ -4,7 +4,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 
-from softcal.app.line.place import Note, Place, is_alive, read_place
+from softcal.app.batch.claims import is_alive
+from softcal.app.line.place import Note, Place, read_place
 from softcal.app.line.serials import numbered
 from softcal.core.lot import Lot
 from softcal.core.orders import Heartbeat, Order, Progress, RunState, StationState

@@ -90,11 +90,7 @@ class StationGate:
         return may_run(facts, kind)
 
     def override(self, actor: str, reason: str) -> None:
-        """Open the gate for a shift in spite of its reasons; the decision goes into the audit trail.
-
-        Raises:
-            InputError: no reason.
-        """
+        """Open the gate for a shift in spite of its reasons; the decision goes into the audit trail."""
         if not reason.strip():
             raise InputError(Reason("gate.needs_reason"))
         until = datetime.now(UTC) + self._rules.shift

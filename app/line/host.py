@@ -10,9 +10,9 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from softcal.app.line.place import is_alive
+from softcal.app.batch.claims import is_alive
 from softcal.core.errors import InputError, RegistryError, SoftcalError
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
 from softcal.core.quality.known_loads import ordered_load
@@ -21,6 +21,9 @@ from softcal.db.queues.order_queue import TAKEN_OVER_AFTER, OrderQueue
 from softcal.station.record.recording import StationRecording
 from softcal.station.tasks.at_rest import RestReading
 from softcal.station.tasks.service import StationService
+
+if TYPE_CHECKING:
+    from softcal.app.line.pressed_run import RunKeeper
 
 BEAT_S = 1.0
 REPORT_S = 0.2
@@ -37,20 +40,6 @@ LISTEN_S = 0.01
 """How long the devices are listened to at every such look."""
 
 INTERRUPTED = Reason("run.interrupted")
-
-
-class Keeper(Protocol):
-    """Knows which runs can be kept, and keeps them."""
-
-    def check(self, order: Order) -> None:
-        """Raise `InputError` where the run of an order could not be kept."""
-        ...
-
-    def keep(
-        self, order: Order, recording: StationRecording | RestReading, tell: Callable[[Progress], None]
-    ) -> Progress:
-        """Store a finished run and return how its order ended."""
-        ...
 
 
 class Fixture(Protocol):
@@ -80,11 +69,7 @@ class HandFixture(Fixture):
     """A person puts the unit in and the loads on, as the run will show, and nothing breaks on demand."""
 
     def inject(self, name: str) -> Reason:
-        """Refuse.
-
-        Raises:
-            InputError: always; a real station breaks by itself.
-        """
+        """Refuse: a real station breaks by itself."""
         raise InputError(Reason("fault.real"))
 
 
@@ -108,7 +93,7 @@ class StationHost:
         self,
         queue: OrderQueue,
         station: str,
-        keeper: Keeper,
+        keeper: "RunKeeper",
         override: Callable[[str, str], None],
         make_service: Callable[[Callable[[Progress], None], Callable[[], bool]], StationService],
         fixture: Fixture | None = None,
@@ -158,9 +143,6 @@ class StationHost:
         """Return how long another owner must have been silent: no time where its process is seen to be gone.
 
         An owner that seems silent may only be on a busy machine, or have another clock: while it beats, it is there.
-
-        Raises:
-            InputError: another process serves this station.
         """
         before = self._queue.heartbeat(self._station)
         if before is None or before.state is StationState.OFF or before.process == self._process:
@@ -221,16 +203,11 @@ class StationHost:
     def _defect(self, order: Order, error: Exception) -> Progress:
         """Write a defect into the log, for support, and return how its order ends."""
         self._log("defect", {"order": order.order_id, "error": repr(error), "exc_info": error})
-        kind = type(error).__name__
-        message = reason("run.defect", kind=str(kind))
+        message = reason("run.defect", kind=type(error).__name__)
         return Progress(order.order_id, RunState.ERROR, "", 1.0, code="E-INTERNAL", message=(message,))
 
     def _store_late(self) -> None:
-        """Keep what was recorded; what the registry cannot take now is tried again at every turn.
-
-        Raises:
-            RegistryError: the registry is away; the recording is kept here and in its spool.
-        """
+        """Keep what was recorded; what the registry cannot take now is tried again at every turn."""
         while self._late:
             order, recording = self._late[0]
             try:
@@ -263,11 +240,7 @@ class StationHost:
             pass  # Said again at every turn: until then the order occupies its station.
 
     def _say_ends(self) -> None:
-        """Write how orders ended.
-
-        Raises:
-            RegistryError: the registry is away; what could not be said is kept.
-        """
+        """Write how orders ended."""
         with self._at_desk:
             # From here on a new order may come: it is not for the desk.
             self._active, self._newest = "", None

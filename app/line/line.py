@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from softcal.app.line.facts import LineFacts, LotAtLine, Screen, read_line
 from softcal.app.line.place import Note, Place, read_place, write_place
 from softcal.app.line.scan_codes import Scan, read_scan
-from softcal.app.line.serials import is_unheard_of
+from softcal.app.line.serials import is_unheard_of, lots_of
 from softcal.core.errors import InputError
 from softcal.core.lot import check_serial
 from softcal.core.orders import Order, OrderKind, RunState
@@ -48,11 +48,7 @@ def take_scan(registry: Registry, screen: Screen, text: str, actor: str = "") ->
     """Do what a scan means; what it led to stands at the line, for every screen.
 
     Args:
-        text: as the scanner typed it.
         actor: who has shown who they are at this screen; "" leaves it to the badge.
-
-    Returns:
-        Where the line stands then.
 
     Raises:
         RegistryError: the registry is away; nothing was ordered.
@@ -75,9 +71,6 @@ def order_stop(registry: Registry, station: str) -> bool:
     """Tell a station to stop its run; every way a stop takes gives the same order, so that a run is told once.
 
     It reads no more than it must: the stop key does not wait for what a screen shows.
-
-    Args:
-        station: "" for the only one there is.
 
     Returns:
         Whether something runs.
@@ -172,7 +165,11 @@ def _unit(registry: Registry, facts: LineFacts, scan: Scan) -> Place | Note:
     if scan.kind == "unreadable":
         return Note("unreadable", {"text": scan.value[:40]})
     if scan.kind == "lot":
-        return _choose_lot(facts, emptied, scan.value)
+        lot_id = next((known for known in facts.lots if known.lower() == scan.value.lower()), None)
+        if lot_id is None:
+            known = ", ".join(facts.lots[:NEWEST_LOTS]) or "–"
+            return Note("unknown_lot", {"lot": scan.value[:40], "known": known})
+        return replace(emptied, lot_id=lot_id)
     if scan.kind == "golden" or scan.value in {run.serial for run in registry.stations.golden_runs(facts.station)}:
         return replace(emptied, serial=scan.value, is_golden=True)
     if facts.lot is None:
@@ -186,13 +183,6 @@ def _unit(registry: Registry, facts: LineFacts, scan: Scan) -> Place | Note:
     pressed = {run[0].serial for run in facts.runs if run[0].lot_id == facts.lot.id}
     is_new = is_unheard_of(registry, facts.lot.lot, facts.lot.rules, serial, pressed)
     return replace(emptied, lot_id=facts.lot.id, serial=serial, is_new=is_new)
-
-
-def _choose_lot(facts: LineFacts, emptied: Place, lot_id: str) -> Place | Note:
-    found = next((known for known in facts.lots if known.lower() == lot_id.lower()), None)
-    if found is None:
-        return Note("unknown_lot", {"lot": lot_id[:40], "known": ", ".join(facts.lots[:NEWEST_LOTS]) or "–"})
-    return replace(emptied, lot_id=found)
 
 
 def _serial_refusal(registry: Registry, lot: LotAtLine, serial: str) -> Note | None:
@@ -212,10 +202,7 @@ def _serial_refusal(registry: Registry, lot: LotAtLine, serial: str) -> Note | N
 
 def _other_lot(registry: Registry, lot: LotAtLine, serial: str) -> str:
     """Return the lot that a serial belongs to instead of this one: it stands there already, or only fits there."""
-    try:
-        known = {unit.lot_id for unit in registry.lots.units(serial=serial)}
-    except InputError:
-        known = set()
+    known = lots_of(registry, serial)
     if lot.id in known:
         return ""
     if known:

@@ -9,14 +9,7 @@ from softcal.core.maps.anchors import check_loads, check_values
 from softcal.core.maps.config import AnchorConfig
 from softcal.core.maps.interface import Anchors
 from softcal.core.orders import Order
-from softcal.core.quality.known_loads import (
-    FROM_START,
-    READ,
-    WANTED,
-    KnownLoad,
-    loads_text,
-    ordered_load,
-)
+from softcal.core.quality.known_loads import FROM_START, READ, WANTED, KnownLoad, loads_text, ordered_load
 from softcal.core.quality.reading_at_rest import ReadingConfig, level_at_rest
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.budget import COVERAGE
@@ -64,10 +57,7 @@ class LoadReadings:
         """Take one reading.
 
         Args:
-            order: names step and load.
             output: (n,) what was read.
-            source: of the lot; None while it has none.
-            config: which loads are plausible.
 
         Returns:
             What the run says, or, with the last load, the unit's recording and all its loads.

@@ -21,13 +21,7 @@ from softcal.core.unit.budget import SIMULATED, Reference
 from softcal.core.words.reason import Reason, reason, several
 from softcal.station.clock import HostClock
 from softcal.station.devices.bench import SIMULATED_NAME, Bench, open_bench, open_simulated_bench
-from softcal.station.devices.config import (
-    ForceConfig,
-    ReadoutConfig,
-    StageConfig,
-    StationConfig,
-    read_station_file,
-)
+from softcal.station.devices.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig, read_station_file
 from softcal.station.record.recording import StationRecording
 from softcal.station.record.spool import Spool
 from softcal.station.tasks.acquisition import OnProgress, record
@@ -60,7 +54,14 @@ def chosen_bench(
         DeviceError: devices are missing; all of them are named.
     """
     if simulated_seed is not None:
-        twins = _units_like(twin, simulated_seed, simulated_channels)
+        from softcal.core.twin.spread import draw_lot
+
+        rng, count = np.random.default_rng(simulated_seed), simulated_channels
+        twins = (
+            draw_lot(rng, count)
+            if twin is None
+            else (twin, *draw_lot(rng, count - 1, twin.parameters, twin.metadata, twin.effects))
+        )
         with open_simulated_bench(twins[0], simulated_seed, beside=twins[1:]) as (bench, _):
             yield bench
     elif station_file is None:
@@ -70,15 +71,6 @@ def chosen_bench(
     else:
         with open_bench(read_station_file(station_file)) as bench:
             yield bench
-
-
-def _units_like(twin: "Twin | None", seed: int, count: int) -> "tuple[Twin, ...]":
-    from softcal.core.twin.spread import draw_lot
-
-    rng = np.random.default_rng(seed)
-    if twin is None:
-        return draw_lot(rng, count)
-    return (twin, *draw_lot(rng, count - 1, twin.parameters, twin.metadata, twin.effects))
 
 
 def find_devices(ports: Sequence[str]) -> list[DeviceIdentity]:
@@ -171,24 +163,19 @@ class StationCheck:
     findings: tuple[SelfTestItem, ...]
 
     def as_json(self) -> dict[str, object]:
+        names = ("device", "what", "value", "cure")
+        findings = [
+            {name: str(getattr(finding, name) or "") for name in names} | {"is_good": finding.is_good}
+            for finding in self.findings
+        ]
+        devices = [vars(device) | {"description": str(device.says)} for device in self.devices]
         return {
             "schema": "softcal.station-check/1",
             "station": self.config.name,
-            "devices": [_device_json(device) for device in self.devices],
-            "findings": [_finding_json(finding) for finding in self.findings],
+            "devices": [{key: value for key, value in device.items() if key != "says"} for device in devices],
+            "findings": findings,
             "is_good": all(finding.is_good for finding in self.findings),
         }
-
-
-def _device_json(device: DeviceIdentity) -> dict[str, object]:
-    facts = asdict(replace(device, says=Reason("port.unknown")))
-    del facts["says"]
-    return facts | {"description": str(device.says)}
-
-
-def _finding_json(finding: SelfTestItem) -> dict[str, object]:
-    texts = {name: str(getattr(finding, name) or "") for name in ("device", "what", "value", "cure")}
-    return texts | {"is_good": finding.is_good}
 
 
 def check_station(
@@ -281,12 +268,7 @@ def station_reference(config: StationConfig) -> Reference | None:
 
 
 def _check_lot(paths: Sequence[Path], serials: Sequence[str], bench: Bench, with_reference: bool) -> None:
-    """Refuse, before anything moves, a recording that the lot folder it goes to could not use.
-
-    Raises:
-        InputError: another rate or unit than the lot's, the lot's source as one of its units, or a lot.toml that
-            cannot be read.
-    """
+    """Refuse, before anything moves, a recording that the lot folder it goes to could not use."""
     folder = paths[0].parent
     if folder.name not in FOLDER_OF.values() or not (folder.parent / "lot.toml").is_file():
         return
@@ -408,8 +390,6 @@ def press_simulated_lot(
     Args:
         twins, serials: (number of units,) the units, the source first.
         seed: of mounting, noise and profiles.
-        times: how long each run presses, an audit too.
-        on_run: called with a sentence before each run.
 
     Raises:
         DeviceError: the station failed.

@@ -32,11 +32,7 @@ class Scan:
 
 
 def read_scan(text: str) -> Scan:
-    """Return what a scan means.
-
-    Args:
-        text: as the scanner typed it, without its Enter or Tab.
-    """
+    """Return what a scan means."""
     raw = text.strip(" \t\r\n")
     prefix = AIM_PREFIX.match(raw)
     bare = raw[prefix.end() :] if prefix else raw

@@ -4,11 +4,10 @@ One home for it: a station finds it when a unit is pressed, a lot folder brings 
 recording crosses the same bridge. They are rows of the audit trail.
 """
 
-import json
 from collections.abc import Collection, Mapping
 from datetime import datetime
-from typing import Any
 
+from softcal.app.registry.stated import statements
 from softcal.core.errors import InputError
 from softcal.core.unit.bridge import Bridge, make_bridge
 from softcal.core.unit.source_model import SourceModel
@@ -20,9 +19,8 @@ ENTITY = "golden_of"
 def golden_of(registry: Registry, lot_id: str, serials: Collection[str]) -> Mapping[str, tuple[str, str]]:
     """Return, by the hash of a unit's recording, its serial and the hash of the golden run it belongs to."""
     found: dict[str, tuple[str, str]] = {}
-    for row in registry.trail.of_several(ENTITY, [(lot_id, serial) for serial in sorted(serials)]):
-        told: dict[str, Any] = json.loads(row.after or "{}")
-        found |= {sha256: (told["serial"], golden) for sha256, golden in told["recordings"].items()}
+    for facts in statements(registry, ENTITY, *((lot_id, serial) for serial in sorted(serials))):
+        found |= {sha256: (facts["serial"], golden) for sha256, golden in facts["recordings"].items()}
     return found
 
 
@@ -40,9 +38,8 @@ def keep_golden_of(
         return
     with registry.transaction():
         for sha256, (serial, golden) in new.items():
-            registry.trail.add(
-                "state", ENTITY, (lot_id, serial), {"serial": serial, "recordings": {sha256: golden}}, actor=actor
-            )
+            facts = {"serial": serial, "recordings": {sha256: golden}}
+            registry.trail.add("state", ENTITY, (lot_id, serial), facts, actor=actor)
 
 
 def newest_golden(registry: Registry, station: str, source: str, since: datetime) -> str | None:

@@ -20,9 +20,6 @@ def write_lot_folder(registry: Registry, lot_id: str, folder: Path) -> dict[str,
     The golden run is written where every unit belongs to the same one: a folder has one. Of several sittings the
     registry alone knows which unit belongs to which.
 
-    Returns:
-        The serials by part.
-
     Raises:
         InputError: no such lot, its source has no recording, or the folder exists and is not empty.
     """

@@ -36,6 +36,11 @@ def unlabelled(recording: OutputRecording | LabelledRecording) -> OutputRecordin
     return recording.unlabelled if isinstance(recording, LabelledRecording) else recording
 
 
+def target_serials(registry: Registry, lot_id: str) -> list[str]:
+    """Return the serials of a lot's target units."""
+    return [unit.serial for unit in registry.lots.units(lot_id) if unit.role == "target"]
+
+
 def newest_audits(registry: Registry, lot_id: str, serial: str | None = None) -> dict[str, RecordingEntry]:
     """Return the newest audit of each unit of a lot, or of one of them, by serial.
 

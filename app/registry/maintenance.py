@@ -7,13 +7,13 @@ from pathlib import Path
 
 from softcal.app.registry.anchors import read_anchor, remember, remembered
 from softcal.core.errors import RegistryError
-from softcal.db.care.backup import back_up, restore
+from softcal.db.care.backup import back_up
 from softcal.db.care.maintenance import migrate
 from softcal.db.care.sync import SyncReport, synchronise
 from softcal.db.connection import open_registry
 from softcal.db.entries import Heads
 from softcal.db.registry import Registry
-from softcal.db.schema.database import Database, open_database, schema_of
+from softcal.db.schema.database import open_database, schema_of
 from softcal.db.schema.tables import SCHEMA
 
 
@@ -39,20 +39,14 @@ def upgrade(url: str) -> Upgrade:
             raise RegistryError(f"registry {database.name} has schema {before}, newer than {SCHEMA}; update softcal")
         if before == SCHEMA:
             return Upgrade(before, SCHEMA, None)
-        backup = _backup_before_upgrade(database, before)
+        backup = None
+        # On PostgreSQL the upgrade is one transaction, and the server has backups of its own.
+        if before is not None and (path := database.path) is not None:
+            backup = path.with_name(f"{path.stem}-schema-{before}-{datetime.now(UTC):%Y%m%d-%H%M%S}.db")
+            back_up(database, backup)
         return Upgrade(before, migrate(database), backup)
     finally:
         database.close()
-
-
-def _backup_before_upgrade(database: Database, schema: str | None) -> Path | None:
-    # On PostgreSQL the upgrade is one transaction, and the server has backups of its own.
-    path = database.path
-    if schema is None or path is None:
-        return None
-    backup = path.with_name(f"{path.stem}-schema-{schema}-{datetime.now(UTC):%Y%m%d-%H%M%S}.db")
-    back_up(database, backup)
-    return backup
 
 
 @dataclass(frozen=True)
@@ -92,11 +86,6 @@ def back_up_registry(registry: Registry, path: Path) -> None:
     """Write a backup while the registry is in use."""
     back_up(registry.database, path)
     remember(registry, f"backup {path.absolute()}")
-
-
-def restore_registry(path: Path, url: str) -> None:
-    """Fill an empty registry from a backup."""
-    restore(path, url)
 
 
 def synchronise_with(registry: Registry, other_url: str) -> SyncReport:

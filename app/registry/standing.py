@@ -18,11 +18,7 @@ def standing_of(registry: Registry, stored: StoredCalibration) -> UnitStanding:
 
 
 def caution(registry: Registry, stored: StoredCalibration, action: str) -> str:
-    """Return the warning, and record the use; empty where the calibration passed and the unit still does.
-
-    Args:
-        action: what is done with it, for example `estimate`.
-    """
+    """Return the warning, and record the use; empty where the calibration passed and the unit still does."""
     standing = standing_of(registry, stored)
     # An older calibration that passed is cautioned against where the unit does not pass any more.
     is_bad = standing.made is not None and stored.record.verdict != Verdict.PASS

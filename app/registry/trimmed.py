@@ -9,9 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
-from softcal.app.registry.known_loads import values
+from softcal.app.registry.known_loads import loads_of, values
 from softcal.app.registry.limit import lot_limit
 from softcal.app.registry.lot_recordings import audit_of, newest_audits, source_recording, unlabelled
 from softcal.core.errors import InputError
@@ -111,11 +109,10 @@ def _known_trim(registry: Registry, lot_id: str, serial: str) -> KnownTrim | Non
     kept: Mapping[str, Any] | None = stored.record.settings.get(LOADS)  # type: ignore[assignment]
     if kept is None:
         return None
-    loads = Anchors(np.array(kept["output"], np.float64), np.array(kept["reference"], np.float64))
     # Older versions kept the loads alone.
     before = untrimmed(registry, stored).record.audit
     audit = "" if before is None else before.recording_sha256
-    return KnownTrim(loads, kept.get("recording", stored.record.recording_sha256), kept.get("audit", audit))
+    return KnownTrim(loads_of(kept), kept.get("recording", stored.record.recording_sha256), kept.get("audit", audit))
 
 
 def _carry(registry: Registry, stored: StoredCalibration, known: KnownTrim, actor: str | None) -> None:
@@ -140,13 +137,9 @@ def _carry(registry: Registry, stored: StoredCalibration, known: KnownTrim, acto
 def _trimmed(registry: Registry, stored: StoredCalibration, known: KnownTrim, why: str, actor: str | None) -> Trimmed:
     base = untrimmed(registry, stored)
     record = base.record
-    f, recording = (
-        registry.networks.get(record.network_id),
-        unlabelled(registry.recordings.get(record.recording_sha256)),
-    )
-    problem = FitProblem(
-        source_recording(registry, record.network_id), f, recording, config=(record.method or Method()).map
-    )
+    f, source = registry.networks.get(record.network_id), source_recording(registry, record.network_id)
+    recording = unlabelled(registry.recordings.get(record.recording_sha256))
+    problem = FitProblem(source, f, recording, config=(record.method or Method()).map)
     before = Calibration.from_record(record)
     found = trim(problem, before.unit_map, before.interval, known.loads, UseMethod().trim)
     # What the trim leaves open, whichever way the load moves.
@@ -206,12 +199,7 @@ def _trimless(reasons: Iterable[Reason]) -> tuple[Reason, ...]:
 def _record(
     base: StoredCalibration, before: CalibrationRecord, found: Trimmed, wider: Interval, known: KnownTrim
 ) -> CalibrationRecord:
-    """Return the calibration with the trimmed map. What was measured or sampled was so with the map before.
-
-    Args:
-        base: the trim begins from it.
-        before: what was in use, by which the unit was judged last.
-    """
+    """Return the calibration with the trimmed map. What was measured or sampled was so with the map before."""
     record, decision = base.record, _decided(before.decision, found, known.loads)
     grounds = before.grounds
     if grounds is not None:

@@ -83,14 +83,6 @@ class AdaptReport:
     trace: Trace = field(default_factory=Trace)
 
 
-def _follower_of(registry: Registry, unit: UnitInUse, config: AdaptConfig, pool: Executor | None) -> Batches:
-    """Return what follows the unit in the mode that was chosen."""
-    known = (unit.network, unit.calibration, unit.recording)
-    if config.mode not in QUEUES:
-        return Adapter(*known, config)
-    return QueuedTransport(*known, source_recording(registry, unit.network.id), config, pool)
-
-
 class Follower:
     """Follows one stream of one unit and keeps every map and the state to resume from in the registry.
 
@@ -114,7 +106,12 @@ class Follower:
         serial = unit.calibration.serial
         self._registry, self._keeper = registry, keeper
         self._writing: Future[int] | None = None
-        self._adapter = _follower_of(registry, unit, options.config, keeper)
+        known = (unit.network, unit.calibration, unit.recording)
+        self._adapter: Batches = (
+            QueuedTransport(*known, source_recording(registry, unit.network.id), options.config, keeper)
+            if options.config.mode in QUEUES
+            else Adapter(*known, options.config)
+        )
         newest = registry.adaptations.last(serial, unit.revision, stream)
         # The same rows again give the same steps; those that are kept already stay as they are.
         self._kept_until = -1 if newest is None else int(newest["sample"])
@@ -126,7 +123,11 @@ class Follower:
         # A file that was broken off is begun again, and so is one whose content names its stream.
         has_begun = last is not None and options.stream is not None if is_repeatable else newest is not None
         if options.resume and last is not None:
-            changed = self._restore(stream, last["state"])
+            try:
+                changed = self._adapter.restore(last["state"])
+            except InputError as error:
+                begin = "begin again from the calibration with another --stream NAME"
+                raise InputError(f"stream {stream!r} cannot be gone on with: {error}; {begin}") from error
             self._began = last.get("began")
         elif not options.resume and has_begun:
             raise InputError(f"stream {stream!r} has begun already; go on with --resume, or give --stream another name")
@@ -136,25 +137,11 @@ class Follower:
         rate_Hz = unit.recording.sample_rate_Hz
         self._maps_rows, self._state_rows = (max(1, round(s * rate_Hz)) for s in (MAPS_S, options.checkpoint_s))
         self._since_maps = self._since_state = 0
-        self.report = AdaptReport(
-            serial,
-            unit.revision,
-            stream,
-            options.config.mode,
-            self._adapter.current,
-            unit.lot,
-            options.config.method,
-            changed,
-        )
+        config = options.config
+        place = (serial, unit.revision, stream, config.mode, self._adapter.current, unit.lot, config.method)
+        self.report = AdaptReport(*place, changed)
         # Written once: from then on the newest step of the stream names the new method.
         self._note_change = bool(changed) and newest is not None and newest.get("method") != self._method_id
-
-    def _restore(self, stream: str, state: Mapping[str, Any]) -> list[str]:
-        try:
-            return self._adapter.restore(state)
-        except InputError as error:
-            begin = "begin again from the calibration with another --stream NAME"
-            raise InputError(f"stream {stream!r} cannot be gone on with: {error}; {begin}") from error
 
     @property
     def rows_since_begin(self) -> int | None:
@@ -251,9 +238,6 @@ def adapt_file(
 
     A row of the result depends on no later row of `source`; `target` appears whole or not at all.
 
-    Args:
-        names: of the columns of `source`, where they are called otherwise.
-
     Raises:
         InputError: `source` cannot be read or fills no queue, the registry does not know the serial, or a stream is to
             go on without a column of time.
@@ -274,18 +258,15 @@ def adapt_file(
                 follower.keep_maps()
                 kept = follower.report.rows
         if options.config.mode in QUEUES and not options.resume:
-            _check_queue(source, options.config.method.online.queue, follower.report.rows)
+            rows, queue = follower.report.rows, options.config.method.online.queue
+            # A queue that a whole recording cannot fill would never find its map.
+            if rows < (needed := queue + TAPS - 1):
+                raise InputError(
+                    f"{source}: a queue of {queue} windows needs {needed} rows, the recording has {rows}; "
+                    "give a shorter --queue, or another --mode"
+                )
     follower.checkpoint()
     return follower.report
-
-
-def _check_queue(source: Path, queue: int, rows: int) -> None:
-    """Refuse a queue that a whole recording cannot fill: its map would never be found."""
-    if rows < (needed := queue + TAPS - 1):
-        raise InputError(
-            f"{source}: a queue of {queue} windows needs {needed} rows, the recording has {rows}; "
-            "give a shorter --queue, or another --mode"
-        )
 
 
 def _stream_of(source: Path, mode: str, names: ColumnNames) -> str:
@@ -299,11 +280,7 @@ def _stream_of(source: Path, mode: str, names: ColumnNames) -> str:
 
 
 def report_json(report: AdaptReport, course: list[Mapping[str, Any]]) -> dict[str, object]:
-    """Return the report as the JSON of `softcal adapt --json` (schema `softcal.adapt/1`).
-
-    Args:
-        course: the steps of the stream as the registry keeps them.
-    """
+    """Return the report as the JSON of `softcal adapt --json` (schema `softcal.adapt/1`)."""
     return {
         "schema": "softcal.adapt/1",
         "serial": report.serial,

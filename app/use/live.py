@@ -22,26 +22,10 @@ from softcal.db.registry import Registry
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from softcal.app.use.adapt import AdaptReport
-
 WIDTH = 48
 """Characters of the bar over the range of the source's reference."""
 
-Show = Callable[[Estimate, "AdaptReport"], None]
-
-
-@contextmanager
-def terminal_view(title: str, low: float, high: float, unit: str) -> Iterator[Show]:
-    """Give a function that shows rows and the state of the map, at most eight times a second.
-
-    Args:
-        low, high: range of the bar, in `unit`.
-    """
-    from rich.console import Console
-    from rich.live import Live
-
-    with Live(console=Console(stderr=True), refresh_per_second=8, transient=False) as live:
-        yield lambda rows, report: live.update(_table(title, rows, report, (low, high), unit))
+Show = Callable[[Estimate, AdaptReport], None]
 
 
 def bar(value: float, lower: float, upper: float, span: tuple[float, float]) -> str:
@@ -55,7 +39,7 @@ def bar(value: float, lower: float, upper: float, span: tuple[float, float]) -> 
     return "".join(cells)
 
 
-def _table(title: str, rows: Estimate, report: "AdaptReport", span: tuple[float, float], unit: str) -> "Table":
+def _table(title: str, rows: Estimate, report: AdaptReport, span: tuple[float, float], unit: str) -> "Table":
     from rich.table import Table
 
     value, lower, upper = (float(column[-1]) for column in (rows.estimate, rows.lower, rows.upper))
@@ -128,11 +112,7 @@ def _all_new(samples: Samples) -> Pieces:
 
 
 def _gone_on(follower: Follower, samples: Samples, held: Written) -> Pieces:
-    """Go on with a stream: a log that is sent again from its start where it was broken off, else with what comes now.
-
-    Raises:
-        InputError: the log is sent again, but how much of it is estimated cannot be told.
-    """
+    """Go on with a stream: a log that is sent again from where it was broken off, else with what comes now."""
     first = next(samples, None)
     if first is None:
         return
@@ -167,12 +147,16 @@ def _kept(follower: Follower) -> Iterator[Follower]:
 
 @contextmanager
 def _view(unit: UnitInUse, has_view: bool) -> Iterator[Show]:
+    """Give a function that shows rows and the state of the map in the terminal, at most eight times a second."""
     if not has_view:
         yield lambda rows, report: None
         return
-    interval = unit.calibration.interval
-    with terminal_view(f"unit {unit.calibration.serial}", interval.low, interval.high, unit.lot.reference_unit) as show:
-        yield show
+    from rich.console import Console
+    from rich.live import Live
+
+    title, span = f"unit {unit.calibration.serial}", (unit.calibration.interval.low, unit.calibration.interval.high)
+    with Live(console=Console(stderr=True), refresh_per_second=8, transient=False) as live:
+        yield lambda rows, report: live.update(_table(title, rows, report, span, unit.lot.reference_unit))
 
 
 def _limited(samples: Samples, duration_s: float | None) -> Samples:

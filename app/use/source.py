@@ -47,7 +47,9 @@ def open_source(source: str, station_file: Path | None, output_unit: str) -> Ite
         yield lines_of(sys.stdin)
         return
     if source.startswith("serial:"):
-        config = _readout_config(source.removeprefix("serial:"), station_file)
+        port = source.removeprefix("serial:")
+        config = ReadoutConfig(port) if station_file is None else read_station_file(station_file).readout
+        config = replace(config, port=port or config.port)
         clock = HostClock()
         with closing(replugged(lambda: _open_readout(config, clock, output_unit), clock)) as samples:
             # The first step opens the port: one that is not there is refused before anything is written.
@@ -58,11 +60,6 @@ def open_source(source: str, station_file: Path | None, output_unit: str) -> Ite
         raise InputError(f"the unit was calibrated in {output_unit}; the simulated sensor readout gives V")
     with open_simulated_bench(time_factor=_factor(source)) as (bench, _):
         yield _pressed(bench.stage, bench.readout, bench.clock, bench.config.fixture.approach_mm)
-
-
-def _readout_config(port: str, station_file: Path | None) -> ReadoutConfig:
-    config = ReadoutConfig(port) if station_file is None else read_station_file(station_file).readout
-    return replace(config, port=port or config.port)
 
 
 def _open_readout(config: ReadoutConfig, clock: Clock, output_unit: str) -> Readout:

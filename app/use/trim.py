@@ -16,10 +16,6 @@ def trim_unit(
 
     Args:
         loads_file: table with the columns output, reference; a row a load; a column serial names this unit.
-        lot_id: lot of the unit; needed where the serial stands in several.
-
-    Returns:
-        What the trim found, and the new revision.
 
     Raises:
         InputError: the loads cannot be of this unit, or the unit is not in the registry; nothing was changed.
@@ -34,9 +30,6 @@ def trimmed_by(registry: Registry, serial: str, loads_file: Path, lot_id: str | 
     """Return the revision of a unit that known loads made, trimming it only where they have not done so yet.
 
     A stream that is followed again from its start is then followed from the same map.
-
-    Raises:
-        InputError: as `trim_unit`.
     """
     stored = registry.calibrations.get(serial, lot_id=lot_id)
     if is_trimmed_by(stored.record, read_anchors(loads_file, [serial])[serial]):

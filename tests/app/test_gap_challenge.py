@@ -19,7 +19,7 @@ def made(tmp_path: Path) -> tuple[Path, Path]:
 
 def run(*words: object) -> int:
     options = command_parser(["gap"]).parse_args(["gap", *map(str, words)])
-    return int(options.run(options))
+    return int(options.run(options) or 0)
 
 
 def write_reports(folder: Path, names: list[str], verdict: str = "no_gap") -> Path:

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 import streamlit as st
 
 from softcal.app.batch.audit import LotAudit, draw_plan, lot_audit
-from softcal.app.batch.audit_files import AuditFile, look_at_audits, store_audits, target_serials
+from softcal.app.batch.audit_files import AuditFile, look_at_audits, store_audits
 from softcal.app.batch.judging import confirm
 from softcal.app.batch.release import lot_standing
 from softcal.app.files.spreadsheet import csv_text
 from softcal.app.jobs.process import start_job
+from softcal.app.registry.lot_recordings import target_serials
 from softcal.app.texts.reasons import said
 from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.components.job_panel import job_panel, newest_job

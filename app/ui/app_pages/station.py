@@ -6,10 +6,10 @@ from typing import Any
 
 import streamlit as st
 
+from softcal.app.batch.claims import is_alive
 from softcal.app.jobs.process import start_job
 from softcal.app.line.facts import state_of
 from softcal.app.line.gate_facts import quarantine
-from softcal.app.line.place import is_alive
 from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.components.job_panel import job_panel, newest_job
 from softcal.app.ui.components.station_run import choose_station, newest_run, place, run_panel
