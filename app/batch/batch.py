@@ -37,9 +37,7 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     source = folder.read_source()
     sources, actor, lot_id = [source, *folder.read_more_sources()], config.actor, folder.lot.id
     trained = [train_or_find(folder.lot, one, registry, config.network, actor, watch.on_epoch) for one in sources]
-    models = [
-        make_source_model(one, found.network, method=config.method) for one, found in zip(sources, trained, strict=True)
-    ]
+    models = [make_source_model(one, found.network) for one, found in zip(sources, trained, strict=True)]
     lot, run = registry.lots.get(lot_id), folder.read_golden()
     state_line(registry, lot_id, folder.line, actor)
     state_sources(registry, lot_id, [model.network.id for model in models[1:]], actor)

@@ -51,11 +51,11 @@ def judge_leaning(registry: Registry, lot_id: str, actor: str | None = None) -> 
             judge_lot(registry, lot.id, actor)
 
 
-def judge_stale(registry: Registry, actor: str | None = None) -> list[str]:
+def judge_stale(registry: Registry) -> list[str]:
     """Judge the lots that have verdicts against another limit than the one in force, and return their ids.
 
     Two registries that come together may bring a limit to units that were judged without it.
     """
     lots = sorted({unit.lot_id for unit in registry.lots.units() if is_stale(unit)})
-    judge_again(registry, lots, actor)
+    judge_again(registry, lots)
     return lots

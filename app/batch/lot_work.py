@@ -34,7 +34,6 @@ from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.maps.interface import Anchors
 from softcal.core.network.config import EpochReport, NetworkConfig
-from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import Release, Verdict
 from softcal.core.words.reason import plain
 from softcal.db.queues.work_queue import WorkItem, WorkSet
@@ -59,7 +58,6 @@ class BatchConfig:
 
     Args:
         network: how f is built and trained.
-        method: every number of the calibration.
         engine: where the fits run.
         chunk: units that go to a worker together; None lets the time they take decide.
         score_own: whether own calibrations are trained on audit recordings, for comparison.
@@ -71,7 +69,6 @@ class BatchConfig:
     """
 
     network: NetworkConfig = NetworkConfig()
-    method: Method = Method()
     engine: EngineChoice = EngineChoice()
     chunk: int | None = None
     score_own: bool = True

@@ -42,9 +42,16 @@ def judge_lot(
     _judge_anew(registry, lot_id, actor)
     _measure_anew(registry, lot_id, actor)
     at = now or datetime.now(UTC)
-    standing = _correct_audited(registry, lot_id, _standing(registry, lot_id, at), at, actor)
+    standing = _standing(registry, lot_id, at)
     if standing is None:
         return None
+    # What the audited units misread alike is taken off them first; their errors then speak for the corrected lot.
+    moved = [made for made in standing.made if made.decision.measured and _is_to_correct(made, standing.evidence)]
+    if moved:
+        with registry.transaction():
+            for made in moved:
+                _keep(registry, lot_id, made, None, standing.evidence, actor)
+        standing = _standing(registry, lot_id, at) or standing
     decided = standing.decided()
     with registry.transaction():
         for made in standing.moved():
@@ -52,21 +59,6 @@ def judge_lot(
         action = "release" if decided.released else "withhold"
         state(registry, STATEMENT, (lot_id,), decided.to_json(), action=action, actor=actor)
     return decided
-
-
-def _correct_audited(
-    registry: Registry, lot_id: str, standing: "_Standing | None", at: datetime, actor: str | None
-) -> "_Standing | None":
-    """Take off the audited units what the others misread alike; their errors then speak for the corrected lot."""
-    if standing is None:
-        return None
-    moved = [made for made in standing.made if made.decision.measured and _is_to_correct(made, standing.evidence)]
-    if not moved:
-        return standing
-    with registry.transaction():
-        for made in moved:
-            _keep(registry, lot_id, made, None, standing.evidence, actor)
-    return _standing(registry, lot_id, at)
 
 
 def _is_to_correct(made: MadeCalibration, evidence: AuditEvidence) -> bool:
@@ -78,7 +70,7 @@ def _is_to_correct(made: MadeCalibration, evidence: AuditEvidence) -> bool:
     return not np.allclose(wanted, made.common_line, rtol=1e-9, atol=1e-12)
 
 
-def lot_standing(registry: Registry, lot_id: str, now: datetime | None = None) -> LotStanding:
+def lot_standing(registry: Registry, lot_id: str) -> LotStanding:
     """Return where a lot stands; nothing is written.
 
     Raises:
@@ -86,7 +78,7 @@ def lot_standing(registry: Registry, lot_id: str, now: datetime | None = None) -
     """
     registry.lots.get(lot_id)
     units, limit = _whole_lot(registry, lot_id), limit_or_none(registry, lot_id)
-    standing = _standing(registry, lot_id, now or datetime.now(UTC), units)
+    standing = _standing(registry, lot_id, datetime.now(UTC), units)
     audits, passed = newest_audits(registry, lot_id), registry.calibrations.passed_once(lot_id)
     targets = target_serials(registry, lot_id)
     rows = [_in_lot(serial, units.get(serial), audits.get(serial), serial in passed) for serial in targets]
@@ -144,10 +136,7 @@ def _standing(
 ) -> "_Standing | None":
     units = _whole_lot(registry, lot_id) if units is None else units
     made = _made(units)
-    if not made:
-        return None
-    evidence = AuditReader(registry).evidence(lot_id, made[0].method_id, now)
-    return _Standing(evidence, made, _least(units))
+    return _Standing.of(AuditReader(registry).evidence(lot_id, made[0].method_id, now), units) if made else None
 
 
 @dataclass(frozen=True)
@@ -161,6 +150,13 @@ class _Standing:
     evidence: AuditEvidence
     made: Sequence[MadeCalibration]
     least: float = 0.0
+
+    @classmethod
+    def of(cls, evidence: AuditEvidence, units: Mapping[str, UnitStanding]) -> "_Standing":
+        """Return where these units stand; half of the lot must pass."""
+        made = _made(units)
+        held = [one for one in made if one.is_audited and one.verdict in RELEASABLE]
+        return cls(evidence, made, least_passing(len(units), len(held)))
 
     @property
     def open(self) -> dict[str, MadeCalibration]:
@@ -222,7 +218,10 @@ class LineRelease:
         evidence = self._reader.evidence(lot_id, pressed[0].method_id, now or datetime.now(UTC))
         known = self._standing.get(lot_id, _Standing(evidence, ()))
         if known.evidence != evidence or lot_id not in self._standing:
-            known = self._look(lot_id, evidence)
+            known = _Standing(evidence, ())
+            # Without a qualification none of the other units of the lot matters.
+            if evidence.qualification.is_given:
+                known = _Standing.of(evidence, _whole_lot(registry, lot_id))
         known = replace(known, made=[*(made for made in known.made if made.serial != serial), *pressed])
         self._standing[lot_id] = known
         decided = known.decided()
@@ -230,13 +229,6 @@ class LineRelease:
             if made.serial == serial:
                 with registry.transaction():
                     _keep(registry, lot_id, made, decided, evidence, actor)
-
-    def _look(self, lot_id: str, evidence: AuditEvidence) -> _Standing:
-        """Return where the other units of a lot stand; without a qualification none of them matters."""
-        if not evidence.qualification.is_given:
-            return _Standing(evidence, ())
-        units = _whole_lot(self._registry, lot_id)
-        return _Standing(evidence, _made(units), _least(units))
 
 
 def _whole_lot(registry: Registry, lot_id: str) -> Mapping[str, UnitStanding]:
@@ -246,12 +238,6 @@ def _whole_lot(registry: Registry, lot_id: str) -> Mapping[str, UnitStanding]:
 def _made(units: Mapping[str, UnitStanding]) -> list[MadeCalibration]:
     """Return the calibrations in use, where no later refusal stands against them."""
     return [standing.made for standing in units.values() if standing.made is not None]
-
-
-def _least(units: Mapping[str, UnitStanding]) -> float:
-    """Return how many units must pass unmeasured so that half of the lot does."""
-    held = [made for made in _made(units) if made.is_audited and made.verdict in RELEASABLE]
-    return least_passing(len(units), len(held))
 
 
 def _keep(

@@ -42,7 +42,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def _set(options: argparse.Namespace) -> None:
     name = options.name.strip()
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         known = next((user for user in registry.people.all() if user.name == name), None)
         if known is None and options.role is None:
             raise InputError(f"{name!r} has no account yet; --role says what it may: {', '.join(ROLES)}")
@@ -81,7 +81,7 @@ def _pin(options: argparse.Namespace) -> str:
 
 
 def _list(options: argparse.Namespace) -> None:
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         users = registry.people.all()
     answer(options, "accounts/1", {"accounts": [_account(user) for user in users]})
     print_table(("name", "role", "may sign in"), [[u.name, u.role, "yes" if u.is_active else "no"] for u in users])

@@ -2,10 +2,9 @@
 
 import argparse
 import json
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from softcal.app.cli.options import actions_of, add_shared, answer, registry_at, registry_of, say_written
+from softcal.app.cli.options import COUNT, FILE, actions_of, add_shared, answer, registry_at, registry_of, say_written
 from softcal.app.files.atomic import write_text
 from softcal.app.output import print_table, say
 
@@ -36,17 +35,17 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     serve.add_argument(
         "--name", action="append", default=[], help="another name under which programs reach this server; repeatable"
     )
-    serve.add_argument("--cert", type=Path, metavar="FILE", help="certificate of the server, PEM")
-    serve.add_argument("--key", type=Path, metavar="FILE", help="its private key, PEM")
+    serve.add_argument("--cert", **FILE, help="certificate of the server, PEM")
+    serve.add_argument("--key", **FILE, help="its private key, PEM")
     openapi = action("openapi", "write the OpenAPI document", _openapi)
-    openapi.add_argument("--out", type=Path, required=True, metavar="FILE")
+    openapi.add_argument("--out", required=True, **FILE)
     client = action("client", "write a typed Python client: one file, standard library alone", _client)
-    client.add_argument("--out", type=Path, required=True, metavar="FILE")
+    client.add_argument("--out", required=True, **FILE)
     token = actions_of(action("token", "make, list and withdraw tokens", None))
     create = token("create", "make a token; it is shown once", _create)
     create.add_argument("--account", required=True, metavar="NAME", help="whose role says what it may")
     create.add_argument("--purpose", required=True, metavar="TEXT", help="which program it is for")
-    create.add_argument("--days", type=int, default=365, metavar="N", help="how long it holds; default 365")
+    create.add_argument("--days", default=365, **COUNT, help="how long it holds; default 365")
     listing = token("list", "all tokens, without their secrets", _list)
     add_shared(listing, "csv")
     withdraw = token("withdraw", "make a token useless from now on", _withdraw)
@@ -85,7 +84,7 @@ def _document() -> dict[str, Any]:
 
 
 def _create(options: argparse.Namespace) -> None:
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         token, secret = registry.tokens.add(options.account, options.purpose, options.days)
     if answer(options, "api.token/1", {**_token_json(token), "token": secret}):
         print(secret)
@@ -94,7 +93,7 @@ def _create(options: argparse.Namespace) -> None:
 
 
 def _list(options: argparse.Namespace) -> None:
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         tokens, now = registry.tokens.all(), registry.settings.clock()
     answer(options, "api.tokens/1", {"tokens": [_token_json(each) for each in tokens]})
     rows = []
@@ -106,7 +105,7 @@ def _list(options: argparse.Namespace) -> None:
 
 
 def _withdraw(options: argparse.Namespace) -> None:
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         registry.tokens.withdraw(options.token, reason=options.reason)
     if answer(options, "api.withdrawn/1", {"token_id": options.token}):
         print(f"token {options.token} was withdrawn; what it was used for until now stands in the audit trail")

@@ -5,7 +5,7 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import add_network, add_shared, batch_watch, network_config, registry_of
+from softcal.app.cli.options import COUNT, DIR, FILE, add_network, add_shared, batch_watch, network_config, registry_of
 from softcal.app.output import WIDTH, print_reasons, print_table, say, shown, write_json
 
 if TYPE_CHECKING:
@@ -27,21 +27,20 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Calibrate a lot folder. One bad unit never stops the lot; what is done is never done again."""
     parser.add_argument("lot", type=Path, metavar="LOT", help="lot folder")
     add_shared(parser, "registry")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write calibration files of the released units here")
+    parser.add_argument("--out", **DIR, help="write calibration files of the released units here")
     parser.add_argument(
         "--release",
         choices=("pass", "conditional"),
         default="pass",
         help="which verdicts release files: pass (default), or conditional too, whose error is within the limit",
     )
-    parser.add_argument("--plots", type=Path, metavar="DIR", help="write a figure per unit: why its verdict")
-    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="worker processes (default 1)")
+    parser.add_argument("--plots", **DIR, help="write a figure per unit: why its verdict")
+    parser.add_argument("--jobs", default=1, **COUNT, help="worker processes (default 1)")
     parser.add_argument("--engine", choices=("local", "dask"), default="local")
     parser.add_argument("--scheduler", metavar="ADDR", help="a running Dask scheduler; default: one for this run")
     parser.add_argument(
         "--anchors",
-        type=Path,
-        metavar="FILE",
+        **FILE,
         help="known loads: columns serial, output, reference; default: LOT/anchors.csv, where there is one",
     )
     parser.add_argument("--no-own", action="store_true", help="do not train own calibrations on audits for comparison")
@@ -86,7 +85,7 @@ def run(options: argparse.Namespace) -> int:
         refit=options.refit,
         release=Release(options.release),
     )
-    with registry_of(options) as registry:
+    with registry_of(options, create=True) as registry:
         if lack:
             say(f"note: {lack}")
         report = run_batch(folder, registry, config, batch_watch(folder.lot.reference_unit))

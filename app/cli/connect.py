@@ -4,9 +4,8 @@ import argparse
 import signal
 import sys
 import threading
-from pathlib import Path
 
-from softcal.app.cli.options import actions_of, add_shared, answer, positive, registry_of
+from softcal.app.cli.options import FILE, actions_of, add_shared, answer, positive, registry_of
 from softcal.app.output import print_table, say
 from softcal.core.errors import InputError
 
@@ -24,16 +23,16 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Bring events to other programs and people, each at least once, across restarts of both sides."""
     action = actions_of(parser)
     run = action("run", "serve every destination of a file until Ctrl-C", _run)
-    run.add_argument("file", type=Path, metavar="FILE", help="TOML with the destinations")
+    run.add_argument("file", **FILE, help="TOML with the destinations")
     add_shared(run, "registry")
     check = action("check", "read the file and reach every destination once; nothing is sent", _check)
-    check.add_argument("file", type=Path, metavar="FILE", help="TOML with the destinations")
+    check.add_argument("file", **FILE, help="TOML with the destinations")
     status = action("status", "how far every destination is", _status)
     add_shared(status, "registry", "json", "csv")
     secret = action("secret", "write a new secret for the signature of a webhook", _secret)
-    secret.add_argument("--out", type=Path, required=True, metavar="FILE", help="new file; only its owner may read it")
+    secret.add_argument("--out", required=True, **FILE, help="new file; only its owner may read it")
     estimates = action("estimates", "publish live estimates from standard input over MQTT", _estimates)
-    estimates.add_argument("file", type=Path, metavar="FILE", help="TOML with one [[mqtt]] destination")
+    estimates.add_argument("file", **FILE, help="TOML with one [[mqtt]] destination")
     estimates.add_argument("--serial", required=True)
     estimates.add_argument(
         "--rate", type=positive, default=10.0, metavar="HZ", help="rows a second at most; default 10"
@@ -47,7 +46,7 @@ def _run(options: argparse.Namespace) -> None:
     settings, over = read_settings(options.file), threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: over.set())
     signal.signal(signal.SIGINT, lambda *_: over.set())
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         say(f"{options.file}: events are sent; Ctrl-C ends it, and what waits is kept")
         run_connect(registry, settings, over, say)
 
@@ -63,7 +62,7 @@ def _check(options: argparse.Namespace) -> None:
 def _status(options: argparse.Namespace) -> None:
     from softcal.app.connect.forwarder import status_json, status_rows
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         found = status_json(registry)
     answer(options, "connect.status/1", {"destinations": found})
     print_table(("destination", "sent", "waits", "failed", "next try", "why", "served by"), status_rows(found))

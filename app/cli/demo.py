@@ -4,7 +4,7 @@ import argparse
 import time
 from pathlib import Path
 
-from softcal.app.cli.options import add_network, add_shared, batch_watch, network_config, registry_at
+from softcal.app.cli.options import COUNT, DIR, FILE, add_network, add_shared, batch_watch, network_config, registry_at
 from softcal.app.output import print_table, say, write_json
 
 EXAMPLES = """examples:
@@ -23,10 +23,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     on the source and fit every unit's map without labels. Judge, register, export, and print a table like the
     paper's Table 1.
     """
-    parser.add_argument("--out", type=Path, default=Path("softcal-demo"), metavar="DIR", help="default: softcal-demo")
-    parser.add_argument("--units", type=int, default=6, metavar="N", help="target units (default 6)")
-    parser.add_argument("--twin", type=Path, metavar="FILE", help="units like this twin (softcal gap apply)")
-    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="worker processes (default 2)")
+    parser.add_argument("--out", default=Path("softcal-demo"), **DIR, help="default: softcal-demo")
+    parser.add_argument("--units", default=6, **COUNT, help="target units (default 6)")
+    parser.add_argument("--twin", **FILE, help="units like this twin (softcal gap apply)")
+    parser.add_argument("--jobs", default=2, **COUNT, help="worker processes (default 2)")
     add_network(parser)
     add_shared(parser, "json", "csv")
 

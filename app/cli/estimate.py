@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from softcal.app.cli.options import add_columns, add_shared, answer, column_names, registry_of, say_caution
+from softcal.app.cli.options import COUNT, add_columns, add_shared, answer, column_names, registry_of, say_caution
 from softcal.app.output import say
 
 EXAMPLES = """examples:
@@ -22,7 +22,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", required=True, type=Path, metavar="OUT", help="CSV or Parquet to write")
     add_shared(parser, "serial")
     add_columns(parser)
-    parser.add_argument("--revision", type=int, metavar="N", help="an older map; default: the current one")
+    parser.add_argument("--revision", **COUNT, help="an older map; default: the current one")
     add_shared(parser, "lot", "registry", "json")
 
 
@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> None:
     """Estimate, and say how much of it can be trusted."""
     from softcal.app.use.estimate import estimate_file
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         unit = options.serial, options.revision, options.lot
         result = estimate_file(registry, options.recording, options.out, *unit, names=column_names(options))
         say_caution(registry, unit, "estimate")

@@ -1,9 +1,8 @@
 """`softcal explain`: why the verdict of one unit is what it is."""
 
 import argparse
-from pathlib import Path
 
-from softcal.app.cli.options import add_shared, answer, registry_of
+from softcal.app.cli.options import COUNT, FILE, add_shared, answer, registry_of
 from softcal.app.output import print_reasons, print_table, say, write_json
 from softcal.core.errors import InputError
 
@@ -19,9 +18,9 @@ HELP = "why the verdict of a unit is what it is: reasons, error budget, one figu
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Show what a unit's verdict rests on: reasons, what the predicted error is made of, limit."""
     add_shared(parser, "serial")
-    parser.add_argument("--revision", type=int, metavar="N", help="an older map; default: the current one")
+    parser.add_argument("--revision", **COUNT, help="an older map; default: the current one")
     parser.add_argument("--method", action="store_true", help="print every number of the method, with its origin")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="write the figure as a page (.html)")
+    parser.add_argument("--out", **FILE, help="write the figure as a page (.html)")
     add_shared(parser, "lot", "registry", "json", "csv")
 
 
@@ -36,7 +35,7 @@ def run(options: argparse.Namespace) -> None:
         _print_method(options)
         return
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         if options.out is None:
             view = unit_view(registry, options.serial, options.revision, options.lot)
         else:
@@ -59,7 +58,7 @@ def _print_method(options: argparse.Namespace) -> None:
     """Print the method of one calibration: every number, its origin, and what this version would use instead."""
     from softcal.core.unit.method import Method
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         record = registry.calibrations.get(options.serial, options.revision, lot_id=options.lot).record
     method, ours = record.method, Method()
     if method is None:

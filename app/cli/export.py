@@ -9,7 +9,7 @@ from getpass import getpass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import add_shared, converted, registry_of, say_caution
+from softcal.app.cli.options import COUNT, DIR, FILE, add_shared, converted, registry_of, say_caution
 from softcal.app.export.names import formats
 from softcal.app.output import ProgressLine, print_table, say, write_json
 
@@ -46,7 +46,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     units = parser.add_argument_group("which units")
     units.add_argument("--serial", action="append", default=[], metavar="S", help="a unit; may be repeated")
     units.add_argument("--lot", metavar="ID", help="every unit of a lot that is released; with --serial: its lot")
-    units.add_argument("--revision", type=int, metavar="N", help="an older calibration; default: the one in use")
+    units.add_argument("--revision", **COUNT, help="an older calibration; default: the one in use")
     units.add_argument(
         "--release",
         choices=("pass", "conditional"),
@@ -55,10 +55,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     units.add_argument("--failed-too", action="store_true", help="device files of every unit, for the laboratory")
     parser.add_argument("--format", action="append", default=[], choices=formats(), help="may be repeated")
-    parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder to write into or to check")
+    parser.add_argument("--out", required=True, **DIR, help="folder to write into or to check")
     parser.add_argument("--check", action="store_true", help="read back: complete, unchanged, signed by whom?")
     device = parser.add_argument_group("devices")
-    device.add_argument("--adc-bits", type=int, metavar="N", help="the converter's bits; its codes go left-aligned")
+    device.add_argument("--adc-bits", **COUNT, help="the converter's bits; its codes go left-aligned")
     device.add_argument("--adc-full-scale", type=float, metavar="X", help="output at the converter's highest code")
     device.add_argument(
         "--max-deviation", type=float, default=0.25, metavar="SHARE", help="of the predicted error, default 0.25"
@@ -80,13 +80,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     paper.add_argument(
         "--sign", type=Path, metavar="PEM", help="Ed25519 key, encrypted or not: signs the manifest and certificates"
     )
-    paper.add_argument("--passphrase-file", type=Path, metavar="FILE", help="its first line opens the key of --sign")
+    paper.add_argument("--passphrase-file", **FILE, help="its first line opens the key of --sign")
     paper.add_argument(
         "--public-key",
-        type=Path,
         action="append",
         default=[],
-        metavar="FILE",
+        **FILE,
         help="with --check: a key (PEM) or a ring of keys with their validity (TOML); may be repeated",
     )
     add_shared(parser, "registry", "json", "csv")
@@ -117,7 +116,7 @@ def _export(options: argparse.Namespace) -> tuple[list[dict[str, object]], int]:
     from softcal.core.export.device import DeviceOptions
     from softcal.core.unit.verdict import Release
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         if not 0 <= options.max_deviation <= 0.5:
             raise InputError(f"--max-deviation {options.max_deviation}: 0 ... 0.5 is allowed")
         signing_key = None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from softcal.app.cli.gap_challenge import add_challenge_actions
 from softcal.app.cli.gap_effects import add_effects
 from softcal.app.cli.gap_lot import add_lot, add_transfer
-from softcal.app.cli.options import actions_of, add_shared, answer
+from softcal.app.cli.options import COUNT, FILE, actions_of, add_shared, answer
 from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
 
@@ -67,7 +67,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     _add_case(diagnose)
     add_shared(diagnose, "json")
-    diagnose.add_argument("--page", type=Path, metavar="FILE", help="write a page of figures (standalone HTML)")
+    diagnose.add_argument("--page", **FILE, help="write a page of figures (standalone HTML)")
     check = action(
         "check",
         "say what the runs of a case can tell, before anything is diagnosed",
@@ -87,9 +87,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         epilog=_APPLY_EXAMPLES,
     )
     apply.add_argument("case", type=Path, nargs="?", metavar="CASE", help=_CASE_HELP)
-    apply.add_argument("--report", type=Path, metavar="FILE", help="take the twin of this report instead of CASE")
+    apply.add_argument("--report", **FILE, help="take the twin of this report instead of CASE")
     apply.add_argument("--simulator", metavar="MODULE:NAME", help="write the parameters of this simulator for CASE")
-    apply.add_argument("--out", type=Path, required=True, metavar="FILE", help="twin or parameters as JSON")
+    apply.add_argument("--out", required=True, **FILE, help="twin or parameters as JSON")
     apply.add_argument(
         "--empirical",
         action="store_true",
@@ -106,7 +106,7 @@ def _add_case(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("case", type=Path, metavar="CASE", help=f"{_CASE_HELP}; or a plain table")
     table = parser.add_argument_group("electronics of a plain table (a case states its own)")
     table.add_argument("--vref-V", type=float, dest="vref_V", metavar="V", help="supply of divider and ADC")
-    table.add_argument("--adc-bits", type=int, metavar="N", help="resolution of the ADC")
+    table.add_argument("--adc-bits", **COUNT, help="resolution of the ADC")
     table.add_argument("--rate-Hz", type=float, dest="rate_Hz", metavar="HZ", help="sample rate")
     table.add_argument(
         "--series-ohm", type=float, metavar="OHM", help="series resistor; without it resistances come as shares of it"

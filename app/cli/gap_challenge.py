@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import Action
+from softcal.app.cli.options import COUNT, DIR, FILE, Action
 from softcal.app.output import ProgressLine, print_table, say, write_json
 
 if TYPE_CHECKING:
@@ -38,10 +38,10 @@ def add_challenge_actions(action: Action) -> None:
         "the cases before anybody diagnoses them.",
         epilog=_CHALLENGE_EXAMPLES,
     )
-    challenge.add_argument("--cases", type=int, required=True, metavar="N", help="how many cases")
+    challenge.add_argument("--cases", required=True, **COUNT, help="how many cases")
     challenge.add_argument("--seed", type=int, help="seed of the draw (default: a secret one, kept in the seal)")
-    challenge.add_argument("--out", type=Path, required=True, metavar="DIR", help="new folder for the cases")
-    challenge.add_argument("--seal", type=Path, metavar="FILE", help="file for the labels (default: DIR.seal.json)")
+    challenge.add_argument("--out", required=True, **DIR, help="new folder for the cases")
+    challenge.add_argument("--seal", **FILE, help="file for the labels (default: DIR.seal.json)")
     challenge.add_argument("--line", metavar="NAME", help="draw one line of the benchmark instead of the mix")
     ask = action(
         "ask",
@@ -51,13 +51,13 @@ def add_challenge_actions(action: Action) -> None:
         "the case as runs/asked-<n>; diagnose the case again to see whether the ambiguity is gone.",
         epilog=_ASK_EXAMPLES,
     )
-    ask.add_argument("folder", type=Path, metavar="DIR", help="folder of the challenge")
+    ask.add_argument("folder", **DIR, help="folder of the challenge")
     ask.add_argument("case", metavar="CASE", help="name of the case")
     what = ask.add_mutually_exclusive_group(required=True)
     what.add_argument("--experiment", metavar="NAME", help="name of the experiment")
-    what.add_argument("--lot", type=Path, metavar="DIR", help="press a lot of units on the rig into this new folder")
-    ask.add_argument("--units", type=int, default=6, metavar="N", help="target units of the lot (default 6)")
-    ask.add_argument("--seal", type=Path, required=True, metavar="FILE", help="file with the labels")
+    what.add_argument("--lot", **DIR, help="press a lot of units on the rig into this new folder")
+    ask.add_argument("--units", default=6, **COUNT, help="target units of the lot (default 6)")
+    ask.add_argument("--seal", required=True, **FILE, help="file with the labels")
     score = action(
         "score",
         "open the seal of a challenge and score the reports",
@@ -66,9 +66,9 @@ def add_challenge_actions(action: Action) -> None:
         "case: causes, sets, false alarms, abstention, stage, forecast of the shrink, calibration of probabilities.",
         epilog=_SCORE_EXAMPLES,
     )
-    score.add_argument("folder", type=Path, metavar="DIR", help="folder of the challenge")
-    score.add_argument("--reports", type=Path, required=True, metavar="DIR", help="folder with CASE.json per case")
-    score.add_argument("--seal", type=Path, required=True, metavar="FILE", help="file with the labels")
+    score.add_argument("folder", **DIR, help="folder of the challenge")
+    score.add_argument("--reports", required=True, **DIR, help="folder with CASE.json per case")
+    score.add_argument("--seal", required=True, **FILE, help="file with the labels")
     score.add_argument("--json", metavar="FILE", help="write the scores as JSON ('-' for standard output)")
     score.add_argument(
         "--check", action="store_true", help="exit with 1 where a line that was drawn falls below its floor"

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import Action, add_shared
+from softcal.app.cli.options import DIR, FILE, Action, add_shared
 from softcal.app.output import print_table, say, write_json
 
 if TYPE_CHECKING:
@@ -103,8 +103,8 @@ def add_transfer(action: Action) -> None:
         "and with the explained twin. Show which twin foretells the rig's results.",
         epilog=_TRANSFER_EXAMPLES,
     )
-    parser.add_argument("--report", type=Path, required=True, metavar="FILE", help="JSON of softcal gap diagnose")
-    parser.add_argument("--lot", type=Path, required=True, metavar="DIR", help="lot folder with audits, from the rig")
+    parser.add_argument("--report", required=True, **FILE, help="JSON of softcal gap diagnose")
+    parser.add_argument("--lot", required=True, **DIR, help="lot folder with audits, from the rig")
     parser.add_argument("--seed", type=int, default=0, help="of the simulated units' spread and noise (default 0)")
     add_shared(parser, "json")
 

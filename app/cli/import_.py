@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from softcal.app.cli.options import add_shared, answer, converted
+from softcal.app.cli.options import COUNT, FILE, add_shared, answer, converted
 from softcal.app.output import say
 from softcal.core.errors import InputError
 
@@ -23,7 +23,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Make a lot folder: one file per unit, or one wide file with a column per unit. Nothing is written unless every
     file can be used.
     """
-    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="CSV, .xlsx or Parquet; of a folder, all")
+    parser.add_argument("files", nargs="+", **FILE, help="CSV, .xlsx or Parquet; of a folder, all")
     parser.add_argument("--out", required=True, type=Path, help="lot folder to make; must not exist yet")
     parser.add_argument(
         "--source",
@@ -53,7 +53,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rows", type=rows, metavar="A:B", help="data rows that fit, counted from 0")
     parser.add_argument("--audit-rows", type=rows, metavar="A:B", help="data rows of the audit")
     parser.add_argument(
-        "--most-cells", type=int, default=20_000_000, metavar="N",
+        "--most-cells", default=20_000_000, **COUNT,
         help="refuse larger tables before they are read (default 20 million; a tenth of it for Excel)",
     )  # fmt: skip
     parser.add_argument("--sheet", help="sheet of an Excel file")

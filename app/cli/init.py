@@ -7,7 +7,7 @@ from dataclasses import MISSING, Field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
 
-from softcal.app.cli.options import actions_of, positive
+from softcal.app.cli.options import FILE, actions_of, positive
 from softcal.app.output import say
 from softcal.core.errors import InputError
 
@@ -41,7 +41,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     lot.add_argument("--limit", type=positive, metavar="RMSE", help="largest acceptable error, in the reference unit")
     lot.add_argument("--yes", action="store_true", help="ask nothing: take the defaults of what is not given")
     station = action("station", "a station file; `softcal station check --write` finds USB devices itself", run_station)
-    station.add_argument("file", type=Path, metavar="FILE", help="station file to make")
+    station.add_argument("file", **FILE, help="station file to make")
 
 
 def run_lot(options: argparse.Namespace) -> int:

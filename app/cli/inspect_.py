@@ -1,9 +1,8 @@
 """`softcal inspect`: what a calibration file holds."""
 
 import argparse
-from pathlib import Path
 
-from softcal.app.cli.options import add_shared
+from softcal.app.cli.options import FILE, add_shared
 from softcal.app.output import print_table, write_json
 
 EXAMPLES = """examples:
@@ -18,8 +17,8 @@ HELP = "say what a calibration file holds, and whether it is whole"
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Show a network or unit file (.ssc, or its JSON twin), after checking all that can be checked."""
-    parser.add_argument("file", type=Path, metavar="FILE", help=".ssc or .json")
-    parser.add_argument("--network", type=Path, metavar="FILE", help="the network file, to run a unit's self-tests")
+    parser.add_argument("file", **FILE, help=".ssc or .json")
+    parser.add_argument("--network", **FILE, help="the network file, to run a unit's self-tests")
     add_shared(parser, "json", "csv")
 
 

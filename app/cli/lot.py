@@ -6,7 +6,18 @@ from functools import partial
 from pathlib import Path
 
 from softcal.app.cli.lot_audit import add_audit
-from softcal.app.cli.options import actions_of, add_network, add_shared, answer, lot_id_of, network_config, registry_of
+from softcal.app.cli.options import (
+    COUNT,
+    DIR,
+    FILE,
+    actions_of,
+    add_network,
+    add_shared,
+    answer,
+    lot_id_of,
+    network_config,
+    registry_of,
+)
 from softcal.app.output import print_table, say, write_json
 from softcal.app.texts.catalogue import here
 from softcal.core.errors import InputError, RegistryError
@@ -45,7 +56,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_shared(watch, "registry")
     watch.add_argument("--every", type=float, default=2.0, metavar="S", help="seconds between two looks (default 2)")
     watch.add_argument("--idle", type=float, metavar="S", help="stop when nothing came for so long (default: never)")
-    watch.add_argument("--jobs", type=int, default=1, metavar="N", help="worker processes (default 1)")
+    watch.add_argument("--jobs", default=1, **COUNT, help="worker processes (default 1)")
     add_network(watch)
     folder = action(
         "folder",
@@ -53,7 +64,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         _folder,
     )
     folder.add_argument("lot", metavar="ID", help="lot in the registry")
-    folder.add_argument("--out", type=Path, required=True, metavar="DIR", help="lot folder to make; not there yet")
+    folder.add_argument("--out", required=True, **DIR, help="lot folder to make; not there yet")
     add_shared(folder, "registry", "json")
     limit = action("limit", "show or set the largest acceptable error of a lot's units", _limit)
     limit.add_argument("lot", metavar="ID", help="lot in the registry")
@@ -77,7 +88,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_shared(rules, "registry", "json")
     rules.add_argument("--serial-pattern", metavar="REGEX", help="what a whole serial matches; '' takes any")
     rules.add_argument("--letters", choices=LETTERS, help="turn what was scanned into these letters")
-    rules.add_argument("--target", type=int, metavar="N", help="units that are planned")
+    rules.add_argument("--target", **COUNT, help="units that are planned")
     rules.add_argument(
         "--retests", nargs="+", metavar="VERDICT=N", help=f"re-tests after a verdict: {', '.join(RETESTS)}"
     )
@@ -108,7 +119,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     release.add_argument("lot", metavar="ID", help="lot in the registry, or its folder")
     add_shared(release, "registry", "json", "csv")
-    release.add_argument("--pdf", type=Path, metavar="FILE", help="write the statement as one page")
+    release.add_argument("--pdf", **FILE, help="write the statement as one page")
     release.add_argument("--language", choices=("en", "ko"), default="en", help="of the page")
 
 
@@ -120,7 +131,7 @@ def _release(options: argparse.Namespace) -> int:
     from softcal.app.texts.catalogue import text
 
     lot_id = lot_id_of(options.lot)
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         registry.lots.get(lot_id)
         standing = lot_standing(registry, lot_id)
         if standing.decided is not None and not is_told(registry, lot_id, standing.decided):
@@ -163,7 +174,7 @@ def _release(options: argparse.Namespace) -> int:
 def _folder(options: argparse.Namespace) -> None:
     from softcal.app.registry.laid_out import write_lot_folder
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         written = write_lot_folder(registry, options.lot, options.out)
     say(f"{options.out}: " + ", ".join(f"{len(serials)} in {part}/" for part, serials in written.items()))
     answer(options, "lot.folder/1", {"lot": options.lot, **written})
@@ -176,7 +187,7 @@ def _audit_plan(options: argparse.Namespace) -> int:
     from softcal.core.quality.qualification import small_lot
 
     lot_id = lot_id_of(options.lot)
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         registry.lots.get(lot_id)
         audit = None if options.new else update_lot(registry, lot_id)
         if audit is None:
@@ -206,7 +217,7 @@ def _watch(options: argparse.Namespace) -> int:
     batch = BatchConfig(network=network_config(options), engine=EngineChoice(jobs=options.jobs), actor="softcal lot")
     passed = True
     say(f"{options.folder}: waiting for recordings; Ctrl-C stops")
-    with registry_of(options) as registry:
+    with registry_of(options, create=True) as registry:
         config = WatchConfig(options.every, options.idle)
         try:
             for report in watch_lot(options.folder, registry, batch, config, Watch()):
@@ -223,7 +234,7 @@ def _limit(options: argparse.Namespace) -> None:
     is_new = options.rmse is not None or options.automatic
     if is_new and not (options.reason or "").strip():
         raise InputError("a new limit needs --reason: without one it cannot be defended")
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         if is_new:
             registry.lots.set_limit(options.lot, options.rmse, reason=options.reason, expected_version=options.expect)
             judge_again(registry, [options.lot])
@@ -236,7 +247,7 @@ def _limit(options: argparse.Namespace) -> None:
 
 
 def _network(options: argparse.Namespace) -> None:
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         registry.lots.get(options.lot)
         if asked := options.release or options.withdraw:
             ids = [one.network.id for one in registry.networks.states(options.lot)]
@@ -257,7 +268,7 @@ def _network(options: argparse.Namespace) -> None:
 def _rules(options: argparse.Namespace) -> None:
     changes = {name: getattr(options, name) for name in ("serial_pattern", "letters", "target")}
     changes = {name: value for name, value in changes.items() if value is not None}
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         rules = registry.lots.line_rules(registry.lots.get(options.lot))
         if options.retests:
             changes["retests"] = {**rules.retests, **dict(_retest(text) for text in options.retests)}

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from softcal.app.cli.options import Action, add_shared, answer, lot_id_of, positive, registry_of
+from softcal.app.cli.options import FILE, Action, add_shared, answer, lot_id_of, positive, registry_of
 from softcal.app.output import print_table, say
 from softcal.core.errors import InputError
 
@@ -30,7 +30,7 @@ def add_audit(action: Action) -> None:
         epilog=EXAMPLES,
     )
     parser.add_argument("lot", metavar="LOT", help="lot folder, or a lot in the registry")
-    parser.add_argument("files", nargs="*", type=Path, metavar="FILE", help="CSV, .xlsx or Parquet; of a folder, all")
+    parser.add_argument("files", nargs="*", **FILE, help="CSV, .xlsx or Parquet; of a folder, all")
     parser.add_argument("--output-column", default="output", help="default output; with * one unit per column")
     parser.add_argument("--reference-column", default="reference", help="column of the load cell; default reference")
     parser.add_argument("--time-column", metavar="NAME", help="column of the time in s; default t_s")
@@ -55,7 +55,7 @@ def _confirm(options: argparse.Namespace) -> int:
     from softcal.app.batch.judging import confirm
 
     lot_id = lot_id_of(options.lot)
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         confirm(registry, lot_id, options.confirm, reason=options.reason)
         standing = registry.pages.standings(lot_id, [options.confirm])[options.confirm]
     say(f"{options.confirm}: confirmed; its verdict is {standing.verdict}: {standing.reasons[0]}")
@@ -81,7 +81,7 @@ def _bring(options: argparse.Namespace) -> int:
         found = look_at_audits(lot, opened.unit_paths.keys(), files, columns, options.sheet)
         replaced, then = write_audits(folder, found), f"next: softcal batch {options.lot}"
     else:
-        with registry_of(options, create=False) as registry:
+        with registry_of(options) as registry:
             lot = registry.lots.get(options.lot)
             _check_rate(options.sample_rate, lot.sample_rate_Hz)
             found = look_at_audits(lot, target_serials(registry, lot.id), files, columns, options.sheet)

@@ -38,6 +38,11 @@ def converted(convert: Callable[[str], T], expected: str) -> Callable[[str], T]:
     return converter
 
 
+FILE: dict[str, Any] = {"type": Path, "metavar": "FILE"}
+DIR: dict[str, Any] = {"type": Path, "metavar": "DIR"}
+COUNT: dict[str, Any] = {"type": int, "metavar": "N"}
+"""What options of a file, a folder and a whole number take."""
+
 SHARED: dict[str, dict[str, Any]] = {
     "registry": {
         "metavar": "URL",
@@ -147,7 +152,7 @@ def network_config(options: argparse.Namespace) -> "NetworkConfig":
     return NetworkConfig(hidden=options.hidden, seed=options.seed, members=options.members)
 
 
-def registry_of(options: argparse.Namespace, *, create: bool = True) -> "AbstractContextManager[Registry]":
+def registry_of(options: argparse.Namespace, *, create: bool = False) -> "AbstractContextManager[Registry]":
     """Open the registry the options name, and close it after the block; a new one is made only where `create`."""
     return registry_at(options.registry, create=create)
 

@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from softcal.app.cli.options import actions_of, add_shared, answer, registry_of
+from softcal.app.cli.options import COUNT, actions_of, add_shared, answer, registry_of
 from softcal.app.output import print_table
 from softcal.core.errors import InputError
 
@@ -42,7 +42,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_shared(golden, "registry")
     golden.add_argument("--station", metavar="NAME")
     golden.add_argument("--serial")
-    golden.add_argument("--baseline", type=int, metavar="N", help="limits from the first N checks (default: all)")
+    golden.add_argument("--baseline", **COUNT, help="limits from the first N checks (default: all)")
 
 
 def _grr(options: argparse.Namespace) -> None:
@@ -83,7 +83,7 @@ def _capability(options: argparse.Namespace) -> None:
         chart = file_chart(options.file, options.column)
         found = capability(chart, options.minimum, options.maximum)
     else:
-        with registry_of(options, create=False) as registry:
+        with registry_of(options) as registry:
             chart, found = lot_capability(registry, options.lot, options.maximum)
     value = {"capability": asdict(found), "chart": chart_json(chart)}
     row = [found.count, found.cp, found.cpk, found.cpk_lower, found.cpk_upper, found.pp, found.ppk]
@@ -94,7 +94,7 @@ def _capability(options: argparse.Namespace) -> None:
 def _yield(options: argparse.Namespace) -> None:
     from softcal.app.registry.quality import lot_yields, named_shares, yields_json
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         found = lot_yields(registry, options.lot, conditional_is_good=options.conditional_is_good)
     value = {"lot": options.lot} | yields_json(found)
     rows = [[name.replace("_", " "), s.count, s.of, s.value, *s.interval] for name, s in named_shares(found)]
@@ -106,7 +106,7 @@ def _yield(options: argparse.Namespace) -> None:
 def _golden(options: argparse.Namespace) -> None:
     from softcal.app.registry.quality import chart_json, golden_charts
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         charts = golden_charts(registry, options.station, options.serial, options.baseline)
     found = [{"station": key[0], "serial": key[1]} | chart_json(chart) for key, chart in charts.items()]
     header = ["station", "unit", "checks", "centre", "lower", "upper", "newest", "state"]

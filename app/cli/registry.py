@@ -2,10 +2,9 @@
 
 import argparse
 import time
-from pathlib import Path
 
 from softcal.app.bootstrap import registry_url
-from softcal.app.cli.options import actions_of, add_shared, answer, registry_of, say_written
+from softcal.app.cli.options import FILE, actions_of, add_shared, answer, registry_of, say_written
 from softcal.app.output import print_table, say, shown
 from softcal.core.errors import RegistryError
 
@@ -38,13 +37,13 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     verify = action("verify", "check every stored byte, every row, the schema and the audit trail", _verify)
     verify.add_argument("--quick", action="store_true", help="leave out pages and blobs")
     verify.add_argument(
-        "--against", action="append", type=Path, default=[], metavar="FILE",
+        "--against", action="append", default=[], **FILE,
         help="a backup, or audit.json of an export: nothing that it knows may be gone; may be repeated",
     )  # fmt: skip
     backup = action("backup", "write one consistent copy while the registry is in use", _backup)
-    backup.add_argument("file", type=Path, metavar="FILE", help="new SQLite file")
+    backup.add_argument("file", **FILE, help="new SQLite file")
     restore = action("restore", "fill an empty registry from a backup", _restore)
-    restore.add_argument("file", type=Path, metavar="FILE", help="a backup")
+    restore.add_argument("file", **FILE, help="a backup")
     rollback = action("rollback", "bring an older revision back into use", _rollback)
     rollback.add_argument("--serial", required=True)
     add_shared(rollback, "lot")
@@ -72,7 +71,7 @@ def _done(options: argparse.Namespace, action: str, line: str, **facts: object) 
 def _list(options: argparse.Namespace) -> None:
     from softcal.app.registry.listing import UNIT_HEADER, unit_json, unit_row
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         units = registry.lots.units(options.lot)
     answer(options, "registry.list/1", {"units": [unit_json(unit) for unit in units]})
     print_table(UNIT_HEADER, [unit_row(unit) for unit in units])
@@ -81,7 +80,7 @@ def _list(options: argparse.Namespace) -> None:
 def _history(options: argparse.Namespace) -> None:
     from softcal.app.registry.listing import HISTORY_HEADER, history_json, history_row, only_lot
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         units = [unit for unit in registry.lots.units(serial=options.serial) if options.lot in (None, unit.lot_id)]
         lot_id = only_lot(options.serial, [unit.lot_id for unit in units], options.lot)
         revisions = registry.calibrations.history(options.serial, lot_id)
@@ -106,7 +105,7 @@ def _verify(options: argparse.Namespace) -> None:
         if not options.quick:
             say(f"{time.monotonic() - start_s:5.1f} s  checking {name}")
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         found = verify(registry, is_quick=options.quick, files=options.against, on_step=on_step)
     facts = {"faults": list(found.faults), "audit_rows": found.audit_rows, "heads": found.heads}
     facts["is_quick"] = options.quick
@@ -125,7 +124,7 @@ def _verify(options: argparse.Namespace) -> None:
 def _backup(options: argparse.Namespace) -> None:
     from softcal.app.registry.maintenance import back_up_registry
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         back_up_registry(registry, options.file)
     size_MB = options.file.stat().st_size / 1e6
     line = f"{options.file}: {size_MB:.1f} MB"
@@ -144,7 +143,7 @@ def _restore(options: argparse.Namespace) -> None:
 def _rollback(options: argparse.Namespace) -> None:
     from softcal.app.batch.judging import judge_again
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         which = {"lot_id": options.lot, "origin": options.origin}
         revision = registry.calibrations.rollback(options.serial, options.to, reason=options.reason, **which)
         judge_again(registry, [options.lot] if options.lot else registry.calibrations.lots_of(options.serial))
@@ -156,7 +155,7 @@ def _sync(options: argparse.Namespace) -> None:
     from softcal.app.batch.judging import judge_stale
     from softcal.app.registry.maintenance import synchronise_with
 
-    with registry_of(options) as registry:
+    with registry_of(options, create=True) as registry:
         report = synchronise_with(registry, options.other)
         judge_stale(registry)
     if report.sent:

@@ -6,7 +6,7 @@ from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
-from softcal.app.cli.options import add_shared, lot_id_of, registry_of
+from softcal.app.cli.options import FILE, add_shared, lot_id_of, registry_of
 from softcal.app.output import say
 
 EXAMPLES = """examples:
@@ -21,7 +21,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     why units did not pass, every unit. It needs no network to be read.
     """
     parser.add_argument("lot", metavar="LOT", help="id of a lot in the registry, or its lot folder")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="default: LOT.html")
+    parser.add_argument("--out", **FILE, help="default: LOT.html")
     parser.add_argument("--language", choices=("en", "ko"), default="en")
     add_shared(parser, "registry")
 
@@ -35,7 +35,7 @@ def run(options: argparse.Namespace) -> None:
 
     words = partial(text, options.language)
     made = words("report.made", at=datetime.now().astimezone(), version=version("softcal"))
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         lot_id = lot_id_of(options.lot)
         view = lot_view(registry, lot_id)
         units = [unit for unit in registry.lots.units(lot_id) if unit.role == "target"]

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import Action, actions_of, add_shared, add_station, answer, positive
+from softcal.app.cli.options import DIR, FILE, Action, actions_of, add_shared, add_station, answer, positive
 from softcal.app.cli.station_service import add_service_actions
 from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
@@ -55,7 +55,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     check.add_argument("--port", action="append", default=[], metavar="PORT", help="look at this port only; repeatable")
     add_station(check)
-    check.add_argument("--write", type=Path, metavar="FILE", help="write a station file from what was found")
+    check.add_argument("--write", **FILE, help="write a station file from what was found")
     check.add_argument("--no-motion", action="store_true", help="do not home or move the stage")
     add_shared(check, "json")
     for kind, what in (("source", "with the load cell: output and reference"), ("unit", "output only")):
@@ -75,7 +75,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         run_calibrate_cell,
         "Asks for one weight after the other, reads the cell, and writes its scale into the station file.",
     )
-    calibrate.add_argument("--station", type=Path, required=True, metavar="FILE", help="station file; it is updated")
+    calibrate.add_argument("--station", required=True, **FILE, help="station file; it is updated")
     calibrate.add_argument(
         "--weights", type=_weight, nargs="+", required=True, metavar="KG", help="weights in kg, 0 for the unloaded cell"
     )
@@ -87,7 +87,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "Read the spools: finished runs become recordings, all others files marked as aborted.",
     )
     add_shared(recover, "spool")
-    recover.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the files")
+    recover.add_argument("--out", required=True, **DIR, help="folder for the files")
     add_shared(recover, "json")
     drivers = action(
         "drivers",
@@ -110,15 +110,13 @@ def _add_press(action: Action, kind: str, what: str) -> None:
         f"Home, find contact, press with the {kind} profile and record {what}. Whole or not at all.",
     )
     press.add_argument("--serial", nargs="+", required=True, metavar="S", help="serial; one per channel of the readout")
-    press.add_argument("--out", type=Path, required=True, metavar="FILE", help="CSV or Parquet; a folder for channels")
+    press.add_argument("--out", required=True, **FILE, help="CSV or Parquet; a folder for channels")
     press.add_argument("--seconds", type=positive, metavar="S", help="how long to press")
     add_shared(press, "depth")
-    press.add_argument("--profile", type=Path, metavar="FILE", help="TOML file of moves instead (`station profiles`)")
+    press.add_argument("--profile", **FILE, help="TOML file of moves instead (`station profiles`)")
     add_shared(press, "profile-seed", "spool")
     add_station(press)
-    press.add_argument(
-        "--twin", type=Path, metavar="FILE", help="with --simulated: the unit of this twin (softcal gap apply)"
-    )
+    press.add_argument("--twin", **FILE, help="with --simulated: the unit of this twin (softcal gap apply)")
     add_shared(press, "json")
     press.set_defaults(kind=kind)
 

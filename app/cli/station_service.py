@@ -7,10 +7,10 @@ import uuid
 from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal.app.cli.options import (
+    FILE,
     Action,
     add_network,
     add_shared,
@@ -83,7 +83,7 @@ def add_service_actions(action: Action) -> None:
     serve.add_argument("--source-seconds", type=positive, metavar="S", help="how long a source is (default 170 s)")
     for kind in ("unit", "source"):
         what = f"TOML file of moves instead of the {kind} profile (`softcal station profiles`)"
-        serve.add_argument(f"--{kind}-profile", type=Path, metavar="FILE", help=what)
+        serve.add_argument(f"--{kind}-profile", **FILE, help=what)
     serve.add_argument(
         "--speed", type=positive, default=1.0, metavar="X", help="simulated seconds a second (default 1)"
     )
@@ -123,9 +123,7 @@ def add_service_actions(action: Action) -> None:
     certificate.add_argument("--due", type=day, metavar="YYYY-MM-DD", help="first day it no longer holds")
     certificate.add_argument("--capacity", type=float, metavar="N", help="largest force it covers, N")
     certificate.add_argument("--uncertainty", type=float, metavar="N", help="expanded uncertainty, k = 2, N")
-    certificate.add_argument(
-        "--dcc", type=Path, metavar="FILE", help="import it from this DCC; options above fill gaps"
-    )
+    certificate.add_argument("--dcc", **FILE, help="import it from this DCC; options above fill gaps")
     add_shared(certificate, "registry", "json")
 
 
@@ -162,7 +160,7 @@ def run_serve(options: argparse.Namespace) -> None:
     signal.signal(signal.SIGTERM, end)
     signal.signal(signal.SIGINT, end)
     say(f"station {options.name}: serving; Ctrl-C stops a run in progress and ends it")
-    with registry_of(options) as registry:
+    with registry_of(options, create=True) as registry:
         serve(registry, serving, spool_folder(options.spool), lambda: is_wanted)
     say(f"station {options.name}: ports given back")
 
@@ -175,7 +173,7 @@ def run_order(options: argparse.Namespace) -> int:
     if kind.presses and not options.serial:
         raise InputError(f"an order of kind {kind} needs the serial of a unit: give --serial")
     order_id = uuid.uuid4().hex
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         queue = registry.order_queue
         if not _is_there(queue, options.name):
             raise DeviceError(f"station {options.name!r} is not served; start `softcal station serve` first")
@@ -230,7 +228,7 @@ def run_status(options: argparse.Namespace) -> None:
     """Print what stations say of themselves."""
     from softcal.app.line.gate_facts import quarantine
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         beats = [b for b in registry.order_queue.stations() if options.name in (None, b.station)]
         if options.name and not beats:
             raise InputError(f"station {options.name!r} never gave a sign of life in this registry")
@@ -283,7 +281,7 @@ def run_certificate(options: argparse.Namespace) -> None:
         "capacity_N": options.capacity,
         "uncertainty_N": options.uncertainty,
     }
-    with registry_of(options) as registry:
+    with registry_of(options, create=True) as registry:
         if options.dcc is not None or any(value is not None for name, value in given.items() if name != "cell_serial"):
             certificate = certificate_from(given, options.dcc)
             registry.stations.add_certificate(certificate)

@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> None:
     for remark in folder.remarks:
         say(f"note: {remark}")
     lot, source = folder.lot, folder.read_source()
-    with registry_of(options) as registry:
+    with registry_of(options, create=True) as registry:
         trained = train_or_find(
             lot,
             source,

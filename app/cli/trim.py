@@ -1,9 +1,8 @@
 """`softcal trim`: known loads at the place of use re-anchor a unit's map."""
 
 import argparse
-from pathlib import Path
 
-from softcal.app.cli.options import add_shared, answer, registry_of
+from softcal.app.cli.options import FILE, add_shared, answer, registry_of
 from softcal.app.output import say
 
 EXAMPLES = """examples:
@@ -18,7 +17,7 @@ HELP = "two or more known loads at the place of use re-anchor a unit's map"
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Correct gain and zero of a unit's map by known loads at its place of use."""
     add_shared(parser, "serial")
-    parser.add_argument("--loads", required=True, type=Path, metavar="FILE", help="CSV or Parquet: output, reference")
+    parser.add_argument("--loads", required=True, **FILE, help="CSV or Parquet: output, reference")
     add_shared(parser, "lot", "registry", "json")
 
 
@@ -26,7 +25,7 @@ def run(options: argparse.Namespace) -> None:
     """Trim, and say what it changed."""
     from softcal.app.use.trim import trim_unit
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         found, revision = trim_unit(registry, options.serial, options.loads, options.lot)
     gain, offset = found.unit_map.gain, found.unit_map.offset
     facts = {"serial": options.serial, "revision": revision, "gain": gain, "offset": offset}

@@ -1,9 +1,8 @@
 """`softcal ui`: the operator's Streamlit application, in the browser or in a window of its own."""
 
 import argparse
-from pathlib import Path
 
-from softcal.app.cli.options import add_shared
+from softcal.app.cli.options import FILE, add_shared
 
 EXAMPLES = """examples:
   softcal ui                       open the application in the default browser
@@ -33,9 +32,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="another name under which browsers reach this server; every other name is refused",
     )
-    parser.add_argument(
-        "--accounts", type=Path, metavar="FILE", help="TOML with [auth]: sign in by company account (OIDC)"
-    )
+    parser.add_argument("--accounts", **FILE, help="TOML with [auth]: sign in by company account (OIDC)")
 
 
 def run(options: argparse.Namespace) -> int:

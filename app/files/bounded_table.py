@@ -134,7 +134,7 @@ def _cells_of(field: "pa.Field", path: Path) -> int:
     if _is_text(field.type):
         return 1
     try:
-        return max(1, field.type.bit_width // 64)
+        return max(1, int(field.type.bit_width) // 64)
     except ValueError:
         return 1  # A type without a width
 

@@ -205,7 +205,8 @@ def _read_lot_toml(path: Path) -> tuple[Lot, LineSpread | None, Reference | None
         for name, table in tables.items():
             if not isinstance(table, dict):
                 raise InputError(f"[{name}] must be a table")
-        line, reference = _line(tables["line"]), _reference(tables)
+        spreads = [typed(f"[line] {key}", float, tables["line"].get(key, 0.0)) for key in ("load_spread", "day_spread")]
+        line, reference = LineSpread(*spreads) if tables["line"] else None, _reference(tables)
         lot = _lot(content, tables)
         return lot, line, reference, _more_sources(tables["lot"], lot.source), tuple(_unknown_keys(path, content))
 
@@ -232,20 +233,13 @@ def _reference(tables: Mapping[str, Mapping[str, object]]) -> Reference | None:
     return Reference(**facts) if facts else None
 
 
-def _line(table: Mapping[str, object]) -> LineSpread | None:
-    if not table:
-        return None
-    load, day = (typed(f"[line] {name}", float, table.get(name, 0.0)) for name in ("load_spread", "day_spread"))
-    return LineSpread(load, day)
-
-
 def _lot(content: Mapping[str, object], tables: Mapping[str, Mapping[str, object]]) -> Lot:
     places = (content, tables["lot"], tables["output"])
     limit = tables["limit"].get("rmse")
     return Lot(
         id=typed("[lot] id", str, tables["lot"].get("id")),
-        source=typed("source", str, _only(places, "source")["source"]),
-        sample_rate_Hz=typed("sample_rate_Hz", float, _only(places, "sample_rate_Hz")["sample_rate_Hz"]),
+        source=typed("source", str, _only(places, "source")),
+        sample_rate_Hz=typed("sample_rate_Hz", float, _only(places, "sample_rate_Hz")),
         sensor_model=str(tables["lot"].get("sensor_model", "")),
         reference_quantity=str(tables["reference"].get("quantity", "force")),
         reference_unit=str(tables["reference"].get("unit", "N")),
@@ -254,13 +248,13 @@ def _lot(content: Mapping[str, object], tables: Mapping[str, Mapping[str, object
     )
 
 
-def _only(places: tuple[Mapping[str, object], ...], key: str) -> Mapping[str, object]:
-    holders = [place for place in places if key in place]
-    if len({str(place[key]) for place in holders}) > 1:
+def _only(places: tuple[Mapping[str, object], ...], key: str) -> object:
+    given = [place[key] for place in places if key in place]
+    if len(set(map(str, given))) > 1:
         raise InputError(f"{key} is given more than once, with different values")
-    if not holders:
+    if not given:
         raise InputError(f"{key} is missing")
-    return holders[0]
+    return given[0]
 
 
 def _unknown_keys(path: Path, content: Mapping[str, object]) -> Iterator[str]:

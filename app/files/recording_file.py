@@ -238,7 +238,8 @@ def write_recording(path: Path, recording: OutputRecording | LabelledRecording, 
         reference: (n,) of an output that was not checked with it.
     """
     if isinstance(recording, LabelledRecording):
-        recording, reference = recording.unlabelled, recording.reference
+        reference = recording.reference
+        recording = recording.unlabelled
     columns = [("t_s", recording.t_s), ("output", recording.output)]
     if reference is not None:
         columns.append(("reference", reference))

@@ -19,6 +19,8 @@ from softcal.core.twin.simulate import Twin
 from softcal.core.unit.budget import SIMULATED
 
 TABLE_HEADER = ("unit", "verdict", "before [N]", "after [N]", "own [N]", "after/own", "before/own", "predicted [N]")
+SEED = 20201900178
+"""Of the units' differences, of mounting, noise and profiles."""
 
 
 @dataclass(frozen=True)
@@ -27,14 +29,12 @@ class DemoConfig:
 
     Args:
         units: target units beside the source.
-        seed: of the units' differences, of mounting, noise and profiles.
         times: how long each run presses. An audit is as long as it takes to train a fair own calibration on it.
         batch: how the lot is calibrated.
         twin: the nominal unit, of a diagnosis for example; None draws one.
     """
 
     units: int = 6
-    seed: int = 20201900178
     times: PressTimes = PressTimes(source_s=300.0, unit_s=150.0, audit_s=90.0)
     batch: BatchConfig = BatchConfig()
     twin: Twin | None = None
@@ -55,9 +55,9 @@ def press_demo_lot(config: DemoConfig, folder: Path, on_run: Callable[[str], Non
         on_run(f"{folder}: pressed before, taken as it is; remove it to press again")
         return open_lot_folder(folder)
     serials = [f"DEMO-{k:02d}" for k in range(config.units + 1)]
-    rng = np.random.default_rng(config.seed)
+    rng = np.random.default_rng(SEED)
     twins = draw_twins(rng, len(serials), twin=config.twin)
-    pressed = press_simulated_lot(twins, serials, config.seed, config.times, on_run)
+    pressed = press_simulated_lot(twins, serials, SEED, config.times, on_run)
     lot = Lot("demo", serials[0], pressed.source.unlabelled.sample_rate_Hz, "simulated eGaIn channel")
     with whole_folder(folder) as part:
         write_lot_toml(part, lot, SIMULATED)

@@ -259,16 +259,12 @@ class StationHost:
                 self._is_stop_wanted.set()
             try:
                 if self._active and self._queue.has_stop(self._station):
+                    # The stage is told first.
                     self._is_stop_wanted.set()
-                    self._answer_stop()
+                    if order := self._queue.take(self._station, only=OrderKind.STOP):
+                        self._say(order, RunState.DONE, Reason("run.stopping"))
             except SoftcalError:
                 continue  # Away for a moment: the next look tries again.
-
-    def _answer_stop(self) -> None:
-        """Say that the run is being stopped; the stage was told before."""
-        order = self._queue.take(self._station, only=OrderKind.STOP)
-        if order is not None:
-            self._say(order, RunState.DONE, Reason("run.stopping"))
 
     def _keep_desk(self) -> None:
         beaten_s = 0.0

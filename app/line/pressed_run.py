@@ -51,7 +51,6 @@ class RunKeeper:
     Args:
         registry: where recordings, networks and verdicts go.
         network: how f is trained from a source's recording.
-        method: every number of the calibration.
         reference: what the station compares sources with; None where nobody said.
         sitting: how long after a golden run of the source units are fitted to it.
     """
@@ -61,13 +60,12 @@ class RunKeeper:
         registry: Registry,
         station: str,
         network: NetworkConfig = NetworkConfig(),  # noqa: B008 - frozen
-        method: Method = Method(),  # noqa: B008 - frozen
         reference: Reference | None = None,
         sitting: timedelta = SHIFT,
     ) -> None:
         self._registry, self._station, self._reference = registry, station, reference
-        self._network, self._method, self._sitting = network, method, sitting
-        self._source_model = lru_cache(MOST_SOURCES)(lambda network: source_model(registry, network, method))
+        self._network, self._method, self._sitting = network, Method(), sitting
+        self._source_model = lru_cache(MOST_SOURCES)(lambda network: source_model(registry, network, self._method))
         self._cross = lru_cache(MOST_SOURCES)(partial(bridge_over, registry))
         self._loads = LoadReadings()
         self._release = LineRelease(registry)

@@ -30,6 +30,9 @@ from softcal.db.registry import Registry
 MAPS_S = 2.0
 """Most seconds of a live stream whose maps a crash can lose."""
 
+STATE_S = 60.0
+"""Seconds of a live stream between two states to resume from."""
+
 FILE_MAPS_ROWS = 100_000
 """Rows of a file between two writes of its maps; its state is kept at its end only."""
 
@@ -43,7 +46,6 @@ class AdaptOptions:
         revision: calibration to start from; None for the one in use.
         stream: name under which the registry keeps the course; None makes one from the file's content.
         resume: go on from the last state of the stream in the registry.
-        checkpoint_s: seconds of a live stream between two states to resume from.
         lot_id: lot of the unit; needed where its serial stands in several.
     """
 
@@ -51,7 +53,6 @@ class AdaptOptions:
     revision: int | None = None
     stream: str | None = None
     resume: bool = False
-    checkpoint_s: float = 60.0
     lot_id: str | None = None
 
 
@@ -135,7 +136,7 @@ class Follower:
             self._state_until = int(last["sample"])
         self._pending: list[MapUpdate] = []
         rate_Hz = unit.recording.sample_rate_Hz
-        self._maps_rows, self._state_rows = (max(1, round(s * rate_Hz)) for s in (MAPS_S, options.checkpoint_s))
+        self._maps_rows, self._state_rows = (max(1, round(s * rate_Hz)) for s in (MAPS_S, STATE_S))
         self._since_maps = self._since_state = 0
         config = options.config
         place = (serial, unit.revision, stream, config.mode, self._adapter.current, unit.lot, config.method)

@@ -9,10 +9,8 @@ from softcal.core.use.trim import Trimmed
 from softcal.db.registry import Registry
 
 
-def trim_unit(
-    registry: Registry, serial: str, loads_file: Path, lot_id: str | None = None, actor: str | None = None
-) -> tuple[Trimmed, int]:
-    """Re-anchor a unit's map by the loads of a file, and keep it as its next revision.
+def trim_unit(registry: Registry, serial: str, loads_file: Path, lot_id: str | None = None) -> tuple[Trimmed, int]:
+    """Re-anchor a unit's map by the loads of a file, and keep it as its next revision, which is returned, too.
 
     Args:
         loads_file: table with the columns output, reference; a row a load; a column serial names this unit.
@@ -21,8 +19,8 @@ def trim_unit(
         InputError: the loads cannot be of this unit, or the unit is not in the registry; nothing was changed.
     """
     stored = registry.calibrations.get(serial, lot_id=lot_id)
-    found = keep_trim(registry, stored, read_anchors(loads_file, [serial])[serial], actor)
-    judge_again(registry, [stored.lot_id], actor)
+    found = keep_trim(registry, stored, read_anchors(loads_file, [serial])[serial])
+    judge_again(registry, [stored.lot_id])
     return found, registry.calibrations.get(serial, lot_id=stored.lot_id).revision
 
 
