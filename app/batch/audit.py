@@ -1,4 +1,4 @@
-"""Audits of a lot: which units to check with the load cell, kept in the registry, and what their results say."""
+"""Audits of a lot: which units to check with the load cell, and what their results say."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -42,7 +42,7 @@ class LotAudit:
 
     @property
     def rows(self) -> Iterator[tuple[str, str, float, float | None, str]]:
-        """Each unit of the plan: serial, why it was drawn, what was forecast and measured, and what that says."""
+        """Each unit of the plan: serial, why it was drawn, forecast, measured, what that says."""
         for serial in self.plan.serials:
             measured = self.measured.get(serial)
             held = "within" if measured is None or measured <= self.limit.maximum_rmse else "beyond"
@@ -85,13 +85,13 @@ def draw_plan(
 
 
 def lot_audit(registry: Registry, lot_id: str) -> LotAudit | None:
-    """Return the newest audit plan of a lot with what was measured since; None where none was drawn."""
+    """Return the newest audit plan of a lot with what was measured since; None without one."""
     drawn = stated(registry, PLAN, (lot_id,))
     return None if drawn is None else _standing(registry, lot_id, drawn)
 
 
 def update_lot(registry: Registry, lot_id: str, actor: str | None = None) -> LotAudit | None:
-    """Judge the lot by its audits as far as they are in, and keep a new statement in the registry."""
+    """Judge the lot by its audits as far as they are in, and keep a new statement."""
     audit = lot_audit(registry, lot_id)
     if audit is not None and audit.statement is not None:
         facts = {"statement": _statement_json(audit.statement), "measured": dict(audit.measured)}
@@ -163,6 +163,6 @@ def _is_open(made: MadeCalibration | None) -> bool:
 
 
 def confirmed_audits(registry: Registry, lot_id: str) -> dict[str, str]:
-    """Return the audits that a person confirmed in spite of a doubt: by serial, the hash of their output."""
+    """Return the audits that a person confirmed: by serial, the hash of their output."""
     rows = statements(registry, CONFIRMED, (lot_id,))
     return {str(row["serial"]): str(row["output_sha256"]) for row in rows}

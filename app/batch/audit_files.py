@@ -1,4 +1,4 @@
-"""Labelled recordings of audited units out of tables: what would become of each, and where they are kept."""
+"""Labelled recordings of audited units out of tables: what becomes of each, where it is kept."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ class AuditFile:
 def look_at_audits(
     lot: Lot, units: Collection[str], files: Sequence[Path], columns: Columns, sheet: str | None = None
 ) -> tuple[AuditFile, ...]:
-    """Read tables as audits of units of a lot and say which would be refused and why; nothing is written.
+    """Read tables as audits of a lot's units and say which would be refused and why.
 
     Args:
         files: one per unit, called by its serial, or wide ones with a column per unit.
@@ -54,13 +54,13 @@ def _looked(one: LookedAt, units: Collection[str]) -> AuditFile:
 
 
 def write_audits(folder: Path, found: Sequence[AuditFile]) -> list[str]:
-    """Write the recordings that are not refused into a lot folder's audit/; return the serials of those replaced."""
+    """Write the recordings that are taken into audit/; return the serials of those replaced."""
     taken = {one.serial: one.recording for one in found if one.recording is not None}
     return [serial for serial, one in taken.items() if replace_recording(folder / "audit", serial, ".csv", one)]
 
 
 def store_audits(registry: Registry, lot_id: str, found: Sequence[AuditFile], actor: str | None = None) -> int:
-    """Keep the recordings that are not refused, and return how many; the next calibration of the lot judges by them."""
+    """Keep the recordings that are taken, and return how many; the next calibration has them."""
     taken = [one.recording for one in found if one.recording is not None]
     with registry.transaction():
         for recording in taken:

@@ -1,4 +1,4 @@
-"""Calibrate a whole lot without a screen: train or reuse f, fit every unit, verdicts, registry; resumable."""
+"""Calibrate a whole lot without a screen: f, every unit, verdicts, registry; resumable."""
 
 import time
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The work items a process holds: claimed under a lease that a thread of its own keeps up, given back when it ends."""
+"""The work items a process holds: a lease that a thread keeps up, given back at the end."""
 
 import os
 import socket
@@ -10,7 +10,7 @@ from softcal.db.queues.work_queue import WorkItem, WorkSet
 from softcal.db.registry import Registry
 
 LEASE_S = 60.0
-"""A process on another machine that died is noticed after this time; one of this machine at once."""
+"""A dead process on another machine is noticed after this time; one of this machine at once."""
 
 EXTEND_EVERY_S = 10.0
 
@@ -38,14 +38,14 @@ class Claims:
         self.queue.give_back(self.owner)
 
     def take(self, count: int) -> list[WorkItem]:
-        """Claim up to `count` items; where none is free, those of processes of this machine that died come free."""
+        """Claim up to `count` items; where none is free, those of dead processes come free."""
         items = self.queue.claim(self.owner, self.work, count, LEASE_S)
         if not items and self.take_back_from_dead():
             items = self.queue.claim(self.owner, self.work, count, LEASE_S)
         return items
 
     def take_back_from_dead(self) -> int:
-        """Free what processes of this machine held when they died; return how many items came free."""
+        """Free what dead processes of this machine held; return how many items came free."""
         if os.name != "posix":
             return 0  # Nobody may ask there without harm: leases tell.
         owners = self.queue.owners(self.work)

@@ -1,4 +1,4 @@
-"""Compare networks and map families on the units of a lot: what each forecasts, and what audits say of it."""
+"""Compare networks and map families on a lot's units: forecasts, and what audits say of them."""
 
 from collections.abc import Callable, Mapping, Sequence
 from statistics import median

@@ -1,4 +1,4 @@
-"""Run the same function over many items: in this process, in a pool of processes, or on a Dask cluster.
+"""Run one function over many items: in this process, in a pool, or on a Dask cluster.
 
 The caller keeps what is finished; an engine only computes. A worker that dies costs the items it held, which are
 given out again, and never the rest.
@@ -22,7 +22,7 @@ from softcal.core.errors import InputError
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 Work = Callable[[Any, Any], Any]
-"""(what all items share, one item) -> result; a module-level function, so that it travels to a worker."""
+"""(what all items share, one item) -> result; of a module, so that it travels to a worker."""
 
 ENGINES = ("local", "dask")
 ITEMS_AHEAD = 2
@@ -118,7 +118,7 @@ def run_all(
     items: Iterable[Item],
     split: Callable[[Item], Iterable[Item]] = lambda item: (item,),
 ) -> Iterator[Any]:
-    """Yield `work(shared, item)` for every item, in the order they finish; at most a few items per worker wait.
+    """Yield `work(shared, item)` for every item as they finish; a few items per worker wait.
 
     When a worker dies, every item that was under way is split and its parts are tried again alone, so that the one
     that kills its worker is found; it comes back as `WorkerLost` and the rest goes on. An exception that `work` raises
@@ -164,7 +164,7 @@ def _drain(pool: Pool, work: Work, items: Iterator[Item]) -> Generator[Any, None
 
 
 def _try_alone(pool: Pool, work: Work, alone: deque[tuple[Any, int]]) -> Iterator[Any]:
-    """Compute one item at a time until all are done or the pool breaks; `alone` keeps what is left."""
+    """Compute one item at a time until the pool breaks; `alone` keeps what is left."""
     while alone and not pool.is_broken:
         item, attempt = alone.popleft()
         try:

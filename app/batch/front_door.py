@@ -1,4 +1,4 @@
-"""A new lot out of tables, or a lot that is calibrated again: what becomes of it before anything is fitted."""
+"""A new lot out of tables, or one calibrated again: what becomes of it before any fit."""
 
 import shutil
 import tempfile
@@ -106,7 +106,7 @@ def store_lot(registry: Registry, plan: ImportPlan, actor: str) -> Path:
 
 @contextmanager
 def lot_files(registry: Registry, lot_id: str, tell: Callable[[int, int], None]) -> Iterator[LotFolder]:
-    """Give a lot as a folder: the newest recordings of the registry, and files that were stored and never read.
+    """Give a lot as a folder: the registry's newest recordings, and files never read.
 
     Raises:
         InputError: the lot has no source recording.
@@ -131,6 +131,6 @@ def lot_files(registry: Registry, lot_id: str, tell: Callable[[int, int], None])
 
 
 def network_of(registry: Registry, lot_id: str) -> NetworkConfig:
-    """Return how the network in use was trained, so that a lot is calibrated again with it; the usual one without."""
+    """Return how the network in use was trained; the usual way without one."""
     state = registry.networks.released(lot_id)
     return config_of(state.network) if state else NetworkConfig()

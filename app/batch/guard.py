@@ -1,4 +1,4 @@
-"""Keep one unit from stopping a lot: whatever its work raises, and however long it takes, is that unit's result."""
+"""Keep one unit from stopping a lot: what its work raises, and too long work, is its result."""
 
 import ctypes
 import threading
@@ -17,7 +17,7 @@ Work = Callable[[SharedWork, Chunk], ChunkOutcome]
 
 
 class TooLong(BaseException):
-    """The work on a unit took longer than it may; no `except Exception` inside the work may swallow it."""
+    """The work on a unit took too long; no `except Exception` inside it may swallow this."""
 
 
 @dataclass(frozen=True)

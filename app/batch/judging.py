@@ -31,7 +31,7 @@ def confirm(registry: Registry, lot_id: str, serial: str, *, reason: str, actor:
 
 
 def judge_again(registry: Registry, lot_ids: Iterable[str], actor: str | None = None) -> None:
-    """Judge lots anew, and those that lean on them; lots without a calibrated unit have nothing to judge."""
+    """Judge lots anew, and those that lean on them."""
     for lot_id in lot_ids:
         judge_lot(registry, lot_id, actor)
         update_lot(registry, lot_id, actor)
@@ -39,7 +39,7 @@ def judge_again(registry: Registry, lot_ids: Iterable[str], actor: str | None = 
 
 
 def judge_leaning(registry: Registry, lot_id: str, actor: str | None = None) -> None:
-    """Judge the lots anew that released units on the audits of other lots of this lot's sensor model.
+    """Judge the lots anew that released units on audits of other lots of this sensor model.
 
     An audit or golden unit that failed withdraws what they were released on.
     """
@@ -52,7 +52,7 @@ def judge_leaning(registry: Registry, lot_id: str, actor: str | None = None) -> 
 
 
 def judge_stale(registry: Registry) -> list[str]:
-    """Judge the lots that have verdicts against another limit than the one in force, and return their ids.
+    """Judge the lots with verdicts against another limit than the one in force; return their ids.
 
     Two registries that come together may bring a limit to units that were judged without it.
     """

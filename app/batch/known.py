@@ -38,19 +38,19 @@ def stated_line(registry: Registry, lot_id: str) -> LineSpread | None:
 
 
 def state_sources(registry: Registry, lot_id: str, networks: Sequence[str], actor: str | None = None) -> None:
-    """Keep the networks of the further sources that a lot folder names, where they are others than before."""
+    """Keep the networks of the further sources that a lot folder names."""
     if list(networks) != stated_sources(registry, lot_id):
         registry.trail.add("state", SOURCES, (lot_id,), {"networks": list(networks)}, actor=actor)
 
 
 def stated_sources(registry: Registry, lot_id: str) -> list[str]:
-    """Return the networks of a lot's further sources, in its order; empty where it has its own source alone."""
+    """Return the networks of a lot's further sources, in its order."""
     facts = stated(registry, SOURCES, (lot_id,))
     return [] if facts is None else list(facts["networks"])
 
 
 def config_of(network: NetworkEntry) -> NetworkConfig:
-    """Return how a network was trained, so that others are trained alike; the usual way where it does not say."""
+    """Return how a network was trained; the usual way where it does not say."""
     config = network.training.get("config")
     if not isinstance(config, dict):
         return NetworkConfig()
@@ -74,7 +74,7 @@ def lot_facts(
     beside: Bridge | None = None,
     cross: Cross | None = None,
 ) -> LotFacts:
-    """Return what a lot's units are calibrated with, as these sources see them: by a batch, the line and a comparison.
+    """Return what a lot's units are calibrated with, as these sources see them.
 
     Args:
         golden: hashes of the golden runs that the registry knows their recordings to belong to.
@@ -163,6 +163,6 @@ def put_back(
     actor: str | None = None,
     work_sha256: str | None = None,
 ) -> bool:
-    """Put the calibration of an input into use again, with the unit's trim; False where there is none."""
+    """Put the calibration of an input, and the unit's trim, into use again; False without one."""
     with trim_kept(registry, lot_id, serial, actor):
         return registry.calibrations.put_in_use(lot_id, serial, input_sha256, by, actor=actor, work_sha256=work_sha256)

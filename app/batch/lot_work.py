@@ -1,4 +1,4 @@
-"""The units of a lot as work items of the registry: claimed under a lease, computed by an engine, kept one by one.
+"""The units of a lot as work items: claimed under a lease, computed, kept one by one.
 
 Any number of batches share a lot. Each claims units, and a result and the end of its item are kept in one transaction,
 so that a batch that is killed loses nothing and repeats nothing that was kept. What is told of a unit comes from its
@@ -46,7 +46,7 @@ much as one of four or more, and a batch that is killed repeats no more than the
 NO_RESULT = "the registry has no result of it; have the registry verified"
 FIRST_CHUNK, LARGEST_CHUNK = 4, 128
 HELD_BYTES = 64_000_000
-"""Files are read ahead until they are so many bytes, so that each is read once and a large lot needs no more memory."""
+"""Files are read ahead up to so many bytes: each is read once, a large lot needs no more."""
 
 LOOK_EVERY_S = 1.0
 """How often a batch that waits for units of others looks whether they are done."""
@@ -134,7 +134,7 @@ class LotWork:
                 self._work_off(claims)
 
     def _look_further(self, claims: Claims) -> None:
-        """Read the next files, ask for what is to be done with them, and hold them until their turn comes."""
+        """Read the next files, ask for what is to be done with them, hold them until then."""
         self._held.clear()
         works, size = dict[str, str](), 0
         while self._unread and size < HELD_BYTES:
@@ -156,7 +156,7 @@ class LotWork:
         self._tell_done(claims)
 
     def _undecided(self, serials: Sequence[str]) -> dict[str, str]:
-        """Return the work of those of the units whose newest result in the registry answers something else.
+        """Return the work of the units whose newest result answers something else.
 
         Where the same work was calibrated before, that calibration is put into use again without working on the files.
         """
@@ -187,7 +187,7 @@ class LotWork:
         return results
 
     def recordings(self, serials: Sequence[str]) -> dict[str, str]:
-        """Return the hash of the recording that each unit was calibrated from; one without a calibration has none."""
+        """Return the hash of the recording that each calibrated unit was calibrated from."""
         left = [serial for serial in serials if serial not in self._recordings]
         made = [serial for serial, result in self.told(left).items() if result.made is not None]
         stored = {s: self._registry.calibrations.get(s, lot_id=self._lot_id).record.recording_sha256 for s in made}
@@ -235,7 +235,7 @@ class LotWork:
         return FileContent(path, read_regular(path, folder.root)), audit
 
     def _work_sha256(self, serial: str, recording: FileContent, audit: FileContent | None) -> str:
-        """Return the hash of all that the unit's result depends on: much faster than parsing the recordings."""
+        """Return the hash of all that the unit's result depends on, without parsing a file."""
         anchors, kept = self._config.anchors.get(serial), self._known
         loads: object = None if anchors is None else [anchors.output.tolist(), anchors.reference.tolist()]
         if anchors is None and serial in kept.loads:
@@ -306,7 +306,7 @@ class LotWork:
             return self.told([unit.serial for unit in kept])
 
     def _register(self, unit: UnitOutcome) -> None:
-        """Keep the result of a unit; one that cannot be stored is a unit that cannot be calibrated."""
+        """Keep the result of a unit; one that cannot be stored is a refusal."""
         self._ended.add(unit.serial)
         try:
             with self._registry.part():

@@ -1,4 +1,4 @@
-"""Release the unmeasured units of a lot on its audits: read from the registry, decided, kept as revisions."""
+"""Release the unmeasured units of a lot on its audits: decided, kept as revisions."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -27,14 +27,14 @@ from softcal.db.truth.judged_against import STALE
 
 STATEMENT = "lot_release"
 BASE = "base_revision"
-"""Number among a calibration's evidence: the revision that was fitted, before audits of the lot had their say."""
+"""Number in a calibration's evidence: the revision that was fitted, before audits spoke."""
 WHY = "decided on the audits of the lot"
 
 
 def judge_lot(
     registry: Registry, lot_id: str, actor: str | None = None, now: datetime | None = None
 ) -> LotRelease | None:
-    """Judge every unit of a lot by the limit in force and by the audits, and keep what changed; nothing is fitted.
+    """Judge every unit by the limit in force and by the audits, and keep what changed.
 
     Returns:
         None where the lot has no unit with a forecast yet.
@@ -96,12 +96,12 @@ def _in_lot(serial: str, unit: UnitStanding | None, audit: RecordingEntry | None
 
 
 def is_stale(unit: UnitEntry) -> bool:
-    """Return whether the verdict of a unit was given against another limit than the one in force."""
+    """Return whether a unit was judged against another limit than the one in force."""
     return bool(unit.reasons) and unit.reasons[0].code in STALE
 
 
 def _measure_anew(registry: Registry, lot_id: str, actor: str | None) -> None:
-    """Score the units in use on their newest audits, where another one, or none, was scored; nothing is fitted."""
+    """Score the units in use on their newest audits, where another one, or none, was scored."""
     entries = newest_audits(registry, lot_id)
     for serial, standing in registry.pages.standings(lot_id, list(entries)).items():
         made, entry = standing.made, entries[serial]
@@ -119,7 +119,7 @@ def _measure_anew(registry: Registry, lot_id: str, actor: str | None) -> None:
 
 
 def _judge_anew(registry: Registry, lot_id: str, actor: str | None) -> None:
-    """Judge the units whose verdict was given against another limit; one that has to be fitted for it stays stale."""
+    """Judge units judged against another limit; one that has to be fitted for it stays stale."""
     stale = [unit.serial for unit in registry.lots.units(lot_id) if is_stale(unit)]
     if not stale:
         return
@@ -141,7 +141,7 @@ def _standing(
 
 @dataclass(frozen=True)
 class _Standing:
-    """What is known of a lot: the evidence it is decided on, and its units as they were then or came since.
+    """What is known of a lot: the evidence it is decided on, and its units.
 
     Args:
         least: number of unmeasured ones that must pass.
@@ -185,7 +185,7 @@ class _Standing:
         )
 
     def moved(self) -> list[MadeCalibration]:
-        """Return the units that the audits of the lot may move: open ones, audited ones, those in doubt."""
+        """Return the units that audits may move: open ones, audited ones, those in doubt."""
         doubts = self.evidence.doubts
         return [
             made
@@ -267,7 +267,7 @@ def _keep(
 def _corrected(
     registry: Registry, lot_id: str, base: CalibrationRecord, common: CommonMisreading | None, limit: Limit
 ) -> CalibrationRecord:
-    """Return a calibration without what the lot's audited units misread alike, judged against the limit in force."""
+    """Return a calibration without what audited units misread alike, by the limit in force."""
     is_open = base.grounds is not None and not base.grounds.rules
     record = base
     if common is not None and is_open:
@@ -307,7 +307,7 @@ def _base(registry: Registry, lot_id: str, stored: StoredCalibration) -> Calibra
 
 
 def doubted_record(base: CalibrationRecord, doubt: Reason) -> CalibrationRecord:
-    """Return a calibration whose audit may not be what it is said to be: nothing is decided before that is known."""
+    """Return a calibration whose audit is in doubt: nothing is decided before that is known."""
     decision = replace(base.decision, doubt=doubt)
     return replace(
         base,
@@ -319,7 +319,7 @@ def doubted_record(base: CalibrationRecord, doubt: Reason) -> CalibrationRecord:
 
 
 def judged_record(base: CalibrationRecord, decided: LotRelease) -> CalibrationRecord:
-    """Return a calibration with what the audits of its lot say: forecast and interval scaled, the judgement beside."""
+    """Return a calibration with what the audits of its lot say: all scaled, judgement beside."""
     judgement = decided.judgement(base.serial)
     decision = replace(base.decision, measured=None, sampled=judgement)
     scale, widening = decided.forecast_scale, decided.widening
@@ -346,5 +346,5 @@ def judged_record(base: CalibrationRecord, decided: LotRelease) -> CalibrationRe
 
 
 def is_told(registry: Registry, lot_id: str, decided: LotRelease) -> bool:
-    """Return whether this very decision is the last that was kept: then units and files follow it already."""
+    """Return whether this very decision is the last that was kept."""
     return is_stated(registry, STATEMENT, (lot_id,), decided.to_json())

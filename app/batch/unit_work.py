@@ -1,4 +1,4 @@
-"""What a worker does for a batch: from the bytes of a unit's file to its calibration, without registry or folder."""
+"""What a worker does for a batch: from the bytes of a unit's file to its calibration."""
 
 import time
 from dataclasses import dataclass, replace
@@ -44,7 +44,7 @@ class UnitTask:
 
 @dataclass(frozen=True, eq=False)
 class SharedWork:
-    """What every worker holds once: how the files of the lot are to be read, and what its units are calibrated with."""
+    """What every worker holds once: how files of the lot are read, how its units are fitted."""
 
     lot: Lot
     facts: LotFacts

@@ -55,7 +55,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _print_method(options: argparse.Namespace) -> None:
-    """Print the method of one calibration: every number, its origin, and what this version would use instead."""
+    """Print every number of a calibration's method, its origin, and what this version would use."""
     from softcal.core.unit.method import Method
 
     with registry_of(options) as registry:

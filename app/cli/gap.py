@@ -1,4 +1,4 @@
-"""`softcal gap`: diagnose the gap between the twin and a rig, apply what was found, and check both blindly."""
+"""`softcal gap`: diagnose the gap between the twin and a rig, and apply what was found."""
 
 import argparse
 from collections.abc import Mapping
@@ -185,7 +185,7 @@ def _diagnose_simulator(options: argparse.Namespace) -> None:
 
 
 def _table_readout(options: argparse.Namespace) -> "ReadoutMetadata | None":
-    """Return the electronics given for a plain table; only R/Rs enters the divider, so Rs may stay unknown."""
+    """Return the electronics of a plain table; R/Rs alone enters the divider: Rs may be unknown."""
     from softcal.core.twin.parameters import ReadoutMetadata
 
     given = (options.vref_V, options.adc_bits, options.rate_Hz)

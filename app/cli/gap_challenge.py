@@ -1,4 +1,4 @@
-"""`softcal gap challenge`, `softcal gap ask` and `softcal gap score`: the withheld check of the diagnosis."""
+"""`softcal gap challenge`, `ask` and `score`: the withheld check of the diagnosis."""
 
 import argparse
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`softcal gap lot` and `softcal gap transfer`: a rig's lot diagnosed as one, and foretold by its twins."""
+"""`softcal gap lot` and `transfer`: a rig's lot diagnosed as one, and foretold by its twins."""
 
 import argparse
 from pathlib import Path

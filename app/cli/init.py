@@ -113,7 +113,7 @@ def _device(section: str, role: "Role") -> dict[str, Any]:
 
 
 def _answers(section: str, config: type[Any], names: set[str]) -> dict[str, Any]:
-    """Ask for the keys of one section, in the order and with the meaning in which they are declared."""
+    """Ask for the keys of a section, in the order and with the meaning of their declaration."""
     from softcal.station.devices.config import meanings
 
     for line in meanings(config):

@@ -1,4 +1,4 @@
-"""`softcal lot`: watch a lot folder, set the limit its units are judged by, plan its audits and release it."""
+"""`softcal lot`: watch a lot folder, set its limit, plan its audits and release it."""
 
 import argparse
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""`softcal lot audit`: bring labelled recordings of units into a lot, or confirm one that is in doubt."""
+"""`softcal lot audit`: bring labelled recordings into a lot, or confirm one that is in doubt."""
 
 import argparse
 from pathlib import Path
@@ -100,6 +100,6 @@ def _bring(options: argparse.Namespace) -> int:
 
 
 def _check_rate(stated_Hz: float | None, lot_Hz: float) -> None:
-    """Raise `InputError` where a table's rate is not the lot's: its windows would be of another length."""
+    """Refuse a table with another rate than the lot's: its windows would be of another length."""
     if stated_Hz is not None and abs(stated_Hz - lot_Hz) > 1e-3 * lot_Hz:
         raise InputError(f"--sample-rate is {stated_Hz:g} Hz, the lot's is {lot_Hz:g} Hz; nothing was taken")

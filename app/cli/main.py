@@ -1,4 +1,4 @@
-"""The console script `softcal`: parse, run one command, map errors to exit codes. Heavy imports stay in commands."""
+"""The console script `softcal`: parse, run one command, map errors to exit codes."""
 
 import argparse
 import importlib

@@ -27,7 +27,7 @@ def positive(text: str) -> float:
 
 
 def converted(convert: Callable[[str], T], expected: str) -> Callable[[str], T]:
-    """Return a converter for argparse, which says what was expected instead of the text that stands for `{!r}`."""
+    """Return a converter for argparse that says what it expected; the text stands for `{!r}`."""
 
     def converter(text: str) -> T:
         try:
@@ -57,7 +57,7 @@ SHARED: dict[str, dict[str, Any]] = {
     "profile-seed": {"type": int, "default": 0, "help": "draws the random presses (default 0)"},
     "spool": {"type": Path, "metavar": "DIR", "help": "where samples go as they come; default: the user's data folder"},
 }
-"""Options that several commands have, without their dashes. `csv` is of commands whose answer is one table."""
+"""Options of several commands, without dashes. `csv` is of those that answer with one table."""
 
 
 def add_shared(parser: argparse.ArgumentParser, *names: str) -> None:
@@ -67,7 +67,7 @@ def add_shared(parser: argparse.ArgumentParser, *names: str) -> None:
 
 
 Action = Callable[..., argparse.ArgumentParser]
-"""Adds an action to a command: its name, its summary, what runs it, its description, and what argparse takes beside."""
+"""Adds an action to a command: name, summary, what runs it, description, argparse's own facts."""
 
 
 def actions_of(
@@ -153,13 +153,13 @@ def network_config(options: argparse.Namespace) -> "NetworkConfig":
 
 
 def registry_of(options: argparse.Namespace, *, create: bool = False) -> "AbstractContextManager[Registry]":
-    """Open the registry the options name, and close it after the block; a new one is made only where `create`."""
+    """Open the registry the options name, for a block; a new one is made only where `create`."""
     return registry_at(options.registry, create=create)
 
 
 @contextmanager
 def registry_at(url: str | None, *, create: bool = True) -> "Iterator[Registry]":
-    """Open the registry behind a URL, None for the usual one; say which it is once something was written to it."""
+    """Open a registry, None for the usual one; say which it is once something was written to it."""
     from softcal.app.bootstrap import open_chosen_registry, registry_url
 
     with open_chosen_registry(url, create=create) as registry:
@@ -177,7 +177,7 @@ def say_written(url: str) -> None:
 
 
 def answer(options: argparse.Namespace, schema: str, facts: Mapping[str, object]) -> bool:
-    """Write the JSON answer where one is asked for; return whether what people read is to be printed, too."""
+    """Write the JSON answer where one is asked for; return whether people read on, too."""
     write_json(options.json, {"schema": f"softcal.{schema}", **facts})
     return options.json != "-" or getattr(options, "csv", None) is not None
 
@@ -209,7 +209,7 @@ def say_epoch(report: "EpochReport", unit: str) -> None:
 
 
 def batch_watch(unit: str) -> "Watch":
-    """Return a watch that prints the progress of a lot, which other batches may work at, too; errors are in `unit`."""
+    """Return a watch that prints the progress of a lot; errors are in `unit`."""
     from softcal.app.batch.lot_work import Watch
 
     progress: ProgressLine | None = None

@@ -7,7 +7,7 @@ from typing import Any
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what a mistyped command, option or choice may have been meant to be; keeps the lines of examples."""
+    """Says what a mistyped command, option or choice may have meant; keeps lines of examples."""
 
     def __init__(self, *, epilog: str | None = None, **options: Any) -> None:
         shape = argparse.RawDescriptionHelpFormatter if "\n" in (epilog or "") else argparse.HelpFormatter

@@ -1,4 +1,4 @@
-"""`softcal station`: find and test the rig, press the source unit or a target unit and record it."""
+"""`softcal station`: find and test the rig, press a source or a target unit and record it."""
 
 import argparse
 import signal
@@ -216,7 +216,7 @@ def run_press(options: argparse.Namespace) -> None:
 
 @contextmanager
 def _signals_as_ctrl_c() -> Iterator[None]:
-    """Take a terminate or a hang-up signal as Ctrl-C: the stage is lifted, and not left on the unit."""
+    """Take terminate and hang-up as Ctrl-C: the stage is lifted, not left on the unit."""
 
     def interrupt(signal_number: int, frame: object) -> None:
         raise KeyboardInterrupt

@@ -1,4 +1,4 @@
-"""The resident service of a station on the command line: serve it, order from it, look at it, certify its load cell."""
+"""The resident service of a station: serve it, order from it, look at it, certify its cell."""
 
 import argparse
 import signal
@@ -194,7 +194,7 @@ def run_order(options: argparse.Namespace) -> int:
 
 
 def _is_there(queue: "OrderQueue", station: str) -> bool:
-    """Return whether a station's service is there: its beat is fresh, or late while its process is seen to live."""
+    """Return whether a station's service is there: its beat is fresh, or late while it lives."""
     from softcal.app.batch.claims import is_alive
     from softcal.db.queues.order_queue import TAKEN_OVER_AFTER
 

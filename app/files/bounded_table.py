@@ -1,4 +1,4 @@
-"""Tables of CSV, Parquet and Excel, no larger than allowed: counted before they are read, only the columns asked for.
+"""Tables of CSV, Parquet and Excel, no larger than allowed: counted before they are read.
 
 A few kB can unpack to more than any memory holds: repeated values of Parquet, a spreadsheet whose only cell stands in
 its last row. What is counted is what the reader would have to make, never what the file says of itself alone.
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 CSV, PARQUET, EXCEL = {".csv", ".txt", ".tsv"}, {".parquet", ".pq"}, {".xlsx", ".xlsm"}
 
 MOST_CELLS = 20_000_000
-"""A table with more cells is refused before it is read: a few kB of Parquet can hold them. As text they take 1.5 GB."""
+"""A table with more is refused before it is read: few kB of Parquet can hold 1.5 GB of text."""
 
 CSV_BYTES_PER_CELL = 25
 """More bytes no number takes as text, with what parts it from the next one."""
@@ -40,7 +40,7 @@ Wanted = Callable[[str], bool]
 
 
 def parsed(file: BinaryIO, path: Path, sheet: str | None, most_cells: int, wanted: Wanted | None) -> "pd.DataFrame":
-    """Return the wanted columns of a table; of a CSV all. Where none is wanted the first one stands for the rows.
+    """Return the wanted columns of a table; of a CSV all; where none is wanted the first.
 
     Args:
         wanted: tells by its name whether a column is asked for; None asks for all.

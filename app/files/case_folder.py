@@ -1,4 +1,4 @@
-"""A case for diagnosis on disk: runs of one unit on one rig, each a folder with recording.csv and recording.json."""
+"""A case for diagnosis on disk: runs of one unit, each with recording.csv and recording.json."""
 
 import json
 import math
@@ -41,7 +41,7 @@ def open_case(folder: Path) -> Case:
 
 
 def _stated_stiffness(metadata: Mapping[str, object], path: Path) -> tuple[float, float] | None:
-    """Return lowest and highest peak force over depth of the lot's units, where the first run's metadata state it."""
+    """Return lowest and highest peak force over depth of the lot's units, where it is stated."""
     stated = metadata.get("stiffness_N_mm")
     if stated is None:
         return None

@@ -1,4 +1,4 @@
-"""Make a lot folder out of the tables people have: one file per unit, or one wide file with a column per unit."""
+"""Make a lot folder out of tables: one file per unit, or one wide file with a column per unit."""
 
 import fnmatch
 import hashlib
@@ -44,7 +44,7 @@ class Columns:
         return any(c in self.output for c in "*?[")
 
     def asks_for(self, name: str) -> bool:
-        """Whether a column of this name is needed; the others are not read where the format allows."""
+        """Whether a column of this name is needed; others are not read where possible."""
         return name in (self.reference, self.time, self.stage) or (
             fnmatch.fnmatchcase(name, self.output) if self.is_wide else name == self.output
         )

@@ -1,4 +1,4 @@
-"""A lot folder: lot.toml, source/, units/, audit/, golden/ into core values. One bad unit never stops the others."""
+"""A lot folder: lot.toml, source/, units/, audit/, golden/ into core values."""
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -33,7 +33,7 @@ KNOWN_KEYS = {
     "limit": {"rmse"},
     "line": {"load_spread", "day_spread"},
 }
-"""Keys of lot.toml by table. The two bare keys may also stand in [lot] or [output], where TOML puts what follows."""
+"""Keys of lot.toml by table. Two bare keys may also stand where TOML puts what follows."""
 
 ANCHOR_FILES = ("anchors.csv", "anchors.parquet")
 """Where a lot folder holds known loads of its units."""
@@ -103,7 +103,7 @@ class LotFolder:
         return None if path is None else self._labelled(path, serial)
 
     def read_golden(self) -> OutputRecording | LabelledRecording | None:
-        """Read the source unit's run in the units' sitting, with its reference where the file has one."""
+        """Read the source's run in the units' sitting, with its reference if it has one."""
         path = self.golden_path
         if path is None:
             return None
@@ -157,7 +157,7 @@ def _golden(folder: Path, source: str) -> Path | None:
 
 
 def _same_files(units: Mapping[str, Path], root: Path) -> Iterator[str]:
-    """Say which units have one and the same file: one of the serials is wrong, or a file was copied.
+    """Say which units have one and the same file: a serial is wrong, or a file was copied.
 
     Whatever is no file, or cannot be read, is told as that unit's result later.
     """
@@ -270,7 +270,7 @@ def _unknown_keys(path: Path, content: Mapping[str, object]) -> Iterator[str]:
 def write_lot_toml(
     folder: Path, lot: Lot, reference: Reference | None = None, more_sources: Sequence[str] = ()
 ) -> None:
-    """Write `lot.toml` for a lot folder, with what its source was compared with and the serials of further sources."""
+    """Write `lot.toml`, with what its source was compared with and further sources."""
     document = tomlkit.document()
     document["sample_rate_Hz"] = lot.sample_rate_Hz
     document["source"] = lot.source
@@ -294,7 +294,7 @@ def read_lot(folder: Path) -> Lot:
 
 
 def restate_reference(folder: Path, reference: Reference | None) -> None:
-    """Write into `lot.toml` what the source was compared with this time; everything else in it stays as it is."""
+    """Write into `lot.toml` what the source was compared with this time; all else stays."""
     stated = _stated(reference)
     if not stated:
         return

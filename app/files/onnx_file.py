@@ -1,4 +1,4 @@
-"""An ONNX model from plain nodes and arrays: one file, the same bytes every time, no torch and no host paths."""
+"""An ONNX model from plain nodes and arrays: the same bytes every time, no torch."""
 
 from collections.abc import Mapping
 

@@ -1,4 +1,4 @@
-"""Tables on disk (CSV, Parquet, Excel) into columns of numbers; every error names file, line and column."""
+"""Tables on disk (CSV, Parquet, Excel) into columns of numbers; errors name file and line."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -101,7 +101,7 @@ def named_column(table: "pd.DataFrame", name: str, path: Path, cure: str = "") -
 
 
 def timed(table: "pd.DataFrame", name: str | None, rate_Hz: float, path: Path) -> Array:
-    """Return the column of time in s as finite numbers; made from the rate where no column is named."""
+    """Return the time in s as finite numbers; made from the rate where no column is named."""
     if name is None:
         return np.arange(len(table)) / rate_Hz
     return column(table, name, path, ", or give the sample rate")
@@ -147,7 +147,7 @@ def read_recording(
     content: bytes | None = None,
     names: ColumnNames = PLAIN,
 ) -> OutputRecording:
-    """Read `t_s, output` (and `stage_mm` where there is one). Any other column, a reference too, is not looked at.
+    """Read `t_s, output` (and `stage_mm` where there is one); no other column is looked at.
 
     Args:
         sample_rate_Hz: the declared rate; None takes the median rate of the time stamps.
@@ -207,7 +207,7 @@ class naming:
 
 
 def write_columns(path: Path, columns: Sequence[tuple[str, Array | Sequence[str]]]) -> None:
-    """Write columns as CSV or, where `path` ends in .parquet, as Parquet; whole or not at all. NaN stays empty."""
+    """Write columns as CSV or, by the name, Parquet; whole or not at all. NaN stays empty."""
     import pandas as pd
 
     from softcal.app.files.atomic import whole_file
@@ -221,7 +221,7 @@ def write_columns(path: Path, columns: Sequence[tuple[str, Array | Sequence[str]
 
 
 def replace_recording(folder: Path, serial: str, suffix: str, recording: OutputRecording | LabelledRecording) -> bool:
-    """Write a recording into a folder that has one file a serial; return whether it had one of this serial."""
+    """Write a recording as the only one of its serial in a folder; return whether one was there."""
     folder.mkdir(exist_ok=True)
     path, older = folder / f"{serial}{suffix}", [file for file in folder.iterdir() if file.stem == serial]
     write_recording(path, recording)
@@ -232,7 +232,7 @@ def replace_recording(folder: Path, serial: str, suffix: str, recording: OutputR
 
 
 def write_recording(path: Path, recording: OutputRecording | LabelledRecording, reference: Array | None = None) -> None:
-    """Write a recording as a lot folder holds it: `t_s, output`, and reference and stage where it has them.
+    """Write a recording as a lot folder holds it: `t_s, output`, reference and stage.
 
     Args:
         reference: (n,) of an output that was not checked with it.

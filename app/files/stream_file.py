@@ -1,4 +1,4 @@
-"""Long streams on disk, piece by piece: `t_s, output` in, estimates out, in constant memory for CSV."""
+"""Long streams on disk, piece by piece: `t_s, output` in, estimates out."""
 
 import csv
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ PIECE = 1024
 
 
 def read_stream(path: Path, names: ColumnNames = PLAIN) -> Iterator[tuple[Array, Array]]:
-    """Yield `t_s` and `output` in pieces, a row for every row of the file; what is empty or cut off is NaN.
+    """Yield `t_s` and `output` in pieces, every row of the file; what is empty is NaN.
 
     Raises:
         InputError: no such file, no such columns, a text where a number belongs, or fewer rows than one window.
@@ -42,7 +42,7 @@ def read_stream(path: Path, names: ColumnNames = PLAIN) -> Iterator[tuple[Array,
 
 
 def count_rows(path: Path) -> int:
-    """Return about how many rows a CSV or Parquet file holds, for progress; 0 where only reading it would tell."""
+    """Return about how many rows a file holds; 0 where only reading it would tell."""
     if path.suffix.lower() in PARQUET:
         from pyarrow.lib import ArrowInvalid
         from pyarrow.parquet import read_metadata
@@ -166,7 +166,7 @@ class EstimateWriter:
 
 @contextmanager
 def estimate_writer(path: Path) -> Iterator[EstimateWriter]:
-    """Open a writer of `t_s, estimate, lower, upper, flag`; `path` appears when the block has ended well."""
+    """Open a writer of estimates; `path` appears when the block has ended well."""
     with whole_file(path) as part:
         writer = EstimateWriter(part, path.suffix.lower() in PARQUET)
         try:

@@ -1,4 +1,4 @@
-"""Cases of the gap page: where they lie, uploads, sealed rigs to practise on, and a diagnosis as values to keep."""
+"""Cases of the gap page: where they lie, uploads, sealed rigs, a diagnosis to keep."""
 
 import json
 import math
@@ -47,7 +47,7 @@ def cases() -> list[Path]:
 
 
 def practise(line: str | None = None) -> Path:
-    """Make a sealed rig with something hidden and return its case; the label lies in a file beside it."""
+    """Make a sealed rig with something hidden and return its case."""
     folder = cases_folder() / f"practice-{datetime.now(UTC):%Y%m%d-%H%M%S}"
     made = make_challenge(folder, _seal(folder), 1, line=line)
     return folder / made.cases[0]

@@ -19,7 +19,7 @@ from softcal.core.recording import Array
 from softcal.core.twin.effects import Parameter, Scale
 
 RUN = "run"
-"""Input column that says which measured sequence a run is: its initial state and its control belong to it."""
+"""Input column that says which measured sequence a run is: it has its state and control."""
 
 LOG = 30.0
 """Ratio of the bounds of a positive parameter from which it is fitted by its order of magnitude."""

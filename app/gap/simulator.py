@@ -1,4 +1,4 @@
-"""Diagnose the gap between a simulator of the user's own, a Python module, and recordings of what it simulates."""
+"""Diagnose the gap between a simulator of the user's own and recordings of its mechanism."""
 
 import importlib
 import json
@@ -76,7 +76,7 @@ def diagnose_with(
 
 
 def check_with(place: Path, simulator: Simulator) -> tuple[tuple[DataMistake, ...], Identifiability | None]:
-    """Read the runs of a mechanism and return their mistakes and what they tell of its simulator."""
+    """Return the mistakes of a mechanism's runs and what they tell of its simulator."""
     return check_simulator(simulator, _recorded(place, simulator)[0])
 
 
@@ -159,7 +159,7 @@ def read_parameters(path: str | Path, simulator: Simulator) -> dict[str, float]:
 
 
 def with_written_terms(path: str | Path, simulator: Simulator) -> Simulator:
-    """Return a simulator with the empirical terms that `softcal gap apply --empirical` wrote for it; others as it is.
+    """Return a simulator with the empirical terms that `gap apply --empirical` wrote.
 
     Raises:
         InputError: the file cannot be read, or a term is none.

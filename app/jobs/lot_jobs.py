@@ -82,7 +82,7 @@ def archive_path(job: Job) -> Path:
 
 
 def archive(registry: Registry, job: Job, tell: Teller) -> Outcome:
-    """Pack files and certificates of units of a lot with their manifest; request: lot, serials, formats, release.
+    """Pack files and certificates of a lot; request: lot, serials, formats, release.
 
     `serials` None takes every calibrated unit; a unit whose device files are refused has its reports, and its reason.
     """

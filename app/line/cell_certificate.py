@@ -115,7 +115,7 @@ def _force_N(element: ET.Element) -> float | None:
 
 
 def _uncertainties_N(root: ET.Element) -> Iterator[float | None]:
-    """Expanded uncertainties of forces in N, carried to k = 2; D-SI 1 and 2 name them differently."""
+    """Expanded uncertainties of forces in N, at k = 2; D-SI 1 and 2 name them differently."""
     for real in _all(root, "real"):
         factor = PER_UNIT_N.get(_text(_first(real, "unit")) or "")
         expanded = _text(_first(real, "uncertainty")) or _text(_first(real, "valueExpandedMU"))

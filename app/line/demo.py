@@ -1,4 +1,4 @@
-"""The main job from end to end on a simulated station: press, train, map, judge, register, export."""
+"""The main job on a simulated station: press, train, map, judge, register, export."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ class DemoConfig:
 
 
 def press_demo_lot(config: DemoConfig, folder: Path, on_run: Callable[[str], None]) -> LotFolder:
-    """Press a simulated lot over its serial lines and write it as a lot folder; one pressed before is taken as it is.
+    """Press a simulated lot over its serial lines as a lot folder; one pressed before is taken.
 
     Raises:
         InputError: `folder` is there and is no lot folder.

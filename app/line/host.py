@@ -1,4 +1,4 @@
-"""The resident process of a station: takes orders from the registry, gives them to the service, writes what happens.
+"""The resident process of a station: takes orders from the registry, writes what happens.
 
 Pages and commands only order and read. The ports have one owner, this process; it survives any of them.
 """
@@ -53,7 +53,7 @@ class Fixture(Protocol):
         return None
 
     def put_on(self, load: float) -> None:
-        """Put a known load on the unit, in the reference unit of its lot; 0 takes everything off."""
+        """Put a known load on the unit, in its lot's reference unit; 0 takes all off."""
         return None
 
     def follow(self, phase: str) -> None:
@@ -66,7 +66,7 @@ class Fixture(Protocol):
 
 
 class HandFixture(Fixture):
-    """A person puts the unit in and the loads on, as the run will show, and nothing breaks on demand."""
+    """A person puts the unit in and the loads on; nothing breaks on demand."""
 
     def inject(self, name: str) -> Reason:
         """Refuse: a real station breaks by itself."""
@@ -113,7 +113,7 @@ class StationHost:
         self._service = make_service(self._report, self._is_stop_wanted.is_set)
 
     def run(self, goes_on: Callable[[], bool]) -> None:
-        """Serve until `goes_on` says no; a run in progress is stopped then. Give the ports back at the end.
+        """Serve until `goes_on` says no; a run is stopped then, and the ports given back.
 
         Raises:
             InputError: another process serves this station.
@@ -140,7 +140,7 @@ class StationHost:
         self._beat()
 
     def _patience(self) -> timedelta:
-        """Return how long another owner must have been silent: no time where its process is seen to be gone.
+        """Return how long another owner must have been silent: no time where it is gone.
 
         An owner that seems silent may only be on a busy machine, or have another clock: while it beats, it is there.
         """
@@ -207,7 +207,7 @@ class StationHost:
         return Progress(order.order_id, RunState.ERROR, "", 1.0, code="E-INTERNAL", message=(message,))
 
     def _store_late(self) -> None:
-        """Keep what was recorded; what the registry cannot take now is tried again at every turn."""
+        """Keep what was recorded; what the registry cannot take is tried at every turn."""
         while self._late:
             order, recording = self._late[0]
             try:
@@ -225,7 +225,7 @@ class StationHost:
         self._say_ends()
 
     def _report(self, progress: Progress) -> None:
-        """Take progress from the service; the end of a run is written at once, all else by the desk."""
+        """Take progress from the service; the end of a run is written at once."""
         if progress.state.is_active:
             self._fixture.follow(progress.phase)
             before = self._newest

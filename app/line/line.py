@@ -25,7 +25,7 @@ NEWEST_LOTS = 8
 MOST_CONFLICTS = 5
 
 START_S = 2.5
-"""A start that could not be ordered for so long, since the registry was busy, moves nothing: nobody expects it then."""
+"""A start that could not be ordered for so long moves nothing: nobody expects it then."""
 
 BADGE_MARK = " (badge)"
 """Behind a name that a badge gave: nobody has shown that it is theirs."""
@@ -68,7 +68,7 @@ def take_scan(registry: Registry, screen: Screen, text: str, actor: str = "") ->
 
 
 def order_stop(registry: Registry, station: str) -> bool:
-    """Tell a station to stop its run; every way a stop takes gives the same order, so that a run is told once.
+    """Tell a station to stop its run; every way gives the same order: a run is told once.
 
     It reads no more than it must: the stop key does not wait for what a screen shows.
 
@@ -95,7 +95,7 @@ def _stop_order(station: str, run: Order, who: str) -> Order:
 
 
 def _ordered(registry: Registry, facts: LineFacts, screen: Screen, step: Step) -> LineFacts:
-    """Give the order of a step to the station. Its unit waits no longer, so that no order is ever given twice."""
+    """Give the order of a step to the station. Its unit waits no longer: no order comes twice."""
     if step.order is not None:
         until_s = screen.until_s if step.order.kind.is_run else None
         try:
@@ -149,7 +149,7 @@ def _badged(operator: str) -> str:
 
 
 def _badge(registry: Registry, facts: LineFacts, name: str) -> Place:
-    """Take the name of the operator from a badge; a name that opens more than the line needs its PIN."""
+    """Take the operator's name from a badge; one that opens more than the line needs its PIN."""
     if not name:
         return _told(facts, Note("badge_off", {}, False), replace(facts.place, operator="", badged_at=None))
     is_other = any(user.name.lower() == name.lower() and user.role != "operator" for user in registry.people.all())
@@ -201,7 +201,7 @@ def _serial_refusal(registry: Registry, lot: LotAtLine, serial: str) -> Note | N
 
 
 def _other_lot(registry: Registry, lot: LotAtLine, serial: str) -> str:
-    """Return the lot that a serial belongs to instead of this one: it stands there already, or only fits there."""
+    """Return the lot that a serial belongs to instead: it stands there, or fits only there."""
     known = lots_of(registry, serial)
     if lot.id in known:
         return ""

@@ -1,4 +1,4 @@
-"""What stands at a line beside its runs: the unit that waits for its run, the last sentence, the badge. No Streamlit.
+"""What stands at a line beside its runs: the unit that waits, the last sentence, the badge.
 
 It lies in the registry, one row a station, so that every screen shows the same after a reload or a restart.
 """
@@ -84,6 +84,6 @@ def read_place(places: LinePlaces, station: str) -> Place:
 
 
 def write_place(places: LinePlaces, station: str, place: Place) -> bool:
-    """Put another place there; False, with nothing changed, where a screen was first since `place.version`."""
+    """Put another place there; False, and nothing changed, where a screen was first."""
     values = asdict(place) | {"badged_at": place.badged_at.isoformat() if place.badged_at else None}
     return places.write(station, values.pop("version"), values)

@@ -1,4 +1,4 @@
-"""What becomes of a run that went through: a recording, and with it a trained network, a verdict or a golden check.
+"""What becomes of a run: a recording, with it a trained network, a verdict or a golden check.
 
 Where the lot asks for known loads, a unit is judged once they were read, and not before.
 """
@@ -71,7 +71,7 @@ class RunKeeper:
         self._release = LineRelease(registry)
 
     def check(self, order: Order) -> None:
-        """Raise `InputError` where the run of an order could not be kept; asked before anything moves."""
+        """Refuse an order whose run could not be kept; asked before anything moves."""
         if order.kind is OrderKind.LOAD:
             self._loads.check(order)
             return
@@ -145,7 +145,7 @@ class RunKeeper:
         return replace(done, message=reasons, recording_sha256=sha256, verdict=word)
 
     def _check_loads(self, lot_id: str) -> None:
-        """Raise `InputError` where the loads that a lot asks for could not be used; nothing has moved yet."""
+        """Refuse loads of a lot that could not be used; nothing has moved yet."""
         lot = self._registry.lots.get(lot_id)
         entry, loads = released_network(self._registry, lot_id), self._registry.lots.line_rules(lot).loads
         if entry is not None and loads:
@@ -217,6 +217,6 @@ class RunKeeper:
 
 
 def released_network(registry: Registry, lot_id: str) -> NetworkEntry | None:
-    """Return the shared network of a lot that its units are judged by, None where none is released."""
+    """Return the shared network that a lot's units are judged by, None where none is released."""
     state = registry.networks.released(lot_id)
     return state.network if state else None

@@ -1,4 +1,4 @@
-"""The rig as a use case: find it, test it, press a unit and write its recording, or press a whole simulated lot."""
+"""The rig: find it, test it, press a unit and write its recording, or press a simulated lot."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -74,7 +74,7 @@ def chosen_bench(
 
 
 def find_devices(ports: Sequence[str]) -> list[DeviceIdentity]:
-    """Return what answers at these ports, or at all USB serial ports of this machine where none is given.
+    """Return what answers at these ports, or at all USB serial ports where none is given.
 
     A port that cannot be opened stands in the list with the reason: another program has it, or nothing is there.
 
@@ -98,7 +98,7 @@ def find_devices(ports: Sequence[str]) -> list[DeviceIdentity]:
 
 
 Choose = Callable[[Reason, Sequence[DeviceIdentity]], DeviceIdentity | None]
-"""(part of the station, what it may be) -> what it is; None where nobody says: the file is then to be filled in."""
+"""(part of the station, what it may be) -> what it is; None where nobody says."""
 
 
 def station_of(devices: Sequence[DeviceIdentity], choose: Choose | None = None) -> StationConfig:
@@ -129,7 +129,7 @@ def station_of(devices: Sequence[DeviceIdentity], choose: Choose | None = None) 
 def _only(
     devices: Sequence[DeviceIdentity], role: str, taken: list[DeviceIdentity], choose: Choose | None
 ) -> DeviceIdentity | None:
-    """Return the one device of a role; between two, or where a stream may be either part, a person decides."""
+    """Return the one device of a role; where two may be it, a person decides."""
     found = [device for device in devices if device.role == role]
     streams = [device for device in devices if not device.role and device.channels and device not in taken]
     if len(found) == 1 or not (found or (streams and role in BARE and choose)):
@@ -212,7 +212,7 @@ def _tested(bench: Bench, may_move: bool) -> tuple[SelfTestItem, ...]:
 
 @dataclass(frozen=True)
 class WrittenRun:
-    """What one run left behind: the recording, the files that hold it, and what a person should know of them."""
+    """What one run left behind: recording, files, and what a person should know of them."""
 
     recording: StationRecording
     files: tuple[Path, ...]
@@ -261,7 +261,7 @@ def record_to_files(
 
 
 def station_reference(config: StationConfig) -> Reference | None:
-    """Return what a station compares sources with today, by the serial of its load cell; None without one."""
+    """Return what a station compares sources with today: its load cell; None without one."""
     if config.force is None:
         return None
     return Reference(cell=config.force.serial or "not named", used_on=datetime.now(UTC).astimezone().date())
@@ -286,7 +286,7 @@ def _check_lot(paths: Sequence[Path], serials: Sequence[str], bench: Bench, with
 
 
 def _state_source(source: Path, recording: StationRecording, reference: Reference | None) -> list[str]:
-    """Write the lot.toml of a source in LOT/source/, so that `softcal batch LOT` takes the folder; return remarks."""
+    """Write the lot.toml of a source in LOT/source/, so that a batch takes it; return remarks."""
     folder = source.parent.parent
     if not (folder / "lot.toml").exists():
         lot = Lot(folder.resolve().name, source.stem, recording.sample_rate_Hz, output_unit=recording.output_unit)
@@ -351,7 +351,7 @@ def columns(recording: StationRecording, channel: int = 0) -> list[tuple[str, Ar
 
 
 def profile_for(kind: str, seed: int, seconds: float | None, depth_mm: float, file: Path | None = None) -> Profile:
-    """Return the profile of a file where one is given, else the source or the short unit profile."""
+    """Return the profile of a file, else the source or the short unit profile."""
     if file is not None:
         return read_profile(file)
     rng = np.random.default_rng(seed)
@@ -362,7 +362,7 @@ def profile_for(kind: str, seed: int, seconds: float | None, depth_mm: float, fi
 
 @dataclass(frozen=True)
 class RecordedLot:
-    """A lot as the station records it: the source with its reference, units without, audits that decide about them."""
+    """A lot as the station records it: source, units, and audits that decide about them."""
 
     source: LabelledRecording
     units: Mapping[str, OutputRecording]

@@ -1,4 +1,4 @@
-"""What a scan means: a serial, a lot, a badge or a command; with the prefixes that scanners and GS1 labels put before.
+"""What a scan means: a serial, a lot, a badge or a command, behind scanners' and GS1 prefixes.
 
 Sources: AIM symbology identifiers (ISO/IEC 15424: `]`, a letter, a modifier); GS1 General Specifications, section 3
 (application identifiers 01, 10, 21 and the dates), section 7.8 (FNC1 as ASCII 29 between fields of variable length).

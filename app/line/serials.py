@@ -1,4 +1,4 @@
-"""Whether a serial may be a slip of the hand: the lot has not planned it, and no unit of the lot looks like it."""
+"""Whether a serial may be a slip of the hand: not planned, and like no unit of the lot."""
 
 import re
 from collections.abc import Set
@@ -39,5 +39,5 @@ def lots_of(registry: Registry, serial: str) -> set[str]:
 
 
 def numbered(serial: str, channel: int) -> str:
-    """Return the serial of one unit among several that are pressed at once; channels count from 0."""
+    """Return the serial of one of several units pressed at once; channels count from 0."""
     return f"{serial}-{channel + 1}"

@@ -1,4 +1,4 @@
-"""A resident station: its rig, its gate and its registry, joined and served until somebody says no."""
+"""A resident station: rig, gate and registry, joined and served until somebody says no."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager

@@ -40,7 +40,7 @@ def examine(url_option: str | None) -> tuple[Facts, list[str]]:
 
 
 def collect(path: Path, report: str) -> int:
-    """Write the report and the logs into a zip file, whole or not at all; return how many logs went in."""
+    """Write report and logs into a zip file, whole or not at all; return how many logs."""
     logs = sorted(log_folder().glob("softcal-*.jsonl"))
     with whole_file(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as bundle:
         bundle.writestr("report.json", report)

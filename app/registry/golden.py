@@ -17,7 +17,7 @@ ENTITY = "golden_of"
 
 
 def golden_of(registry: Registry, lot_id: str, serials: Collection[str]) -> Mapping[str, tuple[str, str]]:
-    """Return, by the hash of a unit's recording, its serial and the hash of the golden run it belongs to."""
+    """Return, by the hash of a unit's recording, its serial and its golden run's hash."""
     found: dict[str, tuple[str, str]] = {}
     for facts in statements(registry, ENTITY, *((lot_id, serial) for serial in sorted(serials))):
         found |= {sha256: (facts["serial"], golden) for sha256, golden in facts["recordings"].items()}
@@ -27,7 +27,7 @@ def golden_of(registry: Registry, lot_id: str, serials: Collection[str]) -> Mapp
 def keep_golden_of(
     registry: Registry, lot_id: str, of: Mapping[str, tuple[str, str]], *, actor: str | None = None
 ) -> None:
-    """Keep which golden run recordings belong to, a row a unit, all or none; what is known already gets no row.
+    """Keep which golden run recordings belong to, a row a unit; what is known gets no row.
 
     Args:
         of: hash of a unit's recording → (serial, hash of the golden run).
@@ -43,13 +43,13 @@ def keep_golden_of(
 
 
 def newest_golden(registry: Registry, station: str, source: str, since: datetime) -> str | None:
-    """Return the hash of the newest golden run of a source on a station that passed, None where there is none."""
+    """Return the hash of the newest golden run of a source on a station that passed."""
     runs = registry.stations.golden_runs(station, source, since)
     return next((run.recording_sha256 for run in reversed(runs) if run.passed and run.recording_sha256), None)
 
 
 def bridge_over(registry: Registry, model: SourceModel, golden_sha256: str) -> Bridge | str:
-    """Return a kept golden run as units of its sitting are compared with it; why, where it cannot be crossed."""
+    """Return a kept golden run as its sitting's units are compared with it, or why not."""
     try:
         return make_bridge(model, registry.recordings.get(golden_sha256))
     except InputError as error:
@@ -57,6 +57,6 @@ def bridge_over(registry: Registry, model: SourceModel, golden_sha256: str) -> B
 
 
 def golden_lot(registry: Registry, serial: str) -> str | None:
-    """Return a lot whose source a serial is and whose network is released; None where it is no source."""
+    """Return a lot whose source a serial is and whose network is released."""
     lots = (lot.id for lot in registry.lots.all() if lot.source == serial)
     return next((lot for lot in lots if registry.networks.released(lot) is not None), None)

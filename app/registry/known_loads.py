@@ -1,4 +1,4 @@
-"""Known loads of a lot's units: what was read at rest under which load, kept with the recording it belongs to.
+"""Known loads of a lot's units: read at rest, kept with the recording they belong to.
 
 One home for all of them: the line reads them, a file or a page brings them, and every calibration of that recording
 takes them from here, so that none is put into use without them. They are rows of the audit trail.

@@ -1,4 +1,4 @@
-"""Recordings of a lot that the registry keeps: the source behind a shared network, and the audits that stand."""
+"""Recordings of a lot that the registry keeps: sources of networks, and audits."""
 
 from softcal.core.errors import InputError
 from softcal.core.recording import LabelledRecording, OutputRecording
@@ -27,7 +27,7 @@ def source_recording(registry: Registry, network_id: str) -> LabelledRecording:
 
 
 def source_model(registry: Registry, network_id: str, method: Method) -> SourceModel:
-    """Return the source of a network as the units of its lot are compared with it; make it once for all of them."""
+    """Return the source of a network as units are compared with it; make it once for all."""
     return make_source_model(source_recording(registry, network_id), registry.networks.get(network_id), method=method)
 
 

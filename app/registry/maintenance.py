@@ -19,7 +19,7 @@ from softcal.db.schema.tables import SCHEMA
 
 @dataclass(frozen=True)
 class Upgrade:
-    """What `registry upgrade` did: from which schema (None: empty) to which, and where the old one was backed up."""
+    """What an upgrade did: from which schema (None: empty) to which, and the backup of the old."""
 
     before: str | None
     after: str
@@ -27,7 +27,7 @@ class Upgrade:
 
 
 def upgrade(url: str) -> Upgrade:
-    """Bring a registry to the schema of this version; an SQLite registry with data is backed up beside itself first.
+    """Bring a registry to this version's schema; an SQLite one is backed up beside itself.
 
     Raises:
         RegistryError: it cannot be opened, was made by a newer version, or the upgrade failed and nothing was changed.
@@ -70,7 +70,7 @@ def verify(
     files: Sequence[Path] = (),
     on_step: Callable[[str], None] = lambda _: None,
 ) -> Verification:
-    """Check a registry against its schema, its audit trail, and what was written down of the trail elsewhere.
+    """Check a registry against its schema, its audit trail, and what is written elsewhere.
 
     Args:
         is_quick: leave out what reads every page and blob.

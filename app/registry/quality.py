@@ -1,4 +1,4 @@
-"""What a quality manager asks of the registry: gauge studies, capability, yields and golden units."""
+"""What a quality manager asks: gauge studies, capability, yields and golden units."""
 
 import csv
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ METHODS = {"anova": study_by_anova, "range": study_by_ranges}
 
 
 def gauge_study(path: Path, method: str) -> GaugeStudy:
-    """Read a crossed study (`unit, station, trial, value`, one row per press) and split its variation.
+    """Read a crossed study (`unit, station, trial, value`) and split its variation.
 
     Raises:
         InputError: the file cannot be read, or some unit misses a station or a trial.
@@ -45,7 +45,7 @@ def file_chart(path: Path, column: str) -> ControlChart:
 
 
 def lot_capability(registry: Registry, lot_id: str, maximum: float | None = None) -> tuple[ControlChart, Capability]:
-    """Return chart and capability of a lot's predicted errors against a maximum, by default the lot's limit.
+    """Return chart and capability of predicted errors against a maximum, else the limit.
 
     Raises:
         InputError: no limit was stated, or capability must be refused.

@@ -1,4 +1,4 @@
-"""What the source of a lot was compared with: stated once, kept in the audit trail, completed from the registry."""
+"""What the source of a lot was compared with: stated once, completed from the registry."""
 
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -39,7 +39,7 @@ def lot_reference(registry: Registry, lot_id: str) -> Reference | None:
 
 
 def reference_expanded(registry: Registry, lot_id: str) -> float:
-    """Return U of a lot's reference as it counts against the limit, in the reference unit; 0 where nobody stated it."""
+    """Return U of a lot's reference, in the reference unit; 0 where nobody stated it."""
     facts = stated(registry, ENTITY, (lot_id,))
     if facts is None:
         return 0.0

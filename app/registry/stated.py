@@ -1,4 +1,4 @@
-"""What is stated of a lot or a unit and kept as rows of the audit trail alone: the newest row is in force."""
+"""What is stated of a lot or a unit, as rows of the audit trail: the newest is in force."""
 
 import json
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Long-term use of one unit: estimates over a stream while its map follows the drift, every step in the registry."""
+"""Long-term use of one unit: estimates while its map follows the drift, all in the registry."""
 
 import hashlib
 from collections import Counter
@@ -85,7 +85,7 @@ class AdaptReport:
 
 
 class Follower:
-    """Follows one stream of one unit and keeps every map and the state to resume from in the registry.
+    """Follows one stream of one unit and keeps maps and state in the registry.
 
     Args:
         keeper: writes to the registry while estimates go on; None writes at once.
@@ -146,7 +146,7 @@ class Follower:
 
     @property
     def rows_since_begin(self) -> int | None:
-        """Rows the state to go on from has taken of the input now open; None where it has taken of others too."""
+        """Rows of the input now open in the state to go on from; None where it has others."""
         return None if self._began is None else self._adapter.row - self._began
 
     def reconnect(self) -> None:
@@ -155,7 +155,7 @@ class Follower:
         self._adapter.reconnect(self._kept_until + 1)
 
     def begin_file(self) -> None:
-        """Go on with the first row of another file; one that was broken off before gives the same steps again."""
+        """Go on with the first row of another file; one broken off gives the same steps again."""
         self._adapter.reconnect()
 
     def advance(self, t_s: Array, output: Array) -> Estimate:
@@ -173,7 +173,7 @@ class Follower:
         return rows
 
     def keep(self) -> None:
-        """Keep the maps, and now and then the state, of rows whose estimates are written; never waits for a write."""
+        """Keep maps, and now and then the state, of rows that are written; never waits."""
         if self._writing is not None and not self._writing.done():
             return
         if self._since_state >= self._state_rows:
@@ -235,7 +235,7 @@ def adapt_file(
     on_rows: Callable[[int], None] = lambda rows: None,
     names: ColumnNames = PLAIN,
 ) -> AdaptReport:
-    """Follow a recorded stream: `t_s, output` of `source` in, `t_s, estimate, lower, upper, flag` to `target`.
+    """Follow a recorded stream: `t_s, output` of `source` in, estimates to `target`.
 
     A row of the result depends on no later row of `source`; `target` appears whole or not at all.
 
@@ -299,12 +299,12 @@ def report_json(report: AdaptReport, course: list[Mapping[str, Any]]) -> dict[st
 
 
 def maps_of(course: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Return the steps of a course that changed the map or what is said of it, without the checkpoints."""
+    """Return the steps of a course that changed something, without the checkpoints."""
     return [step for step in course if step["event"] != "checkpoint"]
 
 
 def write_figure(registry: Registry, path: Path, report: AdaptReport, maps: list[Mapping[str, Any]]) -> None:
-    """Write drift, map, estimate and predicted error over time as one page that needs no network."""
+    """Write drift, map, estimate and predicted error over time as one page."""
     lot = report.lot
     title = f"{report.serial}, stream {report.stream}"
     figure = adaptation_figure(title, report.trace, maps, lot.output_unit, lot.reference_unit)

@@ -1,4 +1,4 @@
-"""The live form of long-term adaptation: samples come, estimates go, the map follows, the registry keeps the course."""
+"""The live form of long-term adaptation: samples come, estimates go, the registry keeps all."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -29,7 +29,7 @@ Show = Callable[[Estimate, AdaptReport], None]
 
 
 def bar(value: float, lower: float, upper: float, span: tuple[float, float]) -> str:
-    """Return a line with the interval as dashes and the estimate as a block; blank without an estimate."""
+    """Return a line with the interval as dashes and the estimate as a block."""
     if not value == value:
         return " " * WIDTH
     low, high = span
@@ -76,7 +76,7 @@ class LiveOptions:
 
 
 def adapt_live(registry: Registry, serial: str, live: LiveOptions, options: AdaptOptions) -> AdaptReport:
-    """Follow a live stream until it ends; whatever ends it, the state to resume from is in the registry.
+    """Follow a live stream until it ends; whatever ends it, the state is in the registry.
 
     Raises:
         InputError: source, target or serial cannot be used.
@@ -112,7 +112,7 @@ def _all_new(samples: Samples) -> Pieces:
 
 
 def _gone_on(follower: Follower, samples: Samples, held: Written) -> Pieces:
-    """Go on with a stream: a log that is sent again from where it was broken off, else with what comes now."""
+    """Go on with a stream: a log sent again from where it broke off, else with what comes."""
     first = next(samples, None)
     if first is None:
         return
@@ -135,7 +135,7 @@ def _gone_on(follower: Follower, samples: Samples, held: Written) -> Pieces:
 
 @contextmanager
 def _kept(follower: Follower) -> Iterator[Follower]:
-    """Keep the state of a follower however the block ends. Ctrl-C is the usual way to end a stream."""
+    """Keep a follower's state however the block ends; Ctrl-C is the usual way."""
     try:
         yield follower
     except KeyboardInterrupt:
@@ -147,7 +147,7 @@ def _kept(follower: Follower) -> Iterator[Follower]:
 
 @contextmanager
 def _view(unit: UnitInUse, has_view: bool) -> Iterator[Show]:
-    """Give a function that shows rows and the state of the map in the terminal, at most eight times a second."""
+    """Give what shows rows and map in the terminal, at most eight times a second."""
     if not has_view:
         yield lambda rows, report: None
         return
@@ -160,7 +160,7 @@ def _view(unit: UnitInUse, has_view: bool) -> Iterator[Show]:
 
 
 def _limited(samples: Samples, duration_s: float | None) -> Samples:
-    """Yield the pieces that hold samples, for so much time of the stream, or of the clock while it gives none."""
+    """Yield the pieces with samples, for so much time of the stream, or of the clock."""
     first_s: float | None = None
     start_s = time.monotonic()
     for piece in samples:

@@ -1,4 +1,4 @@
-"""Where live estimates go, line by line: a new file, standard output, or a socket that may come and go."""
+"""Where live estimates go, line by line: a file, standard output, or a socket."""
 
 import socket
 import sys
@@ -27,14 +27,14 @@ class Sink(Protocol):
 
 @dataclass(frozen=True)
 class Written:
-    """What stands in a target already: so many rows, the first of this time as it was written; "" without one."""
+    """What stands in a target already: so many rows, the first of this time; "" without one."""
 
     rows: int = 0
     first_t_s: str = ""
 
 
 def written(target: str) -> Written:
-    """Return what a file to go on with holds, after cutting off a last line that a crash left unfinished.
+    """Return what a file to go on with holds, without a line that was left unfinished.
 
     Raises:
         InputError: the file holds no estimates.
@@ -117,7 +117,7 @@ def _open_file(path: Path, append: bool) -> Iterator[Sink]:
 
 
 class _Listener:
-    """A socket somebody listens at; while nobody does, rows are lost and counted, and the sensor goes on."""
+    """A socket somebody listens at; while nobody does, rows are lost and counted."""
 
     def __init__(self, target: str) -> None:
         parts = urlsplit(target)

@@ -1,4 +1,4 @@
-"""Where live samples come from: a sensor readout on a serial port, a simulated one, or lines on standard input."""
+"""Where live samples come from: a sensor readout, a simulated one, or standard input."""
 
 import sys
 import threading
@@ -71,7 +71,7 @@ def _open_readout(config: ReadoutConfig, clock: Clock, output_unit: str) -> Read
 
 
 def replugged(open_readout: Callable[[], Readout], clock: Clock) -> Generator[list[Sample], None, None]:
-    """Yield what a readout sends, first nothing; when it goes in mid-stream, wait for it to come back.
+    """Yield what a readout sends, first nothing; when it goes, wait for it to come back.
 
     Raises:
         NoReply: it is not there at the start, or was away for `AWAY_S`.
@@ -161,7 +161,7 @@ def _pressed(stage: Stage, readout: Readout, clock: Clock, free_mm: float) -> Sa
 
 
 def lines_of(file: IO[str]) -> Samples:
-    """Yield `t_s,output` lines as they come, until the end; a line that cannot be read is a sample of NaN.
+    """Yield `t_s,output` lines as they come; a line that cannot be read is NaN.
 
     Other columns are skipped by a header; without one the first two columns are taken.
     """

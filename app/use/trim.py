@@ -1,4 +1,4 @@
-"""Trim a registered unit by known loads at its place of use: a new revision of its calibration, or nothing."""
+"""Trim a registered unit by known loads at its place of use: a new revision, or nothing."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from softcal.db.registry import Registry
 
 
 def trim_unit(registry: Registry, serial: str, loads_file: Path, lot_id: str | None = None) -> tuple[Trimmed, int]:
-    """Re-anchor a unit's map by the loads of a file, and keep it as its next revision, which is returned, too.
+    """Re-anchor a unit's map by loads of a file; return the trim and the new revision.
 
     Args:
         loads_file: table with the columns output, reference; a row a load; a column serial names this unit.
@@ -25,7 +25,7 @@ def trim_unit(registry: Registry, serial: str, loads_file: Path, lot_id: str | N
 
 
 def trimmed_by(registry: Registry, serial: str, loads_file: Path, lot_id: str | None = None) -> int:
-    """Return the revision of a unit that known loads made, trimming it only where they have not done so yet.
+    """Return the revision that known loads made, trimming only where they have not yet.
 
     A stream that is followed again from its start is then followed from the same map.
     """
