@@ -5,6 +5,7 @@ import socket
 import threading
 import uuid
 
+from softcal.app.bootstrap import is_alive
 from softcal.core.errors import RegistryError
 from softcal.db.queues.work_queue import WorkItem, WorkSet
 from softcal.db.registry import Registry
@@ -58,17 +59,3 @@ class Claims:
             except RegistryError:
                 # The registry may be back before the lease runs out; whoever writes a result sees the trouble.
                 continue
-
-
-def is_alive(process: str) -> bool | None:
-    """Return whether a process lives: `host:process id`. None where it is on another machine."""
-    host, _, number = process.rpartition(":")
-    if host != socket.gethostname() or not number.isdecimal():
-        return None
-    try:
-        os.kill(int(number), 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True  # It is there, and somebody else's.
-    return True

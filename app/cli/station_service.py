@@ -195,7 +195,7 @@ def run_order(options: argparse.Namespace) -> int:
 
 def _is_there(queue: "OrderQueue", station: str) -> bool:
     """Return whether a station's service is there: its beat is fresh, or late while it lives."""
-    from softcal.app.batch.claims import is_alive
+    from softcal.app.bootstrap import is_alive
     from softcal.db.queues.order_queue import TAKEN_OVER_AFTER
 
     beat = queue.heartbeat(station)
@@ -249,7 +249,7 @@ def run_status(options: argparse.Namespace) -> None:
 
 
 def _status(registry: "Registry", beat: "Heartbeat", held: tuple[str, ...]) -> dict[str, object]:
-    from softcal.app.batch.claims import is_alive
+    from softcal.app.bootstrap import is_alive
     from softcal.app.line.facts import SILENT, state_of
 
     active = registry.order_queue.active(beat.station)

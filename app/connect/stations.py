@@ -3,7 +3,7 @@
 from datetime import UTC, datetime
 from typing import Any
 
-from softcal.app.batch.claims import is_alive
+from softcal.app.bootstrap import is_alive
 from softcal.app.line.facts import state_of
 from softcal.core.orders import Heartbeat, Order, Progress
 from softcal.db.registry import Registry

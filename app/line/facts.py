@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 
-from softcal.app.batch.claims import is_alive
+from softcal.app.bootstrap import is_alive
 from softcal.app.line.place import Note, Place, read_place
 from softcal.app.line.serials import numbered
 from softcal.core.lot import Lot

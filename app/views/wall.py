@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from softcal.app.batch.claims import is_alive
+from softcal.app.bootstrap import is_alive
 from softcal.app.line.facts import state_of
 from softcal.app.views.alerts import Alert
 from softcal.app.views.common import number, percent

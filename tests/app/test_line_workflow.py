@@ -10,7 +10,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from softcal.app.batch.claims import is_alive
+from softcal.app.bootstrap import is_alive
 from softcal.app.line import line as line_module
 from softcal.app.line.facts import Screen, read_line
 from softcal.app.line.line import order_stop, take_scan

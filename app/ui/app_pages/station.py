@@ -6,7 +6,7 @@ from typing import Any
 
 import streamlit as st
 
-from softcal.app.batch.claims import is_alive
+from softcal.app.bootstrap import is_alive
 from softcal.app.jobs.process import start_job
 from softcal.app.line.facts import state_of
 from softcal.app.line.gate_facts import quarantine
