@@ -57,35 +57,16 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     what to press next.
     """
     action = actions_of(parser, "commands", "COMMAND")
-    diagnose = action(
-        "diagnose",
-        "find the causes of the gap in a case",
-        _diagnose,
-        "Fit the base twin and every effect of the catalogue together to all runs of a case. Report where "
-        "the gap lies, its causes with probabilities, the shrink on runs held back, and the next experiment.",
-        epilog=_DIAGNOSE_EXAMPLES,
-    )
+    diagnose = action("diagnose", "find the causes of the gap in a case", _diagnose, epilog=_DIAGNOSE_EXAMPLES)
     _add_case(diagnose)
     add_shared(diagnose, "json")
     diagnose.add_argument("--page", **FILE, help="write a page of figures (standalone HTML)")
     check = action(
-        "check",
-        "say what the runs of a case can tell, before anything is diagnosed",
-        _check,
-        "Look for mistakes in the recordings and fit the base. Say which of its parameters and which "
-        "causes these runs can tell, which they cannot, and which run would. Nothing is diagnosed.",
-        epilog=_CHECK_EXAMPLES,
+        "check", "say what the runs of a case can tell, before anything is diagnosed", _check, epilog=_CHECK_EXAMPLES
     )
     _add_case(check)
     add_shared(check, "json")
-    apply = action(
-        "apply",
-        "write the twin that explains a case",
-        _apply,
-        "Diagnose a case and write base parameters, noise and named causes as a twin that the simulated "
-        "station and simulated lots can load.",
-        epilog=_APPLY_EXAMPLES,
-    )
+    apply = action("apply", "write the twin that explains a case", _apply, epilog=_APPLY_EXAMPLES)
     apply.add_argument("case", type=Path, nargs="?", metavar="CASE", help=_CASE_HELP)
     apply.add_argument("--report", **FILE, help="take the twin of this report instead of CASE")
     apply.add_argument("--simulator", metavar="MODULE:NAME", help="write the parameters of this simulator for CASE")
@@ -119,6 +100,10 @@ def _add_case(parser: argparse.ArgumentParser) -> None:
 
 
 def _diagnose(options: argparse.Namespace) -> None:
+    """Fit the base twin and every effect of the catalogue together to all runs of a case. Report
+    where the gap lies, its causes with probabilities, the shrink on runs held back, and the next
+    experiment.
+    """
     from softcal.app.gap.diagnose import diagnose_case, write_page
 
     if options.simulator:
@@ -131,6 +116,9 @@ def _diagnose(options: argparse.Namespace) -> None:
 
 
 def _check(options: argparse.Namespace) -> None:
+    """Look for mistakes in the recordings and fit the base. Say which of its parameters and which
+    causes these runs can tell, which they cannot, and which run would. Nothing is diagnosed.
+    """
     from softcal.app.gap.diagnose import check_case
     from softcal.app.gap.simulator import check_with, load_simulator
     from softcal.core.gap.identifiability import sentences
@@ -201,6 +189,9 @@ def _table_readout(options: argparse.Namespace) -> "ReadoutMetadata | None":
 
 
 def _apply(options: argparse.Namespace) -> None:
+    """Diagnose a case and write base parameters, noise and named causes as a twin that the
+    simulated station and simulated lots can load.
+    """
     from softcal.app.gap.diagnose import apply_case, apply_report, read_report
     from softcal.app.gap.simulator import diagnose_with, load_simulator, read_parameters
 

@@ -29,28 +29,13 @@ _SCORE_EXAMPLES = """examples:
 
 def add_challenge_actions(action: Action) -> None:
     """Add the three commands to those of `softcal gap`."""
-    challenge = action(
-        "challenge",
-        "make sealed cases whose cause is withheld",
-        _challenge,
-        "Make sealed cases: recordings of simulated rigs with hidden effects, by a generator that shares "
-        "no code with the twin. The labels go into a file of their own; its SHA-256 is printed and published with "
-        "the cases before anybody diagnoses them.",
-        epilog=_CHALLENGE_EXAMPLES,
-    )
+    challenge = action("challenge", "make sealed cases whose cause is withheld", _challenge, epilog=_CHALLENGE_EXAMPLES)
     challenge.add_argument("--cases", required=True, **COUNT, help="how many cases")
     challenge.add_argument("--seed", type=int, help="seed of the draw (default: a secret one, kept in the seal)")
     challenge.add_argument("--out", required=True, **DIR, help="new folder for the cases")
     challenge.add_argument("--seal", **FILE, help="file for the labels (default: DIR.seal.json)")
     challenge.add_argument("--line", metavar="NAME", help="draw one line of the benchmark instead of the mix")
-    ask = action(
-        "ask",
-        "run one more experiment on a sealed rig",
-        _ask,
-        "Run one more experiment on a sealed rig, with the same hidden causes. The recording is added to "
-        "the case as runs/asked-<n>; diagnose the case again to see whether the ambiguity is gone.",
-        epilog=_ASK_EXAMPLES,
-    )
+    ask = action("ask", "run one more experiment on a sealed rig", _ask, epilog=_ASK_EXAMPLES)
     ask.add_argument("folder", **DIR, help="folder of the challenge")
     ask.add_argument("case", metavar="CASE", help="name of the case")
     what = ask.add_mutually_exclusive_group(required=True)
@@ -58,14 +43,7 @@ def add_challenge_actions(action: Action) -> None:
     what.add_argument("--lot", **DIR, help="press a lot of units on the rig into this new folder")
     ask.add_argument("--units", default=6, **COUNT, help="target units of the lot (default 6)")
     ask.add_argument("--seal", required=True, **FILE, help="file with the labels")
-    score = action(
-        "score",
-        "open the seal of a challenge and score the reports",
-        _score,
-        "Check the seal of a challenge against its published hash and open it. Score one report per "
-        "case: causes, sets, false alarms, abstention, stage, forecast of the shrink, calibration of probabilities.",
-        epilog=_SCORE_EXAMPLES,
-    )
+    score = action("score", "open the seal of a challenge and score the reports", _score, epilog=_SCORE_EXAMPLES)
     score.add_argument("folder", **DIR, help="folder of the challenge")
     score.add_argument("--reports", required=True, **DIR, help="folder with CASE.json per case")
     score.add_argument("--seal", required=True, **FILE, help="file with the labels")
@@ -76,6 +54,10 @@ def add_challenge_actions(action: Action) -> None:
 
 
 def _challenge(options: argparse.Namespace) -> None:
+    """Make sealed cases: recordings of simulated rigs with hidden effects, by a generator that
+    shares no code with the twin. The labels go into a file of their own; its SHA-256 is printed and
+    published with the cases before anybody diagnoses them.
+    """
     from softcal.app.gap.challenge import make_challenge
 
     folder: Path = options.out
@@ -87,6 +69,9 @@ def _challenge(options: argparse.Namespace) -> None:
 
 
 def _ask(options: argparse.Namespace) -> None:
+    """Run one more experiment on a sealed rig, with the same hidden causes. The recording is added
+    to the case as runs/asked-<n>; diagnose the case again to see whether the ambiguity is gone.
+    """
     from softcal.app.gap.challenge import ask_rig, press_rig_lot
 
     if options.lot is not None:
@@ -96,6 +81,10 @@ def _ask(options: argparse.Namespace) -> None:
 
 
 def _score(options: argparse.Namespace) -> int:
+    """Check the seal of a challenge against its published hash and open it. Score one report per
+    case: causes, sets, false alarms, abstention, stage, forecast of the shrink, calibration of
+    probabilities.
+    """
     from softcal.app.gap.challenge import score_challenge
     from softcal.core.challenge.score import shortfalls
 

@@ -17,18 +17,14 @@ _EXAMPLES = """examples:
 
 def add_effects(action: Action) -> None:
     """Add the command to those of `softcal gap`."""
-    parser = action(
-        "effects",
-        "list the effects a diagnosis can name",
-        _list,
-        "List the catalogue of effects: where each acts, its equation, what it needs to be seen, "
-        "what it hides behind and which runs show it. Effects of installed plug-ins stand last.",
-        epilog=_EXAMPLES,
-    )
+    parser = action("effects", "list the effects a diagnosis can name", _list, epilog=_EXAMPLES)
     add_shared(parser, "json", "csv")
 
 
 def _list(options: argparse.Namespace) -> None:
+    """List the catalogue of effects: where each acts, its equation, what it needs to be seen, what
+    it hides behind and which runs show it. Effects of installed plug-ins stand last.
+    """
     from softcal.core.twin.catalogue import EFFECTS
 
     if answer(options, "gap.effects/1", {"effects": [_record(effect) for effect in EFFECTS.values()]}):

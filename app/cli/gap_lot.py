@@ -35,19 +35,16 @@ _WORDS = {
 
 def add_lot(action: Action) -> None:
     """Add `softcal gap lot`."""
-    parser = action(
-        "lot",
-        "diagnose many units of one lot together",
-        _lot,
-        "Diagnose one case per unit and add up their evidence. Say which causes the units share, at which "
-        "size in each, and which units do not follow. Units with an audit show how many rig recordings the twin saves.",
-        epilog=_LOT_EXAMPLES,
-    )
+    parser = action("lot", "diagnose many units of one lot together", _lot, epilog=_LOT_EXAMPLES)
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="one case folder per unit")
     add_shared(parser, "json")
 
 
 def _lot(options: argparse.Namespace) -> None:
+    """Diagnose one case per unit and add up their evidence. Say which causes the units share, at
+    which size in each, and which units do not follow. Units with an audit show how many rig
+    recordings the twin saves.
+    """
     from softcal.app.gap.lot import diagnose_lot_folder
 
     found = diagnose_lot_folder(options.folder, say)
@@ -99,8 +96,6 @@ def add_transfer(action: Action) -> None:
         "transfer",
         "compare calibration results in simulation with those on the rig",
         _transfer,
-        "Calibrate three lots in the same way: pressed on the rig, simulated with the refitted base twin, "
-        "and with the explained twin. Show which twin foretells the rig's results.",
         epilog=_TRANSFER_EXAMPLES,
     )
     parser.add_argument("--report", required=True, **FILE, help="JSON of softcal gap diagnose")
@@ -110,6 +105,9 @@ def add_transfer(action: Action) -> None:
 
 
 def _transfer(options: argparse.Namespace) -> None:
+    """Calibrate three lots in the same way: pressed on the rig, simulated with the refitted base
+    twin, and with the explained twin. Show which twin foretells the rig's results.
+    """
     from softcal.app.gap.transfer import check_transfer
 
     found = check_transfer(options.report, options.lot, options.seed, say)

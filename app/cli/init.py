@@ -29,7 +29,7 @@ HELP = "make a lot folder or a station file by questions"
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Ask what a lot or a station is, and write it down. Nothing that exists is written over."""
     action = actions_of(parser, "what to make", "WHAT")
-    lot = action("lot", "a folder with lot.toml, for recordings that are still to come", run_lot)
+    lot = action("lot", "a folder with lot.toml, for recordings that are still to come", _make_lot)
     lot.add_argument("folder", type=Path, metavar="FOLDER", help="lot folder to make")
     lot.add_argument("--lot-id", help="default: the name of the folder")
     lot.add_argument("--source", metavar="SERIAL", help="unit with the reference that trains f")
@@ -40,12 +40,13 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     lot.add_argument("--output-unit", help="default V")
     lot.add_argument("--limit", type=positive, metavar="RMSE", help="largest acceptable error, in the reference unit")
     lot.add_argument("--yes", action="store_true", help="ask nothing: take the defaults of what is not given")
-    station = action("station", "a station file; `softcal station check --write` finds USB devices itself", run_station)
+    station = action(
+        "station", "a station file; `softcal station check --write` finds USB devices itself", _make_station
+    )
     station.add_argument("file", **FILE, help="station file to make")
 
 
-def run_lot(options: argparse.Namespace) -> int:
-    """Ask what is not given, and make the folder."""
+def _make_lot(options: argparse.Namespace) -> int:
     from softcal.app.files.lot_folder import write_lot_toml
     from softcal.core.lot import Lot
 
@@ -74,8 +75,7 @@ def run_lot(options: argparse.Namespace) -> int:
     return 0
 
 
-def run_station(options: argparse.Namespace) -> None:
-    """Ask for the parts of the rig and its limits, and write the station file."""
+def _make_station(options: argparse.Namespace) -> None:
     from softcal.app.files.atomic import write_text
     from softcal.station.devices.catalogue import SECTIONS
     from softcal.station.devices.config import SafetyConfig, station_from_table, station_toml

@@ -98,7 +98,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "audit-plan",
         "draw which few units to check with the load cell; show how far the checks are and what they say",
         _audit_plan,
-        "The first call draws the plan and writes it down; later calls show where it stands.",
     )
     audit.add_argument("lot", metavar="ID", help="lot in the registry, or its folder")
     add_shared(audit, "registry", "json")
@@ -112,10 +111,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     audit.add_argument("--new", action="store_true", help="draw again although a plan stands; needs --reason")
     audit.add_argument("--reason", default="", help="why the plan is drawn again")
     release = action(
-        "release",
-        "what is promised about the lot's released units, at what risk, on what evidence",
-        _release,
-        "Decides on the units nobody measured from the audits in the registry, and says what it promises.",
+        "release", "what is promised about the lot's released units, at what risk, on what evidence", _release
     )
     release.add_argument("lot", metavar="ID", help="lot in the registry, or its folder")
     add_shared(release, "registry", "json", "csv")
@@ -124,6 +120,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _release(options: argparse.Namespace) -> int:
+    """Decides on the units nobody measured from the audits in the registry, and says what it
+    promises.
+    """
     from softcal.app.batch.release import is_told, judge_lot, lot_standing
     from softcal.app.export.certificates.lot_facts import lot_statement_facts
     from softcal.app.export.certificates.lot_statement import lot_statement_pdf
@@ -181,6 +180,7 @@ def _folder(options: argparse.Namespace) -> None:
 
 
 def _audit_plan(options: argparse.Namespace) -> int:
+    """The first call draws the plan and writes it down; later calls show where it stands."""
     from softcal.app.batch.audit import AUDIT_HEADER, audit_json, audit_line, audit_rows, draw_plan, update_lot
     from softcal.core.quality.audit_plan import AuditConfig
     from softcal.core.quality.promises import PROMISE_HEADER, promise_rows

@@ -22,12 +22,7 @@ registry: they are kept there, and scored at once.
 def add_audit(action: Action) -> None:
     """Add `softcal lot audit`."""
     parser = action(
-        "audit",
-        "bring labelled recordings of units into the lot; confirm one that is in doubt",
-        _run,
-        "Take labelled recordings of units, one file a unit and called by its serial. A file that cannot "
-        "be used is named and left out, and the others are taken.",
-        epilog=EXAMPLES,
+        "audit", "bring labelled recordings of units into the lot; confirm one that is in doubt", _run, epilog=EXAMPLES
     )
     parser.add_argument("lot", metavar="LOT", help="lot folder, or a lot in the registry")
     parser.add_argument("files", nargs="*", **FILE, help="CSV, .xlsx or Parquet; of a folder, all")
@@ -42,6 +37,9 @@ def add_audit(action: Action) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
+    """Take labelled recordings of units, one file a unit and called by its serial. A file that
+    cannot be used is named and left out, and the others are taken.
+    """
     if options.confirm is not None:
         if options.files:
             raise InputError("--confirm takes no files: bring them first, then confirm what is in doubt")

@@ -67,7 +67,7 @@ def add_shared(parser: argparse.ArgumentParser, *names: str) -> None:
 
 
 Action = Callable[..., argparse.ArgumentParser]
-"""Adds an action to a command: name, summary, what runs it, description, argparse's own facts."""
+"""Adds an action to a command: name, summary, what runs it (its docstring describes it), other facts."""
 
 
 def actions_of(
@@ -95,6 +95,8 @@ def actions_of(
     ) -> argparse.ArgumentParser:
         if is_described:
             description = f"{summary[0].upper()}{summary[1:]}."
+        elif run is not None and run.__doc__:
+            description = description or " ".join(run.__doc__.split())
         action = actions.add_parser(name, help=summary, description=description, **facts)
         add_shared(action, *shared)
         action.set_defaults(run=run)

@@ -47,12 +47,7 @@ HELP = "the rig: find devices, self-test, press and record a unit"
 def arguments(parser: argparse.ArgumentParser) -> None:
     """The rig: find its devices, test it, press a unit with a profile and record it."""
     action = partial(actions_of(parser), epilog=EXAMPLES)
-    check = action(
-        "check",
-        "find ports, identify devices, test them, and say everything that is missing",
-        run_check,
-        "Find the devices, read every channel, home the stage and move it by 2 mm. All faults at once.",
-    )
+    check = action("check", "find ports, identify devices, test them, and say everything that is missing", run_check)
     check.add_argument("--port", action="append", default=[], metavar="PORT", help="look at this port only; repeatable")
     add_station(check)
     check.add_argument("--write", **FILE, help="write a station file from what was found")
@@ -60,32 +55,17 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_shared(check, "json")
     for kind, what in (("source", "with the load cell: output and reference"), ("unit", "output only")):
         _add_press(action, kind, what)
-    profiles = action(
-        "profiles",
-        "the stage profiles there are, and how long each takes",
-        run_profiles,
-        "List the built-in profiles, or write one as a file to edit and give to --profile.",
-    )
+    profiles = action("profiles", "the stage profiles there are, and how long each takes", run_profiles)
     add_shared(profiles, "depth", "profile-seed")
     profiles.add_argument("--write", nargs=2, metavar=("NAME", "FILE"), help="write this profile into a TOML file")
     add_shared(profiles, "json")
-    calibrate = action(
-        "calibrate-cell",
-        "find the scale of the load cell with dead weights",
-        run_calibrate_cell,
-        "Asks for one weight after the other, reads the cell, and writes its scale into the station file.",
-    )
+    calibrate = action("calibrate-cell", "find the scale of the load cell with dead weights", run_calibrate_cell)
     calibrate.add_argument("--station", required=True, **FILE, help="station file; it is updated")
     calibrate.add_argument(
         "--weights", type=_weight, nargs="+", required=True, metavar="KG", help="weights in kg, 0 for the unloaded cell"
     )
     add_shared(calibrate, "json")
-    recover = action(
-        "recover",
-        "write what runs that were cut off had read",
-        run_recover,
-        "Read the spools: finished runs become recordings, all others files marked as aborted.",
-    )
+    recover = action("recover", "write what runs that were cut off had read", run_recover)
     add_shared(recover, "spool")
     recover.add_argument("--out", required=True, **DIR, help="folder for the files")
     add_shared(recover, "json")
@@ -93,8 +73,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "drivers",
         "the devices softcal can use, their keys in the station file, and the package each comes from",
         run_drivers,
-        "List every driver: those of softcal and those of installed packages. Exit code 3 when a package's "
-        "driver cannot be loaded.",
     )
     drivers.add_argument("--kind", metavar="KIND", help="this kind only, with what its keys mean")
     add_shared(drivers, "json", "csv")
@@ -129,7 +107,7 @@ def _weight(text: str) -> float:
 
 
 def run_check(options: argparse.Namespace) -> int:
-    """Identify, test, report."""
+    """Find the devices, read every channel, home the stage and move it by 2 mm. All faults at once."""
     from softcal.app.line.rig import check_station
 
     with _signals_as_ctrl_c():
@@ -171,7 +149,7 @@ def _choose(part: Reason, candidates: Sequence["DeviceIdentity"]) -> "DeviceIden
 
 
 def run_profiles(options: argparse.Namespace) -> None:
-    """List the profiles, or write one."""
+    """List the built-in profiles, or write one as a file to edit and give to --profile."""
     import numpy as np
 
     from softcal.app.files.atomic import write_text
@@ -231,7 +209,9 @@ def _signals_as_ctrl_c() -> Iterator[None]:
 
 
 def run_calibrate_cell(options: argparse.Namespace) -> None:
-    """Ask for weights, fit, write the station file."""
+    """Asks for one weight after the other, reads the cell, and writes its scale into the station
+    file.
+    """
     from softcal.app.files.atomic import write_text
     from softcal.app.line.cell_scale import calibrate_cell
     from softcal.station.devices.config import read_station_file, station_toml
@@ -251,7 +231,9 @@ def run_calibrate_cell(options: argparse.Namespace) -> None:
 
 
 def run_drivers(options: argparse.Namespace) -> int:
-    """List the drivers there are."""
+    """List every driver: those of softcal and those of installed packages. Exit code 3 when a
+    package's driver cannot be loaded.
+    """
     from softcal.station.devices.catalogue import SECTIONS, offers
     from softcal.station.devices.config import meanings
 
@@ -286,7 +268,7 @@ def _driver_json(offer: "Offer") -> dict[str, object]:
 
 
 def run_recover(options: argparse.Namespace) -> None:
-    """Write what the spools hold."""
+    """Read the spools: finished runs become recordings, all others files marked as aborted."""
     from softcal.app.line.recover import recover
     from softcal.app.line.rig import spool_folder
 

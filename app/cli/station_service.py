@@ -59,13 +59,7 @@ def add_service_actions(action: Action) -> None:
     """Add `serve`, `order`, `status` and `certificate`."""
     action = partial(action, epilog=EXAMPLES)
     day = converted(date.fromisoformat, "{}: a day as 2026-01-31 was expected")
-    serve = action(
-        "serve",
-        "own the ports and perform what screens and programs order through the registry",
-        run_serve,
-        "The resident service of one station. Ctrl-C stops a run in progress and gives the ports back; nothing "
-        "resumes by itself.",
-    )
+    serve = action("serve", "own the ports and perform what screens and programs order through the registry", run_serve)
     serve.add_argument("--name", required=True, metavar="NAME", help="name of the station, as orders call it")
     add_shared(serve, "spool")
     serve.add_argument("--warm-up", type=float, metavar="MIN", help="of the load cell (default 15 min; gate rig: 0)")
@@ -90,31 +84,18 @@ def add_service_actions(action: Action) -> None:
     add_station(serve, "the simulated rig")
     add_network(serve)
     add_shared(serve, "registry")
-    order = action(
-        "order",
-        "ask a resident station for something, and wait until it is done",
-        run_order,
-        "Write an order into the registry, show its progress, print how it ended. Ctrl-C stops a run.",
-    )
+    order = action("order", "ask a resident station for something, and wait until it is done", run_order)
     order.add_argument("kind", choices=[kind.value for kind in OrderKind], help="what to do")
     order.add_argument("--name", required=True, metavar="NAME", help="name of the station")
     order.add_argument("--serial", default="", metavar="S", help="the unit, for source, unit and golden")
     order.add_argument("--lot", default="", metavar="LOT", help="its lot, for source and unit")
     order.add_argument("--reason", default="", metavar="TEXT", help="why; for override and repeats; fault: which one")
     add_shared(order, "registry", "json")
-    status = action(
-        "status",
-        "every station: state, gate, run in progress, units in quarantine",
-        run_status,
-        "What stations say of themselves, and which units were pressed since the last good golden unit.",
-    )
+    status = action("status", "every station: state, gate, run in progress, units in quarantine", run_status)
     status.add_argument("--name", metavar="NAME", help="this station only")
     add_shared(status, "registry", "json")
     certificate = action(
-        "certificate",
-        "put a load cell's calibration certificate on file, or list them",
-        run_certificate,
-        "Type a certificate in, import its DCC (XML), or list what is on file. Without one the gate stays closed.",
+        "certificate", "put a load cell's calibration certificate on file, or list them", run_certificate
     )
     certificate.add_argument("--cell", metavar="SERIAL", help="serial of the load cell, as in the station file")
     certificate.add_argument("--number", metavar="TEXT", help="number of the certificate")
@@ -128,7 +109,9 @@ def add_service_actions(action: Action) -> None:
 
 
 def run_serve(options: argparse.Namespace) -> None:
-    """Serve until Ctrl-C or a terminate signal."""
+    """The resident service of one station. Ctrl-C stops a run in progress and gives the ports back;
+    nothing resumes by itself.
+    """
     from softcal.app.line.gate_facts import RIG_ONLY, GateRules
     from softcal.app.line.rig import spool_folder
     from softcal.app.line.serve import Serving, serve
@@ -166,7 +149,7 @@ def run_serve(options: argparse.Namespace) -> None:
 
 
 def run_order(options: argparse.Namespace) -> int:
-    """Place an order and wait for its end."""
+    """Write an order into the registry, show its progress, print how it ended. Ctrl-C stops a run."""
     from softcal.app.bootstrap import current_user
 
     kind = OrderKind(options.kind)
@@ -225,7 +208,9 @@ def _followed(registry: "Registry", station: str, order_id: str) -> Progress:
 
 
 def run_status(options: argparse.Namespace) -> None:
-    """Print what stations say of themselves."""
+    """What stations say of themselves, and which units were pressed since the last good golden
+    unit.
+    """
     from softcal.app.line.gate_facts import quarantine
 
     with registry_of(options) as registry:
@@ -269,7 +254,9 @@ def _status(registry: "Registry", beat: "Heartbeat", held: tuple[str, ...]) -> d
 
 
 def run_certificate(options: argparse.Namespace) -> None:
-    """Put a certificate on file, or list them."""
+    """Type a certificate in, import its DCC (XML), or list what is on file. Without one the gate
+    stays closed.
+    """
     from softcal.app.line.cell_certificate import certificate_from
 
     given = {
