@@ -2,6 +2,7 @@
 
 import getpass
 import os
+import socket
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -51,3 +52,17 @@ def open_chosen_registry(option: str | None, *, create: bool = True) -> "Registr
     from softcal.db.truth.registry_base import RegistrySettings
 
     return open_registry(registry_url(option), RegistrySettings(actor=current_user()), create=create)
+
+
+def is_alive(process: str) -> bool | None:
+    """Return whether a process lives: `host:process id`. None where it is on another machine."""
+    host, _, number = process.rpartition(":")
+    if host != socket.gethostname() or not number.isdecimal():
+        return None
+    try:
+        os.kill(int(number), 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True  # It is there, and somebody else's.
+    return True

@@ -37,11 +37,7 @@ class NetworkRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     """
 
     def __init__(
-        self,
-        hidden: tuple[int, ...] = (120, 70, 35),
-        random_state: int = 0,
-        members: int = 1,
-        max_epochs: int = 200,
+        self, hidden: tuple[int, ...] = (120, 70, 35), random_state: int = 0, members: int = 1, max_epochs: int = 200
     ) -> None:
         self.hidden = hidden
         self.random_state = random_state

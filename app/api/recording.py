@@ -113,12 +113,7 @@ class Recording:
             InputError: there is no column of that name; the message lists those there are.
         """
         columns: dict[str, Any] = {}
-        for argument, name in (
-            ("output", output),
-            ("reference", reference),
-            ("t_s", time_s),
-            ("stage_mm", stage_mm),
-        ):
+        for argument, name in (("output", output), ("reference", reference), ("t_s", time_s), ("stage_mm", stage_mm)):
             is_made = argument == "t_s" and facts.get("sample_rate_Hz") is not None
             if name is None and (is_made or argument not in frame.columns):
                 continue

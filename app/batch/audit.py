@@ -1,15 +1,16 @@
-"""Audits of a lot: which units to check with the load cell, kept in the registry, and what their results say."""
+"""Audits of a lot: which units to check with the load cell, and what their results say."""
 
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 
 from softcal.app.registry.limit import lot_limit
+from softcal.app.registry.stated import state, stated, statements
 from softcal.core.errors import InputError
 from softcal.core.quality.audit_plan import AuditConfig, AuditPlan, LotStatement, judge_lot, plan_audit
 from softcal.core.unit.verdict import Limit, Verdict
 from softcal.core.words.reason import DOUBT
-from softcal.db.entries import UnitEntry, UnitStanding
+from softcal.db.entries import MadeCalibration, UnitEntry
 from softcal.db.registry import Registry
 
 PLAN, STATEMENT, CONFIRMED = "audit_plan", "audit_result", "audit_doubt"
@@ -41,7 +42,7 @@ class LotAudit:
 
     @property
     def rows(self) -> Iterator[tuple[str, str, float, float | None, str]]:
-        """Each unit of the plan: serial, why it was drawn, what was forecast and measured, and what that says."""
+        """Each unit of the plan: serial, why it was drawn, forecast, measured, what that says."""
         for serial in self.plan.serials:
             measured = self.measured.get(serial)
             held = "within" if measured is None or measured <= self.limit.maximum_rmse else "beyond"
@@ -60,7 +61,7 @@ def draw_plan(
     Raises:
         InputError: no unit of the lot was accepted yet, or a plan stands and no reason was given.
     """
-    if registry.trail.of(PLAN, (lot_id,)) and not reason.strip():
+    if stated(registry, PLAN, (lot_id,)) is not None and not reason.strip():
         raise InputError(f"lot {lot_id!r} has an audit plan; a new draw needs a reason")
     # Forecasts of the units that audits can speak for; their forecast alone may speak against them
     units = {unit.serial: unit for unit in _targets(registry, lot_id) if unit.predicted_rmse is not None}
@@ -68,7 +69,7 @@ def draw_plan(
     accepted = {
         serial: float(unit.predicted_rmse or 0.0)
         for serial, unit in units.items()
-        if unit.verdict in ACCEPTED or _is_open(standings.get(serial))
+        if unit.verdict in ACCEPTED or (serial in standings and _is_open(standings[serial].made))
     }
     if not accepted:
         raise InputError(f"lot {lot_id!r} has no accepted unit yet; calibrate its units first")
@@ -84,25 +85,21 @@ def draw_plan(
 
 
 def lot_audit(registry: Registry, lot_id: str) -> LotAudit | None:
-    """Return the newest audit plan of a lot with what was measured since; None where none was drawn."""
-    drawn = registry.trail.of(PLAN, (lot_id,))
-    return _standing(registry, lot_id, json.loads(drawn[-1].after or "{}")) if drawn else None
+    """Return the newest audit plan of a lot with what was measured since; None without one."""
+    drawn = stated(registry, PLAN, (lot_id,))
+    return None if drawn is None else _standing(registry, lot_id, drawn)
 
 
 def update_lot(registry: Registry, lot_id: str, actor: str | None = None) -> LotAudit | None:
-    """Judge the lot by its audits as far as they are in, and keep a new statement in the registry."""
+    """Judge the lot by its audits as far as they are in, and keep a new statement."""
     audit = lot_audit(registry, lot_id)
-    if audit is None or audit.statement is None:
-        return audit
-    told = [json.loads(row.after or "{}") for row in registry.trail.of(STATEMENT, (lot_id,))]
-    facts = {"statement": statement_json(audit.statement), "measured": dict(audit.measured)}
-    if not told or told[-1] != json.loads(json.dumps(facts)):
-        registry.trail.add("judge", STATEMENT, (lot_id,), facts, actor=actor)
+    if audit is not None and audit.statement is not None:
+        facts = {"statement": _statement_json(audit.statement), "measured": dict(audit.measured)}
+        state(registry, STATEMENT, (lot_id,), facts, action="judge", actor=actor)
     return audit
 
 
-def statement_json(statement: LotStatement) -> dict[str, object]:
-    """Return a statement as JSON values."""
+def _statement_json(statement: LotStatement) -> dict[str, object]:
     return {**vars(statement), "failed": list(statement.failed)}
 
 
@@ -116,7 +113,7 @@ def audit_json(audit: LotAudit) -> dict[str, object]:
         "measured_rmse": dict(audit.measured),
         "missing": list(audit.missing),
         "verdict": None if audit.statement is None else audit.statement.word,
-        "statement": None if audit.statement is None else statement_json(audit.statement),
+        "statement": None if audit.statement is None else _statement_json(audit.statement),
     }
 
 
@@ -161,28 +158,11 @@ def _targets(registry: Registry, lot_id: str) -> list[UnitEntry]:
     return [unit for unit in registry.lots.units(lot_id) if unit.role == "target"]
 
 
-def _is_open(standing: UnitStanding | None) -> bool:
-    made = None if standing is None else standing.made
+def _is_open(made: MadeCalibration | None) -> bool:
     return made is not None and made.is_open and made.decision.measured is None
 
 
 def confirmed_audits(registry: Registry, lot_id: str) -> dict[str, str]:
-    """Return the audits that a person confirmed in spite of a doubt: by serial, the hash of their output."""
-    told = (json.loads(row.after or "{}") for row in registry.trail.of(CONFIRMED, (lot_id,)))
-    return {str(one["serial"]): str(one["output_sha256"]) for one in told}
-
-
-def confirm_audit(registry: Registry, lot_id: str, serial: str, *, reason: str, actor: str | None = None) -> None:
-    """Write down that the audit of a unit is what it is said to be; judging the lot again lets it count.
-
-    Raises:
-        InputError: nobody doubts it, or no reason was given.
-    """
-    standing = registry.pages.standings(lot_id, [serial]).get(serial)
-    made = None if standing is None else standing.made
-    if made is None or made.audit is None or made.decision.doubt is None:
-        raise InputError(f"the audit of {serial} in lot {lot_id!r} is not in doubt; there is nothing to confirm")
-    if not reason.strip():
-        raise InputError(f"say why the audit of {serial} is right in spite of the doubt; a reason was expected")
-    facts = {"serial": serial, "output_sha256": made.audit.output_sha256, "doubt": made.decision.doubt.to_json()}
-    registry.trail.add("confirm", CONFIRMED, (lot_id,), facts, reason=reason, actor=actor)
+    """Return the audits that a person confirmed: by serial, the hash of their output."""
+    rows = statements(registry, CONFIRMED, (lot_id,))
+    return {str(row["serial"]): str(row["output_sha256"]) for row in rows}

@@ -1,4 +1,4 @@
-"""What the audits of a lot and of earlier lots say about its other units: read from the registry, each audit once."""
+"""What audits of a lot and of earlier lots say about its other units: each audit read once."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -57,13 +57,13 @@ class AuditEvidence:
     common: CommonMisreading | None = None
 
     def common_of(self, made: MadeCalibration) -> CommonMisreading | None:
-        """Return what is taken off the map of a unit: of an audited one, what the others misread alike."""
+        """Return what is taken off a unit's map: of an audited one, what the others misread."""
         if self.common is None or ANCHORED in made.knowledge:
             return None
         return without(self.lines, made.serial, self.common, RULES).of(made.output_level)
 
     def day_rmse(self, load_rms: float | None) -> float:
-        """Return the error that another day adds to a unit with this RMS load, in the same unit; 0 without golden runs.
+        """Return the error that another day adds to a unit with this RMS load, in the same unit.
 
         What nine of ten days stay within, at the promise's confidence (ISO 16269-6).
         """
@@ -76,7 +76,7 @@ Audited = Mapping[str, tuple[AuditedUnit, datetime, MadeCalibration]]
 
 
 class AuditReader:
-    """Reads what audits say. Calibrations keep it; of an older version's the recording is read, once."""
+    """Reads what audits say: calibrations keep it; of an older one the recording is read."""
 
     def __init__(self, registry: Registry) -> None:
         self._registry = registry
@@ -84,12 +84,7 @@ class AuditReader:
         self._golden: dict[tuple[str, str], float] = {}
 
     def evidence(self, lot_id: str, method_id: str, now: datetime) -> AuditEvidence:
-        """Return what is known about a lot from audits.
-
-        Args:
-            method_id: of the forecasts that the audits are to speak for.
-            now: the time of the decision.
-        """
+        """Return what is known about a lot from audits."""
         registry, lot = self._registry, self._registry.lots.get(lot_id)
         audited = self._audited(lot)
         readings = {serial: self._reading(lot_id, made) for serial, (_, _, made) in audited.items()}
@@ -110,7 +105,10 @@ class AuditReader:
             for audit, at, made in audited.values()
             if made.method_id != method_id
         ]
-        golden_failed_at, units = self._golden_failed_at(lot), self._units(lot)
+        # How many units the lot has, or is planned to have where a line was told so
+        planned = registry.lots.line_rules(lot).target or 0
+        units = max(planned, sum(registry.pages.verdict_counts(lot.id).values()))
+        golden_failed_at = self._golden_failed_at(lot)
         qualification = qualify(here, past, now, lot.sensor_model, method_id, golden_failed_at, units, RULES)
         gains = [reading.gain for audit in here if (reading := readings[audit.serial]) is not None]
         widening = self._widening(qualification, lot_id)
@@ -124,13 +122,8 @@ class AuditReader:
         common = common_misreading(lines, RULES) if qualification.source == THIS_LOT else None
         return AuditEvidence(qualification, limit, widening, seen_gains(gains), days, doubts, lines, common)
 
-    def _units(self, lot: Lot) -> int:
-        """Return how many units the lot has, or is planned to have where a line was told so."""
-        planned = self._registry.lots.line_rules(lot).target or 0
-        return max(planned, sum(self._registry.pages.verdict_counts(lot.id).values()))
-
     def _days(self, lot: Lot, now: datetime) -> SeenGains | None:
-        """Return the gains of golden units of this sensor model, one a day, each about its unit's own mean."""
+        """Return gains of golden units of this sensor model, one a day, each about its mean."""
         gains: list[float] = []
         since = now - timedelta(days=RULES.lasts_days)
         for serial in sorted({run.serial for run in self._registry.stations.golden_runs(since=since)}):
@@ -173,7 +166,7 @@ class AuditReader:
         return record.input_sha256, lambda run: read_gain(network, calibration, run)
 
     def _golden_failed_at(self, lot: Lot) -> datetime | None:
-        """Return when a golden unit last failed; one of another sensor model says nothing about this one."""
+        """Return when a golden unit last failed; one of another model says nothing here."""
         registry = self._registry
         failed = [run for run in registry.stations.golden_runs() if not run.passed]
         models = {
@@ -184,7 +177,7 @@ class AuditReader:
         return max(mine, default=None)
 
     def _audited(self, lot: Lot) -> Audited:
-        """Return the audited units that speak for the others: a random draw, where one was written down."""
+        """Return the audited units that speak for the others: a random draw, where there is one."""
         plan = lot_audit(self._registry, lot.id)
         at = {serial: entry.added_at for serial, entry in newest_audits(self._registry, lot.id).items()}
         doubtful = set() if plan is None else set(plan.plan.doubtful)

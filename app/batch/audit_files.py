@@ -1,11 +1,11 @@
-"""Labelled recordings of audited units out of tables: what would become of each, and where they are kept."""
+"""Labelled recordings of audited units out of tables: what becomes of each, where it is kept."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from softcal.app.files.importing import Columns, ImportPlan, LookedAt, look_through
-from softcal.app.files.recording_file import write_recording
+from softcal.app.files.recording_file import replace_recording
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.recording import LabelledRecording
@@ -31,24 +31,13 @@ class AuditFile:
 def look_at_audits(
     lot: Lot, units: Collection[str], files: Sequence[Path], columns: Columns, sheet: str | None = None
 ) -> tuple[AuditFile, ...]:
-    """Read tables as audits of units of a lot and say which would be refused and why; nothing is written.
+    """Read tables as audits of a lot's units and say which would be refused and why.
 
     Args:
-        units: serials of the lot's target units.
         files: one per unit, called by its serial, or wide ones with a column per unit.
-        sheet: of Excel files; None takes the first.
     """
     plan = ImportPlan(files, columns, lot, audit=True, sheet=sheet)
     return tuple(_looked(one, units) for one in look_through(plan))
-
-
-def target_serials(registry: Registry, lot_id: str) -> set[str]:
-    """Return the serials of a lot's target units in the registry.
-
-    Raises:
-        InputError: the lot is not in the registry.
-    """
-    return {unit.serial for unit in registry.lots.units(lot_id) if unit.role == "target"}
 
 
 def _looked(one: LookedAt, units: Collection[str]) -> AuditFile:
@@ -65,24 +54,13 @@ def _looked(one: LookedAt, units: Collection[str]) -> AuditFile:
 
 
 def write_audits(folder: Path, found: Sequence[AuditFile]) -> list[str]:
-    """Write the recordings that are not refused into a lot folder's audit/; return the serials of those replaced."""
-    (folder / "audit").mkdir(exist_ok=True)
-    replaced = []
-    for one in found:
-        if one.recording is None:
-            continue
-        path = folder / "audit" / f"{one.serial}.csv"
-        older = [file for file in path.parent.iterdir() if file.stem == one.serial]
-        write_recording(path, one.recording)
-        replaced += [one.serial] if older else []
-        for file in older:
-            if file != path:
-                file.unlink()
-    return replaced
+    """Write the recordings that are taken into audit/; return the serials of those replaced."""
+    taken = {one.serial: one.recording for one in found if one.recording is not None}
+    return [serial for serial, one in taken.items() if replace_recording(folder / "audit", serial, ".csv", one)]
 
 
 def store_audits(registry: Registry, lot_id: str, found: Sequence[AuditFile], actor: str | None = None) -> int:
-    """Keep the recordings that are not refused, and return how many; the next calibration of the lot judges by them."""
+    """Keep the recordings that are taken, and return how many; the next calibration has them."""
     taken = [one.recording for one in found if one.recording is not None]
     with registry.transaction():
         for recording in taken:

@@ -1,4 +1,4 @@
-"""One unit from its recording to its calibration: what the line, a batch, its workers, a comparison and Python share.
+"""One unit from its recording to its calibration, for line, batch, workers and Python alike.
 
 The one place that puts a `UnitProblem` together. It asks no registry and reads no file: `known.py` says what is known.
 """

@@ -1,16 +1,17 @@
-"""The work items a process holds: claimed under a lease that a thread of its own keeps up, given back when it ends."""
+"""The work items a process holds: a lease that a thread keeps up, given back at the end."""
 
 import os
 import socket
 import threading
 import uuid
 
+from softcal.app.bootstrap import is_alive
 from softcal.core.errors import RegistryError
 from softcal.db.queues.work_queue import WorkItem, WorkSet
 from softcal.db.registry import Registry
 
 LEASE_S = 60.0
-"""A process on another machine that died is noticed after this time; one of this machine at once."""
+"""A dead process on another machine is noticed after this time; one of this machine at once."""
 
 EXTEND_EVERY_S = 10.0
 
@@ -38,17 +39,18 @@ class Claims:
         self.queue.give_back(self.owner)
 
     def take(self, count: int) -> list[WorkItem]:
-        """Claim up to `count` items; where none is free, those of processes of this machine that died come free."""
-        items = self._claim(count)
-        return items if items or not self.take_back_from_dead() else self._claim(count)
-
-    def _claim(self, count: int) -> list[WorkItem]:
-        return self.queue.claim(self.owner, self.work, count, LEASE_S)
+        """Claim up to `count` items; where none is free, those of dead processes come free."""
+        items = self.queue.claim(self.owner, self.work, count, LEASE_S)
+        if not items and self.take_back_from_dead():
+            items = self.queue.claim(self.owner, self.work, count, LEASE_S)
+        return items
 
     def take_back_from_dead(self) -> int:
-        """Free what processes of this machine held when they died; return how many items came free."""
-        dead = [owner for owner in self.queue.owners(self.work) if _is_dead(owner)]
-        return sum(self.queue.take_back(owner) for owner in dead)
+        """Free what dead processes of this machine held; return how many items came free."""
+        if os.name != "posix":
+            return 0  # Nobody may ask there without harm: leases tell.
+        owners = self.queue.owners(self.work)
+        return sum(self.queue.take_back(owner) for owner in owners if is_alive(owner.rpartition(":")[0]) is False)
 
     def _keep(self) -> None:
         while not self._ended.wait(EXTEND_EVERY_S):
@@ -57,17 +59,3 @@ class Claims:
             except RegistryError:
                 # The registry may be back before the lease runs out; whoever writes a result sees the trouble.
                 continue
-
-
-def _is_dead(owner: str) -> bool:
-    """Whether an owner is a process of this machine that is gone. Where that cannot be known, leases tell."""
-    host, pid, _ = owner.rsplit(":", 2)
-    if host != socket.gethostname() or os.name != "posix":
-        return False
-    try:
-        os.kill(int(pid), 0)
-    except ProcessLookupError:
-        return True
-    except OSError:
-        return False
-    return False

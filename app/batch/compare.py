@@ -1,4 +1,4 @@
-"""Compare networks and map families on the units of a lot: what each forecasts, and what audits say of it."""
+"""Compare networks and map families on a lot's units: forecasts, and what audits say of them."""
 
 from collections.abc import Callable, Mapping, Sequence
 from statistics import median
@@ -25,7 +25,6 @@ def compare_on_lot(registry: Registry, request: Mapping[str, Any], tell: Tell) -
 
     Args:
         request: lot, networks (ids), families (of the catalogue, or auto), units (how many at most).
-        tell: told fraction and a sentence.
 
     Raises:
         InputError: a lot, network or source recording is not in the registry.

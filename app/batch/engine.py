@@ -1,4 +1,4 @@
-"""Run the same function over many items: in this process, in a pool of processes, or on a Dask cluster.
+"""Run one function over many items: in this process, in a pool, or on a Dask cluster.
 
 The caller keeps what is finished; an engine only computes. A worker that dies costs the items it held, which are
 given out again, and never the rest.
@@ -10,19 +10,19 @@ import signal
 import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from multiprocessing.connection import wait as wait_for_end
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 from softcal.core.errors import InputError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 Work = Callable[[Any, Any], Any]
-"""(what all items share, one item) -> result; a module-level function, so that it travels to a worker."""
+"""(what all items share, one item) -> result; of a module, so that it travels to a worker."""
 
 ENGINES = ("local", "dask")
 ITEMS_AHEAD = 2
@@ -68,22 +68,47 @@ class WorkerDied(Exception):
     """The worker that held an item is gone; the item may be innocent."""
 
 
-class Pool(Protocol):
-    """Workers that hold what all items share."""
+class Pool:
+    """Workers that hold what all items share.
 
-    @property
-    def workers(self) -> int:
-        """How many there are now."""
-        ...
+    Args:
+        submit: gives one item to them and returns its task.
+        workers: how many there are now.
+        error_of: of a task that is over: what went wrong with it, None where nothing did.
+    """
 
-    @property
-    def is_broken(self) -> bool:
+    def __init__(
+        self,
+        submit: Callable[[Work, Any], Any],
+        workers: Callable[[], int],
+        error_of: Callable[[Any], BaseException | None],
+    ) -> None:
+        self._submit, self.workers, self._error_of = submit, workers, error_of
+        self.is_broken = False
         """Whether it takes no more items."""
-        ...
 
     def submit(self, work: Work, item: Any) -> "Future[Any]":
         """Compute one item; the future raises `WorkerDied` when its worker is gone."""
-        ...
+        answer: Future[Any] = Future()
+        try:
+            task = self._submit(work, item)
+        except BrokenProcessPool as error:
+            self._fail(answer, error)
+        else:
+            task.add_done_callback(lambda task: self._pass_on(task, answer))
+        return answer
+
+    def _pass_on(self, task: Any, answer: "Future[Any]") -> None:
+        error = self._error_of(task)
+        if error is None:
+            answer.set_result(task.result())
+        else:
+            self._fail(answer, error)
+
+    def _fail(self, answer: "Future[Any]", error: BaseException) -> None:
+        if isinstance(error, BrokenProcessPool):
+            self.is_broken, error = True, WorkerDied()
+        answer.set_exception(error)
 
 
 def run_all(
@@ -93,7 +118,7 @@ def run_all(
     items: Iterable[Item],
     split: Callable[[Item], Iterable[Item]] = lambda item: (item,),
 ) -> Iterator[Any]:
-    """Yield `work(shared, item)` for every item, in the order they finish; at most a few items per worker wait.
+    """Yield `work(shared, item)` for every item as they finish; a few items per worker wait.
 
     When a worker dies, every item that was under way is split and its parts are tried again alone, so that the one
     that kills its worker is found; it comes back as `WorkerLost` and the rest goes on. An exception that `work` raises
@@ -120,7 +145,7 @@ def _drain(pool: Pool, work: Work, items: Iterator[Item]) -> Generator[Any, None
     running: dict[Future[Any], Item] = {}
     suspects: list[Item] = []
     while True:
-        while not suspects and len(running) < ITEMS_AHEAD * pool.workers:
+        while not suspects and len(running) < ITEMS_AHEAD * pool.workers():
             item = next(items, _END)
             if item is _END:
                 break
@@ -139,7 +164,7 @@ def _drain(pool: Pool, work: Work, items: Iterator[Item]) -> Generator[Any, None
 
 
 def _try_alone(pool: Pool, work: Work, alone: deque[tuple[Any, int]]) -> Iterator[Any]:
-    """Compute one item at a time until all are done or the pool breaks; `alone` keeps what is left."""
+    """Compute one item at a time until the pool breaks; `alone` keeps what is left."""
     while alone and not pool.is_broken:
         item, attempt = alone.popleft()
         try:
@@ -172,39 +197,6 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-class _Processes:
-    """Processes of this machine."""
-
-    def __init__(self, executor: ProcessPoolExecutor, workers: int) -> None:
-        self._executor, self.workers, self.is_broken = executor, workers, False
-
-    def submit(self, work: Work, item: Any) -> "Future[Any]":
-        answer: Future[Any] = Future()
-        try:
-            task = self._executor.submit(_call, work, item)
-        except BrokenProcessPool:
-            self._died(answer)
-        else:
-            task.add_done_callback(lambda task: self._pass_on(task, answer))
-        return answer
-
-    def _pass_on(self, task: "Future[Any]", answer: "Future[Any]") -> None:
-        if task.cancelled():
-            answer.cancel()
-            return
-        error = task.exception()
-        if error is None:
-            answer.set_result(task.result())
-        elif isinstance(error, BrokenProcessPool):
-            self._died(answer)
-        else:
-            answer.set_exception(error)
-
-    def _died(self, answer: "Future[Any]") -> None:
-        self.is_broken = True
-        answer.set_exception(WorkerDied())
-
-
 @contextmanager
 def _process_pool(choice: EngineChoice, shared: Any) -> Iterator[Pool]:
     # Workers read the thread limits when they import their libraries: two workers must not start four threads.
@@ -214,7 +206,11 @@ def _process_pool(choice: EngineChoice, shared: Any) -> Iterator[Pool]:
         choice.jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_start_worker, initargs=(shared,)
     )
     try:
-        yield _Processes(executor, choice.jobs)
+        yield Pool(
+            lambda work, item: executor.submit(_call, work, item),
+            lambda: choice.jobs,
+            lambda task: CancelledError() if task.cancelled() else task.exception(),
+        )
     finally:
         executor.shutdown(wait=True, cancel_futures=True)
         for name, value in before.items():
@@ -242,49 +238,30 @@ def _dask_pool(choice: EngineChoice, shared: Any) -> Iterator[Pool]:
     except (OSError, TimeoutError, ValueError) as error:
         raise InputError(f"no Dask scheduler with workers answers at {choice.scheduler}: {error}") from error
     try:
-        yield _Cluster(client, shared)
+        # A task and no scattered data: when every worker that holds it dies, the scheduler makes it again.
+        held = client.submit(_hold, shared, pure=False)
+        yield Pool(
+            lambda work, item: client.submit(work, held, item, pure=False),
+            lambda: max(1, int(sum(client.nthreads().values()))),
+            _error_of,
+        )
     finally:
         client.close()
         if local is not None:
             local.close()
 
 
-class _Cluster:
-    """Workers of a Dask cluster, which may come and go."""
-
-    is_broken = False
-
-    def __init__(self, client: Any, shared: Any) -> None:
-        self._client = client
-        # A task and no scattered data: when every worker that holds it dies, the scheduler makes it again.
-        self._shared = client.submit(_hold, shared, pure=False)
-
-    @property
-    def workers(self) -> int:
-        return max(1, int(sum(self._client.nthreads().values())))
-
-    def submit(self, work: Work, item: Any) -> "Future[Any]":
-        answer: Future[Any] = Future()
-        task = self._client.submit(work, self._shared, item, pure=False)
-        task.add_done_callback(lambda task: _pass_on(task, answer))
-        return answer
-
-
 def _hold(shared: Any) -> Any:
     return shared
 
 
-def _pass_on(task: Any, answer: "Future[Any]") -> None:
+def _error_of(task: Any) -> BaseException | None:
     from distributed.client import FutureCancelledError
     from distributed.scheduler import KilledWorker
 
-    error = FutureCancelledError(task.key, None) if task.cancelled() else task.exception()
-    if error is None:
-        answer.set_result(task.result())
-    elif isinstance(error, KilledWorker):
-        answer.set_exception(WorkerDied())
-    elif isinstance(error, FutureCancelledError):
-        gone = "the Dask scheduler is gone; what was finished is kept, run the same command again"
-        answer.set_exception(InputError(gone))
-    else:
-        answer.set_exception(error)
+    error: BaseException | None = FutureCancelledError(task.key, None) if task.cancelled() else task.exception()
+    if isinstance(error, KilledWorker):
+        return WorkerDied()
+    if isinstance(error, FutureCancelledError):
+        return InputError("the Dask scheduler is gone; what was finished is kept, run the same command again")
+    return error

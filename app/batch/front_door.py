@@ -1,4 +1,4 @@
-"""A new lot out of tables, or a lot that is calibrated again: what becomes of it before anything is fitted."""
+"""A new lot out of tables, or one calibrated again: what becomes of it before any fit."""
 
 import shutil
 import tempfile
@@ -13,7 +13,7 @@ from softcal.app.batch.known import config_of, stated_sources
 from softcal.app.bootstrap import data_folder
 from softcal.app.files.importing import ImportPlan, LookedAt, import_lot, look_through
 from softcal.app.files.lot_folder import FOLDER_OF, LotFolder, open_lot_folder, write_lot_toml
-from softcal.app.files.recording_file import write_recording
+from softcal.app.files.recording_file import replace_recording
 from softcal.app.registry.lot_recordings import newest_audits, source_recording
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.network.config import NetworkConfig
@@ -106,10 +106,7 @@ def store_lot(registry: Registry, plan: ImportPlan, actor: str) -> Path:
 
 @contextmanager
 def lot_files(registry: Registry, lot_id: str, tell: Callable[[int, int], None]) -> Iterator[LotFolder]:
-    """Give a lot as a folder: the newest recordings of the registry, and files that were stored and never read.
-
-    Args:
-        tell: how many recordings of how many are written.
+    """Give a lot as a folder: the registry's newest recordings, and files never read.
 
     Raises:
         InputError: the lot has no source recording.
@@ -126,22 +123,14 @@ def lot_files(registry: Registry, lot_id: str, tell: Callable[[int, int], None])
         folder.mkdir(exist_ok=True)
         others = [source_recording(registry, network).serial for network in stated_sources(registry, lot_id)]
         write_lot_toml(folder, lot, more_sources=others)
+        # Parquet keeps every bit, so that the same recording is known again.
         for number, ((kind, serial), entry) in enumerate(newest.items()):
             tell(number, len(newest))
-            _write(folder / FOLDER_OF[kind], serial, registry.recordings.get(entry.sha256))
+            replace_recording(folder / FOLDER_OF[kind], serial, ".parquet", registry.recordings.get(entry.sha256))
         yield open_lot_folder(folder)
 
 
-def _write(folder: Path, serial: str, recording: OutputRecording | LabelledRecording) -> None:
-    folder.mkdir(exist_ok=True)
-    for old in folder.glob("*"):
-        if old.stem == serial:
-            old.unlink()
-    # Parquet keeps every bit, so that the same recording is known again.
-    write_recording(folder / f"{serial}.parquet", recording)
-
-
 def network_of(registry: Registry, lot_id: str) -> NetworkConfig:
-    """Return how the network in use was trained, so that a lot is calibrated again with it; the usual one without."""
+    """Return how the network in use was trained; the usual way without one."""
     state = registry.networks.released(lot_id)
     return config_of(state.network) if state else NetworkConfig()

@@ -1,4 +1,4 @@
-"""Keep one unit from stopping a lot: whatever its work raises, and however long it takes, is that unit's result."""
+"""Keep one unit from stopping a lot: what its work raises, and too long work, is its result."""
 
 import ctypes
 import threading
@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from softcal.app.batch.calibrating import Refusal
 from softcal.app.batch.unit_work import Chunk, ChunkOutcome, SharedWork, UnitOutcome, UnitTask
 from softcal.core.unit.verdict import Verdict
-from softcal.core.words.reason import plain
+from softcal.core.words.reason import plain, reason
 
 Work = Callable[[SharedWork, Chunk], ChunkOutcome]
 
 
 class TooLong(BaseException):
-    """The work on a unit took longer than it may; no `except Exception` inside the work may swallow it."""
+    """The work on a unit took too long; no `except Exception` inside it may swallow this."""
 
 
 @dataclass(frozen=True)
@@ -28,11 +28,7 @@ class PassingRefusal(Refusal):
 
 
 def each_alone(work: Work, limit_s: float, shared: SharedWork, chunk: Chunk) -> ChunkOutcome:
-    """Work on the units of a chunk one by one; what goes wrong with one is its result.
-
-    Args:
-        limit_s: seconds after which the work on a unit is broken off.
-    """
+    """Work on the units of a chunk one by one; what goes wrong with one is its result."""
     start_s = time.process_time()
     units = tuple(unit for task in chunk.tasks for unit in _alone(work, limit_s, shared, task))
     return ChunkOutcome(units, time.process_time() - start_s)
@@ -43,14 +39,19 @@ def _alone(work: Work, limit_s: float, shared: SharedWork, task: UnitTask) -> tu
         with time_limit(limit_s):
             return work(shared, Chunk((task,))).units
     except TooLong:
-        refusal = PassingRefusal(
-            Verdict.RETEST, plain(f"its work was broken off after {limit_s:g} s; look at its recording")
-        )
+        why = f"its work was broken off after {limit_s:g} s; look at its recording"
+        refusal = PassingRefusal(Verdict.RETEST, plain(why))
     except Exception as error:
         what = " ".join(str(error).split())[:200]
-        reason = f"its work failed: {type(error).__name__}: {what}; the log has the details"
-        refusal = PassingRefusal(Verdict.RETEST, plain(reason), traceback.format_exc())
+        why = f"its work failed: {type(error).__name__}: {what}; the log has the details"
+        refusal = PassingRefusal(Verdict.RETEST, plain(why), traceback.format_exc())
     return (UnitOutcome(task.item_id, task.serial, refusal),)
+
+
+def lost(chunk: Chunk) -> ChunkOutcome:
+    """Return the outcome of units that killed their worker each time."""
+    refusal = PassingRefusal(Verdict.RETEST, reason("worker_died"))
+    return ChunkOutcome(tuple(UnitOutcome(task.item_id, task.serial, refusal) for task in chunk.tasks), 0.0)
 
 
 @contextmanager

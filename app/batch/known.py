@@ -1,6 +1,5 @@
 """What the registry knows that a lot's units are calibrated with, and where their results go."""
 
-import json
 from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import partial
 from typing import Any
@@ -10,6 +9,7 @@ from softcal.app.registry.golden import bridge_over, golden_of
 from softcal.app.registry.known_loads import known_loads
 from softcal.app.registry.lot_recordings import audit_of, newest_audits
 from softcal.app.registry.reference import lot_reference
+from softcal.app.registry.stated import state, stated
 from softcal.app.registry.trimmed import trim_kept
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
@@ -27,31 +27,30 @@ LINE, SOURCES = "line_spread", "lot_sources"
 
 def state_line(registry: Registry, lot_id: str, line: LineSpread | None, actor: str | None = None) -> None:
     """Keep how differently a line presses units, where a lot folder states it anew."""
-    if line is not None and line != stated_line(registry, lot_id):
-        registry.trail.add("state", LINE, (lot_id,), line.to_json(), reason="stated with the lot", actor=actor)
+    if line is not None:
+        state(registry, LINE, (lot_id,), line.to_json(), reason="stated with the lot", actor=actor)
 
 
 def stated_line(registry: Registry, lot_id: str) -> LineSpread | None:
     """Return what was stated last for a lot; None where nothing was."""
-    told = registry.trail.of(LINE, (lot_id,))
-    return LineSpread.of(json.loads(told[-1].after or "{}")) if told else None
+    facts = stated(registry, LINE, (lot_id,))
+    return None if facts is None else LineSpread.of(facts)
 
 
 def state_sources(registry: Registry, lot_id: str, networks: Sequence[str], actor: str | None = None) -> None:
-    """Keep the networks of the further sources that a lot folder names, where they are others than before."""
+    """Keep the networks of the further sources that a lot folder names."""
     if list(networks) != stated_sources(registry, lot_id):
         registry.trail.add("state", SOURCES, (lot_id,), {"networks": list(networks)}, actor=actor)
 
 
 def stated_sources(registry: Registry, lot_id: str) -> list[str]:
-    """Return the networks of a lot's further sources, in its order; empty where it has its own source alone."""
-    told = registry.trail.of(SOURCES, (lot_id,))
-    networks: list[str] = json.loads(told[-1].after or "{}")["networks"] if told else []
-    return networks
+    """Return the networks of a lot's further sources, in its order."""
+    facts = stated(registry, SOURCES, (lot_id,))
+    return [] if facts is None else list(facts["networks"])
 
 
 def config_of(network: NetworkEntry) -> NetworkConfig:
-    """Return how a network was trained, so that others are trained alike; the usual way where it does not say."""
+    """Return how a network was trained; the usual way where it does not say."""
     config = network.training.get("config")
     if not isinstance(config, dict):
         return NetworkConfig()
@@ -75,7 +74,7 @@ def lot_facts(
     beside: Bridge | None = None,
     cross: Cross | None = None,
 ) -> LotFacts:
-    """Return what a lot's units are calibrated with, as these sources see them: by a batch, the line and a comparison.
+    """Return what a lot's units are calibrated with, as these sources see them.
 
     Args:
         golden: hashes of the golden runs that the registry knows their recordings to belong to.
@@ -118,11 +117,7 @@ class KeptFacts:
         return [sha256 for of in self.golden.values() for sha256 in of.values()]
 
     def of(self, serial: str, anchors: Anchors | None = None) -> UnitInputs:
-        """Return what is known of a unit; its audit is read.
-
-        Args:
-            anchors: known loads that somebody brought with its recording.
-        """
+        """Return what is known of a unit; its audit is read."""
         audit = audit_of(self._registry, self.audits.get(serial))
         return UnitInputs(anchors, self.loads.get(serial, {}), self.golden.get(serial, {}), audit)
 
@@ -142,7 +137,6 @@ def keep_result(
 
     Args:
         by: who asks: batch or line.
-        reason: why a new calibration was made, for the audit trail.
         work_sha256: hash of the files and settings it answers, to be found again without reading the files.
 
     Raises:
@@ -169,10 +163,6 @@ def put_back(
     actor: str | None = None,
     work_sha256: str | None = None,
 ) -> bool:
-    """Put the calibration of an input into use again, with the unit's trim; False where there is none.
-
-    Args:
-        by, work_sha256: as of `keep_result`.
-    """
+    """Put the calibration of an input, and the unit's trim, into use again; False without one."""
     with trim_kept(registry, lot_id, serial, actor):
         return registry.calibrations.put_in_use(lot_id, serial, input_sha256, by, actor=actor, work_sha256=work_sha256)

@@ -1,4 +1,4 @@
-"""The units of a lot as work items of the registry: claimed under a lease, computed by an engine, kept one by one.
+"""The units of a lot as work items: claimed under a lease, computed, kept one by one.
 
 Any number of batches share a lot. Each claims units, and a result and the end of its item are kept in one transaction,
 so that a batch that is killed loses nothing and repeats nothing that was kept. What is told of a unit comes from its
@@ -11,7 +11,7 @@ import time
 import uuid
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from importlib.metadata import version
 from itertools import chain
@@ -21,19 +21,10 @@ from sqlalchemy.exc import SQLAlchemyError
 from softcal.app.batch.calibrating import Known, LotFacts, Refusal
 from softcal.app.batch.claims import Claims
 from softcal.app.batch.engine import EngineChoice, WorkerLost, run_all
-from softcal.app.batch.guard import PassingRefusal, each_alone
+from softcal.app.batch.guard import PassingRefusal, each_alone, lost
 from softcal.app.batch.known import KeptFacts, keep_result, put_back
 from softcal.app.batch.report import UnitResult
-from softcal.app.batch.unit_work import (
-    Chunk,
-    ChunkOutcome,
-    FileContent,
-    SharedWork,
-    UnitOutcome,
-    UnitTask,
-    lost,
-    work_on,
-)
+from softcal.app.batch.unit_work import Chunk, ChunkOutcome, FileContent, SharedWork, UnitOutcome, UnitTask, work_on
 from softcal.app.files.lot_folder import LotFolder
 from softcal.app.files.regular import read_regular
 from softcal.app.logs import note
@@ -43,10 +34,8 @@ from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.maps.interface import Anchors
 from softcal.core.network.config import EpochReport, NetworkConfig
-from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import Release, Verdict
 from softcal.core.words.reason import plain
-from softcal.db.entries import UnitStanding
 from softcal.db.queues.work_queue import WorkItem, WorkSet
 from softcal.db.registry import Registry
 
@@ -57,7 +46,7 @@ much as one of four or more, and a batch that is killed repeats no more than the
 NO_RESULT = "the registry has no result of it; have the registry verified"
 FIRST_CHUNK, LARGEST_CHUNK = 4, 128
 HELD_BYTES = 64_000_000
-"""Files are read ahead until they are so many bytes, so that each is read once and a large lot needs no more memory."""
+"""Files are read ahead up to so many bytes: each is read once, a large lot needs no more."""
 
 LOOK_EVERY_S = 1.0
 """How often a batch that waits for units of others looks whether they are done."""
@@ -69,7 +58,6 @@ class BatchConfig:
 
     Args:
         network: how f is built and trained.
-        method: every number of the calibration.
         engine: where the fits run.
         chunk: units that go to a worker together; None lets the time they take decide.
         score_own: whether own calibrations are trained on audit recordings, for comparison.
@@ -81,7 +69,6 @@ class BatchConfig:
     """
 
     network: NetworkConfig = NetworkConfig()
-    method: Method = Method()
     engine: EngineChoice = EngineChoice()
     chunk: int | None = None
     score_own: bool = True
@@ -96,7 +83,7 @@ Files = tuple[FileContent, FileContent | None]
 """Recording of a unit, and its audit."""
 
 
-def _silent(_: object) -> None:
+def _silent(*_: object) -> None:
     return None
 
 
@@ -106,15 +93,13 @@ class Watch:
 
     Args:
         on_epoch: every epoch of a training.
-        on_start: how many units the lot has.
-        on_done: how many units of the lot are done so far, by this batch and others.
+        on_done: how many units of the lot are done so far, by this batch and others, and how many it has.
         on_wait: how many units others hold, while there is nothing else to do.
     """
 
     on_epoch: Callable[[EpochReport], None] = _silent
-    on_start: Callable[[int], None] = _silent
     on_unit: Callable[[UnitResult], None] = _silent
-    on_done: Callable[[int], None] = _silent
+    on_done: Callable[[int, int], None] = _silent
     on_wait: Callable[[int], None] = _silent
 
 
@@ -126,13 +111,7 @@ class LotWork:
     """
 
     def __init__(
-        self,
-        folder: LotFolder,
-        registry: Registry,
-        facts: LotFacts,
-        kept: KeptFacts,
-        config: BatchConfig,
-        watch: Watch,
+        self, folder: LotFolder, registry: Registry, facts: LotFacts, kept: KeptFacts, config: BatchConfig, watch: Watch
     ) -> None:
         self._folder, self._registry, self._facts, self._known = folder, registry, facts, kept
         self._config, self._watch = config, watch
@@ -155,7 +134,7 @@ class LotWork:
                 self._work_off(claims)
 
     def _look_further(self, claims: Claims) -> None:
-        """Read the next files, ask for what is to be done with them, and hold them until their turn comes."""
+        """Read the next files, ask for what is to be done with them, hold them until then."""
         self._held.clear()
         works, size = dict[str, str](), 0
         while self._unread and size < HELD_BYTES:
@@ -177,7 +156,7 @@ class LotWork:
         self._tell_done(claims)
 
     def _undecided(self, serials: Sequence[str]) -> dict[str, str]:
-        """Return the work of those of the units whose newest result in the registry answers something else.
+        """Return the work of the units whose newest result answers something else.
 
         Where the same work was calibrated before, that calibration is put into use again without working on the files.
         """
@@ -185,33 +164,34 @@ class LotWork:
         decided = self._registry.calibrations.decided_works(self._lot_id, list(asked))
         left = {serial: work for serial, work in asked.items() if decided.get(serial) != work}
         for serial, input_sha256 in self._registry.calibrations.inputs_of_works(self._lot_id, left).items():
-            told = {"work_sha256": left[serial], "actor": self._config.actor}
-            if put_back(self._registry, self._lot_id, serial, input_sha256, "batch", **told):
+            unit, actor = (self._registry, self._lot_id, serial), self._config.actor
+            if put_back(*unit, input_sha256, "batch", actor=actor, work_sha256=left[serial]):
                 del left[serial]
                 self._ended.add(serial)
         return left
 
     def _refuse(self, serial: str, reason: str, work_sha256: str | None = None) -> None:
-        told = {"actor": self._config.actor, "work_sha256": work_sha256}
-        self._registry.calibrations.refuse(self._lot_id, serial, str(Verdict.RETEST), (plain(reason),), **told)
+        asked = {"actor": self._config.actor, "work_sha256": work_sha256}
+        self._registry.calibrations.refuse(self._lot_id, serial, str(Verdict.RETEST), (plain(reason),), **asked)
         self._ended.add(serial)
 
     def told(self, serials: Sequence[str]) -> dict[str, UnitResult]:
         """Return where units stand in the registry now."""
-        standings = self._registry.pages.standings(self._lot_id, serials)
-        return {s: self._result(s, standings.get(s)) for s in serials}
+        standings, results = self._registry.pages.standings(self._lot_id, serials), {}
+        for serial in serials:
+            if standing := standings.get(serial):
+                known = standing.verdict, standing.reasons, standing.made
+                results[serial] = UnitResult(serial, *known, serial in self._new)
+            else:
+                results[serial] = UnitResult(serial, Verdict.RETEST, (plain(NO_RESULT),), is_new=False)
+        return results
 
     def recordings(self, serials: Sequence[str]) -> dict[str, str]:
-        """Return the hash of the recording that each unit was calibrated from; one without a calibration has none."""
+        """Return the hash of the recording that each calibrated unit was calibrated from."""
         left = [serial for serial in serials if serial not in self._recordings]
         made = [serial for serial, result in self.told(left).items() if result.made is not None]
         stored = {s: self._registry.calibrations.get(s, lot_id=self._lot_id).record.recording_sha256 for s in made}
         return stored | {serial: self._recordings[serial] for serial in serials if serial in self._recordings}
-
-    def _result(self, serial: str, standing: UnitStanding | None) -> UnitResult:
-        if standing is None:
-            return UnitResult(serial, Verdict.RETEST, (plain(NO_RESULT),), is_new=False)
-        return UnitResult(serial, standing.verdict, standing.reasons, standing.made, serial in self._new)
 
     def _work_off(self, claims: Claims) -> None:
         """Work until nothing is free; wait a moment where others hold the rest."""
@@ -225,7 +205,7 @@ class LotWork:
         work = partial(each_alone, work_on, self._config.unit_limit_s)
         shared = SharedWork(self._folder.lot, self._facts)
         for answer in run_all(self._config.engine, work, shared, chain([first], chunks), Chunk.split):
-            outcome = _passing(lost(answer.item)) if isinstance(answer, WorkerLost) else answer
+            outcome = lost(answer.item) if isinstance(answer, WorkerLost) else answer
             for result in self._keep(claims, outcome):
                 self._watch.on_unit(result)
             self._tell_done(claims)
@@ -244,17 +224,18 @@ class LotWork:
     def _tell_done(self, claims: Claims) -> None:
         counts = claims.queue.counts(work=self._work)
         left = len(self._unread) + counts["queued"] + counts["claimed"]
-        self._watch.on_done(max(0, len(self._folder.unit_paths) - left))
+        units = len(self._folder.unit_paths)
+        self._watch.on_done(max(0, units - left), units)
 
     def _contents(self, serial: str) -> Files:
         """Read the files of a unit as they lie there."""
-        path, audit_path = self._folder.unit_paths[serial], self._folder.audit_paths.get(serial)
-        recording = FileContent(path, read_regular(path, self._folder.root))
-        audit = None if audit_path is None else FileContent(audit_path, read_regular(audit_path, self._folder.root))
-        return recording, audit
+        folder = self._folder
+        path, audit_path = folder.unit_paths[serial], folder.audit_paths.get(serial)
+        audit = None if audit_path is None else FileContent(audit_path, read_regular(audit_path, folder.root))
+        return FileContent(path, read_regular(path, folder.root)), audit
 
     def _work_sha256(self, serial: str, recording: FileContent, audit: FileContent | None) -> str:
-        """Return the hash of all that the unit's result depends on: much faster than parsing the recordings."""
+        """Return the hash of all that the unit's result depends on, without parsing a file."""
         anchors, kept = self._config.anchors.get(serial), self._known
         loads: object = None if anchors is None else [anchors.output.tolist(), anchors.reference.tolist()]
         if anchors is None and serial in kept.loads:
@@ -325,7 +306,7 @@ class LotWork:
             return self.told([unit.serial for unit in kept])
 
     def _register(self, unit: UnitOutcome) -> None:
-        """Keep the result of a unit; one that cannot be stored is a unit that cannot be calibrated."""
+        """Keep the result of a unit; one that cannot be stored is a refusal."""
         self._ended.add(unit.serial)
         try:
             with self._registry.part():
@@ -351,16 +332,6 @@ class LotWork:
             self._recordings[unit.serial] = unit.recording.sha256
         if not isinstance(result, Known):
             self._new.add(unit.serial)
-
-
-def _passing(outcome: ChunkOutcome) -> ChunkOutcome:
-    """Return refusals of units that killed their workers as what they are: the next try may end otherwise."""
-    units = []
-    for unit in outcome.units:
-        if isinstance(unit.result, Refusal):
-            unit = replace(unit, result=PassingRefusal(unit.result.verdict, unit.result.reason))
-        units.append(unit)
-    return replace(outcome, units=tuple(units))
 
 
 def _settings_sha256(lot: Lot, facts: LotFacts, is_refit: bool) -> str:

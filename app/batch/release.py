@@ -1,6 +1,5 @@
-"""Release the unmeasured units of a lot on its audits: read from the registry, decided, kept as revisions."""
+"""Release the unmeasured units of a lot on its audits: decided, kept as revisions."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -9,7 +8,8 @@ import numpy as np
 
 from softcal.app.batch.audit_evidence import PROMISE, RELEASABLE, AuditEvidence, AuditReader
 from softcal.app.registry.limit import limit_or_none, lot_limit
-from softcal.app.registry.lot_recordings import audit_of, newest_audits, source_recording, unlabelled
+from softcal.app.registry.lot_recordings import audit_of, newest_audits, source_recording, target_serials, unlabelled
+from softcal.app.registry.stated import is_stated, state
 from softcal.core.identity import content_sha256
 from softcal.core.quality.lot_release import LotRelease, release_lot
 from softcal.core.quality.lot_standing import LotStanding, UnitInLot
@@ -26,17 +26,14 @@ from softcal.db.truth.in_use import STALE
 
 STATEMENT = "lot_release"
 BASE = "base_revision"
-"""Number among a calibration's evidence: the revision that was fitted, before audits of the lot had their say."""
+"""Number in a calibration's evidence: the revision that was fitted, before audits spoke."""
 WHY = "decided on the audits of the lot"
 
 
 def judge_lot(
     registry: Registry, lot_id: str, actor: str | None = None, now: datetime | None = None
 ) -> LotRelease | None:
-    """Judge every unit of a lot by the limit in force and by the audits, and keep what changed; nothing is fitted.
-
-    Args:
-        now: the time of the decision.
+    """Judge every unit by the limit in force and by the audits, and keep what changed.
 
     Returns:
         None where the lot has no unit with a forecast yet.
@@ -44,33 +41,23 @@ def judge_lot(
     _judge_anew(registry, lot_id, actor)
     _measure_anew(registry, lot_id, actor)
     at = now or datetime.now(UTC)
-    standing = _correct_audited(registry, lot_id, _standing(registry, lot_id, at), at, actor)
+    standing = _standing(registry, lot_id, at)
     if standing is None:
         return None
+    # What the audited units misread alike is taken off them first; their errors then speak for the corrected lot.
+    moved = [made for made in standing.made if made.decision.measured and _is_to_correct(made, standing.evidence)]
+    if moved:
+        with registry.transaction():
+            for made in moved:
+                _keep(registry, lot_id, made, None, standing.evidence, actor)
+        standing = _standing(registry, lot_id, at) or standing
     decided = standing.decided()
     with registry.transaction():
         for made in standing.moved():
             _keep(registry, lot_id, made, decided, standing.evidence, actor)
-        # Keep the statement, where it says something new
-        if not is_told(registry, lot_id, decided):
-            facts = decided.to_json()
-            registry.trail.add("release" if decided.released else "withhold", STATEMENT, (lot_id,), facts, actor=actor)
+        action = "release" if decided.released else "withhold"
+        state(registry, STATEMENT, (lot_id,), decided.to_json(), action=action, actor=actor)
     return decided
-
-
-def _correct_audited(
-    registry: Registry, lot_id: str, standing: "_Standing | None", at: datetime, actor: str | None
-) -> "_Standing | None":
-    """Take off the audited units what the others misread alike; their errors then speak for the corrected lot."""
-    if standing is None:
-        return None
-    moved = [made for made in standing.made if made.decision.measured and _is_to_correct(made, standing.evidence)]
-    if not moved:
-        return standing
-    with registry.transaction():
-        for made in moved:
-            _keep(registry, lot_id, made, None, standing.evidence, actor)
-    return _standing(registry, lot_id, at)
 
 
 def _is_to_correct(made: MadeCalibration, evidence: AuditEvidence) -> bool:
@@ -82,20 +69,17 @@ def _is_to_correct(made: MadeCalibration, evidence: AuditEvidence) -> bool:
     return not np.allclose(wanted, made.common_line, rtol=1e-9, atol=1e-12)
 
 
-def lot_standing(registry: Registry, lot_id: str, now: datetime | None = None) -> LotStanding:
+def lot_standing(registry: Registry, lot_id: str) -> LotStanding:
     """Return where a lot stands; nothing is written.
-
-    Args:
-        now: the time of the decision.
 
     Raises:
         InputError: the lot is not in the registry.
     """
     registry.lots.get(lot_id)
     units, limit = _whole_lot(registry, lot_id), limit_or_none(registry, lot_id)
-    standing = _standing(registry, lot_id, now or datetime.now(UTC), units)
+    standing = _standing(registry, lot_id, datetime.now(UTC), units)
     audits, passed = newest_audits(registry, lot_id), registry.calibrations.passed_once(lot_id)
-    targets = [unit.serial for unit in registry.lots.units(lot_id) if unit.role == "target"]
+    targets = target_serials(registry, lot_id)
     rows = [_in_lot(serial, units.get(serial), audits.get(serial), serial in passed) for serial in targets]
     return LotStanding(lot_id, rows, limit, None if standing is None else standing.decided())
 
@@ -111,33 +95,30 @@ def _in_lot(serial: str, unit: UnitStanding | None, audit: RecordingEntry | None
 
 
 def is_stale(unit: UnitEntry) -> bool:
-    """Return whether the verdict of a unit was given against another limit than the one in force."""
+    """Return whether a unit was judged against another limit than the one in force."""
     return bool(unit.reasons) and unit.reasons[0].code in STALE
 
 
 def _measure_anew(registry: Registry, lot_id: str, actor: str | None) -> None:
-    """Score the units in use on their newest audits, where another one, or none, was scored; nothing is fitted."""
+    """Score the units in use on their newest audits, where another one, or none, was scored."""
     entries = newest_audits(registry, lot_id)
     for serial, standing in registry.pages.standings(lot_id, list(entries)).items():
         made, entry = standing.made, entries[serial]
         if made is None or (made.audit is not None and made.audit.recording_sha256 in ("", entry.sha256)):
             continue
-        audit, base = (
-            audit_of(registry, entry),
-            _base(registry, lot_id, registry.calibrations.get(serial, lot_id=lot_id)),
-        )
+        audit = audit_of(registry, entry)
+        base = _base(registry, lot_id, registry.calibrations.get(serial, lot_id=lot_id))
         if audit is None or base.grounds is None or base.grounds.rules:
             continue
         recording = unlabelled(registry.recordings.get(base.recording_sha256))
         record = measured(registry.networks.get(base.network_id), base, audit, recording, lot_limit(registry, lot_id))
         # It is fitted as it was; what others say is asked again.
         evidence = {name: value for name, value in record.evidence.items() if name != BASE}
-        record = replace(record, evidence=evidence)
-        _put(registry, lot_id, record, "scored on a newer audit", actor)
+        _put(registry, lot_id, replace(record, evidence=evidence), "scored on a newer audit", actor)
 
 
 def _judge_anew(registry: Registry, lot_id: str, actor: str | None) -> None:
-    """Judge the units whose verdict was given against another limit; one that has to be fitted for it stays stale."""
+    """Judge units judged against another limit; one that has to be fitted for it stays stale."""
     stale = [unit.serial for unit in registry.lots.units(lot_id) if is_stale(unit)]
     if not stale:
         return
@@ -154,15 +135,12 @@ def _standing(
 ) -> "_Standing | None":
     units = _whole_lot(registry, lot_id) if units is None else units
     made = _made(units)
-    if not made:
-        return None
-    evidence = AuditReader(registry).evidence(lot_id, made[0].method_id, now)
-    return _Standing(evidence, made, _least(units))
+    return _Standing.of(AuditReader(registry).evidence(lot_id, made[0].method_id, now), units) if made else None
 
 
 @dataclass(frozen=True)
 class _Standing:
-    """What is known of a lot: the evidence it is decided on, and its units as they were then or came since.
+    """What is known of a lot: the evidence it is decided on, and its units.
 
     Args:
         least: number of unmeasured ones that must pass.
@@ -171,6 +149,13 @@ class _Standing:
     evidence: AuditEvidence
     made: Sequence[MadeCalibration]
     least: float = 0.0
+
+    @classmethod
+    def of(cls, evidence: AuditEvidence, units: Mapping[str, UnitStanding]) -> "_Standing":
+        """Return where these units stand; half of the lot must pass."""
+        made = _made(units)
+        held = [one for one in made if one.is_audited and one.verdict in RELEASABLE]
+        return cls(evidence, made, least_passing(len(units), len(held)))
 
     @property
     def open(self) -> dict[str, MadeCalibration]:
@@ -182,10 +167,24 @@ class _Standing:
         }
 
     def decided(self) -> LotRelease:
-        return _decided(self.evidence, self.open, self.least)
+        """Decide on the units that nobody measured."""
+        evidence, units = self.evidence, self.open
+        days = {} if evidence.days is None else {s: evidence.day_rmse(made.load_rms) for s, made in units.items()}
+        return release_lot(
+            {serial: made.forecast_rmse for serial, made in units.items() if made.forecast_rmse},
+            evidence.qualification,
+            evidence.limit,
+            PROMISE,
+            widening=evidence.widening,
+            least=self.least,
+            seen=evidence.seen,
+            days=days,
+            doubts=evidence.doubts,
+            common=evidence.common,
+        )
 
     def moved(self) -> list[MadeCalibration]:
-        """Return the units that the audits of the lot may move: open ones, audited ones, those in doubt."""
+        """Return the units that audits may move: open ones, audited ones, those in doubt."""
         doubts = self.evidence.doubts
         return [
             made
@@ -218,7 +217,10 @@ class LineRelease:
         evidence = self._reader.evidence(lot_id, pressed[0].method_id, now or datetime.now(UTC))
         known = self._standing.get(lot_id, _Standing(evidence, ()))
         if known.evidence != evidence or lot_id not in self._standing:
-            known = self._look(lot_id, evidence)
+            known = _Standing(evidence, ())
+            # Without a qualification none of the other units of the lot matters.
+            if evidence.qualification.is_given:
+                known = _Standing.of(evidence, _whole_lot(registry, lot_id))
         known = replace(known, made=[*(made for made in known.made if made.serial != serial), *pressed])
         self._standing[lot_id] = known
         decided = known.decided()
@@ -227,46 +229,14 @@ class LineRelease:
                 with registry.transaction():
                     _keep(registry, lot_id, made, decided, evidence, actor)
 
-    def _look(self, lot_id: str, evidence: AuditEvidence) -> _Standing:
-        """Return where the other units of a lot stand; without a qualification none of them matters."""
-        if not evidence.qualification.is_given:
-            return _Standing(evidence, ())
-        units = _whole_lot(self._registry, lot_id)
-        return _Standing(evidence, _made(units), _least(units))
-
 
 def _whole_lot(registry: Registry, lot_id: str) -> Mapping[str, UnitStanding]:
-    return registry.pages.standings(
-        lot_id, [unit.serial for unit in registry.lots.units(lot_id) if unit.role == "target"]
-    )
+    return registry.pages.standings(lot_id, target_serials(registry, lot_id))
 
 
 def _made(units: Mapping[str, UnitStanding]) -> list[MadeCalibration]:
     """Return the calibrations in use, where no later refusal stands against them."""
     return [standing.made for standing in units.values() if standing.made is not None]
-
-
-def _least(units: Mapping[str, UnitStanding]) -> float:
-    """Return how many units must pass unmeasured so that half of the lot does."""
-    held = [made for made in _made(units) if made.is_audited and made.verdict in RELEASABLE]
-    return least_passing(len(units), len(held))
-
-
-def _decided(evidence: AuditEvidence, units: Mapping[str, MadeCalibration], least: float) -> LotRelease:
-    forecasts = {serial: made.forecast_rmse for serial, made in units.items() if made.forecast_rmse}
-    days = {} if evidence.days is None else {s: evidence.day_rmse(made.load_rms) for s, made in units.items()}
-    return release_lot(
-        forecasts,
-        evidence.qualification,
-        evidence.limit,
-        PROMISE,
-        widening=evidence.widening,
-        least=least,
-        seen=evidence.seen,
-        days=days,
-        doubts=evidence.doubts,
-        common=evidence.common,
-    )
 
 
 def _keep(
@@ -277,11 +247,7 @@ def _keep(
     evidence: AuditEvidence,
     actor: str | None,
 ) -> None:
-    """Store what is decided on a unit as a revision of its own, where it is not what stands.
-
-    Args:
-        decided: on the lot; None where only what all misread alike is taken off.
-    """
+    """Store what is decided on a unit as a revision of its own, where it is not what stands."""
     doubt, known = evidence.doubts.get(made.serial), made.decision
     is_released = decided is not None and decided.found is not None and made.serial in decided.forecasts
     # Asked first: most lots have no audits, and reading a calibration whole costs more than most of the batch's writes.
@@ -300,7 +266,7 @@ def _keep(
 def _corrected(
     registry: Registry, lot_id: str, base: CalibrationRecord, common: CommonMisreading | None, limit: Limit
 ) -> CalibrationRecord:
-    """Return a calibration without what the lot's audited units misread alike, judged against the limit in force."""
+    """Return a calibration without what audited units misread alike, by the limit in force."""
     is_open = base.grounds is not None and not base.grounds.rules
     record = base
     if common is not None and is_open:
@@ -340,7 +306,7 @@ def _base(registry: Registry, lot_id: str, stored: StoredCalibration) -> Calibra
 
 
 def doubted_record(base: CalibrationRecord, doubt: Reason) -> CalibrationRecord:
-    """Return a calibration whose audit may not be what it is said to be: nothing is decided before that is known."""
+    """Return a calibration whose audit is in doubt: nothing is decided before that is known."""
     decision = replace(base.decision, doubt=doubt)
     return replace(
         base,
@@ -352,11 +318,7 @@ def doubted_record(base: CalibrationRecord, doubt: Reason) -> CalibrationRecord:
 
 
 def judged_record(base: CalibrationRecord, decided: LotRelease) -> CalibrationRecord:
-    """Return a calibration with what the audits of its lot say: forecast and interval scaled, the judgement beside.
-
-    Args:
-        decided: on its lot; the unit must be among `forecasts`.
-    """
+    """Return a calibration with what the audits of its lot say: all scaled, judgement beside."""
     judgement = decided.judgement(base.serial)
     decision = replace(base.decision, measured=None, sampled=judgement)
     scale, widening = decided.forecast_scale, decided.widening
@@ -383,6 +345,5 @@ def judged_record(base: CalibrationRecord, decided: LotRelease) -> CalibrationRe
 
 
 def is_told(registry: Registry, lot_id: str, decided: LotRelease) -> bool:
-    """Return whether this very decision is the last that was kept: then units and files follow it already."""
-    told = registry.trail.of(STATEMENT, (lot_id,))
-    return bool(told) and json.loads(told[-1].after or "{}") == json.loads(json.dumps(decided.to_json()))
+    """Return whether this very decision is the last that was kept."""
+    return is_stated(registry, STATEMENT, (lot_id,), decided.to_json())

@@ -1,4 +1,4 @@
-"""What a batch says when it is done: a row per unit, as a table for people and as JSON for programs."""
+"""What a batch says when it is done: a row per unit, for people and as JSON for programs."""
 
 from dataclasses import dataclass
 
@@ -107,7 +107,7 @@ def table_row(unit: UnitResult) -> list[object]:
 
 
 def audit_lines(report: BatchReport) -> list[str]:
-    """Return what audits say, a line each: units whose measured error is not what their verdict says, and the lot."""
+    """Return what audits say, a line each: units that are not as predicted, and the lot."""
     lines = []
     for unit in report.units:
         made = unit.made

@@ -9,6 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from softcal.app.files.atomic import write_bytes
+from softcal.app.registry.lot_recordings import target_serials
 from softcal.core.unit.verdict import Release
 from softcal.db.entries import UnitStanding
 from softcal.db.registry import Registry
@@ -44,14 +45,11 @@ OF_MADE = ("revision", "map_sha256", "method_id", "predicted_rmse", "before_rmse
 def lot_results(registry: Registry, lot_id: str, release: Release = Release.PASS) -> pa.Table:
     """Return the results of a lot's target units by serial.
 
-    Args:
-        release: which verdicts release files.
-
     Raises:
         InputError: the lot is not in the registry.
     """
     lot = registry.lots.get(lot_id)
-    serials = sorted(unit.serial for unit in registry.lots.units(lot_id) if unit.role == "target")
+    serials = sorted(target_serials(registry, lot_id))
     standings = registry.pages.standings(lot_id, serials)
     rows = [_row(lot_id, serial, standings.get(serial), release) for serial in serials]
     facts = {

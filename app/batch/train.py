@@ -1,4 +1,4 @@
-"""Train the shared network f of a lot, or find the one trained before from the same recording and configuration."""
+"""Train the shared network f of a lot, or find the one trained from the same before."""
 
 import time
 from collections.abc import Callable
@@ -41,7 +41,7 @@ def train_or_find(
     actor: str | None = None,
     on_epoch: Callable[[EpochReport], None] | None = None,
 ) -> TrainedOrFound:
-    """Return the registered network of this source and configuration; train and register it where there is none.
+    """Return the network of this source and configuration, trained where there is none.
 
     Where another process trains the same just now, its network is waited for.
     """

@@ -1,4 +1,4 @@
-"""What a worker does for a batch: from the bytes of a unit's file to its calibration, without registry or folder."""
+"""What a worker does for a batch: from the bytes of a unit's file to its calibration."""
 
 import time
 from dataclasses import dataclass, replace
@@ -44,7 +44,7 @@ class UnitTask:
 
 @dataclass(frozen=True, eq=False)
 class SharedWork:
-    """What every worker holds once: how the files of the lot are to be read, and what its units are calibrated with."""
+    """What every worker holds once: how files of the lot are read, how its units are fitted."""
 
     lot: Lot
     facts: LotFacts
@@ -87,37 +87,24 @@ def work_on(shared: SharedWork, chunk: Chunk) -> ChunkOutcome:
     return ChunkOutcome(units, time.process_time() - start_s)
 
 
-def lost(chunk: Chunk) -> ChunkOutcome:
-    """Return the outcome of units that killed their worker each time."""
-    refusal = Refusal(Verdict.RETEST, reason("worker_died"))
-    return ChunkOutcome(tuple(UnitOutcome(task.item_id, task.serial, refusal) for task in chunk.tasks), 0.0)
-
-
 def _work_on_unit(shared: SharedWork, task: UnitTask) -> UnitOutcome:
+    lot, file, audit = shared.lot, task.recording, task.audit
     try:
-        recording = _read(shared.lot, task)
+        if file is None:
+            raise InputError(task.problem)
+        recording = read_recording(file.path, task.serial, lot.sample_rate_Hz, lot.output_unit, file.content)
     except InputError as error:
         refusal = Refusal(Verdict.RETEST, reason("unreadable", error=str(error)))
         return UnitOutcome(task.item_id, task.serial, refusal)
     facts = task.facts
-    if task.audit is not None:
+    if audit is not None:
+        units = lot.output_unit, lot.reference_unit
         try:
-            facts = replace(facts, audit=_read_audit(shared.lot, task.serial, task.audit))
+            read = read_labelled(audit.path, task.serial, lot.sample_rate_Hz, units, audit.content)
+            facts = replace(facts, audit=read)
         except InputError as error:
             facts = replace(facts, unread_audit=str(error))
     result = calibrate_unit(shared.facts, recording, facts, task.known)
     # Only what came as a file is new to the registry.
-    read = None if task.audit is None or facts.unread_audit else facts.audit
-    return UnitOutcome(task.item_id, task.serial, result, recording, read)
-
-
-def _read(lot: Lot, task: UnitTask) -> OutputRecording:
-    if task.recording is None:
-        raise InputError(task.problem)
-    file = task.recording
-    return read_recording(file.path, task.serial, lot.sample_rate_Hz, lot.output_unit, file.content)
-
-
-def _read_audit(lot: Lot, serial: str, file: FileContent) -> LabelledRecording:
-    units = lot.output_unit, lot.reference_unit
-    return read_labelled(file.path, serial, lot.sample_rate_Hz, units, file.content)
+    new_audit = None if audit is None or facts.unread_audit else facts.audit
+    return UnitOutcome(task.item_id, task.serial, result, recording, new_audit)

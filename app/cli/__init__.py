@@ -1,1 +1,1 @@
-"""The console script `softcal`: one module per command; each parses, calls one use case and prints."""
+"""The console script `softcal`: a module a command; each parses, calls a use case and prints."""

@@ -5,10 +5,11 @@ import sys
 from getpass import getpass
 from pathlib import Path
 
-from softcal.app.cli.options import add_csv, add_json, add_registry, registry_of
-from softcal.app.output import print_table, say, write_json
+from softcal.app.cli.options import actions_of, add_shared, answer, registry_of
+from softcal.app.output import print_table, say
 from softcal.core.errors import InputError
 from softcal.db.access.people import ROLES
+from softcal.db.entries import User
 
 EXAMPLES = """examples:
   softcal account set "Mina Park" --role quality --reason "first account of line 3"     asks for the PIN
@@ -23,8 +24,8 @@ HELP = "people and programs, their roles and PINs"
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Make, change and list accounts. Every change lands in the audit trail with its reason."""
-    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
-    change = actions.add_parser("set", help="make an account, or change its role, its PIN or whether it is active")
+    action = actions_of(parser)
+    change = action("set", "make an account, or change its role, its PIN or whether it is active", _set)
     change.add_argument("name", metavar="NAME")
     change.add_argument("--role", choices=ROLES, help="needed for a new account")
     change.add_argument("--reason", required=True, help="lands in the audit trail")
@@ -33,18 +34,15 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     active = change.add_mutually_exclusive_group()
     active.add_argument("--inactive", action="store_true", help="may no longer sign in")
     active.add_argument("--active", action="store_true", help="may sign in again")
-    change.set_defaults(run=_set)
-    listing = actions.add_parser("list", help="every account with its role")
-    add_csv(listing)
-    listing.set_defaults(run=_list)
-    for action in (change, listing):
-        add_registry(action)
-        add_json(action)
+    listing = action("list", "every account with its role", _list)
+    add_shared(listing, "csv")
+    for each in (change, listing):
+        add_shared(each, "registry", "json")
 
 
-def _set(options: argparse.Namespace) -> int:
+def _set(options: argparse.Namespace) -> None:
     name = options.name.strip()
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         known = next((user for user in registry.people.all() if user.name == name), None)
         if known is None and options.role is None:
             raise InputError(f"{name!r} has no account yet; --role says what it may: {', '.join(ROLES)}")
@@ -61,10 +59,7 @@ def _set(options: argparse.Namespace) -> int:
         )
     state = "may sign in" if user.is_active else "may not sign in"
     say(f"{user.name}: {user.role}, {state}")
-    if options.json:
-        told = {"name": user.name, "role": user.role, "is_active": user.is_active}
-        write_json(options.json, {"schema": "softcal.account/1", **told})
-    return 0
+    answer(options, "account/1", _account(user))
 
 
 def _pin(options: argparse.Namespace) -> str:
@@ -85,11 +80,12 @@ def _pin(options: argparse.Namespace) -> str:
     return pin
 
 
-def _list(options: argparse.Namespace) -> int:
-    with registry_of(options, create=False) as registry:
+def _list(options: argparse.Namespace) -> None:
+    with registry_of(options) as registry:
         users = registry.people.all()
-    if options.json:
-        told = [{"name": user.name, "role": user.role, "is_active": user.is_active} for user in users]
-        write_json(options.json, {"schema": "softcal.accounts/1", "accounts": told})
+    answer(options, "accounts/1", {"accounts": [_account(user) for user in users]})
     print_table(("name", "role", "may sign in"), [[u.name, u.role, "yes" if u.is_active else "no"] for u in users])
-    return 0
+
+
+def _account(user: User) -> dict[str, object]:
+    return {"name": user.name, "role": user.role, "is_active": user.is_active}

@@ -4,15 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import (
-    add_columns,
-    add_json,
-    add_lot_of_serial,
-    add_registry,
-    column_names,
-    registry_of,
-    say_caution,
-)
+from softcal.app.cli.options import COUNT, FILE, add_columns, add_shared, column_names, registry_of, say_caution
 from softcal.app.output import ProgressLine, say, write_json
 from softcal.core.errors import InputError
 
@@ -48,30 +40,27 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """
     parser.add_argument("source", metavar="IN", help="CSV or Parquet with t_s, output; -, serial:PORT or simulated")
     parser.add_argument("--out", required=True, metavar="OUT", help="CSV or Parquet; live also - or tcp://HOST:PORT")
-    parser.add_argument("--serial", required=True, metavar="S")
-    parser.add_argument("--revision", type=int, metavar="N", help="calibration to start from; default: the current one")
+    add_shared(parser, "serial")
+    parser.add_argument("--revision", **COUNT, help="calibration to start from; default: the current one")
     modes = ("improved", "basic", "none", "ot", "ot-improved")
     parser.add_argument("--mode", choices=modes, default="improved", help=MODE_HELP)
-    parser.add_argument("--queue", type=int, metavar="N", help="windows in a queue of ot and ot-improved; default 512")
+    parser.add_argument("--queue", **COUNT, help="windows in a queue of ot and ot-improved; default 512")
     parser.add_argument(
         "--stream", metavar="NAME", help="name of the stream in the registry; default: from its content"
     )
     parser.add_argument(
         "--loads",
-        type=Path,
-        metavar="FILE",
+        **FILE,
         help="known loads at the start of the stream: columns output, reference; the unit is trimmed by them first",
     )
     parser.add_argument("--resume", action="store_true", help="go on from the last state of the stream in the registry")
-    parser.add_argument("--html", type=Path, metavar="FILE", help="figure of drift, map, estimate and predicted error")
+    parser.add_argument("--html", **FILE, help="figure of drift, map, estimate and predicted error")
     add_columns(parser)
     live = parser.add_argument_group("live")
-    live.add_argument("--station", type=Path, metavar="FILE", help="station file with the readout's scale and rate")
+    live.add_argument("--station", **FILE, help="station file with the readout's scale and rate")
     live.add_argument("--duration", type=float, metavar="S", help="stop after so many seconds; default: until Ctrl-C")
     live.add_argument("--view", action="store_true", help="show the estimate in the terminal")
-    add_lot_of_serial(parser)
-    add_registry(parser)
-    add_json(parser)
+    add_shared(parser, "lot", "registry", "json")
 
 
 MODE_HELP = (
@@ -82,19 +71,18 @@ MODE_HELP = (
 )
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Follow the stream, and say what was followed, held and flagged."""
     from softcal.app.use.adapt import AdaptOptions
     from softcal.core.use.adapter import AdaptConfig
 
     config = AdaptConfig(options.mode, _method(options))
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         revision = options.revision if options.loads is None else _trimmed(registry, options)
         adapt = AdaptOptions(config, revision, options.stream, options.resume, lot_id=options.lot)
         report = _follow(registry, options, adapt)
         say_caution(registry, (report.serial, report.revision, report.lot.id), "adapt")
         _report(registry, options, report)
-    return 0
 
 
 def _method(options: argparse.Namespace) -> "UseMethod":

@@ -2,17 +2,15 @@
 
 import argparse
 import json
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from softcal.app.cli.options import add_csv, add_json, add_registry, registry_at, registry_of, say_written
+from softcal.app.cli.options import COUNT, FILE, actions_of, add_shared, answer, registry_at, registry_of, say_written
 from softcal.app.files.atomic import write_text
-from softcal.app.output import print_table, say, write_json
+from softcal.app.output import print_table, say
 
 if TYPE_CHECKING:
     from softcal.db.entries import Token
 
-DONE = 0
 EXAMPLES = """examples:
   softcal api token create --account MES --purpose "MES of hall 3" --days 365
   softcal api serve
@@ -29,43 +27,35 @@ HELP = "the REST interface for other programs, and their tokens"
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Units, verdicts, files, lots, jobs and events for other programs, over HTTP."""
-    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
-    serve = actions.add_parser("serve", help="serve the REST interface until Ctrl-C")
-    add_registry(serve)
+    action = actions_of(parser)
+    serve = action("serve", "serve the REST interface until Ctrl-C", _serve)
+    add_shared(serve, "registry")
     serve.add_argument("--host", default="127.0.0.1", help="address to listen at; default: this machine only")
     serve.add_argument("--port", type=int, default=8600, help="default 8600")
     serve.add_argument(
         "--name", action="append", default=[], help="another name under which programs reach this server; repeatable"
     )
-    serve.add_argument("--cert", type=Path, metavar="FILE", help="certificate of the server, PEM")
-    serve.add_argument("--key", type=Path, metavar="FILE", help="its private key, PEM")
-    serve.set_defaults(run=_serve)
-    openapi = actions.add_parser("openapi", help="write the OpenAPI document")
-    openapi.add_argument("--out", type=Path, required=True, metavar="FILE")
-    openapi.set_defaults(run=_openapi)
-    client = actions.add_parser("client", help="write a typed Python client: one file, standard library alone")
-    client.add_argument("--out", type=Path, required=True, metavar="FILE")
-    client.set_defaults(run=_client)
-    token = actions.add_parser("token", help="make, list and withdraw tokens")
-    kinds = token.add_subparsers(title="actions", metavar="ACTION", required=True)
-    create = kinds.add_parser("create", help="make a token; it is shown once")
+    serve.add_argument("--cert", **FILE, help="certificate of the server, PEM")
+    serve.add_argument("--key", **FILE, help="its private key, PEM")
+    openapi = action("openapi", "write the OpenAPI document", _openapi)
+    openapi.add_argument("--out", required=True, **FILE)
+    client = action("client", "write a typed Python client: one file, standard library alone", _client)
+    client.add_argument("--out", required=True, **FILE)
+    token = actions_of(action("token", "make, list and withdraw tokens", None))
+    create = token("create", "make a token; it is shown once", _create)
     create.add_argument("--account", required=True, metavar="NAME", help="whose role says what it may")
     create.add_argument("--purpose", required=True, metavar="TEXT", help="which program it is for")
-    create.add_argument("--days", type=int, default=365, metavar="N", help="how long it holds; default 365")
-    create.set_defaults(run=_create)
-    listing = kinds.add_parser("list", help="all tokens, without their secrets")
-    add_csv(listing)
-    listing.set_defaults(run=_list)
-    withdraw = kinds.add_parser("withdraw", help="make a token useless from now on")
+    create.add_argument("--days", default=365, **COUNT, help="how long it holds; default 365")
+    listing = token("list", "all tokens, without their secrets", _list)
+    add_shared(listing, "csv")
+    withdraw = token("withdraw", "make a token useless from now on", _withdraw)
     withdraw.add_argument("token", metavar="ID")
     withdraw.add_argument("--reason", required=True, help="lands in the audit trail")
-    withdraw.set_defaults(run=_withdraw)
     for each in (create, listing, withdraw):
-        add_registry(each)
-        add_json(each)
+        add_shared(each, "registry", "json")
 
 
-def _serve(options: argparse.Namespace) -> int:
+def _serve(options: argparse.Namespace) -> None:
     from softcal.app.connect.rest import ServingOptions, serve_api
 
     serving = ServingOptions(
@@ -74,19 +64,16 @@ def _serve(options: argparse.Namespace) -> int:
     scheme = "http" if options.cert is None else "https"
     say(f"the REST interface is at {scheme}://{options.host}:{options.port}/v1; Ctrl-C ends it")
     serve_api(serving, say_written)
-    return DONE
 
 
-def _openapi(options: argparse.Namespace) -> int:
+def _openapi(options: argparse.Namespace) -> None:
     write_text(options.out, json.dumps(_document(), indent=2) + "\n")
-    return DONE
 
 
-def _client(options: argparse.Namespace) -> int:
+def _client(options: argparse.Namespace) -> None:
     from softcal.app.connect.client_text import client_text
 
     write_text(options.out, client_text(_document()))
-    return DONE
 
 
 def _document() -> dict[str, Any]:
@@ -96,43 +83,32 @@ def _document() -> dict[str, Any]:
         return openapi_document(rest_app(registry))
 
 
-def _create(options: argparse.Namespace) -> int:
-    with registry_of(options, create=False) as registry:
+def _create(options: argparse.Namespace) -> None:
+    with registry_of(options) as registry:
         token, secret = registry.tokens.add(options.account, options.purpose, options.days)
-    write_json(options.json, {"schema": "softcal.api.token/1", **_token_json(token), "token": secret})
-    if options.json != "-":
+    if answer(options, "api.token/1", {**_token_json(token), "token": secret}):
         print(secret)
         until = token.ends_at.astimezone()
         say(f"token {token.token_id} of {token.account} holds until {until:%Y-%m-%d}; it is not shown again")
-    return DONE
 
 
-def _list(options: argparse.Namespace) -> int:
-    with registry_of(options, create=False) as registry:
+def _list(options: argparse.Namespace) -> None:
+    with registry_of(options) as registry:
         tokens, now = registry.tokens.all(), registry.settings.clock()
-    write_json(options.json, {"schema": "softcal.api.tokens/1", "tokens": [_token_json(each) for each in tokens]})
-    rows = [
-        [
-            t.token_id,
-            t.account,
-            t.purpose,
-            f"{t.created.astimezone():%Y-%m-%d}",
-            f"{t.ends_at.astimezone():%Y-%m-%d}",
-            "yes" if t.holds(now) else "no",
-        ]
-        for t in tokens
-    ]
+    answer(options, "api.tokens/1", {"tokens": [_token_json(each) for each in tokens]})
+    rows = []
+    for token in tokens:
+        made, until = f"{token.created.astimezone():%Y-%m-%d}", f"{token.ends_at.astimezone():%Y-%m-%d}"
+        holds = "yes" if token.holds(now) else "no"
+        rows.append((token.token_id, token.account, token.purpose, made, until, holds))
     print_table(("token", "account", "purpose", "made", "until", "holds"), rows)
-    return DONE
 
 
-def _withdraw(options: argparse.Namespace) -> int:
-    with registry_of(options, create=False) as registry:
+def _withdraw(options: argparse.Namespace) -> None:
+    with registry_of(options) as registry:
         registry.tokens.withdraw(options.token, reason=options.reason)
-    write_json(options.json, {"schema": "softcal.api.withdrawn/1", "token_id": options.token})
-    if options.json != "-":
+    if answer(options, "api.withdrawn/1", {"token_id": options.token}):
         print(f"token {options.token} was withdrawn; what it was used for until now stands in the audit trail")
-    return DONE
 
 
 def _token_json(token: "Token") -> dict[str, object]:

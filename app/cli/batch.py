@@ -5,15 +5,7 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import (
-    add_csv,
-    add_json,
-    add_network,
-    add_registry,
-    batch_watch,
-    network_config,
-    registry_of,
-)
+from softcal.app.cli.options import COUNT, DIR, FILE, add_network, add_shared, batch_watch, network_config, registry_of
 from softcal.app.output import WIDTH, print_reasons, print_table, say, shown, write_json
 
 if TYPE_CHECKING:
@@ -34,22 +26,21 @@ HELP = "calibrate a lot: train or reuse f, fit every map, verdicts, registry, ex
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Calibrate a lot folder. One bad unit never stops the lot; what is done is never done again."""
     parser.add_argument("lot", type=Path, metavar="LOT", help="lot folder")
-    add_registry(parser)
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write calibration files of the released units here")
+    add_shared(parser, "registry")
+    parser.add_argument("--out", **DIR, help="write calibration files of the released units here")
     parser.add_argument(
         "--release",
         choices=("pass", "conditional"),
         default="pass",
         help="which verdicts release files: pass (default), or conditional too, whose error is within the limit",
     )
-    parser.add_argument("--plots", type=Path, metavar="DIR", help="write a figure per unit: why its verdict")
-    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="worker processes (default 1)")
+    parser.add_argument("--plots", **DIR, help="write a figure per unit: why its verdict")
+    parser.add_argument("--jobs", default=1, **COUNT, help="worker processes (default 1)")
     parser.add_argument("--engine", choices=("local", "dask"), default="local")
     parser.add_argument("--scheduler", metavar="ADDR", help="a running Dask scheduler; default: one for this run")
     parser.add_argument(
         "--anchors",
-        type=Path,
-        metavar="FILE",
+        **FILE,
         help="known loads: columns serial, output, reference; default: LOT/anchors.csv, where there is one",
     )
     parser.add_argument("--no-own", action="store_true", help="do not train own calibrations on audits for comparison")
@@ -61,8 +52,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         help="write the results of the lot as a .parquet table, a row a unit",
     )
     add_network(parser)
-    add_json(parser)
-    add_csv(parser)
+    add_shared(parser, "json", "csv")
 
 
 def _parquet(text: str) -> Path:
@@ -95,7 +85,7 @@ def run(options: argparse.Namespace) -> int:
         refit=options.refit,
         release=Release(options.release),
     )
-    with registry_of(options) as registry:
+    with registry_of(options, create=True) as registry:
         if lack:
             say(f"note: {lack}")
         report = run_batch(folder, registry, config, batch_watch(folder.lot.reference_unit))
@@ -118,13 +108,15 @@ def run(options: argparse.Namespace) -> int:
             print_reasons(f"{unit.serial} {unit.verdict}", unit.reasons)
     for line in audit_lines(report):
         print(textwrap.fill(shown(line), WIDTH))
-    print(_summary(report.counts, folder.lot.reference_unit, report.wall_s))
+    words = ", ".join(f"{count} {word}" for word, count in report.counts.items())
+    in_all = f"{sum(report.counts.values())} units in {report.wall_s:.1f} s"
+    print(f"{in_all}: {words}; errors are RMSE in {folder.lot.reference_unit}")
     write_json(options.json, report_json(report))
     return 0 if report.has_passed else 1
 
 
 def _write_files(registry: "Registry", report: "BatchReport", out: Path) -> None:
-    """Write the files of released units, and take back what an earlier, better verdict left there."""
+    """Write the files of released units, and take back what an earlier verdict left there."""
     from softcal.app.export.calibrated_unit import ExportOptions
     from softcal.app.export.export import export_units
     from softcal.app.export.manifest import withdraw_units
@@ -137,8 +129,3 @@ def _write_files(registry: "Registry", report: "BatchReport", out: Path) -> None
     held = report.counts["conditional"] if report.release is Release.PASS else 0
     more = f"; {held} conditional units have theirs with --release conditional" if held else ""
     say(f"{out}: calibration files of {len(released)} units{more}")
-
-
-def _summary(counts: dict[str, int], unit: str, wall_s: float) -> str:
-    words = ", ".join(f"{count} {word}" for word, count in counts.items())
-    return f"{sum(counts.values())} units in {wall_s:.1f} s: {words}; errors are RMSE in {unit}"

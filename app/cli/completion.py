@@ -14,11 +14,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("shell", choices=("bash", "zsh", "tcsh"))
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Print the script."""
     import shtab
 
     from softcal.app.cli.main import command_parser
 
     print(shtab.complete(command_parser(), shell=options.shell))
-    return 0

@@ -62,7 +62,7 @@ def _apply(path: Path, table: Mapping[str, object], parser: argparse.ArgumentPar
                 raise InputError(f"{path}: [{f'{command}.{key}'.lstrip('.')}] is no command{known}")
             _apply(path, value, below[key], f"{command}.{key}".lstrip("."))
             continue
-        takers = [taker for each in _leaves(parser) if (taker := _option(each, key)) is not None]
+        takers = [(each, action) for each in _leaves(parser) if (action := _options(each).get(key)) is not None]
         if not takers:
             known = suggestion(key, {name for each in _leaves(parser) for name in _options(each)})
             raise InputError(f"{path}: no option --{key} of {command or 'any command'} takes a value{known}")
@@ -113,11 +113,6 @@ def _options(parser: argparse.ArgumentParser) -> dict[str, argparse.Action]:
         for name in action.option_strings
         if name.startswith("--")
     }
-
-
-def _option(parser: argparse.ArgumentParser, key: str) -> tuple[argparse.ArgumentParser, argparse.Action] | None:
-    action = _options(parser).get(key)
-    return None if action is None else (parser, action)
 
 
 def _name(action: argparse.Action) -> str:

@@ -4,13 +4,11 @@ import argparse
 import signal
 import sys
 import threading
-from pathlib import Path
 
-from softcal.app.cli.options import add_csv, add_json, add_registry, positive, registry_of
-from softcal.app.output import print_table, say, write_json
+from softcal.app.cli.options import FILE, actions_of, add_shared, answer, positive, registry_of
+from softcal.app.output import print_table, say
 from softcal.core.errors import InputError
 
-DONE = 0
 EXAMPLES = """examples:
   softcal connect secret --out mes.secret               a secret for the signature of a webhook
   softcal connect check plant.toml                      read the file, reach every destination
@@ -23,72 +21,61 @@ HELP = "send verdicts and alerts: webhooks, mail, MQTT, OPC UA"
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Bring events to other programs and people, each at least once, across restarts of both sides."""
-    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
-    run = actions.add_parser("run", help="serve every destination of a file until Ctrl-C")
-    run.add_argument("file", type=Path, metavar="FILE", help="TOML with the destinations")
-    add_registry(run)
-    run.set_defaults(run=_run)
-    check = actions.add_parser("check", help="read the file and reach every destination once; nothing is sent")
-    check.add_argument("file", type=Path, metavar="FILE", help="TOML with the destinations")
-    check.set_defaults(run=_check)
-    status = actions.add_parser("status", help="how far every destination is")
-    add_registry(status)
-    add_json(status)
-    add_csv(status)
-    status.set_defaults(run=_status)
-    secret = actions.add_parser("secret", help="write a new secret for the signature of a webhook")
-    secret.add_argument("--out", type=Path, required=True, metavar="FILE", help="new file; only its owner may read it")
-    secret.set_defaults(run=_secret)
-    estimates = actions.add_parser("estimates", help="publish live estimates from standard input over MQTT")
-    estimates.add_argument("file", type=Path, metavar="FILE", help="TOML with one [[mqtt]] destination")
+    action = actions_of(parser)
+    run = action("run", "serve every destination of a file until Ctrl-C", _run)
+    run.add_argument("file", **FILE, help="TOML with the destinations")
+    add_shared(run, "registry")
+    check = action("check", "read the file and reach every destination once; nothing is sent", _check)
+    check.add_argument("file", **FILE, help="TOML with the destinations")
+    status = action("status", "how far every destination is", _status)
+    add_shared(status, "registry", "json", "csv")
+    secret = action("secret", "write a new secret for the signature of a webhook", _secret)
+    secret.add_argument("--out", required=True, **FILE, help="new file; only its owner may read it")
+    estimates = action("estimates", "publish live estimates from standard input over MQTT", _estimates)
+    estimates.add_argument("file", **FILE, help="TOML with one [[mqtt]] destination")
     estimates.add_argument("--serial", required=True)
     estimates.add_argument(
         "--rate", type=positive, default=10.0, metavar="HZ", help="rows a second at most; default 10"
     )
-    estimates.set_defaults(run=_estimates)
 
 
-def _run(options: argparse.Namespace) -> int:
+def _run(options: argparse.Namespace) -> None:
     from softcal.app.connect.run import run_connect
     from softcal.app.connect.settings import read_settings
 
     settings, over = read_settings(options.file), threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: over.set())
     signal.signal(signal.SIGINT, lambda *_: over.set())
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         say(f"{options.file}: events are sent; Ctrl-C ends it, and what waits is kept")
         run_connect(registry, settings, over, say)
-    return DONE
 
 
-def _check(options: argparse.Namespace) -> int:
+def _check(options: argparse.Namespace) -> None:
     from softcal.app.connect.run import reach
     from softcal.app.connect.settings import read_settings
 
     for name in reach(read_settings(options.file)):
         print(f"{name}: reached")
-    return DONE
 
 
-def _status(options: argparse.Namespace) -> int:
+def _status(options: argparse.Namespace) -> None:
     from softcal.app.connect.forwarder import status_json, status_rows
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         found = status_json(registry)
-    write_json(options.json, {"schema": "softcal.connect.status/1", "destinations": found})
+    answer(options, "connect.status/1", {"destinations": found})
     print_table(("destination", "sent", "waits", "failed", "next try", "why", "served by"), status_rows(found))
-    return DONE
 
 
-def _secret(options: argparse.Namespace) -> int:
+def _secret(options: argparse.Namespace) -> None:
     from softcal.app.connect.webhook import write_new_secret
 
     write_new_secret(options.out)
     print(f"{options.out}: give its first line to whoever receives the webhook")
-    return DONE
 
 
-def _estimates(options: argparse.Namespace) -> int:
+def _estimates(options: argparse.Namespace) -> None:
     from softcal.app.connect.mqtt import publish_estimates
     from softcal.app.connect.settings import read_settings
 
@@ -97,4 +84,3 @@ def _estimates(options: argparse.Namespace) -> int:
         raise InputError(f"{options.file}: one [[mqtt]] was expected, there are {len(mqtts)}")
     published, left_out = publish_estimates(sys.stdin, options.serial, mqtts[0], options.rate)
     say(f"{published} estimates were published, {left_out} were left out")
-    return DONE

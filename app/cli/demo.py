@@ -4,7 +4,7 @@ import argparse
 import time
 from pathlib import Path
 
-from softcal.app.cli.options import add_csv, add_json, add_network, batch_watch, network_config, registry_at
+from softcal.app.cli.options import COUNT, DIR, FILE, add_network, add_shared, batch_watch, network_config, registry_at
 from softcal.app.output import print_table, say, write_json
 
 EXAMPLES = """examples:
@@ -23,23 +23,23 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     on the source and fit every unit's map without labels. Judge, register, export, and print a table like the
     paper's Table 1.
     """
-    parser.add_argument("--out", type=Path, default=Path("softcal-demo"), metavar="DIR", help="default: softcal-demo")
-    parser.add_argument("--units", type=int, default=6, metavar="N", help="target units (default 6)")
-    parser.add_argument("--twin", type=Path, metavar="FILE", help="units like this twin (softcal gap apply)")
-    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="worker processes (default 2)")
+    parser.add_argument("--out", default=Path("softcal-demo"), **DIR, help="default: softcal-demo")
+    parser.add_argument("--units", default=6, **COUNT, help="target units (default 6)")
+    parser.add_argument("--twin", **FILE, help="units like this twin (softcal gap apply)")
+    parser.add_argument("--jobs", default=2, **COUNT, help="worker processes (default 2)")
     add_network(parser)
-    add_json(parser)
-    add_csv(parser)
+    add_shared(parser, "json", "csv")
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the demo and print its table."""
+    from softcal.app.batch.batch import run_batch
     from softcal.app.batch.engine import EngineChoice
     from softcal.app.batch.lot_work import BatchConfig
     from softcal.app.batch.report import report_json
     from softcal.app.export.export import export_units
     from softcal.app.gap.diagnose import read_twin
-    from softcal.app.line.demo import TABLE_HEADER, DemoConfig, press_demo_lot, run_demo, table_row
+    from softcal.app.line.demo import TABLE_HEADER, DemoConfig, press_demo_lot, table_row
 
     start_s = time.monotonic()
     batch = BatchConfig(network=network_config(options), engine=EngineChoice("local", options.jobs), chunk=1)
@@ -48,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
     folder = press_demo_lot(config, options.out / "lot", say)
     url = f"sqlite:///{options.out / 'registry.db'}"
     with registry_at(url) as registry:
-        report = run_demo(config, folder, registry, batch_watch("N"))
+        report = run_batch(folder, registry, config.batch, batch_watch("N"))
         passed = [unit.serial for unit in report.units if report.releases(unit)]
         export_units(registry, passed, ("json",), options.out / "files")
     print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])

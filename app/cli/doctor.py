@@ -5,10 +5,9 @@ import json
 from pathlib import Path
 
 from softcal.app.cli.configuration import files_in_use
-from softcal.app.cli.options import add_csv, add_json, add_registry
-from softcal.app.output import print_table, say, write_json
+from softcal.app.cli.options import add_shared, answer
+from softcal.app.output import print_table, say
 
-DONE = 0
 EXAMPLES = """examples:
   softcal doctor
   softcal doctor --registry postgresql://line@db/softcal --out support.zip
@@ -20,29 +19,25 @@ HELP = "look the installation over; collect what support needs"
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Versions, folders, free space, the registry and its integrity: what is there and what is wrong."""
-    add_registry(parser)
-    add_json(parser)
-    add_csv(parser)
+    add_shared(parser, "registry", "json", "csv")
     parser.add_argument("--out", type=Path, metavar="ZIP", help="write report and logs into one file for support")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Print the facts, the problems on standard error."""
     from softcal.app.registry.doctor import collect, examine
 
     facts, problems = examine(options.registry)
     facts["configuration"] = [str(path) for path in files_in_use()] or "none"
-    report = {"schema": "softcal.doctor/1", **facts, "problems": problems}
+    report = {**facts, "problems": problems}
     if options.out:
-        logs = collect(options.out, json.dumps(report, indent=2))
+        logs = collect(options.out, json.dumps({"schema": "softcal.doctor/1", **report}, indent=2))
         say(f"{options.out}: report and {logs} logs")
-    write_json(options.json, report)
-    if options.json != "-" or options.csv:
+    if answer(options, "doctor/1", report):
         print_table(("what", "found"), [(name, _text(value)) for name, value in facts.items()])
         print(f"{len(problems)} problems" if problems else "no problems found")
     for problem in problems:
         say(f"problem: {problem}")
-    return DONE
 
 
 def _text(value: object) -> str:

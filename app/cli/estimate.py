@@ -3,16 +3,8 @@
 import argparse
 from pathlib import Path
 
-from softcal.app.cli.options import (
-    add_columns,
-    add_json,
-    add_lot_of_serial,
-    add_registry,
-    column_names,
-    registry_of,
-    say_caution,
-)
-from softcal.app.output import say, write_json
+from softcal.app.cli.options import COUNT, add_columns, add_shared, answer, column_names, registry_of, say_caution
+from softcal.app.output import say
 
 EXAMPLES = """examples:
   softcal estimate --serial A1 recording.csv --out estimate.csv
@@ -28,19 +20,17 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Estimate the reference from the columns t_s, output of a recording with the unit's current map."""
     parser.add_argument("recording", type=Path, metavar="IN", help="CSV, Excel or Parquet with t_s, output")
     parser.add_argument("--out", required=True, type=Path, metavar="OUT", help="CSV or Parquet to write")
-    parser.add_argument("--serial", required=True, metavar="S")
+    add_shared(parser, "serial")
     add_columns(parser)
-    parser.add_argument("--revision", type=int, metavar="N", help="an older map; default: the current one")
-    add_lot_of_serial(parser)
-    add_registry(parser)
-    add_json(parser)
+    parser.add_argument("--revision", **COUNT, help="an older map; default: the current one")
+    add_shared(parser, "lot", "registry", "json")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Estimate, and say how much of it can be trusted."""
     from softcal.app.use.estimate import estimate_file
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         unit = options.serial, options.revision, options.lot
         result = estimate_file(registry, options.recording, options.out, *unit, names=column_names(options))
         say_caution(registry, unit, "estimate")
@@ -48,5 +38,4 @@ def run(options: argparse.Namespace) -> int:
     counts = {flag: flags.count(flag) for flag in sorted(set(flags))}
     said = ", ".join(f"{count} {flag}" for flag, count in counts.items()) or "no row flagged"
     say(f"{options.out}: {len(result.flag)} rows; {said}")
-    write_json(options.json, {"schema": "softcal.estimate/1", "rows": len(result.flag), "flags": counts})
-    return 0
+    answer(options, "estimate/1", {"rows": len(result.flag), "flags": counts})

@@ -1,10 +1,10 @@
 """`softcal explain`: why the verdict of one unit is what it is."""
 
 import argparse
-from pathlib import Path
 
-from softcal.app.cli.options import add_csv, add_json, add_lot_of_serial, add_registry, registry_of
+from softcal.app.cli.options import COUNT, FILE, add_shared, answer, registry_of
 from softcal.app.output import print_reasons, print_table, say, write_json
+from softcal.core.errors import InputError
 
 EXAMPLES = """examples:
   softcal explain --serial A1
@@ -17,17 +17,14 @@ HELP = "why the verdict of a unit is what it is: reasons, error budget, one figu
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Show what a unit's verdict rests on: reasons, what the predicted error is made of, limit."""
-    parser.add_argument("--serial", required=True, metavar="S")
-    parser.add_argument("--revision", type=int, metavar="N", help="an older map; default: the current one")
+    add_shared(parser, "serial")
+    parser.add_argument("--revision", **COUNT, help="an older map; default: the current one")
     parser.add_argument("--method", action="store_true", help="print every number of the method, with its origin")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="write the figure as a page (.html)")
-    add_lot_of_serial(parser)
-    add_registry(parser)
-    add_json(parser)
-    add_csv(parser)
+    parser.add_argument("--out", **FILE, help="write the figure as a page (.html)")
+    add_shared(parser, "lot", "registry", "json", "csv")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Print reasons and budget, write the figure."""
     from softcal.app.charts.why import explain_unit, why_json
     from softcal.app.registry.standing import standing_of
@@ -35,9 +32,10 @@ def run(options: argparse.Namespace) -> int:
     from softcal.core.words.reason import joined
 
     if options.method:
-        return _print_method(options)
+        _print_method(options)
+        return
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         if options.out is None:
             view = unit_view(registry, options.serial, options.revision, options.lot)
         else:
@@ -54,27 +52,21 @@ def run(options: argparse.Namespace) -> int:
         print_reasons(f"{options.serial} {decision.verdict} ({view.calibration.knowledge})", decision.reasons)
         rows = [[name, value] for name, value in view.explanation.contributions.items()]
         print_table(("part of the predicted error", view.lot.reference_unit), rows)
-    return 0
 
 
-def _print_method(options: argparse.Namespace) -> int:
-    """Print the method of one calibration: every number, its origin, and what this version would use instead."""
-    from softcal.core.errors import InputError
+def _print_method(options: argparse.Namespace) -> None:
+    """Print every number of a calibration's method, its origin, and what this version would use."""
     from softcal.core.unit.method import Method
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         record = registry.calibrations.get(options.serial, options.revision, lot_id=options.lot).record
     method, ours = record.method, Method()
     if method is None:
         raise InputError(f"{options.serial}: calibrated by a version that kept no method; run the batch again")
     here = {name: value for name, value, _ in ours.numbers()}
-    if options.json:
-        facts = {"schema": "softcal.method/1", "id": method.id, "numbers": dict(method.to_json())}
-        write_json(options.json, facts)
-    if options.json != "-" or options.csv:
+    if answer(options, "method/1", {"id": method.id, "numbers": dict(method.to_json())}):
         stale = "" if method == ours else ", stale: this version uses another"
         print(f"{options.serial}: method {method.id[:12]}{stale}")
         for name, value, origin in method.numbers():
             now = "" if here.get(name) == value else f"; this version: {here.get(name)}"
             print(f"{name} = {value}{now}\n    {origin}")
-    return 0

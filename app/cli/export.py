@@ -4,16 +4,17 @@ import argparse
 import sys
 from collections.abc import Mapping, Sequence
 from datetime import date
+from functools import partial
 from getpass import getpass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import add_csv, add_json, add_registry, registry_of, say_caution
+from softcal.app.cli.options import COUNT, DIR, FILE, add_shared, converted, registry_of, say_caution
 from softcal.app.export.names import formats
 from softcal.app.output import ProgressLine, print_table, say, write_json
 
 if TYPE_CHECKING:
-    from softcal.app.export.signature import SigningKey
+    pass
 
 EXAMPLES = """examples:
   softcal export --serial A1 --format blob --adc-bits 10 --adc-full-scale 5 --out files --check
@@ -45,7 +46,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     units = parser.add_argument_group("which units")
     units.add_argument("--serial", action="append", default=[], metavar="S", help="a unit; may be repeated")
     units.add_argument("--lot", metavar="ID", help="every unit of a lot that is released; with --serial: its lot")
-    units.add_argument("--revision", type=int, metavar="N", help="an older calibration; default: the one in use")
+    units.add_argument("--revision", **COUNT, help="an older calibration; default: the one in use")
     units.add_argument(
         "--release",
         choices=("pass", "conditional"),
@@ -54,10 +55,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     units.add_argument("--failed-too", action="store_true", help="device files of every unit, for the laboratory")
     parser.add_argument("--format", action="append", default=[], choices=formats(), help="may be repeated")
-    parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder to write into or to check")
+    parser.add_argument("--out", required=True, **DIR, help="folder to write into or to check")
     parser.add_argument("--check", action="store_true", help="read back: complete, unchanged, signed by whom?")
     device = parser.add_argument_group("devices")
-    device.add_argument("--adc-bits", type=int, metavar="N", help="the converter's bits; its codes go left-aligned")
+    device.add_argument("--adc-bits", **COUNT, help="the converter's bits; its codes go left-aligned")
     device.add_argument("--adc-full-scale", type=float, metavar="X", help="output at the converter's highest code")
     device.add_argument(
         "--max-deviation", type=float, default=0.25, metavar="SHARE", help="of the predicted error, default 0.25"
@@ -65,46 +66,29 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     device.add_argument(
         "--unit-bytes", type=int, choices=(256, 512, 1024), help="most a unit file may take; default: as little as does"
     )
-    device.add_argument("--unit-address", type=_address, default=0x3FF00, metavar="ADDR", help="for hex: 0x3ff00")
-    device.add_argument("--network-address", type=_address, default=0x38000, metavar="ADDR", help="for hex: 0x38000")
-    _add_certificate_options(parser)
-    add_registry(parser)
-    add_json(parser)
-    add_csv(parser)
-
-
-def _add_certificate_options(parser: argparse.ArgumentParser) -> None:
+    address = converted(partial(int, base=0), "{!r} is no address such as 0x3ff00")
+    device.add_argument("--unit-address", type=address, default=0x3FF00, metavar="ADDR", help="for hex: 0x3ff00")
+    device.add_argument("--network-address", type=address, default=0x38000, metavar="ADDR", help="for hex: 0x38000")
     paper = parser.add_argument_group("certificates and signatures")
     paper.add_argument("--laboratory", type=Path, metavar="TOML", help="laboratory, person, customer and load cell")
     paper.add_argument(
-        "--issued-on", type=_day, metavar="DATE", help="date of issue of certificates; default: the file's, else today"
+        "--issued-on",
+        type=converted(date.fromisoformat, "{!r} is no date such as 2026-01-31"),
+        metavar="DATE",
+        help="date of issue of certificates; default: the file's, else today",
     )
     paper.add_argument(
         "--sign", type=Path, metavar="PEM", help="Ed25519 key, encrypted or not: signs the manifest and certificates"
     )
-    paper.add_argument("--passphrase-file", type=Path, metavar="FILE", help="its first line opens the key of --sign")
+    paper.add_argument("--passphrase-file", **FILE, help="its first line opens the key of --sign")
     paper.add_argument(
         "--public-key",
-        type=Path,
         action="append",
         default=[],
-        metavar="FILE",
+        **FILE,
         help="with --check: a key (PEM) or a ring of keys with their validity (TOML); may be repeated",
     )
-
-
-def _address(text: str) -> int:
-    try:
-        return int(text, 0)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text!r} is no address such as 0x3ff00") from error
-
-
-def _day(text: str) -> date:
-    try:
-        return date.fromisoformat(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text!r} is no date such as 2026-01-31") from error
+    add_shared(parser, "registry", "json", "csv")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -127,13 +111,18 @@ def run(options: argparse.Namespace) -> int:
 def _export(options: argparse.Namespace) -> tuple[list[dict[str, object]], int]:
     from softcal.app.export.calibrated_unit import ExportOptions
     from softcal.app.export.export import export_units, lot_serials
+    from softcal.app.export.signature import open_signing_key
     from softcal.core.errors import InputError, UnitRefused
     from softcal.core.export.device import DeviceOptions
     from softcal.core.unit.verdict import Release
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         if not 0 <= options.max_deviation <= 0.5:
             raise InputError(f"--max-deviation {options.max_deviation}: 0 ... 0.5 is allowed")
+        signing_key = None
+        if options.sign is not None:
+            ask = getpass if sys.stdin.isatty() else None
+            signing_key = open_signing_key(options.sign, options.passphrase_file, ask)
         choices = ExportOptions(
             adc_bits=options.adc_bits,
             adc_full_scale=options.adc_full_scale,
@@ -144,7 +133,7 @@ def _export(options: argparse.Namespace) -> tuple[list[dict[str, object]], int]:
             failed_too=options.failed_too,
             revision=options.revision,
             lot_id=options.lot,
-            signing_key=_signing_key(options),
+            signing_key=signing_key,
             laboratory=options.laboratory,
             issued_on=options.issued_on,
         )
@@ -159,17 +148,15 @@ def _export(options: argparse.Namespace) -> tuple[list[dict[str, object]], int]:
     if len(units) == 1 and refused:
         raise UnitRefused(f"{refused[0].refusal}; written: {', '.join(refused[0].files) or 'nothing'}")
     header = ("serial", "revision", "verdict", "bytes", "map rms", "error rms", "error max", "unit", "files")
-    print_table(header, [_row(unit.serial, unit.revision, unit.verdict, unit.device, unit.files) for unit in units])
+    names, rows = ("unit_bytes", "map_rms_deviation", "rms_error", "max_error", "unit"), []
+    for unit in units:
+        numbers = [(unit.device or {}).get(name) for name in names]
+        rows.append([unit.serial, unit.revision, unit.verdict, *numbers, len(unit.files)])
+    print_table(header, rows)
     _say_cost([unit.device for unit in units if unit.device])
     for unit in refused:
         say(f"refused: {unit.refusal}")
     return [vars(unit) for unit in units], 1 if refused else 0
-
-
-def _row(serial: str, revision: int, verdict: str, device: object, files: tuple[str, ...]) -> list[object]:
-    facts = device if isinstance(device, dict) else {}
-    numbers = [facts.get(name) for name in ("unit_bytes", "map_rms_deviation", "rms_error", "max_error", "unit")]
-    return [serial, revision, verdict, *numbers, len(files)]
 
 
 def _say_cost(devices: Sequence[Mapping[str, object]]) -> None:
@@ -182,14 +169,6 @@ def _say_cost(devices: Sequence[Mapping[str, object]]) -> None:
         f"on a Cortex-M0+ at 48 MHz: network {dearest['network_bytes']} B, code 1.9 KB, RAM {dearest['ram_bytes']} B, "
         f"about {ms:.2f} ms per estimate (at most {1000 / ms:.0f} Hz)"
     )
-
-
-def _signing_key(options: argparse.Namespace) -> "SigningKey | None":
-    from softcal.app.export.signature import open_signing_key
-
-    if options.sign is None:
-        return None
-    return open_signing_key(options.sign, options.passphrase_file, getpass if sys.stdin.isatty() else None)
 
 
 def _check(options: argparse.Namespace) -> tuple[dict[str, object], tuple[str, ...]]:

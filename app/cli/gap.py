@@ -1,19 +1,20 @@
-"""`softcal gap`: diagnose the gap between the twin and a rig, apply what was found, and check both blindly."""
+"""`softcal gap`: diagnose the gap between the twin and a rig, and apply what was found."""
 
 import argparse
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from softcal.app.cli import gap_challenge, gap_effects, gap_lot, gap_transfer
-from softcal.app.cli.options import add_json
+from softcal.app.cli.gap_challenge import add_challenge_actions
+from softcal.app.cli.gap_effects import add_effects
+from softcal.app.cli.gap_lot import add_lot, add_transfer
+from softcal.app.cli.options import COUNT, FILE, actions_of, add_shared, answer
 from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
     from softcal.core.gap.diagnosis import Diagnosis
     from softcal.core.gap.gap_diagnosis import GapDiagnosis
-    from softcal.core.gap.identifiability import Identifiability
     from softcal.core.gap.named_causes import RankedCause
     from softcal.core.gap.plausibility import DataMistake
     from softcal.core.twin.parameters import ReadoutMetadata
@@ -55,48 +56,38 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Compare the twin with recordings of a rig: where it is wrong, which effect causes it, how far the gap shrinks,
     what to press next.
     """
-    inner = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    _add_diagnose(inner)
-    _add_check(inner)
-    _add_apply(inner)
-    gap_lot.add_parser(inner)
-    gap_effects.add_parser(inner)
-    gap_transfer.add_parser(inner)
-    gap_challenge.add_parsers(inner)
-
-
-def _add_diagnose(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    parser = commands.add_parser(
-        "diagnose",
-        help="find the causes of the gap in a case",
-        description="Fit the base twin and every effect of the catalogue together to all runs of a case. Report where "
-        "the gap lies, its causes with probabilities, the shrink on runs held back, and the next experiment.",
-        epilog=_DIAGNOSE_EXAMPLES,
+    action = actions_of(parser, "commands", "COMMAND")
+    diagnose = action("diagnose", "find the causes of the gap in a case", _diagnose, epilog=_DIAGNOSE_EXAMPLES)
+    _add_case(diagnose)
+    add_shared(diagnose, "json")
+    diagnose.add_argument("--page", **FILE, help="write a page of figures (standalone HTML)")
+    check = action(
+        "check", "say what the runs of a case can tell, before anything is diagnosed", _check, epilog=_CHECK_EXAMPLES
     )
-    _add_case(parser)
-    add_json(parser)
-    parser.add_argument("--page", type=Path, metavar="FILE", help="write a page of figures (standalone HTML)")
-    parser.set_defaults(run=_diagnose)
-
-
-def _add_check(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    parser = commands.add_parser(
-        "check",
-        help="say what the runs of a case can tell, before anything is diagnosed",
-        description="Look for mistakes in the recordings and fit the base. Say which of its parameters and which "
-        "causes these runs can tell, which they cannot, and which run would. Nothing is diagnosed.",
-        epilog=_CHECK_EXAMPLES,
+    _add_case(check)
+    add_shared(check, "json")
+    apply = action("apply", "write the twin that explains a case", _apply, epilog=_APPLY_EXAMPLES)
+    apply.add_argument("case", type=Path, nargs="?", metavar="CASE", help=_CASE_HELP)
+    apply.add_argument("--report", **FILE, help="take the twin of this report instead of CASE")
+    apply.add_argument("--simulator", metavar="MODULE:NAME", help="write the parameters of this simulator for CASE")
+    apply.add_argument("--out", required=True, **FILE, help="twin or parameters as JSON")
+    apply.add_argument(
+        "--empirical",
+        action="store_true",
+        help="add the empirical terms that describe what no cause explains, and the causes they stand beside",
     )
-    _add_case(parser)
-    add_json(parser)
-    parser.set_defaults(run=_check)
+    add_shared(apply, "json")
+    add_lot(action)
+    add_effects(action)
+    add_transfer(action)
+    add_challenge_actions(action)
 
 
 def _add_case(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("case", type=Path, metavar="CASE", help=f"{_CASE_HELP}; or a plain table")
     table = parser.add_argument_group("electronics of a plain table (a case states its own)")
     table.add_argument("--vref-V", type=float, dest="vref_V", metavar="V", help="supply of divider and ADC")
-    table.add_argument("--adc-bits", type=int, metavar="N", help="resolution of the ADC")
+    table.add_argument("--adc-bits", **COUNT, help="resolution of the ADC")
     table.add_argument("--rate-Hz", type=float, dest="rate_Hz", metavar="HZ", help="sample rate")
     table.add_argument(
         "--series-ohm", type=float, metavar="OHM", help="series resistor; without it resistances come as shares of it"
@@ -108,68 +99,45 @@ def _add_case(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _add_apply(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    parser = commands.add_parser(
-        "apply",
-        help="write the twin that explains a case",
-        description="Diagnose a case and write base parameters, noise and named causes as a twin that the simulated "
-        "station and simulated lots can load.",
-        epilog=_APPLY_EXAMPLES,
-    )
-    parser.add_argument("case", type=Path, nargs="?", metavar="CASE", help=_CASE_HELP)
-    parser.add_argument("--report", type=Path, metavar="FILE", help="take the twin of this report instead of CASE")
-    parser.add_argument("--simulator", metavar="MODULE:NAME", help="write the parameters of this simulator for CASE")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="twin or parameters as JSON")
-    parser.add_argument(
-        "--empirical",
-        action="store_true",
-        help="add the empirical terms that describe what no cause explains, and the causes they stand beside",
-    )
-    add_json(parser)
-    parser.set_defaults(run=_apply)
-
-
-def _diagnose(options: argparse.Namespace) -> int:
+def _diagnose(options: argparse.Namespace) -> None:
+    """Fit the base twin and every effect of the catalogue together to all runs of a case. Report
+    where the gap lies, its causes with probabilities, the shrink on runs held back, and the next
+    experiment.
+    """
     from softcal.app.gap.diagnose import diagnose_case, write_page
 
     if options.simulator:
-        return _diagnose_simulator(options)
+        _diagnose_simulator(options)
+        return
     diagnosis = diagnose_case(options.case, say, _table_readout(options))
     if options.page:
         write_page(options.page, diagnosis)
     _show_twin(diagnosis, options.json)
-    return 0
 
 
-def _check(options: argparse.Namespace) -> int:
+def _check(options: argparse.Namespace) -> None:
+    """Look for mistakes in the recordings and fit the base. Say which of its parameters and which
+    causes these runs can tell, which they cannot, and which run would. Nothing is diagnosed.
+    """
     from softcal.app.gap.diagnose import check_case
     from softcal.app.gap.simulator import check_with, load_simulator
+    from softcal.core.gap.identifiability import sentences
 
     if options.simulator:
         _refuse_electronics(options)
         found, told = check_with(options.case, load_simulator(options.simulator))
     else:
         found, told = check_case(options.case, _table_readout(options))
-    if options.json:
-        identifiability = None if told is None else told.record()
-        data = [one.record() for one in found]
-        write_json(options.json, {"schema": "softcal.gap.check/1", "data": data, "identifiability": identifiability})
-    if options.json == "-":
-        return 0
+    data, identifiability = [one.record() for one in found], None if told is None else told.record()
+    if not answer(options, "gap.check/1", {"data": data, "identifiability": identifiability}):
+        return
     _show_mistakes(found)
     if told is None:
         print("check       repair the recordings and check again; nothing else was judged")
-        return 0
+        return
     for kind, is_base in (("base parameters", True), ("causes", False)):
         every = [one for one in told.every if one.is_base == is_base]
         print(f"told        {sum(one.is_told for one in every)} of {len(every)} {kind}")
-    _show_untold(told)
-    return 0
-
-
-def _show_untold(told: "Identifiability") -> None:
-    from softcal.core.gap.identifiability import sentences
-
     for line in sentences(told):
         print(f"not told    {line}")
 
@@ -188,7 +156,7 @@ def _refuse_electronics(options: argparse.Namespace) -> None:
         raise InputError("--simulator knows no electronics; leave those options out")
 
 
-def _diagnose_simulator(options: argparse.Namespace) -> int:
+def _diagnose_simulator(options: argparse.Namespace) -> None:
     from softcal.app.gap.diagnose import write_page
     from softcal.app.gap.simulator import diagnose_with, load_simulator
 
@@ -202,11 +170,10 @@ def _diagnose_simulator(options: argparse.Namespace) -> int:
     if diagnosis.failures.count:
         failed = diagnosis.failures
         say(f"{failed.first}; so at {failed.count} of {failed.of} places, which were avoided")
-    return 0
 
 
 def _table_readout(options: argparse.Namespace) -> "ReadoutMetadata | None":
-    """Return the electronics given for a plain table; only R/Rs enters the divider, so Rs may stay unknown."""
+    """Return the electronics of a plain table; R/Rs alone enters the divider: Rs may be unknown."""
     from softcal.core.twin.parameters import ReadoutMetadata
 
     given = (options.vref_V, options.adc_bits, options.rate_Hz)
@@ -221,32 +188,35 @@ def _table_readout(options: argparse.Namespace) -> "ReadoutMetadata | None":
     return ReadoutMetadata(options.vref_V, options.adc_bits, options.series_ohm or 1.0, options.rate_Hz)
 
 
-def _apply(options: argparse.Namespace) -> int:
+def _apply(options: argparse.Namespace) -> None:
+    """Diagnose a case and write base parameters, noise and named causes as a twin that the
+    simulated station and simulated lots can load.
+    """
     from softcal.app.gap.diagnose import apply_case, apply_report, read_report
     from softcal.app.gap.simulator import diagnose_with, load_simulator, read_parameters
 
     if (options.case is None) == (options.report is None):
         raise InputError("give either a case to diagnose or --report with the JSON of a diagnosis")
     if options.report is not None and (report := read_report(options.report)).get("simulator"):
-        return _apply_parameters(options, report, str(options.report))
+        _apply_parameters(options, report, str(options.report))
+        return
     if options.simulator:
         diagnosed = diagnose_with(options.case, simulator := load_simulator(options.simulator), say)
         _show(diagnosed)
         _apply_parameters(options, diagnosed.report(), str(options.case))
         read_parameters(options.out, simulator)
-        return 0
+        return
     if options.report is not None:
         say(f"twin written to {options.out}: {_contents(apply_report(options.report, options.out, options.empirical))}")
-        return 0
+        return
     diagnosis, twin = apply_case(options.case, options.out, say, options.empirical)
     is_bare = diagnosis.verdict == "unknown" and not options.empirical
     said = "nothing explains the gap, so it is the refitted base alone" if is_bare else _contents(twin)
     say(f"twin written to {options.out}: {said}")
     _show_twin(diagnosis, options.json)
-    return 0
 
 
-def _apply_parameters(options: argparse.Namespace, report: Mapping[str, object], source: str) -> int:
+def _apply_parameters(options: argparse.Namespace, report: Mapping[str, object], source: str) -> None:
     from softcal.app.gap.simulator import write_parameters
 
     found = write_parameters(options.out, report, source, options.empirical)
@@ -255,7 +225,6 @@ def _apply_parameters(options: argparse.Namespace, report: Mapping[str, object],
     said = "nothing explains the gap, so they are those of the refitted base alone: " if is_bare else ""
     say(f"parameters of {report['simulator']} written to {options.out}: {said}{told}")
     write_json(options.json, dict(report))
-    return 0
 
 
 def _contents(twin: "Twin") -> str:
@@ -305,37 +274,30 @@ def _show_twin(diagnosis: "Diagnosis", target: str | None) -> None:
         print(f"not judged  {', '.join(diagnosis.case.unseen_stages)}: these recordings cannot show them")
 
 
-def _chosen_otherwise(diagnosis: "GapDiagnosis[Any]") -> list[tuple[int, tuple[str, ...]]]:
-    """Return the parts without which other causes are chosen, and those causes."""
-    ids = diagnosis.best.hypothesis.ids
-    return [(k, causes) for k, causes in enumerate(diagnosis.chosen, start=1) if causes != ids]
-
-
 def _show_result(diagnosis: "GapDiagnosis[Any]") -> None:
+    from softcal.core.gap.identifiability import sentences
+
     shrink = diagnosis.shrink
     print(f"verdict     {diagnosis.verdict}")
     for channel, gap in diagnosis.gap.items():
         print(f"{channel:<11} {gap.rmse_before:.4g} before, {gap.rmse_after:.4g} after, floor {gap.noise_floor:.4g}")
     forecast = f"{shrink.predicted:.2f} [{shrink.low:.2f}, {shrink.high:.2f}]"
     print(f"shrink      {shrink.held_out:.2f} held out; forecast {forecast}")
-    for part, causes in _chosen_otherwise(diagnosis):
-        print(f"            without part {part} of the runs: {' + '.join(causes) or 'no cause'}; scored so there")
+    for part, causes in enumerate(diagnosis.chosen, start=1):
+        if causes != diagnosis.best.hypothesis.ids:
+            print(f"            without part {part} of the runs: {' + '.join(causes) or 'no cause'}; scored so there")
     named = [c for c in diagnosis.causes if c.probability > 0.01]
     if named:
-        print_table(
-            ["effect", "stage", "probability", "shrink", "hidden", "parameters"],
-            [
-                [c.effect, c.stage, c.probability, c.shrink, diagnosis.hidden_fraction.get(c.effect), _values(c)]
-                for c in named
-            ],
-        )
+        hidden = diagnosis.hidden_fraction
+        rows = [[c.effect, c.stage, c.probability, c.shrink, hidden.get(c.effect), _values(c)] for c in named]
+        print_table(["effect", "stage", "probability", "shrink", "hidden", "parameters"], rows)
     for place in diagnosis.places:
         print(f"where       {place.stage}, {place.channel}, {place.regime}: {place.share:.0%}  {place.detail}")
     for pair in diagnosis.ambiguous_with:
         print(f"ambiguous   {' / '.join(pair)}")
     print(f"next        {diagnosis.next_experiment.profile}: {diagnosis.next_experiment.why}")
-    if diagnosis.told is not None:
-        _show_untold(diagnosis.told)
+    for line in () if diagnosis.told is None else sentences(diagnosis.told):
+        print(f"not told    {line}")
 
 
 def _values(cause: "RankedCause") -> str:

@@ -1,8 +1,11 @@
-"""`softcal gap challenge`, `softcal gap ask` and `softcal gap score`: the withheld check of the diagnosis."""
+"""`softcal gap challenge`, `ask` and `score`: the withheld check of the diagnosis."""
 
 import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from softcal.app.cli.options import COUNT, DIR, FILE, Action
+from softcal.app.output import ProgressLine, print_table, say, write_json
 
 if TYPE_CHECKING:
     from softcal.core.challenge.score import Row, ScoreSheet
@@ -24,69 +27,38 @@ _SCORE_EXAMPLES = """examples:
 """
 
 
-def add_parsers(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+def add_challenge_actions(action: Action) -> None:
     """Add the three commands to those of `softcal gap`."""
-    _add_challenge(commands)
-    _add_ask(commands)
-    _add_score(commands)
-
-
-def _add_challenge(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    parser = commands.add_parser(
-        "challenge",
-        help="make sealed cases whose cause is withheld",
-        description="Make sealed cases: recordings of simulated rigs with hidden effects, by a generator that shares "
-        "no code with the twin. The labels go into a file of their own; its SHA-256 is printed and published with "
-        "the cases before anybody diagnoses them.",
-        epilog=_CHALLENGE_EXAMPLES,
-    )
-    parser.add_argument("--cases", type=int, required=True, metavar="N", help="how many cases")
-    parser.add_argument("--seed", type=int, help="seed of the draw (default: a secret one, kept in the seal)")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="new folder for the cases")
-    parser.add_argument("--seal", type=Path, metavar="FILE", help="file for the labels (default: DIR.seal.json)")
-    parser.add_argument("--line", metavar="NAME", help="draw one line of the benchmark instead of the mix")
-    parser.set_defaults(run=_challenge)
-
-
-def _add_ask(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    parser = commands.add_parser(
-        "ask",
-        help="run one more experiment on a sealed rig",
-        description="Run one more experiment on a sealed rig, with the same hidden causes. The recording is added to "
-        "the case as runs/asked-<n>; diagnose the case again to see whether the ambiguity is gone.",
-        epilog=_ASK_EXAMPLES,
-    )
-    parser.add_argument("folder", type=Path, metavar="DIR", help="folder of the challenge")
-    parser.add_argument("case", metavar="CASE", help="name of the case")
-    what = parser.add_mutually_exclusive_group(required=True)
+    challenge = action("challenge", "make sealed cases whose cause is withheld", _challenge, epilog=_CHALLENGE_EXAMPLES)
+    challenge.add_argument("--cases", required=True, **COUNT, help="how many cases")
+    challenge.add_argument("--seed", type=int, help="seed of the draw (default: a secret one, kept in the seal)")
+    challenge.add_argument("--out", required=True, **DIR, help="new folder for the cases")
+    challenge.add_argument("--seal", **FILE, help="file for the labels (default: DIR.seal.json)")
+    challenge.add_argument("--line", metavar="NAME", help="draw one line of the benchmark instead of the mix")
+    ask = action("ask", "run one more experiment on a sealed rig", _ask, epilog=_ASK_EXAMPLES)
+    ask.add_argument("folder", **DIR, help="folder of the challenge")
+    ask.add_argument("case", metavar="CASE", help="name of the case")
+    what = ask.add_mutually_exclusive_group(required=True)
     what.add_argument("--experiment", metavar="NAME", help="name of the experiment")
-    what.add_argument("--lot", type=Path, metavar="DIR", help="press a lot of units on the rig into this new folder")
-    parser.add_argument("--units", type=int, default=6, metavar="N", help="target units of the lot (default 6)")
-    parser.add_argument("--seal", type=Path, required=True, metavar="FILE", help="file with the labels")
-    parser.set_defaults(run=_ask)
-
-
-def _add_score(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    parser = commands.add_parser(
-        "score",
-        help="open the seal of a challenge and score the reports",
-        description="Check the seal of a challenge against its published hash and open it. Score one report per "
-        "case: causes, sets, false alarms, abstention, stage, forecast of the shrink, calibration of probabilities.",
-        epilog=_SCORE_EXAMPLES,
-    )
-    parser.add_argument("folder", type=Path, metavar="DIR", help="folder of the challenge")
-    parser.add_argument("--reports", type=Path, required=True, metavar="DIR", help="folder with CASE.json per case")
-    parser.add_argument("--seal", type=Path, required=True, metavar="FILE", help="file with the labels")
-    parser.add_argument("--json", metavar="FILE", help="write the scores as JSON ('-' for standard output)")
-    parser.add_argument(
+    what.add_argument("--lot", **DIR, help="press a lot of units on the rig into this new folder")
+    ask.add_argument("--units", default=6, **COUNT, help="target units of the lot (default 6)")
+    ask.add_argument("--seal", required=True, **FILE, help="file with the labels")
+    score = action("score", "open the seal of a challenge and score the reports", _score, epilog=_SCORE_EXAMPLES)
+    score.add_argument("folder", **DIR, help="folder of the challenge")
+    score.add_argument("--reports", required=True, **DIR, help="folder with CASE.json per case")
+    score.add_argument("--seal", required=True, **FILE, help="file with the labels")
+    score.add_argument("--json", metavar="FILE", help="write the scores as JSON ('-' for standard output)")
+    score.add_argument(
         "--check", action="store_true", help="exit with 1 where a line that was drawn falls below its floor"
     )
-    parser.set_defaults(run=_score)
 
 
-def _challenge(options: argparse.Namespace) -> int:
+def _challenge(options: argparse.Namespace) -> None:
+    """Make sealed cases: recordings of simulated rigs with hidden effects, by a generator that
+    shares no code with the twin. The labels go into a file of their own; its SHA-256 is printed and
+    published with the cases before anybody diagnoses them.
+    """
     from softcal.app.gap.challenge import make_challenge
-    from softcal.app.output import ProgressLine, say
 
     folder: Path = options.out
     seal_file = options.seal or folder.parent / f"{folder.name}.seal.json"
@@ -94,22 +66,27 @@ def _challenge(options: argparse.Namespace) -> int:
     made = make_challenge(folder, seal_file, options.cases, options.seed, options.line, progress.step)
     print(f"commitment  {made.commitment}")
     say(f"{len(made.cases)} cases in {folder}; labels in {seal_file}: keep it away from whoever diagnoses")
-    return 0
 
 
-def _ask(options: argparse.Namespace) -> int:
+def _ask(options: argparse.Namespace) -> None:
+    """Run one more experiment on a sealed rig, with the same hidden causes. The recording is added
+    to the case as runs/asked-<n>; diagnose the case again to see whether the ambiguity is gone.
+    """
     from softcal.app.gap.challenge import ask_rig, press_rig_lot
 
     if options.lot is not None:
         print(press_rig_lot(options.folder, options.seal, options.case, options.units, options.lot))
-        return 0
+        return
     print(ask_rig(options.folder, options.seal, options.case, options.experiment))
-    return 0
 
 
 def _score(options: argparse.Namespace) -> int:
+    """Check the seal of a challenge against its published hash and open it. Score one report per
+    case: causes, sets, false alarms, abstention, stage, forecast of the shrink, calibration of
+    probabilities.
+    """
     from softcal.app.gap.challenge import score_challenge
-    from softcal.app.output import say, write_json
+    from softcal.core.challenge.score import shortfalls
 
     sheet = score_challenge(options.folder, options.reports, options.seal)
     write_json(options.json, sheet.to_record())
@@ -117,22 +94,15 @@ def _score(options: argparse.Namespace) -> int:
         say(f"counted as wrong: {judged.unread}")
     if options.json != "-":
         _print(sheet)
-    return _below_floors(sheet) if options.check else 0
-
-
-def _below_floors(sheet: "ScoreSheet") -> int:
-    from softcal.app.output import say
-    from softcal.core.challenge.score import shortfalls
-
-    told = shortfalls(sheet)
-    for sentence in told:
+    if not options.check:
+        return 0
+    below = shortfalls(sheet)
+    for sentence in below:
         say(f"below its floor: {sentence}")
-    return 1 if told else 0
+    return 1 if below else 0
 
 
 def _print(sheet: "ScoreSheet") -> None:
-    from softcal.app.output import print_table
-
     header = ("line", "measure", "hits", "of", "share", "95 % interval")
     print_table(header, [_cells(row) for row in (*sheet.rows, *sheet.shrink.rows) if row.count])
     sure = sheet.probabilities

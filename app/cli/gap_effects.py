@@ -3,7 +3,8 @@
 import argparse
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import add_csv, add_json
+from softcal.app.cli.options import Action, add_shared, answer
+from softcal.app.output import print_table
 
 if TYPE_CHECKING:
     from softcal.core.twin.effects import Effect
@@ -14,51 +15,38 @@ _EXAMPLES = """examples:
 """
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+def add_effects(action: Action) -> None:
     """Add the command to those of `softcal gap`."""
-    parser = commands.add_parser(
-        "effects",
-        help="list the effects a diagnosis can name",
-        description="List the catalogue of effects: where each acts, its equation, what it needs to be seen, "
-        "what it hides behind and which runs show it. Effects of installed plug-ins stand last.",
-        epilog=_EXAMPLES,
-    )
-    add_json(parser)
-    add_csv(parser)
-    parser.set_defaults(run=_list)
+    parser = action("effects", "list the effects a diagnosis can name", _list, epilog=_EXAMPLES)
+    add_shared(parser, "json", "csv")
 
 
-def _list(options: argparse.Namespace) -> int:
-    from softcal.app.output import print_table, write_json
+def _list(options: argparse.Namespace) -> None:
+    """List the catalogue of effects: where each acts, its equation, what it needs to be seen, what
+    it hides behind and which runs show it. Effects of installed plug-ins stand last.
+    """
     from softcal.core.twin.catalogue import EFFECTS
 
-    if options.json:
-        effects = [_record(effect) for effect in EFFECTS.values()]
-        write_json(options.json, {"schema": "softcal.gap.effects/1", "effects": effects})
-    if options.json != "-" or options.csv:
+    if answer(options, "gap.effects/1", {"effects": [_record(effect) for effect in EFFECTS.values()]}):
         header = ["effect", "stage", "equation", "needs", "hides behind", "shown by"]
-        print_table(header, [_row(effect) for effect in EFFECTS.values()])
-    return 0
-
-
-def _row(effect: "Effect") -> list[object]:
-    signs = effect.signs
-    lists = (signs.needs, signs.hides_behind, signs.shown_by)
-    return [effect.id, effect.stage, effect.equation, *(", ".join(names) or None for names in lists)]
+        rows = []
+        for effect in EFFECTS.values():
+            lists = (effect.signs.needs, effect.signs.hides_behind, effect.signs.shown_by)
+            signs = [", ".join(names) or None for names in lists]
+            rows.append([effect.id, effect.stage, effect.equation, *signs])
+        print_table(header, rows)
 
 
 def _record(effect: "Effect") -> dict[str, object]:
     from softcal.core.twin.catalogue import OWN_EFFECTS
 
-    parameters = [
-        {"name": p.name, "unit": p.unit, "low": p.low, "high": p.high, "usual": p.usual} for p in effect.parameters
-    ]
+    facts = ("name", "unit", "low", "high", "usual")
     return {
         "effect": effect.id,
         "stage": effect.stage,
         "equation": effect.equation,
         "source": effect.source,
-        "parameters": parameters,
+        "parameters": [{name: getattr(p, name) for name in facts} for p in effect.parameters],
         "needs": list(effect.signs.needs),
         "hides_behind": list(effect.signs.hides_behind),
         "shown_by": list(effect.signs.shown_by),

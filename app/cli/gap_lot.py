@@ -1,53 +1,60 @@
-"""`softcal gap lot`: many units of one lot diagnosed together."""
+"""`softcal gap lot` and `transfer`: a rig's lot diagnosed as one, and foretold by its twins."""
 
 import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import add_json
+from softcal.app.cli.options import DIR, FILE, Action, add_shared
+from softcal.app.output import print_table, say, write_json
 
 if TYPE_CHECKING:
     from softcal.core.gap.shared_cause import LotDiagnosis
     from softcal.core.gap.worth import CalibrationWorth
 
-_EXAMPLES = """examples:
+_LOT_EXAMPLES = """examples:
   softcal gap lot lot-7
   softcal gap lot lot-7 --json lot-7.gap.json
 
 lot-7/A1/runs/1/recording.csv and recording.json    a case per unit, as softcal gap diagnose takes it
 lot-7/A1/audit/recording.csv and recording.json     a run kept back: f of twins and of the rig is tested on it
 """
+_TRANSFER_EXAMPLES = """examples:
+  softcal gap diagnose rig-7 --json rig-7.gap.json
+  softcal gap transfer --report rig-7.gap.json --lot lot-1
+  softcal gap transfer --report rig-7.gap.json --lot lot-1 --json transfer.json
+
+The lot's recordings must hold stage_mm: simulated units are pressed along the same positions.
+"""
+_WORDS = {
+    "before": "error without a map, N",
+    "after": "error with the map, N",
+    "own": "error of an own calibration, N",
+    "after_by_own": "with the map / own calibration",
+}
 
 
-def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+def add_lot(action: Action) -> None:
     """Add `softcal gap lot`."""
-    parser = commands.add_parser(
-        "lot",
-        help="diagnose many units of one lot together",
-        description="Diagnose one case per unit and add up their evidence. Say which causes the units share, at which "
-        "size in each, and which units do not follow. Units with an audit show how many rig recordings the twin saves.",
-        epilog=_EXAMPLES,
-    )
+    parser = action("lot", "diagnose many units of one lot together", _lot, epilog=_LOT_EXAMPLES)
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="one case folder per unit")
-    add_json(parser)
-    parser.set_defaults(run=_lot)
+    add_shared(parser, "json")
 
 
-def _lot(options: argparse.Namespace) -> int:
+def _lot(options: argparse.Namespace) -> None:
+    """Diagnose one case per unit and add up their evidence. Say which causes the units share, at
+    which size in each, and which units do not follow. Units with an audit show how many rig
+    recordings the twin saves.
+    """
     from softcal.app.gap.lot import diagnose_lot_folder
-    from softcal.app.output import say, write_json
 
     found = diagnose_lot_folder(options.folder, say)
     write_json(options.json, found.record())
     if options.json != "-":
         _show(found.diagnosis)
         _show_worth(found.calibration)
-    return 0
 
 
 def _show(found: "LotDiagnosis") -> None:
-    from softcal.app.output import print_table
-
     print(f"verdict     {found.verdict}")
     word = "nearest" if found.verdict == "unknown" else "shared"
     for cause in found.causes:
@@ -59,9 +66,8 @@ def _show(found: "LotDiagnosis") -> None:
         if member.is_left_out:
             print(f"left out    {member.name}: {'; '.join(str(m.evidence) for m in member.diagnosis.mistakes)}")
         elif not member.follows:
-            print(
-                f"outlier     {member.name}: does not share the lot's causes; alone {member.diagnosis.verdict}, {own}"
-            )
+            alone = f"alone {member.diagnosis.verdict}, {own}"
+            print(f"outlier     {member.name}: does not share the lot's causes; {alone}")
     rows = [
         [m.name, m.diagnosis.verdict, effect, name, p.value, p.low, p.high, p.unit]
         for m in found.members
@@ -73,8 +79,6 @@ def _show(found: "LotDiagnosis") -> None:
 
 
 def _show_worth(calibration: "tuple[CalibrationWorth, ...]") -> None:
-    from softcal.app.output import print_table
-
     if not calibration:
         return
     most = max(len(w.rig) for w in calibration)
@@ -84,3 +88,30 @@ def _show_worth(calibration: "tuple[CalibrationWorth, ...]") -> None:
         f"saves       {sum(w.saves for w in calibration)} rig recordings over {len(calibration)} units; "
         f"the twin without the causes saves {sum(w.nominal_saves for w in calibration)}"
     )
+
+
+def add_transfer(action: Action) -> None:
+    """Add `softcal gap transfer`."""
+    parser = action(
+        "transfer",
+        "compare calibration results in simulation with those on the rig",
+        _transfer,
+        epilog=_TRANSFER_EXAMPLES,
+    )
+    parser.add_argument("--report", required=True, **FILE, help="JSON of softcal gap diagnose")
+    parser.add_argument("--lot", required=True, **DIR, help="lot folder with audits, from the rig")
+    parser.add_argument("--seed", type=int, default=0, help="of the simulated units' spread and noise (default 0)")
+    add_shared(parser, "json")
+
+
+def _transfer(options: argparse.Namespace) -> None:
+    """Calibrate three lots in the same way: pressed on the rig, simulated with the refitted base
+    twin, and with the explained twin. Show which twin foretells the rig's results.
+    """
+    from softcal.app.gap.transfer import check_transfer
+
+    found = check_transfer(options.report, options.lot, options.seed, say)
+    write_json(options.json, found.to_record())
+    if options.json != "-":
+        header = ("median over units", "rig", "base twin", "explained twin", "base off by", "explained off by")
+        print_table(header, [(_WORDS[n], *v, f"{b:.0%}", f"{e:.0%}") for n, *v, b, e in found.rows()])

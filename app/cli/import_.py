@@ -3,7 +3,8 @@
 import argparse
 from pathlib import Path
 
-from softcal.app.output import say, write_json
+from softcal.app.cli.options import COUNT, FILE, add_shared, answer, converted
+from softcal.app.output import say
 from softcal.core.errors import InputError
 
 EXAMPLES = """examples:
@@ -22,7 +23,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Make a lot folder: one file per unit, or one wide file with a column per unit. Nothing is written unless every
     file can be used.
     """
-    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="CSV, .xlsx or Parquet; of a folder, all")
+    parser.add_argument("files", nargs="+", **FILE, help="CSV, .xlsx or Parquet; of a folder, all")
     parser.add_argument("--out", required=True, type=Path, help="lot folder to make; must not exist yet")
     parser.add_argument(
         "--source",
@@ -48,10 +49,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="keep the targets' references in audit/: they decide about their units, no map is fitted to them",
     )
-    parser.add_argument("--rows", type=_rows, metavar="A:B", help="data rows that fit, counted from 0")
-    parser.add_argument("--audit-rows", type=_rows, metavar="A:B", help="data rows of the audit")
+    rows = converted(_rows, "{!r}: START:STOP was expected, for example 0:800")
+    parser.add_argument("--rows", type=rows, metavar="A:B", help="data rows that fit, counted from 0")
+    parser.add_argument("--audit-rows", type=rows, metavar="A:B", help="data rows of the audit")
     parser.add_argument(
-        "--most-cells", type=int, default=20_000_000, metavar="N",
+        "--most-cells", default=20_000_000, **COUNT,
         help="refuse larger tables before they are read (default 20 million; a tenth of it for Excel)",
     )  # fmt: skip
     parser.add_argument("--sheet", help="sheet of an Excel file")
@@ -59,18 +61,15 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--reference-unit", default="N")
     parser.add_argument("--output-unit", default="V")
     parser.add_argument("--limit", type=float, metavar="RMSE", help="largest acceptable error, in the reference unit")
-    parser.add_argument("--json", metavar="FILE", help="machine-readable result; - for standard output")
+    add_shared(parser, "json")
 
 
 def _rows(text: str) -> tuple[int, int]:
     start, _, stop = text.partition(":")
-    try:
-        return int(start), int(stop)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text!r}: START:STOP was expected, for example 0:800") from error
+    return int(start), int(stop)
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Import, and say what was made."""
     from softcal.app.files.importing import Columns, ImportPlan, import_lot, median_rate_Hz, tables_of
     from softcal.core.lot import Lot
@@ -100,5 +99,4 @@ def run(options: argparse.Namespace) -> int:
     )  # fmt: skip
     units = import_lot(plan, options.out, lambda remark: say(f"note: {remark}"))
     say(f"{options.out}: lot {lot.id!r}, source {', '.join(options.source)}, {len(units)} target units, {rate_Hz:g} Hz")
-    write_json(options.json, {"schema": "softcal.import/1", "lot": lot.id, "source": lot.source, "units": units})
-    return 0
+    answer(options, "import/1", {"lot": lot.id, "source": lot.source, "units": units})

@@ -7,7 +7,7 @@ from dataclasses import MISSING, Field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
 
-from softcal.app.cli.options import positive
+from softcal.app.cli.options import FILE, actions_of, positive
 from softcal.app.output import say
 from softcal.core.errors import InputError
 
@@ -28,8 +28,8 @@ HELP = "make a lot folder or a station file by questions"
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Ask what a lot or a station is, and write it down. Nothing that exists is written over."""
-    kinds = parser.add_subparsers(title="what to make", metavar="WHAT", required=True)
-    lot = kinds.add_parser("lot", help="a folder with lot.toml, for recordings that are still to come")
+    action = actions_of(parser, "what to make", "WHAT")
+    lot = action("lot", "a folder with lot.toml, for recordings that are still to come", _make_lot)
     lot.add_argument("folder", type=Path, metavar="FOLDER", help="lot folder to make")
     lot.add_argument("--lot-id", help="default: the name of the folder")
     lot.add_argument("--source", metavar="SERIAL", help="unit with the reference that trains f")
@@ -40,16 +40,13 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     lot.add_argument("--output-unit", help="default V")
     lot.add_argument("--limit", type=positive, metavar="RMSE", help="largest acceptable error, in the reference unit")
     lot.add_argument("--yes", action="store_true", help="ask nothing: take the defaults of what is not given")
-    lot.set_defaults(run=run_lot)
-    station = kinds.add_parser(
-        "station", help="a station file; `softcal station check --write` finds USB devices itself"
+    station = action(
+        "station", "a station file; `softcal station check --write` finds USB devices itself", _make_station
     )
-    station.add_argument("file", type=Path, metavar="FILE", help="station file to make")
-    station.set_defaults(run=run_station)
+    station.add_argument("file", **FILE, help="station file to make")
 
 
-def run_lot(options: argparse.Namespace) -> int:
-    """Ask what is not given, and make the folder."""
+def _make_lot(options: argparse.Namespace) -> int:
     from softcal.app.files.lot_folder import write_lot_toml
     from softcal.core.lot import Lot
 
@@ -78,8 +75,7 @@ def run_lot(options: argparse.Namespace) -> int:
     return 0
 
 
-def run_station(options: argparse.Namespace) -> int:
-    """Ask for the parts of the rig and its limits, and write the station file."""
+def _make_station(options: argparse.Namespace) -> None:
     from softcal.app.files.atomic import write_text
     from softcal.station.devices.catalogue import SECTIONS
     from softcal.station.devices.config import SafetyConfig, station_from_table, station_toml
@@ -96,7 +92,6 @@ def run_station(options: argparse.Namespace) -> int:
     write_text(options.file, station_toml(station_from_table(table)))
     say(f"{options.file}: every key is in it with its meaning; read it once")
     say(f"then: softcal station check --station {options.file}")
-    return 0
 
 
 def _device(section: str, role: "Role") -> dict[str, Any]:
@@ -118,7 +113,7 @@ def _device(section: str, role: "Role") -> dict[str, Any]:
 
 
 def _answers(section: str, config: type[Any], names: set[str]) -> dict[str, Any]:
-    """Ask for the keys of one section, in the order and with the meaning in which they are declared."""
+    """Ask for the keys of a section, in the order and with the meaning of their declaration."""
     from softcal.station.devices.config import meanings
 
     for line in meanings(config):

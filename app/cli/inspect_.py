@@ -1,9 +1,8 @@
 """`softcal inspect`: what a calibration file holds."""
 
 import argparse
-from pathlib import Path
 
-from softcal.app.cli.options import add_csv, add_json
+from softcal.app.cli.options import FILE, add_shared
 from softcal.app.output import print_table, write_json
 
 EXAMPLES = """examples:
@@ -18,13 +17,12 @@ HELP = "say what a calibration file holds, and whether it is whole"
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Show a network or unit file (.ssc, or its JSON twin), after checking all that can be checked."""
-    parser.add_argument("file", type=Path, metavar="FILE", help=".ssc or .json")
-    parser.add_argument("--network", type=Path, metavar="FILE", help="the network file, to run a unit's self-tests")
-    add_json(parser)
-    add_csv(parser)
+    parser.add_argument("file", **FILE, help=".ssc or .json")
+    parser.add_argument("--network", **FILE, help="the network file, to run a unit's self-tests")
+    add_shared(parser, "json", "csv")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Read, check and show one file."""
     from softcal.app.export.inspect_file import file_rows, file_values, read_device_file
     from softcal.core.errors import InputError
@@ -38,4 +36,3 @@ def run(options: argparse.Namespace) -> int:
     write_json(options.json, file_values(file))
     if options.json != "-" or options.csv:
         print_table(("what", "value"), rows)
-    return 0

@@ -1,4 +1,4 @@
-"""`softcal lot`: watch a lot folder, set the limit its units are judged by, plan its audits and release it."""
+"""`softcal lot`: watch a lot folder, set its limit, plan its audits and release it."""
 
 import argparse
 from dataclasses import replace
@@ -6,7 +6,18 @@ from functools import partial
 from pathlib import Path
 
 from softcal.app.cli.lot_audit import add_audit
-from softcal.app.cli.options import add_csv, add_json, add_network, add_registry, network_config, registry_of
+from softcal.app.cli.options import (
+    COUNT,
+    DIR,
+    FILE,
+    actions_of,
+    add_network,
+    add_shared,
+    answer,
+    lot_id_of,
+    network_config,
+    registry_of,
+)
 from softcal.app.output import print_table, say, write_json
 from softcal.app.texts.catalogue import here
 from softcal.core.errors import InputError, RegistryError
@@ -39,72 +50,57 @@ HELP = "watch a lot folder; set the limit of a lot; plan and judge its audit"
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """What concerns a lot as a whole."""
-    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
-    watch = actions.add_parser("watch", help="calibrate units as their recordings land")
+    action = actions_of(parser)
+    watch = action("watch", "calibrate units as their recordings land", _watch)
     watch.add_argument("folder", type=Path, metavar="LOT", help="lot folder")
-    add_registry(watch)
+    add_shared(watch, "registry")
     watch.add_argument("--every", type=float, default=2.0, metavar="S", help="seconds between two looks (default 2)")
     watch.add_argument("--idle", type=float, metavar="S", help="stop when nothing came for so long (default: never)")
-    watch.add_argument("--jobs", type=int, default=1, metavar="N", help="worker processes (default 1)")
+    watch.add_argument("--jobs", default=1, **COUNT, help="worker processes (default 1)")
     add_network(watch)
-    watch.set_defaults(run=_watch)
-    folder = actions.add_parser(
-        "folder", help="write a lot of the registry as a lot folder, for example one that a station recorded on orders"
+    folder = action(
+        "folder",
+        "write a lot of the registry as a lot folder, for example one that a station recorded on orders",
+        _folder,
     )
     folder.add_argument("lot", metavar="ID", help="lot in the registry")
-    folder.add_argument("--out", type=Path, required=True, metavar="DIR", help="lot folder to make; not there yet")
-    add_registry(folder)
-    add_json(folder)
-    folder.set_defaults(run=_folder)
-    limit = actions.add_parser("limit", help="show or set the largest acceptable error of a lot's units")
+    folder.add_argument("--out", required=True, **DIR, help="lot folder to make; not there yet")
+    add_shared(folder, "registry", "json")
+    limit = action("limit", "show or set the largest acceptable error of a lot's units", _limit)
     limit.add_argument("lot", metavar="ID", help="lot in the registry")
-    add_registry(limit)
-    add_json(limit)
-    add_csv(limit)
+    add_shared(limit, "registry", "json", "csv")
     new = limit.add_mutually_exclusive_group()
     new.add_argument("--rmse", type=float, help="new limit in the lot's reference unit")
     new.add_argument("--automatic", action="store_true", help="let the limit follow from the source's own error again")
     limit.add_argument("--reason", help="why; needed with a new limit")
     limit.add_argument("--expect", type=int, metavar="VERSION", help="refuse when somebody changed it since")
-    limit.set_defaults(run=_limit)
-    network = actions.add_parser("network", help="show or decide which network of a lot the line uses")
+    network = action("network", "show or decide which network of a lot the line uses", _network)
     network.add_argument("lot", metavar="ID", help="lot in the registry")
-    add_registry(network)
-    add_json(network)
-    add_csv(network)
+    add_shared(network, "registry", "json", "csv")
     what = network.add_mutually_exclusive_group()
     what.add_argument("--release", metavar="NETWORK", help="use this one from now on; the first digits of its id do")
     what.add_argument("--withdraw", metavar="NETWORK", help="take it from the line; the one before it is used again")
     network.add_argument("--reason", default="", help="why; needed with a decision")
-    network.set_defaults(run=_network)
-    rules = actions.add_parser(
-        "rules", help="show or set how a lot's serials look, how many are planned, and who may be pressed again"
+    rules = action(
+        "rules", "show or set how a lot's serials look, how many are planned, and who may be pressed again", _rules
     )
     rules.add_argument("lot", metavar="ID", help="lot in the registry")
-    add_registry(rules)
-    add_json(rules)
+    add_shared(rules, "registry", "json")
     rules.add_argument("--serial-pattern", metavar="REGEX", help="what a whole serial matches; '' takes any")
     rules.add_argument("--letters", choices=LETTERS, help="turn what was scanned into these letters")
-    rules.add_argument("--target", type=int, metavar="N", help="units that are planned")
+    rules.add_argument("--target", **COUNT, help="units that are planned")
     rules.add_argument(
         "--retests", nargs="+", metavar="VERDICT=N", help=f"re-tests after a verdict: {', '.join(RETESTS)}"
     )
     rules.add_argument("--reason", default="", help="why; needed with every change")
-    rules.set_defaults(run=_rules)
-    add_audit(actions)
-    _add_audit_plan(actions)
-    _add_release(actions)
-
-
-def _add_audit_plan(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    audit = actions.add_parser(
+    add_audit(action)
+    audit = action(
         "audit-plan",
-        help="draw which few units to check with the load cell; show how far the checks are and what they say",
-        description="The first call draws the plan and writes it down; later calls show where it stands.",
+        "draw which few units to check with the load cell; show how far the checks are and what they say",
+        _audit_plan,
     )
     audit.add_argument("lot", metavar="ID", help="lot in the registry, or its folder")
-    add_registry(audit)
-    add_json(audit)
+    add_shared(audit, "registry", "json")
     for name, kind, text in (
         ("--doubtful", int, "units with the largest predicted error, beside the draw (default 0)"),
         ("--random", int, "units drawn from the other accepted ones, to speak for the unchecked (default 10)"),
@@ -114,40 +110,26 @@ def _add_audit_plan(actions: "argparse._SubParsersAction[argparse.ArgumentParser
         audit.add_argument(name, type=kind, metavar="N", help=text)
     audit.add_argument("--new", action="store_true", help="draw again although a plan stands; needs --reason")
     audit.add_argument("--reason", default="", help="why the plan is drawn again")
-    audit.set_defaults(run=_audit_plan)
-
-
-def lot_id_of(lot: str) -> str:
-    """Return the lot's id, given itself or its folder."""
-    from softcal.app.files.lot_folder import open_lot_folder
-
-    folder = Path(lot)
-    return open_lot_folder(folder).lot.id if (folder / "lot.toml").is_file() else lot
-
-
-def _add_release(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    release = actions.add_parser(
-        "release",
-        help="what is promised about the lot's released units, at what risk, on what evidence",
-        description="Decides on the units nobody measured from the audits in the registry, and says what it promises.",
+    release = action(
+        "release", "what is promised about the lot's released units, at what risk, on what evidence", _release
     )
     release.add_argument("lot", metavar="ID", help="lot in the registry, or its folder")
-    add_registry(release)
-    add_json(release)
-    add_csv(release)
-    release.add_argument("--pdf", type=Path, metavar="FILE", help="write the statement as one page")
+    add_shared(release, "registry", "json", "csv")
+    release.add_argument("--pdf", **FILE, help="write the statement as one page")
     release.add_argument("--language", choices=("en", "ko"), default="en", help="of the page")
-    release.set_defaults(run=_release)
 
 
 def _release(options: argparse.Namespace) -> int:
+    """Decides on the units nobody measured from the audits in the registry, and says what it
+    promises.
+    """
     from softcal.app.batch.release import is_told, judge_lot, lot_standing
     from softcal.app.export.certificates.lot_statement import lot_statement_facts, lot_statement_pdf
     from softcal.app.files.atomic import write_bytes
     from softcal.app.texts.catalogue import text
 
     lot_id = lot_id_of(options.lot)
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         registry.lots.get(lot_id)
         standing = lot_standing(registry, lot_id)
         if standing.decided is not None and not is_told(registry, lot_id, standing.decided):
@@ -167,8 +149,7 @@ def _release(options: argparse.Namespace) -> int:
     if options.pdf is not None:
         write_bytes(options.pdf, lot_statement_pdf(facts, partial(text, options.language)))
         say(f"{options.pdf}: statement on lot {lot_id}")
-    write_json(options.json, {"schema": "softcal.lot.release/1", "lot": lot_id, **standing.to_json()})
-    if options.json != "-" or options.csv:
+    if answer(options, "lot.release/1", {"lot": lot_id, **standing.to_json()}):
         limit = decided.limit.maximum_rmse
         rows = [
             [
@@ -188,24 +169,24 @@ def _release(options: argparse.Namespace) -> int:
     return DONE if decided.released or not decided.forecasts else SOME_UNIT_NOT_PASSED
 
 
-def _folder(options: argparse.Namespace) -> int:
+def _folder(options: argparse.Namespace) -> None:
     from softcal.app.registry.laid_out import write_lot_folder
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         written = write_lot_folder(registry, options.lot, options.out)
     say(f"{options.out}: " + ", ".join(f"{len(serials)} in {part}/" for part, serials in written.items()))
-    write_json(options.json, {"schema": "softcal.lot.folder/1", "lot": options.lot, **written})
-    return DONE
+    answer(options, "lot.folder/1", {"lot": options.lot, **written})
 
 
 def _audit_plan(options: argparse.Namespace) -> int:
+    """The first call draws the plan and writes it down; later calls show where it stands."""
     from softcal.app.batch.audit import AUDIT_HEADER, audit_json, audit_line, audit_rows, draw_plan, update_lot
     from softcal.core.quality.audit_plan import AuditConfig
     from softcal.core.quality.promises import PROMISE_HEADER, promise_rows
     from softcal.core.quality.qualification import small_lot
 
     lot_id = lot_id_of(options.lot)
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         registry.lots.get(lot_id)
         audit = None if options.new else update_lot(registry, lot_id)
         if audit is None:
@@ -235,7 +216,7 @@ def _watch(options: argparse.Namespace) -> int:
     batch = BatchConfig(network=network_config(options), engine=EngineChoice(jobs=options.jobs), actor="softcal lot")
     passed = True
     say(f"{options.folder}: waiting for recordings; Ctrl-C stops")
-    with registry_of(options) as registry:
+    with registry_of(options, create=True) as registry:
         config = WatchConfig(options.every, options.idle)
         try:
             for report in watch_lot(options.folder, registry, batch, config, Watch()):
@@ -246,34 +227,30 @@ def _watch(options: argparse.Namespace) -> int:
     return DONE if passed else SOME_UNIT_NOT_PASSED
 
 
-def _limit(options: argparse.Namespace) -> int:
+def _limit(options: argparse.Namespace) -> None:
     from softcal.app.batch.judging import judge_again
 
     is_new = options.rmse is not None or options.automatic
     if is_new and not (options.reason or "").strip():
         raise InputError("a new limit needs --reason: without one it cannot be defended")
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         if is_new:
             registry.lots.set_limit(options.lot, options.rmse, reason=options.reason, expected_version=options.expect)
             judge_again(registry, [options.lot])
         unit = registry.lots.get(options.lot).reference_unit
         versions = registry.lots.limit_versions(options.lot)
-    if options.json:
-        entries = [vars(entry) | {"made_at": entry.made_at.isoformat()} for entry in versions]
-        write_json(options.json, {"schema": "softcal.lot.limit/1", "unit": unit, "versions": entries})
-    if options.json != "-" or options.csv:
+    entries = [vars(entry) | {"made_at": entry.made_at.isoformat()} for entry in versions]
+    if answer(options, "lot.limit/1", {"unit": unit, "versions": entries}):
         rows = [[e.version, e.rmse, here(e.made_at), e.actor, e.reason] for e in versions]
         print_table(("version", f"limit {unit}", "set", "by", "reason"), rows)
-    return DONE
 
 
-def _network(options: argparse.Namespace) -> int:
-    with registry_of(options, create=False) as registry:
+def _network(options: argparse.Namespace) -> None:
+    with registry_of(options) as registry:
         registry.lots.get(options.lot)
         if asked := options.release or options.withdraw:
-            fitting = [
-                one.network.id for one in registry.networks.states(options.lot) if one.network.id.startswith(asked)
-            ]
+            ids = [one.network.id for one in registry.networks.states(options.lot)]
+            fitting = [id_ for id_ in ids if id_.startswith(asked)]
             if len(fitting) != 1:
                 raise InputError(
                     f"{len(fitting)} networks of lot {options.lot!r} begin with {asked!r}; one was expected"
@@ -281,19 +258,16 @@ def _network(options: argparse.Namespace) -> int:
             decide = registry.networks.release if options.release else registry.networks.withdraw
             decide(fitting[0], reason=options.reason)
         states = registry.networks.states(options.lot)
-    if options.json:
-        told = [{"id": one.network.id, "state": one.state} for one in states]
-        write_json(options.json, {"schema": "softcal.lot.network/1", "lot": options.lot, "networks": told})
-    if options.json != "-" or options.csv:
+    networks = [{"id": one.network.id, "state": one.state} for one in states]
+    if answer(options, "lot.network/1", {"lot": options.lot, "networks": networks}):
         rows = [[one.network.id[:12], one.state, here(one.network.added_at)] for one in states]
         print_table(("network", "state", "trained"), rows)
-    return DONE
 
 
-def _rules(options: argparse.Namespace) -> int:
+def _rules(options: argparse.Namespace) -> None:
     changes = {name: getattr(options, name) for name in ("serial_pattern", "letters", "target")}
     changes = {name: value for name, value in changes.items() if value is not None}
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         rules = registry.lots.line_rules(registry.lots.get(options.lot))
         if options.retests:
             changes["retests"] = {**rules.retests, **dict(_retest(text) for text in options.retests)}
@@ -301,10 +275,8 @@ def _rules(options: argparse.Namespace) -> int:
             registry.lots.set_line_rules(options.lot, replace(rules, **changes), reason=options.reason)
         versions = registry.lots.line_rules_versions(options.lot)
         rules = registry.lots.line_rules(registry.lots.get(options.lot))
-    if options.json:
-        entries = [vars(e) | {"made_at": e.made_at.isoformat(), "rules": e.rules.settings()} for e in versions]
-        write_json(options.json, {"schema": "softcal.lot.rules/1", "now": rules.settings(), "versions": entries})
-    if options.json != "-":
+    entries = [vars(e) | {"made_at": e.made_at.isoformat(), "rules": e.rules.settings()} for e in versions]
+    if answer(options, "lot.rules/1", {"now": rules.settings(), "versions": entries}):
         retests = ", ".join(f"{times} after {verdict}" for verdict, times in rules.retests.items())
         shown = rules.settings() | {"serial_pattern": rules.serial_pattern or "any", "retests": retests}
         print_table(
@@ -312,7 +284,6 @@ def _rules(options: argparse.Namespace) -> int:
         )
         rows = [[e.version, here(e.made_at), e.actor, e.reason] for e in versions]
         print_table(("version", "set", "by", "reason"), rows)
-    return DONE
 
 
 def _retest(text: str) -> tuple[str, int]:

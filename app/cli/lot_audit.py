@@ -1,10 +1,10 @@
-"""`softcal lot audit`: bring labelled recordings of units into a lot, or confirm one that is in doubt."""
+"""`softcal lot audit`: bring labelled recordings into a lot, or confirm one that is in doubt."""
 
 import argparse
 from pathlib import Path
 
-from softcal.app.cli.options import add_json, add_registry, positive, registry_of
-from softcal.app.output import print_table, say, write_json
+from softcal.app.cli.options import FILE, Action, add_shared, answer, lot_id_of, positive, registry_of
+from softcal.app.output import print_table, say
 from softcal.core.errors import InputError
 
 DONE, SOME_UNIT_NOT_PASSED, REFUSED = 0, 1, 2
@@ -19,17 +19,13 @@ registry: they are kept there, and scored at once.
 """
 
 
-def add_audit(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+def add_audit(action: Action) -> None:
     """Add `softcal lot audit`."""
-    parser = actions.add_parser(
-        "audit",
-        help="bring labelled recordings of units into the lot; confirm one that is in doubt",
-        description="Take labelled recordings of units, one file a unit and called by its serial. A file that cannot "
-        "be used is named and left out, and the others are taken.",
-        epilog=EXAMPLES,
+    parser = action(
+        "audit", "bring labelled recordings of units into the lot; confirm one that is in doubt", _run, epilog=EXAMPLES
     )
     parser.add_argument("lot", metavar="LOT", help="lot folder, or a lot in the registry")
-    parser.add_argument("files", nargs="*", type=Path, metavar="FILE", help="CSV, .xlsx or Parquet; of a folder, all")
+    parser.add_argument("files", nargs="*", **FILE, help="CSV, .xlsx or Parquet; of a folder, all")
     parser.add_argument("--output-column", default="output", help="default output; with * one unit per column")
     parser.add_argument("--reference-column", default="reference", help="column of the load cell; default reference")
     parser.add_argument("--time-column", metavar="NAME", help="column of the time in s; default t_s")
@@ -37,12 +33,13 @@ def add_audit(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     parser.add_argument("--sheet", help="sheet of an Excel file")
     parser.add_argument("--confirm", metavar="SERIAL", help="the audit of this unit is right in spite of the doubt")
     parser.add_argument("--reason", default="", help="why; needed with --confirm")
-    add_registry(parser)
-    add_json(parser)
-    parser.set_defaults(run=_run)
+    add_shared(parser, "registry", "json")
 
 
 def _run(options: argparse.Namespace) -> int:
+    """Take labelled recordings of units, one file a unit and called by its serial. A file that
+    cannot be used is named and left out, and the others are taken.
+    """
     if options.confirm is not None:
         if options.files:
             raise InputError("--confirm takes no files: bring them first, then confirm what is in doubt")
@@ -54,24 +51,22 @@ def _run(options: argparse.Namespace) -> int:
 
 def _confirm(options: argparse.Namespace) -> int:
     from softcal.app.batch.judging import confirm
-    from softcal.app.cli.lot import lot_id_of
 
     lot_id = lot_id_of(options.lot)
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         confirm(registry, lot_id, options.confirm, reason=options.reason)
         standing = registry.pages.standings(lot_id, [options.confirm])[options.confirm]
     say(f"{options.confirm}: confirmed; its verdict is {standing.verdict}: {standing.reasons[0]}")
-    if options.json:
-        facts = {"serial": options.confirm, "verdict": standing.verdict}
-        write_json(options.json, {"schema": "softcal.lot.audit-confirm/1", "lot": lot_id, **facts})
+    answer(options, "lot.audit-confirm/1", {"lot": lot_id, "serial": options.confirm, "verdict": standing.verdict})
     return DONE if standing.verdict == "pass" else SOME_UNIT_NOT_PASSED
 
 
 def _bring(options: argparse.Namespace) -> int:
-    from softcal.app.batch.audit_files import look_at_audits, store_audits, target_serials, write_audits
+    from softcal.app.batch.audit_files import look_at_audits, store_audits, write_audits
     from softcal.app.batch.judging import judge_again
     from softcal.app.files.importing import Columns, tables_of
     from softcal.app.files.lot_folder import open_lot_folder
+    from softcal.app.registry.lot_recordings import target_serials
 
     time = options.time_column or (None if options.sample_rate else "t_s")
     columns = Columns(options.output_column, options.reference_column, time)
@@ -84,18 +79,16 @@ def _bring(options: argparse.Namespace) -> int:
         found = look_at_audits(lot, opened.unit_paths.keys(), files, columns, options.sheet)
         replaced, then = write_audits(folder, found), f"next: softcal batch {options.lot}"
     else:
-        with registry_of(options, create=False) as registry:
+        with registry_of(options) as registry:
             lot = registry.lots.get(options.lot)
             _check_rate(options.sample_rate, lot.sample_rate_Hz)
             found = look_at_audits(lot, target_serials(registry, lot.id), files, columns, options.sheet)
             store_audits(registry, lot.id, found)
             judge_again(registry, [lot.id])
     taken = [one.serial for one in found if one.recording is not None]
-    if options.json:
-        refused = {one.file: str(one.refusal) for one in found if one.recording is None}
-        facts = {"lot": lot.id, "audited": taken, "replaced": replaced, "refused": refused}
-        write_json(options.json, {"schema": "softcal.lot.audit-files/1", **facts})
-    if options.json != "-":
+    refused = {one.file: str(one.refusal) for one in found if one.recording is None}
+    facts = {"lot": lot.id, "audited": taken, "replaced": replaced, "refused": refused}
+    if answer(options, "lot.audit-files/1", facts):
         rows = [[one.file, one.serial, "taken" if one.recording else f"refused: {one.refusal}"] for one in found]
         print_table(("file", "serial", "result"), rows)
     if replaced:
@@ -105,6 +98,6 @@ def _bring(options: argparse.Namespace) -> int:
 
 
 def _check_rate(stated_Hz: float | None, lot_Hz: float) -> None:
-    """Raise `InputError` where a table's rate is not the lot's: its windows would be of another length."""
+    """Refuse a table with another rate than the lot's: its windows would be of another length."""
     if stated_Hz is not None and abs(stated_Hz - lot_Hz) > 1e-3 * lot_Hz:
         raise InputError(f"--sample-rate is {stated_Hz:g} Hz, the lot's is {lot_Hz:g} Hz; nothing was taken")

@@ -1,4 +1,4 @@
-"""The console script `softcal`: parse, run one command, map errors to exit codes. Heavy imports stay in commands."""
+"""The console script `softcal`: parse, run one command, map errors to exit codes."""
 
 import argparse
 import importlib
@@ -15,30 +15,9 @@ from softcal.core.errors import DeviceError, InputError, RegistryError, SoftcalE
 
 DONE, SOME_UNIT_NOT_PASSED, WRONG_USE, RIG_FAILED, REGISTRY_FAILED = 0, 1, 2, 3, 4
 
-COMMANDS = (
-    "demo",
-    "init",
-    "import_",
-    "train",
-    "batch",
-    "estimate",
-    "explain",
-    "trim",
-    "adapt",
-    "station",
-    "export",
-    "inspect_",
-    "registry",
-    "lot",
-    "quality",
-    "gap",
-    "report",
-    "ui",
-    "account",
-    "api",
-    "connect",
-    "doctor",
-    "completion",
+COMMANDS = tuple(
+    "demo init import_ train batch estimate explain trim adapt station export inspect_ registry lot quality gap report "
+    "ui account api connect doctor completion".split()
 )
 """Modules of `softcal.app.cli`, in the order of `softcal --help`; each has `HELP`, `EXAMPLES`, `arguments` and
 `run`, or actions that set it."""
@@ -77,10 +56,9 @@ def main(arguments: list[str] | None = None) -> int:
 def _outcome(options: argparse.Namespace) -> tuple[int, str]:
     """Run the command; return its exit code, and what is to be said where it did not end well."""
     try:
-        with answering(getattr(options, "json", None), _csv_of(options)):
-            return int(options.run(options)), ""
-    except InputError as error:
-        return WRONG_USE, str(error)
+        csv = getattr(options, "csv", None)
+        with answering(getattr(options, "json", None), None if csv is None else str(csv)):
+            return options.run(options) or DONE, ""
     except DeviceError as error:
         return RIG_FAILED, str(error)
     except RegistryError as error:
@@ -96,11 +74,6 @@ def _outcome(options: argparse.Namespace) -> tuple[int, str]:
         return WRONG_USE, missing_extra(error) or _crash(options, error)
     except Exception as error:
         return WRONG_USE, _crash(options, error)
-
-
-def _csv_of(options: argparse.Namespace) -> str | None:
-    target = getattr(options, "csv", None)
-    return None if target is None else str(target)
 
 
 def _crash(options: argparse.Namespace, error: Exception) -> str:

@@ -1,11 +1,12 @@
 """Options that several commands share, and what they mean."""
 
 import argparse
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from softcal.app.output import ProgressLine, say
+from softcal.app.output import ProgressLine, say, write_json
 
 if TYPE_CHECKING:
     from softcal.app.batch.lot_work import Watch
@@ -14,45 +15,94 @@ if TYPE_CHECKING:
     from softcal.core.network.config import EpochReport, NetworkConfig
     from softcal.db.registry import Registry
 
-REGISTRY_HELP = (
-    "SQLAlchemy URL of the registry; default: $SOFTCAL_REGISTRY, else an SQLite file in the user's data folder"
-)
-JSON_HELP = "machine-readable result; - for standard output"
+T = TypeVar("T")
 
 
-def add_action(
-    actions: "argparse._SubParsersAction[argparse.ArgumentParser]",
-    shared: Iterable[Callable[[argparse.ArgumentParser], None]],
-    name: str,
-    summary: str,
-    run: Callable[[argparse.Namespace], int],
-) -> argparse.ArgumentParser:
-    """Add an action of a command, described by its summary, with the options that `shared` adds."""
-    parser = actions.add_parser(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.")
-    for add in shared:
-        add(parser)
-    parser.set_defaults(run=run)
-    return parser
+def positive(text: str) -> float:
+    """Return a number above 0, for argparse."""
+    value = float(text)
+    if not 0 < value < 1e5:
+        raise argparse.ArgumentTypeError(f"{text}: a number above 0 was expected")
+    return value
 
 
-def add_registry(parser: argparse.ArgumentParser) -> None:
-    """Add `--registry URL`."""
-    parser.add_argument("--registry", metavar="URL", help=REGISTRY_HELP)
+def converted(convert: Callable[[str], T], expected: str) -> Callable[[str], T]:
+    """Return a converter for argparse that says what it expected; the text stands for `{!r}`."""
+
+    def converter(text: str) -> T:
+        try:
+            return convert(text)
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(expected.format(text)) from error
+
+    return converter
 
 
-def add_lot_of_serial(parser: argparse.ArgumentParser) -> None:
-    """Add `--lot ID`, which says what unit a serial means that stands in several lots."""
-    parser.add_argument("--lot", metavar="ID", help="lot of the unit; needed where the serial stands in several")
+FILE: dict[str, Any] = {"type": Path, "metavar": "FILE"}
+DIR: dict[str, Any] = {"type": Path, "metavar": "DIR"}
+COUNT: dict[str, Any] = {"type": int, "metavar": "N"}
+"""What options of a file, a folder and a whole number take."""
+
+SHARED: dict[str, dict[str, Any]] = {
+    "registry": {
+        "metavar": "URL",
+        "help": "SQLAlchemy URL of the registry; default: $SOFTCAL_REGISTRY, else an SQLite file in the user's data "
+        "folder",
+    },
+    "json": {"metavar": "FILE", "help": "machine-readable result; - for standard output"},
+    "csv": {"metavar": "FILE", "help": "write the table as .csv or .xlsx; - for CSV on standard output"},
+    "lot": {"metavar": "ID", "help": "lot of the unit; needed where the serial stands in several"},
+    "serial": {"required": True, "metavar": "S"},
+    "depth": {"type": positive, "default": 3.5, "metavar": "MM", "help": "deepest press (default 3.5 mm)"},
+    "profile-seed": {"type": int, "default": 0, "help": "draws the random presses (default 0)"},
+    "spool": {"type": Path, "metavar": "DIR", "help": "where samples go as they come; default: the user's data folder"},
+}
+"""Options of several commands, without dashes. `csv` is of those that answer with one table."""
 
 
-def add_json(parser: argparse.ArgumentParser) -> None:
-    """Add `--json FILE`."""
-    parser.add_argument("--json", metavar="FILE", help=JSON_HELP)
+def add_shared(parser: argparse.ArgumentParser, *names: str) -> None:
+    """Add options of `SHARED` to a command."""
+    for name in names:
+        parser.add_argument(f"--{name}", **SHARED[name])
 
 
-def add_csv(parser: argparse.ArgumentParser) -> None:
-    """Add `--csv FILE`, for a command whose answer is one table."""
-    parser.add_argument("--csv", metavar="FILE", help="write the table as .csv or .xlsx; - for CSV on standard output")
+Action = Callable[..., argparse.ArgumentParser]
+"""Adds an action to a command: name, summary, what runs it (its docstring describes it), other facts."""
+
+
+def actions_of(
+    parser: argparse.ArgumentParser,
+    title: str = "actions",
+    metavar: str = "ACTION",
+    *,
+    shared: Sequence[str] = (),
+    is_described: bool = False,
+) -> Action:
+    """Let a command have actions, and return what adds them.
+
+    Args:
+        shared: options of `SHARED` that every action begins with.
+        is_described: whether a summary is the description, too.
+    """
+    actions = parser.add_subparsers(title=title, metavar=metavar, required=True)
+
+    def add(
+        name: str,
+        summary: str,
+        run: Callable[[argparse.Namespace], int | None] | None,
+        description: str | None = None,
+        **facts: Any,
+    ) -> argparse.ArgumentParser:
+        if is_described:
+            description = f"{summary[0].upper()}{summary[1:]}."
+        elif run is not None and run.__doc__:
+            description = description or " ".join(run.__doc__.split())
+        action = actions.add_parser(name, help=summary, description=description, **facts)
+        add_shared(action, *shared)
+        action.set_defaults(run=run)
+        return action
+
+    return add
 
 
 def add_columns(parser: argparse.ArgumentParser) -> None:
@@ -74,30 +124,27 @@ def column_names(options: argparse.Namespace) -> "ColumnNames":
     return ColumnNames(options.output_column or PLAIN.output, time, options.sample_rate)
 
 
+def _widths(text: str) -> tuple[int, ...]:
+    widths = tuple(int(part) for part in text.split(","))
+    if min(widths) < 1:
+        raise ValueError(text)
+    return widths
+
+
+def add_station(parser: argparse.ArgumentParser, simulated: str = "the simulated rig, faster than real time") -> None:
+    """Add `--station FILE` and `--simulated`, of which one may be given."""
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--station", type=Path, metavar="FILE", help="station file (TOML)")
+    where.add_argument("--simulated", nargs="?", type=int, const=0, metavar="SEED", help=simulated)
+
+
 def add_network(parser: argparse.ArgumentParser) -> None:
     """Add the options of f's training."""
     group = parser.add_argument_group("shared network")
-    group.add_argument("--hidden", type=_widths, default=(120, 70, 35), metavar="N,N,..", help="default 120,70,35")
+    widths = converted(_widths, "{!r}: positive layer widths such as 120,70,35 were expected")
+    group.add_argument("--hidden", type=widths, default=(120, 70, 35), metavar="N,N,..", help="default 120,70,35")
     group.add_argument("--seed", type=int, default=0, help="drives initial weights and batch order (default 0)")
     group.add_argument("--members", type=int, default=1, metavar="N", help="networks averaged into one (default 1)")
-
-
-def positive(text: str) -> float:
-    """Return a number above 0, for argparse."""
-    value = float(text)
-    if not 0 < value < 1e5:
-        raise argparse.ArgumentTypeError(f"{text}: a number above 0 was expected")
-    return value
-
-
-def _widths(text: str) -> tuple[int, ...]:
-    try:
-        widths = tuple(int(part) for part in text.split(","))
-    except ValueError:
-        widths = ()
-    if not widths or min(widths) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r}: positive layer widths such as 120,70,35 were expected")
-    return widths
 
 
 def network_config(options: argparse.Namespace) -> "NetworkConfig":
@@ -107,14 +154,14 @@ def network_config(options: argparse.Namespace) -> "NetworkConfig":
     return NetworkConfig(hidden=options.hidden, seed=options.seed, members=options.members)
 
 
-def registry_of(options: argparse.Namespace, *, create: bool = True) -> "AbstractContextManager[Registry]":
-    """Open the registry the options name, and close it after the block; a new one is made only where `create`."""
+def registry_of(options: argparse.Namespace, *, create: bool = False) -> "AbstractContextManager[Registry]":
+    """Open the registry the options name, for a block; a new one is made only where `create`."""
     return registry_at(options.registry, create=create)
 
 
 @contextmanager
 def registry_at(url: str | None, *, create: bool = True) -> "Iterator[Registry]":
-    """Open the registry behind a URL, None for the usual one; say which it is once something was written to it."""
+    """Open a registry, None for the usual one; say which it is once something was written to it."""
     from softcal.app.bootstrap import open_chosen_registry, registry_url
 
     with open_chosen_registry(url, create=create) as registry:
@@ -131,12 +178,22 @@ def say_written(url: str) -> None:
     say(f"written to the registry {shown_url(make_url(url))}")
 
 
-def say_caution(registry: "Registry", unit: "tuple[str, int | None, str | None]", action: str) -> None:
-    """Warn in one line, and record in the audit trail, where the unit that is used did not pass.
+def answer(options: argparse.Namespace, schema: str, facts: Mapping[str, object]) -> bool:
+    """Write the JSON answer where one is asked for; return whether people read on, too."""
+    write_json(options.json, {"schema": f"softcal.{schema}", **facts})
+    return options.json != "-" or getattr(options, "csv", None) is not None
 
-    Args:
-        unit: serial, revision and lot as they were asked for.
-    """
+
+def lot_id_of(lot: str) -> str:
+    """Return the lot's id, given itself or its folder."""
+    from softcal.app.files.lot_folder import open_lot_folder
+
+    folder = Path(lot)
+    return open_lot_folder(folder).lot.id if (folder / "lot.toml").is_file() else lot
+
+
+def say_caution(registry: "Registry", unit: "tuple[str, int | None, str | None]", action: str) -> None:
+    """Warn in one line, and record in the audit trail, where the unit that is used did not pass."""
     from softcal.app.registry.standing import caution
 
     serial, revision, lot_id = unit
@@ -154,36 +211,26 @@ def say_epoch(report: "EpochReport", unit: str) -> None:
 
 
 def batch_watch(unit: str) -> "Watch":
-    """Return a watch that prints the progress of a batch; errors are in `unit`."""
+    """Return a watch that prints the progress of a lot; errors are in `unit`."""
     from softcal.app.batch.lot_work import Watch
 
-    return _BatchProgress(unit).watch(Watch)
+    progress: ProgressLine | None = None
+    note = ""
 
+    def on_unit(result: "UnitResult") -> None:
+        nonlocal note
+        note = f"{result.serial} {result.verdict}"
 
-class _BatchProgress:
-    """Progress of a lot that other batches may work at, too."""
-
-    def __init__(self, unit: str) -> None:
-        self._unit, self._total, self._note = unit, 0, ""
-        self._progress: ProgressLine | None = None
-
-    def watch(self, kind: "type[Watch]") -> "Watch":
-        return kind(
-            on_epoch=lambda report: say_epoch(report, self._unit),
-            on_start=self._start,
-            on_unit=self._told,
-            on_done=self._reached,
-            on_wait=lambda held: say(f"waiting for {held} units that other batches hold"),
-        )
-
-    def _start(self, total: int) -> None:
-        self._total = total
-
-    def _told(self, result: "UnitResult") -> None:
-        self._note = f"{result.serial} {result.verdict}"
-
-    def _reached(self, done: int) -> None:
-        if self._progress is None:
-            self._progress = ProgressLine("units", self._total, done)
+    def on_done(done: int, units: int) -> None:
+        nonlocal progress
+        if progress is None:
+            progress = ProgressLine("units", units, done)
         else:
-            self._progress.reach(done, self._note)
+            progress.reach(done, note)
+
+    return Watch(
+        on_epoch=lambda report: say_epoch(report, unit),
+        on_unit=on_unit,
+        on_done=on_done,
+        on_wait=lambda held: say(f"waiting for {held} units that other batches hold"),
+    )

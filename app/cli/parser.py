@@ -3,11 +3,11 @@
 import argparse
 import difflib
 from collections.abc import Iterable, Sequence
-from typing import Any, NoReturn
+from typing import Any
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what a mistyped command, option or choice may have been meant to be; keeps the lines of examples."""
+    """Says what a mistyped command, option or choice may have meant; keeps lines of examples."""
 
     def __init__(self, *, epilog: str | None = None, **options: Any) -> None:
         shape = argparse.RawDescriptionHelpFormatter if "\n" in (epilog or "") else argparse.HelpFormatter
@@ -25,12 +25,10 @@ class Parser(argparse.ArgumentParser):
         """Parse; an unknown option is refused here, by the command that knows its own options."""
         found, left = super().parse_known_args(args, namespace)
         if left:
-            self._refuse(left)
+            unknown = next((word for word in left if word.startswith("-")), left[0]).partition("=")[0]
+            near = suggestion(unknown, self._option_string_actions)
+            self.error(f"unrecognized arguments: {' '.join(left)}{near}")
         return found, left
-
-    def _refuse(self, left: list[str]) -> NoReturn:
-        unknown = next((word for word in left if word.startswith("-")), left[0]).partition("=")[0]
-        self.error(f"unrecognized arguments: {' '.join(left)}{suggestion(unknown, self._option_string_actions)}")
 
 
 def suggestion(word: str, known: Iterable[object]) -> str:

@@ -2,18 +2,12 @@
 
 import argparse
 from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import add_action, add_csv, add_json, add_registry, registry_of
-from softcal.app.output import print_table, write_json
+from softcal.app.cli.options import COUNT, actions_of, add_shared, answer, registry_of
+from softcal.app.output import print_table
 from softcal.core.errors import InputError
 
-if TYPE_CHECKING:
-    from softcal.core.quality.control_chart import ControlChart
-
-DONE = 0
 EXAMPLES = """examples:
   softcal quality grr study.csv              columns unit, station, trial, value; one row per press
   softcal quality yield --lot lot-1
@@ -28,37 +22,36 @@ HELP = "gauge R&R, capability, yields, golden-unit trends"
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Numbers for quality: is the gauge good enough, is the process stable, how many units pass."""
-    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
-    action = partial(add_action, actions, (add_json, add_csv))
+    action = actions_of(parser, shared=("json", "csv"), is_described=True)
     grr = action("grr", "gauge repeatability and reproducibility", _grr)
     grr.add_argument("file", type=Path, metavar="CSV", help="columns unit, station, trial, value")
     grr.add_argument("--method", choices=("anova", "range"), default="anova", help="default: anova")
     grr.add_argument("--tolerance", type=float, metavar="WIDTH", help="also in %% of this tolerance width")
     able = action("capability", "Cp, Cpk, Pp, Ppk with interval, on a stable process only", _capability)
-    add_registry(able)
+    add_shared(able, "registry")
     able.add_argument("--lot", metavar="ID", help="predicted errors of this lot")
     able.add_argument("--file", type=Path, metavar="CSV", help="numbers from a file instead, in time order")
     able.add_argument("--column", help="which column of the file")
     able.add_argument("--min", type=float, dest="minimum")
     able.add_argument("--max", type=float, dest="maximum", help="default: the lot's limit")
     count = action("yield", "first-pass, second-pass and final yield of a lot", _yield)
-    add_registry(count)
+    add_shared(count, "registry")
     count.add_argument("--lot", metavar="ID", required=True)
     count.add_argument("--conditional-is-good", action="store_true", help="count conditional verdicts as good")
     golden = action("golden", "control charts of the golden units", _golden)
-    add_registry(golden)
+    add_shared(golden, "registry")
     golden.add_argument("--station", metavar="NAME")
     golden.add_argument("--serial")
-    golden.add_argument("--baseline", type=int, metavar="N", help="limits from the first N checks (default: all)")
+    golden.add_argument("--baseline", **COUNT, help="limits from the first N checks (default: all)")
 
 
-def _grr(options: argparse.Namespace) -> int:
+def _grr(options: argparse.Namespace) -> None:
     from softcal.app.registry.quality import gauge_study, study_json
 
     if options.tolerance is not None and not options.tolerance > 0:
         raise InputError(f"--tolerance {options.tolerance:g}: a positive width was expected")
     study = gauge_study(options.file, options.method)
-    value = {"schema": "softcal.quality.grr/1"} | study_json(study)
+    value = study_json(study)
     parts = [
         ("repeatability (EV)", study.repeatability),
         ("reproducibility (AV)", study.reproducibility),
@@ -73,10 +66,10 @@ def _grr(options: argparse.Namespace) -> int:
         header.append("% of tolerance")
         rows = [[*row, 600 * spread / options.tolerance] for row, (_, spread) in zip(rows, parts, strict=True)]
     closing = f"{study.word}: {study.grr_percent:.1f} % gauge R&R, {study.categories} distinct categories, 5 are wanted"
-    return _answer(options, value, header, rows, closing)
+    _show(options, "grr", value, header, rows, closing)
 
 
-def _capability(options: argparse.Namespace) -> int:
+def _capability(options: argparse.Namespace) -> None:
     from dataclasses import asdict
 
     from softcal.app.registry.quality import chart_json, file_chart, lot_capability
@@ -90,52 +83,51 @@ def _capability(options: argparse.Namespace) -> int:
         chart = file_chart(options.file, options.column)
         found = capability(chart, options.minimum, options.maximum)
     else:
-        with registry_of(options, create=False) as registry:
+        with registry_of(options) as registry:
             chart, found = lot_capability(registry, options.lot, options.maximum)
-    value = {"schema": "softcal.quality.capability/1", "capability": asdict(found), "chart": chart_json(chart)}
+    value = {"capability": asdict(found), "chart": chart_json(chart)}
     row = [found.count, found.cp, found.cpk, found.cpk_lower, found.cpk_upper, found.pp, found.ppk]
     header = ["values", "Cp", "Cpk", "lower 95 %", "upper 95 %", "Pp", "Ppk"]
-    return _answer(options, value, header, [row], "the process is stable")
+    _show(options, "capability", value, header, [row], "the process is stable")
 
 
-def _yield(options: argparse.Namespace) -> int:
+def _yield(options: argparse.Namespace) -> None:
     from softcal.app.registry.quality import lot_yields, named_shares, yields_json
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         found = lot_yields(registry, options.lot, conditional_is_good=options.conditional_is_good)
-    value = {"schema": "softcal.quality.yield/1", "lot": options.lot} | yields_json(found)
+    value = {"lot": options.lot} | yields_json(found)
     rows = [[name.replace("_", " "), s.count, s.of, s.value, *s.interval] for name, s in named_shares(found)]
     reasons = "; ".join(f"{count} x {reason}" for reason, count in found.reasons[:5])
     header = ["yield", "good", "of", "share", "lower 95 %", "upper 95 %"]
-    return _answer(options, value, header, rows, f"not good: {reasons}" if reasons else "")
+    _show(options, "yield", value, header, rows, f"not good: {reasons}" if reasons else "")
 
 
-def _golden(options: argparse.Namespace) -> int:
+def _golden(options: argparse.Namespace) -> None:
     from softcal.app.registry.quality import chart_json, golden_charts
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         charts = golden_charts(registry, options.station, options.serial, options.baseline)
     found = [{"station": key[0], "serial": key[1]} | chart_json(chart) for key, chart in charts.items()]
     header = ["station", "unit", "checks", "centre", "lower", "upper", "newest", "state"]
-    rows = [[*key, *_golden_row(chart)] for key, chart in charts.items()]
-    return _answer(options, {"schema": "softcal.quality.golden/1", "charts": found}, header, rows, "")
+    rows = []
+    for key, chart in charts.items():
+        newest = chart.signals[-1] if chart.signals else None
+        state = f"check {newest.index + 1}: {newest.text}" if newest else "in control"
+        limits = (chart.centre, chart.lower, chart.upper)
+        rows.append([*key, len(chart.values), *limits, float(chart.values[-1]), state])
+    _show(options, "golden", {"charts": found}, header, rows, "")
 
 
-def _golden_row(chart: "ControlChart") -> list[object]:
-    newest = chart.signals[-1] if chart.signals else None
-    state = f"check {newest.index + 1}: {newest.text}" if newest else "in control"
-    return [len(chart.values), chart.centre, chart.lower, chart.upper, float(chart.values[-1]), state]
-
-
-def _answer(
+def _show(
     options: argparse.Namespace,
+    study: str,
     value: Mapping[str, object],
     header: Sequence[str],
     rows: Sequence[Sequence[object]],
     closing: str,
-) -> int:
-    write_json(options.json, value)
+) -> None:
+    answer(options, f"quality.{study}/1", value)
     print_table(header, rows)
     if closing:
         print(closing)
-    return DONE

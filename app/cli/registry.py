@@ -2,27 +2,12 @@
 
 import argparse
 import time
-from collections.abc import Callable
-from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 from softcal.app.bootstrap import registry_url
-from softcal.app.cli.options import (
-    add_action,
-    add_csv,
-    add_json,
-    add_lot_of_serial,
-    add_registry,
-    registry_of,
-    say_written,
-)
-from softcal.app.output import print_table, say, shown, write_json
+from softcal.app.cli.options import FILE, actions_of, add_shared, answer, registry_of, say_written
+from softcal.app.output import print_table, say, shown
 from softcal.core.errors import RegistryError
 
-if TYPE_CHECKING:
-    pass
-DONE = 0
 EXAMPLES = """examples:
   softcal registry list --lot lot-1
   softcal registry history --serial A17
@@ -42,28 +27,26 @@ HELP = "the database: list, history, verify, backup, restore, sync, rollback, up
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Units, maps and who did what: append-only, with a chained audit trail."""
-    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
-    action = partial(add_action, actions, (add_registry, add_json))
+    action = actions_of(parser, shared=("registry", "json"), is_described=True)
     listing = action("list", "units with their newest verdict", _list)
     listing.add_argument("--lot", metavar="ID", help="only this lot")
-    add_csv(listing)
+    add_shared(listing, "csv")
     history = action("history", "every revision of a unit's map", _history)
     history.add_argument("--serial", required=True)
-    add_lot_of_serial(history)
-    add_csv(history)
+    add_shared(history, "lot", "csv")
     verify = action("verify", "check every stored byte, every row, the schema and the audit trail", _verify)
     verify.add_argument("--quick", action="store_true", help="leave out pages and blobs")
     verify.add_argument(
-        "--against", action="append", type=Path, default=[], metavar="FILE",
+        "--against", action="append", default=[], **FILE,
         help="a backup, or audit.json of an export: nothing that it knows may be gone; may be repeated",
     )  # fmt: skip
     backup = action("backup", "write one consistent copy while the registry is in use", _backup)
-    backup.add_argument("file", type=Path, metavar="FILE", help="new SQLite file")
+    backup.add_argument("file", **FILE, help="new SQLite file")
     restore = action("restore", "fill an empty registry from a backup", _restore)
-    restore.add_argument("file", type=Path, metavar="FILE", help="a backup")
+    restore.add_argument("file", **FILE, help="a backup")
     rollback = action("rollback", "bring an older revision back into use", _rollback)
     rollback.add_argument("--serial", required=True)
-    add_lot_of_serial(rollback)
+    add_shared(rollback, "lot")
     rollback.add_argument("--to", required=True, type=int, metavar="REVISION")
     rollback.add_argument("--origin", metavar="REGISTRY", help="who made it, where two registries made this revision")
     rollback.add_argument("--reason", required=True, help="lands in the audit trail")
@@ -79,34 +62,30 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     action("upgrade", "bring the tables to this version (SQLite: after a backup)", _upgrade)
 
 
-def _answer(options: argparse.Namespace, line: str, value: dict[str, object]) -> int:
+def _done(options: argparse.Namespace, action: str, line: str, **facts: object) -> None:
     """Say what was done: as JSON where asked for, else as one line on standard output."""
-    write_json(options.json, value)
-    if options.json != "-":
+    if answer(options, f"registry.{action}/1", facts):
         print(line)
-    return DONE
 
 
-def _list(options: argparse.Namespace) -> int:
+def _list(options: argparse.Namespace) -> None:
     from softcal.app.registry.listing import UNIT_HEADER, unit_json, unit_row
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         units = registry.lots.units(options.lot)
-    write_json(options.json, {"schema": "softcal.registry.list/1", "units": [unit_json(unit) for unit in units]})
+    answer(options, "registry.list/1", {"units": [unit_json(unit) for unit in units]})
     print_table(UNIT_HEADER, [unit_row(unit) for unit in units])
-    return DONE
 
 
-def _history(options: argparse.Namespace) -> int:
+def _history(options: argparse.Namespace) -> None:
     from softcal.app.registry.listing import HISTORY_HEADER, history_json, history_row, only_lot
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         units = [unit for unit in registry.lots.units(serial=options.serial) if options.lot in (None, unit.lot_id)]
         lot_id = only_lot(options.serial, [unit.lot_id for unit in units], options.lot)
         revisions = registry.calibrations.history(options.serial, lot_id)
-    if options.json:
-        value = {"schema": "softcal.registry.history/1", "serial": options.serial, "lot": lot_id}
-        write_json(options.json, value | {"revisions": [history_json(stored) for stored in revisions]})
+    facts = {"serial": options.serial, "lot": lot_id, "revisions": [history_json(stored) for stored in revisions]}
+    answer(options, "registry.history/1", facts)
     print(f"unit {options.serial} of lot {', '.join(unit.lot_id for unit in units)}")
     if revisions:
         print_table(HISTORY_HEADER, [history_row(stored) for stored in revisions])
@@ -115,68 +94,68 @@ def _history(options: argparse.Namespace) -> int:
     for unit in units:
         if unit.is_conflict:
             say(f"conflict: {unit.reasons[0]}")
-    return DONE
 
 
-def _verify(options: argparse.Namespace) -> int:
+def _verify(options: argparse.Namespace) -> None:
     from softcal.app.registry.maintenance import verify
 
-    with registry_of(options, create=False) as registry:
-        found = verify(registry, is_quick=options.quick, files=options.against, on_step=_checking(options))
-    value: dict[str, object] = {"schema": "softcal.registry.verify/1", "faults": list(found.faults)}
-    value |= {"audit_rows": found.audit_rows, "heads": found.heads, "is_quick": options.quick}
+    start_s = time.monotonic()
+
+    def on_step(name: str) -> None:
+        if not options.quick:
+            say(f"{time.monotonic() - start_s:5.1f} s  checking {name}")
+
+    with registry_of(options) as registry:
+        found = verify(registry, is_quick=options.quick, files=options.against, on_step=on_step)
+    facts = {"faults": list(found.faults), "audit_rows": found.audit_rows, "heads": found.heads}
+    facts["is_quick"] = options.quick
     if not found.faults:
         ends = ", ".join(f"{origin} {seq} {sha256}" for origin, (seq, sha256) in found.heads.items())
         what = "what was looked at is whole" if options.quick else "the registry is whole"
         line = f"{what}: {found.audit_rows} rows in the audit trail, ending with {ends or 'nothing'}"
-        return _answer(options, line, value)
+        _done(options, "verify", line, **facts)
+        return
     for fault in found.faults:
         say(fault)
-    write_json(options.json, value)
+    answer(options, "registry.verify/1", facts)
     raise RegistryError(f"{len(found.faults)} faults; keep the file as evidence and go back to a backup")
 
 
-def _checking(options: argparse.Namespace) -> Callable[[str], None]:
-    start_s = time.monotonic()
-    return lambda name: None if options.quick else say(f"{time.monotonic() - start_s:5.1f} s  checking {name}")
-
-
-def _backup(options: argparse.Namespace) -> int:
+def _backup(options: argparse.Namespace) -> None:
     from softcal.app.registry.maintenance import back_up_registry
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         back_up_registry(registry, options.file)
     size_MB = options.file.stat().st_size / 1e6
-    value = {"schema": "softcal.registry.backup/1", "file": str(options.file), "size_MB": size_MB}
-    return _answer(options, f"{options.file}: {size_MB:.1f} MB", value)
+    line = f"{options.file}: {size_MB:.1f} MB"
+    _done(options, "backup", line, file=str(options.file), size_MB=size_MB)
 
 
-def _restore(options: argparse.Namespace) -> int:
-    from softcal.app.registry.maintenance import restore_registry
+def _restore(options: argparse.Namespace) -> None:
+    from softcal.db.care.backup import restore
 
-    restore_registry(options.file, registry_url(options.registry))
+    restore(options.file, registry_url(options.registry))
     say_written(registry_url(options.registry))
-    value: dict[str, object] = {"schema": "softcal.registry.restore/1", "file": str(options.file)}
-    return _answer(options, f"restored from {options.file}; every byte of it was checked", value)
+    line = f"restored from {options.file}; every byte of it was checked"
+    _done(options, "restore", line, file=str(options.file))
 
 
-def _rollback(options: argparse.Namespace) -> int:
+def _rollback(options: argparse.Namespace) -> None:
     from softcal.app.batch.judging import judge_again
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         which = {"lot_id": options.lot, "origin": options.origin}
         revision = registry.calibrations.rollback(options.serial, options.to, reason=options.reason, **which)
         judge_again(registry, [options.lot] if options.lot else registry.calibrations.lots_of(options.serial))
     line = f"{options.serial}: revision {revision} is in use, it repeats revision {options.to}"
-    value = {"schema": "softcal.registry.rollback/1", "serial": options.serial, "revision": revision}
-    return _answer(options, line, value | {"rolled_back_to": options.to})
+    _done(options, "rollback", line, serial=options.serial, revision=revision, rolled_back_to=options.to)
 
 
-def _sync(options: argparse.Namespace) -> int:
+def _sync(options: argparse.Namespace) -> None:
     from softcal.app.batch.judging import judge_stale
     from softcal.app.registry.maintenance import synchronise_with
 
-    with registry_of(options) as registry:
+    with registry_of(options, create=True) as registry:
         report = synchronise_with(registry, options.other)
         judge_stale(registry)
     if report.sent:
@@ -185,26 +164,27 @@ def _sync(options: argparse.Namespace) -> int:
         say(f"conflict: {conflict}")
     for clock in report.clocks:
         say(f"clock: {clock}")
-    value: dict[str, object] = {"schema": "softcal.registry.sync/1", "sent": report.sent, "received": report.received}
     line = f"sent {report.sent}, received {report.received} changes, {len(report.conflicts)} conflicts"
-    return _answer(options, line, value | {"conflicts": list(report.conflicts), "clocks": list(report.clocks)})
+    facts = {"conflicts": list(report.conflicts), "clocks": list(report.clocks)}
+    _done(options, "sync", line, sent=report.sent, received=report.received, **facts)
 
 
-def _grants(options: argparse.Namespace) -> int:
+def _grants(options: argparse.Namespace) -> None:
     from softcal.db.access.grants import grant_statements
 
     statements = grant_statements(options.line, options.reader, options.manager)
-    return _answer(options, "\n".join(statements), {"schema": "softcal.registry.grants/1", "sql": statements})
+    _done(options, "grants", "\n".join(statements), sql=statements)
 
 
-def _upgrade(options: argparse.Namespace) -> int:
+def _upgrade(options: argparse.Namespace) -> None:
     from softcal.app.registry.maintenance import upgrade
 
     done = upgrade(registry_url(options.registry))
-    value: dict[str, object] = {"schema": "softcal.registry.upgrade/1", "before": done.before, "after": done.after}
-    value["backup"] = None if done.backup is None else str(done.backup)
-    if done.before == done.after:
-        return _answer(options, f"the registry has schema {done.after} already; nothing to do", value)
-    say_written(registry_url(options.registry))
-    made = f"; backup of the old one: {done.backup}" if done.backup else ""
-    return _answer(options, f"schema {done.before or 'none'} -> {done.after}{made}", value)
+    backup = None if done.backup is None else str(done.backup)
+    line = f"the registry has schema {done.after} already; nothing to do"
+    if done.before != done.after:
+        say_written(registry_url(options.registry))
+        line = f"schema {done.before or 'none'} -> {done.after}" + (
+            f"; backup of the old one: {backup}" if backup else ""
+        )
+    _done(options, "upgrade", line, before=done.before, after=done.after, backup=backup)

@@ -1,10 +1,12 @@
 """`softcal report`: one page that says how a lot stands."""
 
 import argparse
+from datetime import datetime
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 
-from softcal.app.cli.options import add_registry, registry_of
+from softcal.app.cli.options import FILE, add_shared, lot_id_of, registry_of
 from softcal.app.output import say
 
 EXAMPLES = """examples:
@@ -19,12 +21,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     why units did not pass, every unit. It needs no network to be read.
     """
     parser.add_argument("lot", metavar="LOT", help="id of a lot in the registry, or its lot folder")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="default: LOT.html")
+    parser.add_argument("--out", **FILE, help="default: LOT.html")
     parser.add_argument("--language", choices=("en", "ko"), default="en")
-    add_registry(parser)
+    add_shared(parser, "registry")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Write the page."""
     from softcal.app.charts.lot_page import lot_page
     from softcal.app.files.atomic import write_text
@@ -32,28 +34,11 @@ def run(options: argparse.Namespace) -> int:
     from softcal.app.views.lot import lot_view
 
     words = partial(text, options.language)
-    with registry_of(options, create=False) as registry:
-        lot_id = _lot_id(options.lot)
+    made = words("report.made", at=datetime.now().astimezone(), version=version("softcal"))
+    with registry_of(options) as registry:
+        lot_id = lot_id_of(options.lot)
         view = lot_view(registry, lot_id)
         units = [unit for unit in registry.lots.units(lot_id) if unit.role == "target"]
     out = options.out or Path(f"{lot_id}.html")
-    write_text(out, lot_page(view, units, words, _made(options.language)))
+    write_text(out, lot_page(view, units, words, made))
     say(f"{out}: lot {lot_id}, {view.judged} of {view.total} units have a result")
-    return 0
-
-
-def _lot_id(given: str) -> str:
-    if not (Path(given) / "lot.toml").is_file():
-        return given
-    from softcal.app.files.lot_folder import open_lot_folder
-
-    return open_lot_folder(Path(given)).lot.id
-
-
-def _made(language: str) -> str:
-    from datetime import datetime
-    from importlib.metadata import version
-
-    from softcal.app.texts.catalogue import text
-
-    return text(language, "report.made", at=datetime.now().astimezone(), version=version("softcal"))

@@ -1,26 +1,24 @@
-"""`softcal station`: find and test the rig, press the source unit or a target unit and record it."""
+"""`softcal station`: find and test the rig, press a source or a target unit and record it."""
 
 import argparse
 import signal
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import add_csv, add_json, positive
+from softcal.app.cli.options import DIR, FILE, Action, actions_of, add_shared, add_station, answer, positive
 from softcal.app.cli.station_service import add_service_actions
 from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
 from softcal.core.words.reason import Reason
 
 if TYPE_CHECKING:
-    from softcal.app.line.recover import Recovered
-    from softcal.core.twin.simulate import Twin
     from softcal.station.devices.catalogue import Offer
     from softcal.station.tasks.acquisition import OnProgress
     from softcal.station.tasks.identify import DeviceIdentity
-    from softcal.station.tasks.self_test import SelfTestItem
 
 EXAMPLES = """examples:
   softcal station check                                       look at every USB serial port
@@ -43,123 +41,62 @@ EXAMPLES = """examples:
 Exit code 3: a device is missing or failed; the stage was stopped and no file was written.
 """
 
-SPOOL_HELP = "where samples go as they come; default: the user's data folder"
 HELP = "the rig: find devices, self-test, press and record a unit"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """The rig: find its devices, test it, press a unit with a profile and record it."""
-    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
-    _add_check(actions)
-    for kind, what in (("source", "with the load cell: output and reference"), ("unit", "output only")):
-        _add_press(actions, kind, what)
-    _add_profiles(actions)
-    _add_calibrate_cell(actions)
-    _add_recover(actions)
-    _add_drivers(actions)
-    add_service_actions(actions)
-
-
-def _add_check(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    check = actions.add_parser(
-        "check",
-        help="find ports, identify devices, test them, and say everything that is missing",
-        description="Find the devices, read every channel, home the stage and move it by 2 mm. All faults at once.",
-        epilog=EXAMPLES,
-    )
+    action = partial(actions_of(parser), epilog=EXAMPLES)
+    check = action("check", "find ports, identify devices, test them, and say everything that is missing", run_check)
     check.add_argument("--port", action="append", default=[], metavar="PORT", help="look at this port only; repeatable")
-    _add_station(check)
-    check.add_argument("--write", type=Path, metavar="FILE", help="write a station file from what was found")
+    add_station(check)
+    check.add_argument("--write", **FILE, help="write a station file from what was found")
     check.add_argument("--no-motion", action="store_true", help="do not home or move the stage")
-    add_json(check)
-    check.set_defaults(run=run_check)
-
-
-def _add_press(actions: "argparse._SubParsersAction[argparse.ArgumentParser]", kind: str, what: str) -> None:
-    name = "source unit" if kind == "source" else "unit"
-    press = actions.add_parser(
-        kind,
-        help=f"press a {name} and record it {what}",
-        description=f"Home, find contact, press with the {kind} profile and record {what}. Whole or not at all.",
-        epilog=EXAMPLES,
-    )
-    press.add_argument("--serial", nargs="+", required=True, metavar="S", help="serial; one per channel of the readout")
-    press.add_argument("--out", type=Path, required=True, metavar="FILE", help="CSV or Parquet; a folder for channels")
-    press.add_argument("--seconds", type=positive, metavar="S", help="how long to press")
-    press.add_argument("--depth", type=positive, default=3.5, metavar="MM", help="deepest press (default 3.5 mm)")
-    press.add_argument("--profile", type=Path, metavar="FILE", help="TOML file of moves instead (`station profiles`)")
-    press.add_argument("--profile-seed", type=int, default=0, help="draws the random presses (default 0)")
-    press.add_argument("--spool", type=Path, metavar="DIR", help=SPOOL_HELP)
-    _add_station(press)
-    press.add_argument(
-        "--twin", type=Path, metavar="FILE", help="with --simulated: the unit of this twin (softcal gap apply)"
-    )
-    add_json(press)
-    press.set_defaults(run=run_press, kind=kind)
-
-
-def _add_profiles(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    profiles = actions.add_parser(
-        "profiles",
-        help="the stage profiles there are, and how long each takes",
-        description="List the built-in profiles, or write one as a file to edit and give to --profile.",
-        epilog=EXAMPLES,
-    )
-    profiles.add_argument("--depth", type=positive, default=3.5, metavar="MM", help="deepest press (default 3.5 mm)")
-    profiles.add_argument("--profile-seed", type=int, default=0, help="draws the random presses (default 0)")
+    add_shared(check, "json")
+    for kind, what in (("source", "with the load cell: output and reference"), ("unit", "output only")):
+        _add_press(action, kind, what)
+    profiles = action("profiles", "the stage profiles there are, and how long each takes", run_profiles)
+    add_shared(profiles, "depth", "profile-seed")
     profiles.add_argument("--write", nargs=2, metavar=("NAME", "FILE"), help="write this profile into a TOML file")
-    add_json(profiles)
-    profiles.set_defaults(run=run_profiles)
-
-
-def _add_calibrate_cell(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    calibrate = actions.add_parser(
-        "calibrate-cell",
-        help="find the scale of the load cell with dead weights",
-        description="Asks for one weight after the other, reads the cell, and writes its scale into the station file.",
-        epilog=EXAMPLES,
-    )
-    calibrate.add_argument("--station", type=Path, required=True, metavar="FILE", help="station file; it is updated")
+    add_shared(profiles, "json")
+    calibrate = action("calibrate-cell", "find the scale of the load cell with dead weights", run_calibrate_cell)
+    calibrate.add_argument("--station", required=True, **FILE, help="station file; it is updated")
     calibrate.add_argument(
         "--weights", type=_weight, nargs="+", required=True, metavar="KG", help="weights in kg, 0 for the unloaded cell"
     )
-    add_json(calibrate)
-    calibrate.set_defaults(run=run_calibrate_cell)
-
-
-def _add_recover(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    recover = actions.add_parser(
-        "recover",
-        help="write what runs that were cut off had read",
-        description="Read the spools: finished runs become recordings, all others files marked as aborted.",
-        epilog=EXAMPLES,
-    )
-    recover.add_argument("--spool", type=Path, metavar="DIR", help=SPOOL_HELP)
-    recover.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the files")
-    add_json(recover)
-    recover.set_defaults(run=run_recover)
-
-
-def _add_drivers(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    drivers = actions.add_parser(
+    add_shared(calibrate, "json")
+    recover = action("recover", "write what runs that were cut off had read", run_recover)
+    add_shared(recover, "spool")
+    recover.add_argument("--out", required=True, **DIR, help="folder for the files")
+    add_shared(recover, "json")
+    drivers = action(
         "drivers",
-        help="the devices softcal can use, their keys in the station file, and the package each comes from",
-        description="List every driver: those of softcal and those of installed packages. Exit code 3 when a package's "
-        "driver cannot be loaded.",
-        epilog=EXAMPLES,
+        "the devices softcal can use, their keys in the station file, and the package each comes from",
+        run_drivers,
     )
     drivers.add_argument("--kind", metavar="KIND", help="this kind only, with what its keys mean")
-    add_json(drivers)
-    add_csv(drivers)
-    drivers.set_defaults(run=run_drivers)
+    add_shared(drivers, "json", "csv")
+    add_service_actions(action)
 
 
-def _add_station(parser: argparse.ArgumentParser) -> None:
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument("--station", type=Path, metavar="FILE", help="station file (TOML)")
-    where.add_argument(
-        "--simulated", nargs="?", type=int, const=0, metavar="SEED", help="the simulated rig, faster than real time"
+def _add_press(action: Action, kind: str, what: str) -> None:
+    name = "source unit" if kind == "source" else "unit"
+    press = action(
+        kind,
+        f"press a {name} and record it {what}",
+        run_press,
+        f"Home, find contact, press with the {kind} profile and record {what}. Whole or not at all.",
     )
+    press.add_argument("--serial", nargs="+", required=True, metavar="S", help="serial; one per channel of the readout")
+    press.add_argument("--out", required=True, **FILE, help="CSV or Parquet; a folder for channels")
+    press.add_argument("--seconds", type=positive, metavar="S", help="how long to press")
+    add_shared(press, "depth")
+    press.add_argument("--profile", **FILE, help="TOML file of moves instead (`station profiles`)")
+    add_shared(press, "profile-seed", "spool")
+    add_station(press)
+    press.add_argument("--twin", **FILE, help="with --simulated: the unit of this twin (softcal gap apply)")
+    add_shared(press, "json")
+    press.set_defaults(kind=kind)
 
 
 def _weight(text: str) -> float:
@@ -170,7 +107,7 @@ def _weight(text: str) -> float:
 
 
 def run_check(options: argparse.Namespace) -> int:
-    """Identify, test, report."""
+    """Find the devices, read every channel, home the stage and move it by 2 mm. All faults at once."""
     from softcal.app.line.rig import check_station
 
     with _signals_as_ctrl_c():
@@ -179,12 +116,15 @@ def run_check(options: argparse.Namespace) -> int:
     if check.devices:
         print_table(("port", "is", "dialect", "says"), [(d.port, d.role, d.kind, str(d.says)) for d in check.devices])
     if check.findings:
-        print_table(("device", "what", "value", "to do"), [_row(finding) for finding in check.findings])
+        rows = [(str(f.device), str(f.what), str(f.value), str(f.cure or "good")) for f in check.findings]
+        print_table(("device", "what", "value", "to do"), rows)
     if options.write:
         from softcal.app.files.atomic import write_text
         from softcal.station.devices.config import station_toml
 
-        write_text(options.write, station_toml(check.config, _either(check.devices)))
+        # What a port that nobody chose may be
+        either = "; ".join(f"{device.port} ({device.says})" for device in check.devices if device.channels)
+        write_text(options.write, station_toml(check.config, either))
         say(f"{options.write}: station file written; set the safety bounds, the load cell's serial and its scale in it")
         if not check.findings:
             say(f"{options.write}: one port is still open, marked CHOOSE; nothing was tested, fill it in first")
@@ -208,13 +148,8 @@ def _choose(part: Reason, candidates: Sequence["DeviceIdentity"]) -> "DeviceIden
         return None
 
 
-def _either(devices: Sequence["DeviceIdentity"]) -> str:
-    """Return what a port that nobody chose may be, for the station file."""
-    return "; ".join(f"{device.port} ({device.says})" for device in devices if device.channels)
-
-
-def run_profiles(options: argparse.Namespace) -> int:
-    """List the profiles, or write one."""
+def run_profiles(options: argparse.Namespace) -> None:
+    """List the built-in profiles, or write one as a file to edit and give to --profile."""
     import numpy as np
 
     from softcal.app.files.atomic import write_text
@@ -228,22 +163,24 @@ def run_profiles(options: argparse.Namespace) -> int:
             raise InputError(f"profile {name!r} is unknown; known are {', '.join(made)}")
         write_text(Path(file), profile_toml(made[name]))
         say(f"{file}: profile {name!r} written; edit it, then give it to --profile")
-        return 0
+        return
     names = ("duration_s", "presses", "deepest_mm", "fastest_mm_s")
     rows = [{"name": name} | {fact: getattr(profile, fact) for fact in names} for name, profile in made.items()]
     print_table(
         ("profile", "seconds", "presses", "deepest, mm", "fastest, mm/s"), [tuple(row.values()) for row in rows]
     )
-    write_json(options.json, {"schema": "softcal.station-profiles/1", "profiles": rows})
-    return 0
+    answer(options, "station-profiles/1", {"profiles": rows})
 
 
-def run_press(options: argparse.Namespace) -> int:
+def run_press(options: argparse.Namespace) -> None:
     """Press one unit and write its recording."""
+    from softcal.app.gap.diagnose import read_twin
     from softcal.app.line.rig import chosen_bench, profile_for, record_to_files, run_json, spool_folder
 
     profile = profile_for(options.kind, options.profile_seed, options.seconds, options.depth, options.profile)
-    twin = _chosen_twin(options)
+    if options.twin is not None and options.simulated is None:
+        raise InputError("--twin is the unit of the simulated rig; give --simulated as well, or leave it out")
+    twin = None if options.twin is None else read_twin(options.twin)
     bench_of = chosen_bench(options.station, options.simulated, len(options.serial), twin)
     with _signals_as_ctrl_c(), bench_of as bench:
         with_reference, spools = options.kind == "source", spool_folder(options.spool)
@@ -253,12 +190,11 @@ def run_press(options: argparse.Namespace) -> int:
     for remark in run.remarks:
         say(remark)
     write_json(options.json, run_json(run))
-    return 0
 
 
 @contextmanager
 def _signals_as_ctrl_c() -> Iterator[None]:
-    """Take a terminate or a hang-up signal as Ctrl-C: the stage is lifted, and not left on the unit."""
+    """Take terminate and hang-up as Ctrl-C: the stage is lifted, not left on the unit."""
 
     def interrupt(signal_number: int, frame: object) -> None:
         raise KeyboardInterrupt
@@ -272,18 +208,10 @@ def _signals_as_ctrl_c() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _chosen_twin(options: argparse.Namespace) -> "Twin | None":
-    from softcal.app.gap.diagnose import read_twin
-
-    if options.twin is None:
-        return None
-    if options.simulated is None:
-        raise InputError("--twin is the unit of the simulated rig; give --simulated as well, or leave it out")
-    return read_twin(options.twin)
-
-
-def run_calibrate_cell(options: argparse.Namespace) -> int:
-    """Ask for weights, fit, write the station file."""
+def run_calibrate_cell(options: argparse.Namespace) -> None:
+    """Asks for one weight after the other, reads the cell, and writes its scale into the station
+    file.
+    """
     from softcal.app.files.atomic import write_text
     from softcal.app.line.cell_scale import calibrate_cell
     from softcal.station.devices.config import read_station_file, station_toml
@@ -298,22 +226,27 @@ def run_calibrate_cell(options: argparse.Namespace) -> int:
     print_table(("weight, kg", "reading", "noise"), list(rows))
     write_text(options.station, station_toml(config))
     say(f"{options.station}: {found.per_N:.6g} counts per N, off by {found.largest_error_N:.3g} N at most")
-    if options.json:
-        values = {"per_N": found.per_N, "zero": found.zero, "largest_error_N": found.largest_error_N}
-        write_json(options.json, {"schema": "softcal.station-cell/1", **values})
-    return 0
+    facts = {"per_N": found.per_N, "zero": found.zero, "largest_error_N": found.largest_error_N}
+    answer(options, "station-cell/1", facts)
 
 
 def run_drivers(options: argparse.Namespace) -> int:
-    """List the drivers there are."""
+    """List every driver: those of softcal and those of installed packages. Exit code 3 when a
+    package's driver cannot be loaded.
+    """
     from softcal.station.devices.catalogue import SECTIONS, offers
     from softcal.station.devices.config import meanings
 
     found = [offer for offer in offers() if options.kind in (None, offer.kind)]
     if not found:
         raise InputError(f"no driver of kind {options.kind!r}; `softcal station drivers` lists them all")
-    write_json(options.json, {"schema": "softcal.station-drivers/1", "drivers": [_driver_json(o) for o in found]})
-    print_table(("section", "kind", "for", "port", "from"), [_driver_row(offer) for offer in found])
+    answer(options, "station-drivers/1", {"drivers": [_driver_json(offer) for offer in found]})
+    rows = []
+    for offer in found:
+        driver = offer.driver
+        what, wires = ("cannot be loaded", "") if driver is None else (driver.what, "/".join(driver.wires))
+        rows.append((f"[{SECTIONS[offer.role]}]", offer.kind, what, wires, f"{offer.package} {offer.version}"))
+    print_table(("section", "kind", "for", "port", "from"), rows)
     for offer in found:
         if offer.driver is None:
             say(f"{offer.kind} of {offer.package}: {offer.fault}")
@@ -326,15 +259,6 @@ def run_drivers(options: argparse.Namespace) -> int:
     return 3 if any(offer.driver is None for offer in found) else 0
 
 
-def _driver_row(offer: "Offer") -> tuple[str, str, str, str, str]:
-    from softcal.station.devices.catalogue import SECTIONS
-
-    what, wires = (
-        ("cannot be loaded", "") if offer.driver is None else (offer.driver.what, "/".join(offer.driver.wires))
-    )
-    return f"[{SECTIONS[offer.role]}]", offer.kind, what, wires, f"{offer.package} {offer.version}"
-
-
 def _driver_json(offer: "Offer") -> dict[str, object]:
     facts: dict[str, object] = {"role": offer.role, "kind": offer.kind, "package": offer.package}
     facts |= {"version": offer.version, "fault": offer.fault}
@@ -343,29 +267,20 @@ def _driver_json(offer: "Offer") -> dict[str, object]:
     return facts
 
 
-def run_recover(options: argparse.Namespace) -> int:
-    """Write what the spools hold."""
+def run_recover(options: argparse.Namespace) -> None:
+    """Read the spools: finished runs become recordings, all others files marked as aborted."""
     from softcal.app.line.recover import recover
     from softcal.app.line.rig import spool_folder
 
     found = recover(spool_folder(options.spool), options.out)
-    print_table(("serial", "profile", "ended", "samples", "file"), [_recovered_row(run) for run in found])
-    if options.json:
-        runs = [vars(run) | {"spool": str(run.spool), "files": [str(file) for file in run.files]} for run in found]
-        write_json(options.json, {"schema": "softcal.station-recover/1", "runs": runs})
+    rows = [(r.serial, r.profile, r.end[:60], r.samples, ", ".join(map(str, r.files))) for r in found]
+    print_table(("serial", "profile", "ended", "samples", "file"), rows)
+    runs = [vars(run) | {"spool": str(run.spool), "files": [str(file) for file in run.files]} for run in found]
+    answer(options, "station-recover/1", {"runs": runs})
     for run in found:
         if not run.files:
             say(run.end)
     say(f"{len(found)} spool(s) read; they were left where they are")
-    return 0
-
-
-def _recovered_row(run: "Recovered") -> tuple[str, str, str, int, str]:
-    return run.serial, run.profile, run.end[:60], run.samples, ", ".join(map(str, run.files))
-
-
-def _row(finding: "SelfTestItem") -> tuple[str, str, str, str]:
-    return str(finding.device), str(finding.what), str(finding.value), str(finding.cure or "good")
 
 
 def _progress() -> "OnProgress":

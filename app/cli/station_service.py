@@ -1,4 +1,4 @@
-"""The resident service of a station on the command line: serve it, order from it, look at it, certify its load cell."""
+"""The resident service of a station: serve it, order from it, look at it, certify its cell."""
 
 import argparse
 import signal
@@ -6,11 +6,22 @@ import time
 import uuid
 from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
-from pathlib import Path
+from functools import partial
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import add_json, add_network, add_registry, network_config, positive, registry_of
-from softcal.app.output import print_table, say, write_json
+from softcal.app.cli.options import (
+    FILE,
+    Action,
+    add_network,
+    add_shared,
+    add_station,
+    answer,
+    converted,
+    network_config,
+    positive,
+    registry_of,
+)
+from softcal.app.output import print_table, say
 from softcal.app.texts.catalogue import here
 from softcal.core.errors import DeviceError, InputError
 from softcal.core.orders import Order, OrderKind, Progress, RunState, StationState
@@ -22,8 +33,6 @@ if TYPE_CHECKING:
 
 PATIENCE_S = 10.0
 """A busy machine may keep a service from its heartbeat for seconds; it is there all the same."""
-
-SPOOL_HELP = "where samples go as they come; default: the user's data folder"
 
 EXAMPLES = """examples:
   softcal station serve --station station.toml --name line-1       one process owns the ports
@@ -46,35 +55,13 @@ stopped; the sentence says what to do.
 POLL_S = 0.2
 
 
-def add_service_actions(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+def add_service_actions(action: Action) -> None:
     """Add `serve`, `order`, `status` and `certificate`."""
-    _add_serve(actions)
-    _add_order(actions)
-    _add_status(actions)
-    _add_certificate(actions)
-
-
-def _action(
-    actions: "argparse._SubParsersAction[argparse.ArgumentParser]", name: str, what: str, description: str
-) -> argparse.ArgumentParser:
-    return actions.add_parser(
-        name,
-        help=what,
-        description=description,
-        epilog=EXAMPLES,
-    )
-
-
-def _add_serve(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    serve = _action(
-        actions,
-        "serve",
-        "own the ports and perform what screens and programs order through the registry",
-        "The resident service of one station. Ctrl-C stops a run in progress and gives the ports back; nothing "
-        "resumes by itself.",
-    )
+    action = partial(action, epilog=EXAMPLES)
+    day = converted(date.fromisoformat, "{}: a day as 2026-01-31 was expected")
+    serve = action("serve", "own the ports and perform what screens and programs order through the registry", run_serve)
     serve.add_argument("--name", required=True, metavar="NAME", help="name of the station, as orders call it")
-    serve.add_argument("--spool", type=Path, metavar="DIR", help=SPOOL_HELP)
+    add_shared(serve, "spool")
     serve.add_argument("--warm-up", type=float, metavar="MIN", help="of the load cell (default 15 min; gate rig: 0)")
     serve.add_argument(
         "--shift", type=positive, default=8.0, metavar="H", help="hours between golden units (default 8)"
@@ -85,84 +72,46 @@ def _add_serve(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -
         help="full: certificate and golden unit too (default); rig: what the rig alone shows (default when simulated)",
     )
     serve.add_argument("--override", default="", metavar="REASON", help="open a closed gate for a shift; audited")
-    serve.add_argument("--depth", type=positive, default=3.5, metavar="MM", help="deepest press (default 3.5 mm)")
+    add_shared(serve, "depth")
     serve.add_argument("--unit-seconds", type=positive, metavar="S", help="how long a unit is pressed (25 s)")
     serve.add_argument("--source-seconds", type=positive, metavar="S", help="how long a source is (default 170 s)")
     for kind in ("unit", "source"):
         what = f"TOML file of moves instead of the {kind} profile (`softcal station profiles`)"
-        serve.add_argument(f"--{kind}-profile", type=Path, metavar="FILE", help=what)
+        serve.add_argument(f"--{kind}-profile", **FILE, help=what)
     serve.add_argument(
         "--speed", type=positive, default=1.0, metavar="X", help="simulated seconds a second (default 1)"
     )
-    where = serve.add_mutually_exclusive_group()
-    where.add_argument("--station", type=Path, metavar="FILE", help="station file (TOML)")
-    where.add_argument("--simulated", nargs="?", type=int, const=0, metavar="SEED", help="the simulated rig")
+    add_station(serve, "the simulated rig")
     add_network(serve)
-    add_registry(serve)
-    serve.set_defaults(run=run_serve)
-
-
-def _add_order(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    order = _action(
-        actions,
-        "order",
-        "ask a resident station for something, and wait until it is done",
-        "Write an order into the registry, show its progress, print how it ended. Ctrl-C stops a run.",
-    )
+    add_shared(serve, "registry")
+    order = action("order", "ask a resident station for something, and wait until it is done", run_order)
     order.add_argument("kind", choices=[kind.value for kind in OrderKind], help="what to do")
     order.add_argument("--name", required=True, metavar="NAME", help="name of the station")
     order.add_argument("--serial", default="", metavar="S", help="the unit, for source, unit and golden")
     order.add_argument("--lot", default="", metavar="LOT", help="its lot, for source and unit")
     order.add_argument("--reason", default="", metavar="TEXT", help="why; for override and repeats; fault: which one")
-    add_registry(order)
-    add_json(order)
-    order.set_defaults(run=run_order)
-
-
-def _add_status(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    status = _action(
-        actions,
-        "status",
-        "every station: state, gate, run in progress, units in quarantine",
-        "What stations say of themselves, and which units were pressed since the last good golden unit.",
-    )
+    add_shared(order, "registry", "json")
+    status = action("status", "every station: state, gate, run in progress, units in quarantine", run_status)
     status.add_argument("--name", metavar="NAME", help="this station only")
-    add_registry(status)
-    add_json(status)
-    status.set_defaults(run=run_status)
-
-
-def _add_certificate(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    certificate = _action(
-        actions,
-        "certificate",
-        "put a load cell's calibration certificate on file, or list them",
-        "Type a certificate in, import its DCC (XML), or list what is on file. Without one the gate stays closed.",
+    add_shared(status, "registry", "json")
+    certificate = action(
+        "certificate", "put a load cell's calibration certificate on file, or list them", run_certificate
     )
     certificate.add_argument("--cell", metavar="SERIAL", help="serial of the load cell, as in the station file")
     certificate.add_argument("--number", metavar="TEXT", help="number of the certificate")
     certificate.add_argument("--laboratory", default="", metavar="TEXT", help="who issued it")
-    certificate.add_argument("--issued", type=_day, metavar="YYYY-MM-DD", help="first day it holds")
-    certificate.add_argument("--due", type=_day, metavar="YYYY-MM-DD", help="first day it no longer holds")
+    certificate.add_argument("--issued", type=day, metavar="YYYY-MM-DD", help="first day it holds")
+    certificate.add_argument("--due", type=day, metavar="YYYY-MM-DD", help="first day it no longer holds")
     certificate.add_argument("--capacity", type=float, metavar="N", help="largest force it covers, N")
     certificate.add_argument("--uncertainty", type=float, metavar="N", help="expanded uncertainty, k = 2, N")
-    certificate.add_argument(
-        "--dcc", type=Path, metavar="FILE", help="import it from this DCC; options above fill gaps"
-    )
-    add_registry(certificate)
-    add_json(certificate)
-    certificate.set_defaults(run=run_certificate)
+    certificate.add_argument("--dcc", **FILE, help="import it from this DCC; options above fill gaps")
+    add_shared(certificate, "registry", "json")
 
 
-def _day(text: str) -> date:
-    try:
-        return date.fromisoformat(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text}: a day as 2026-01-31 was expected") from error
-
-
-def run_serve(options: argparse.Namespace) -> int:
-    """Serve until Ctrl-C or a terminate signal."""
+def run_serve(options: argparse.Namespace) -> None:
+    """The resident service of one station. Ctrl-C stops a run in progress and gives the ports back;
+    nothing resumes by itself.
+    """
     from softcal.app.line.gate_facts import RIG_ONLY, GateRules
     from softcal.app.line.rig import spool_folder
     from softcal.app.line.serve import Serving, serve
@@ -194,21 +143,20 @@ def run_serve(options: argparse.Namespace) -> int:
     signal.signal(signal.SIGTERM, end)
     signal.signal(signal.SIGINT, end)
     say(f"station {options.name}: serving; Ctrl-C stops a run in progress and ends it")
-    with registry_of(options) as registry:
+    with registry_of(options, create=True) as registry:
         serve(registry, serving, spool_folder(options.spool), lambda: is_wanted)
     say(f"station {options.name}: ports given back")
-    return 0
 
 
 def run_order(options: argparse.Namespace) -> int:
-    """Place an order and wait for its end."""
+    """Write an order into the registry, show its progress, print how it ended. Ctrl-C stops a run."""
     from softcal.app.bootstrap import current_user
 
     kind = OrderKind(options.kind)
     if kind.presses and not options.serial:
         raise InputError(f"an order of kind {kind} needs the serial of a unit: give --serial")
     order_id = uuid.uuid4().hex
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         queue = registry.order_queue
         if not _is_there(queue, options.name):
             raise DeviceError(f"station {options.name!r} is not served; start `softcal station serve` first")
@@ -219,7 +167,9 @@ def run_order(options: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             queue.place(Order(uuid.uuid4().hex, options.name, OrderKind.STOP, actor=facts[2]))
             progress = _followed(registry, options.name, order_id)
-    write_json(options.json, _order_json(options, progress))
+    names = ("order_id", "state", "code", "verdict", "recording_sha256")
+    outcome = {name: getattr(progress, name) for name in names} | {"message": progress.text}
+    answer(options, "station-order/1", {"kind": options.kind, "serial": options.serial, **outcome})
     say(f"{f'{kind} {options.serial}'.strip()}: {progress.verdict or progress.state}: {progress.text}")
     if progress.state is not RunState.DONE:
         return 2 if progress.code == "E-ORDER" else 3
@@ -227,8 +177,8 @@ def run_order(options: argparse.Namespace) -> int:
 
 
 def _is_there(queue: "OrderQueue", station: str) -> bool:
-    """Return whether a station's service is there: its beat is fresh, or late while its process is seen to live."""
-    from softcal.app.line.place import is_alive
+    """Return whether a station's service is there: its beat is fresh, or late while it lives."""
+    from softcal.app.bootstrap import is_alive
     from softcal.db.queues.order_queue import TAKEN_OVER_AFTER
 
     beat = queue.heartbeat(station)
@@ -257,24 +207,18 @@ def _followed(registry: "Registry", station: str, order_id: str) -> Progress:
     return progress
 
 
-def _order_json(options: argparse.Namespace, progress: Progress) -> dict[str, object]:
-    names = ("order_id", "state", "code", "verdict", "recording_sha256")
-    facts = {name: getattr(progress, name) for name in names} | {"message": progress.text}
-    return {"schema": "softcal.station-order/1", "kind": options.kind, "serial": options.serial, **facts}
-
-
-def run_status(options: argparse.Namespace) -> int:
-    """Print what stations say of themselves."""
-    from datetime import UTC, datetime
-
+def run_status(options: argparse.Namespace) -> None:
+    """What stations say of themselves, and which units were pressed since the last good golden
+    unit.
+    """
     from softcal.app.line.gate_facts import quarantine
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         beats = [b for b in registry.order_queue.stations() if options.name in (None, b.station)]
         if options.name and not beats:
             raise InputError(f"station {options.name!r} never gave a sign of life in this registry")
         rows = [_status(registry, beat, quarantine(registry, beat.station, datetime.now(UTC))) for beat in beats]
-    write_json(options.json, {"schema": "softcal.station-status/1", "stations": rows})
+    answer(options, "station-status/1", {"stations": rows})
     if not beats:
         say("no station yet; start one with `softcal station serve`")
     for row in rows:
@@ -287,12 +231,11 @@ def run_status(options: argparse.Namespace) -> int:
         held = row["quarantine"]
         if isinstance(held, list) and held:
             say(f"in quarantine since the last good golden unit: {', '.join(held)}")
-    return 0
 
 
 def _status(registry: "Registry", beat: "Heartbeat", held: tuple[str, ...]) -> dict[str, object]:
+    from softcal.app.bootstrap import is_alive
     from softcal.app.line.facts import SILENT, state_of
-    from softcal.app.line.place import is_alive
 
     active = registry.order_queue.active(beat.station)
     run = "" if active is None else f"{active[0].kind} {active[0].serial}, {active[1].phase or active[1].state}".strip()
@@ -310,8 +253,10 @@ def _status(registry: "Registry", beat: "Heartbeat", held: tuple[str, ...]) -> d
     }
 
 
-def run_certificate(options: argparse.Namespace) -> int:
-    """Put a certificate on file, or list them."""
+def run_certificate(options: argparse.Namespace) -> None:
+    """Type a certificate in, import its DCC (XML), or list what is on file. Without one the gate
+    stays closed.
+    """
     from softcal.app.line.cell_certificate import certificate_from
 
     given = {
@@ -323,7 +268,7 @@ def run_certificate(options: argparse.Namespace) -> int:
         "capacity_N": options.capacity,
         "uncertainty_N": options.uncertainty,
     }
-    with registry_of(options) as registry:
+    with registry_of(options, create=True) as registry:
         if options.dcc is not None or any(value is not None for name, value in given.items() if name != "cell_serial"):
             certificate = certificate_from(given, options.dcc)
             registry.stations.add_certificate(certificate)
@@ -331,13 +276,9 @@ def run_certificate(options: argparse.Namespace) -> int:
         entries = registry.stations.certificates(options.cell)
     names = ("cell_serial", "number", "laboratory", "issued_on", "due_on", "capacity_N", "uncertainty_N")
     rows = [{name: getattr(entry, name) for name in names} for entry in entries]
-    if options.json:
-        texts = [
-            {name: str(value) if isinstance(value, date) else value for name, value in row.items()} for row in rows
-        ]
-        write_json(options.json, {"schema": "softcal.cell-certificates/1", "certificates": texts})
+    texts = [{name: str(value) if isinstance(value, date) else value for name, value in row.items()} for row in rows]
+    answer(options, "cell-certificates/1", {"certificates": texts})
     if not rows:
         say("no certificate on file; give --cell, --number, --issued, --due, --capacity and --uncertainty, or --dcc")
-        return 0
+        return
     print_table(names, [tuple(row.values()) for row in rows])
-    return 0

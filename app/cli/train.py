@@ -3,8 +3,8 @@
 import argparse
 from pathlib import Path
 
-from softcal.app.cli.options import add_csv, add_json, add_network, add_registry, network_config, registry_of, say_epoch
-from softcal.app.output import print_table, say, write_json
+from softcal.app.cli.options import add_network, add_shared, answer, network_config, registry_of, say_epoch
+from softcal.app.output import print_table, say
 
 EXAMPLES = """examples:
   softcal train lot-1
@@ -18,13 +18,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     configuration find the network trained before.
     """
     parser.add_argument("lot", type=Path, metavar="LOT", help="lot folder")
-    add_registry(parser)
+    add_shared(parser, "registry")
     add_network(parser)
-    add_json(parser)
-    add_csv(parser)
+    add_shared(parser, "json", "csv")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Train or find f, and print what it is."""
     from softcal.app.batch.train import train_or_find
     from softcal.app.files.lot_folder import open_lot_folder
@@ -34,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
     for remark in folder.remarks:
         say(f"note: {remark}")
     lot, source = folder.lot, folder.read_source()
-    with registry_of(options) as registry:
+    with registry_of(options, create=True) as registry:
         trained = train_or_find(
             lot,
             source,
@@ -44,21 +43,8 @@ def run(options: argparse.Namespace) -> int:
         )
         state_reference(registry, lot.id, folder.reference, source)
     network = trained.network
-    print_table(
-        ["lot", "source", "network", "layers", "status", f"validation RMSE [{lot.reference_unit}]", "train_s"],
-        [
-            [
-                lot.id,
-                lot.source,
-                network.id[:16],
-                "-".join(map(str, network.sizes)),
-                "trained" if trained.is_new else "found, trained before",
-                trained.metrics.get("validation_rmse"),
-                trained.metrics.get("train_s"),
-            ]
-        ],
-    )
-    if options.json:
-        result = {"schema": "softcal.train/1", "lot": lot.id, "network": network.id, "is_new": trained.is_new}
-        write_json(options.json, result | trained.metrics)
-    return 0
+    header = ["lot", "source", "network", "layers", "status", f"validation RMSE [{lot.reference_unit}]", "train_s"]
+    layers, status = "-".join(map(str, network.sizes)), "trained" if trained.is_new else "found, trained before"
+    metrics = [trained.metrics.get(name) for name in ("validation_rmse", "train_s")]
+    print_table(header, [[lot.id, lot.source, network.id[:16], layers, status, *metrics]])
+    answer(options, "train/1", {"lot": lot.id, "network": network.id, "is_new": trained.is_new, **trained.metrics})

@@ -1,10 +1,9 @@
 """`softcal trim`: known loads at the place of use re-anchor a unit's map."""
 
 import argparse
-from pathlib import Path
 
-from softcal.app.cli.options import add_json, add_lot_of_serial, add_registry, registry_of
-from softcal.app.output import say, write_json
+from softcal.app.cli.options import FILE, add_shared, answer, registry_of
+from softcal.app.output import say
 
 EXAMPLES = """examples:
   softcal trim --serial A1 --loads loads.csv       columns output, reference: the output at rest under each known load
@@ -17,33 +16,24 @@ HELP = "two or more known loads at the place of use re-anchor a unit's map"
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Correct gain and zero of a unit's map by known loads at its place of use."""
-    parser.add_argument("--serial", required=True, metavar="S")
-    parser.add_argument("--loads", required=True, type=Path, metavar="FILE", help="CSV or Parquet: output, reference")
-    add_lot_of_serial(parser)
-    add_registry(parser)
-    add_json(parser)
+    add_shared(parser, "serial")
+    parser.add_argument("--loads", required=True, **FILE, help="CSV or Parquet: output, reference")
+    add_shared(parser, "lot", "registry", "json")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Trim, and say what it changed."""
     from softcal.app.use.trim import trim_unit
 
-    with registry_of(options, create=False) as registry:
+    with registry_of(options) as registry:
         found, revision = trim_unit(registry, options.serial, options.loads, options.lot)
     gain, offset = found.unit_map.gain, found.unit_map.offset
     facts = {"serial": options.serial, "revision": revision, "gain": gain, "offset": offset}
-    errors = {
-        "gain_error": found.gain_error,
-        "rest_error": found.rest_error,
-        "before_rmse": found.before_rmse,
-        "after_rmse": found.after_rmse,
-    }
-    write_json(options.json, {"schema": "softcal.trim/1", **facts, **errors})
-    if options.json != "-":
+    facts |= {name: getattr(found, name) for name in ("gain_error", "rest_error", "before_rmse", "after_rmse")}
+    if answer(options, "trim/1", facts):
         print(
             f"{options.serial} revision {revision}: gain times {gain:.4g} ± {found.gain_error:.1%}, "
             f"offset {offset:+.4g}, estimate at rest ± {found.rest_error:.2g} (one standard uncertainty)"
         )
         print(f"error at the loads: RMSE {found.before_rmse:.3g} before, {found.after_rmse:.3g} after")
     say("a trimmed unit is conditional at best, and one that failed its audit stays so, until it is audited again")
-    return 0

@@ -1,9 +1,8 @@
 """`softcal ui`: the operator's Streamlit application, in the browser or in a window of its own."""
 
 import argparse
-from pathlib import Path
 
-from softcal.app.cli.options import add_registry
+from softcal.app.cli.options import FILE, add_shared
 
 EXAMPLES = """examples:
   softcal ui                       open the application in the default browser
@@ -19,7 +18,7 @@ HELP = "the operator's screen and the engineer's desk"
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Serve the Streamlit application on this machine only and open it. Needs no internet."""
-    add_registry(parser)
+    add_shared(parser, "registry")
     parser.add_argument("--port", type=int, default=0, help="default: the first free one from 8501")
     parser.add_argument("--address", default="127.0.0.1", help="default: this machine only")
     parser.add_argument("--window", action="store_true", help="open as an application window instead of a browser tab")
@@ -33,9 +32,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="another name under which browsers reach this server; every other name is refused",
     )
-    parser.add_argument(
-        "--accounts", type=Path, metavar="FILE", help="TOML with [auth]: sign in by company account (OIDC)"
-    )
+    parser.add_argument("--accounts", **FILE, help="TOML with [auth]: sign in by company account (OIDC)")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -3,8 +3,8 @@
 from datetime import UTC, datetime
 from typing import Any
 
+from softcal.app.bootstrap import is_alive
 from softcal.app.line.facts import state_of
-from softcal.app.line.place import is_alive
 from softcal.core.orders import Heartbeat, Order, Progress
 from softcal.db.registry import Registry
 

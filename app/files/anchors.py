@@ -1,4 +1,4 @@
-"""Known loads of target units from a table: `serial, output, reference` rows, or without serial for a lot of one."""
+"""Known loads of target units from a table: `serial, output, reference` rows."""
 
 from collections.abc import Collection, Mapping
 from pathlib import Path

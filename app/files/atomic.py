@@ -12,7 +12,7 @@ from softcal.core.errors import InputError
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Give a temporary path beside `path`; when the block ends well, sync it and rename it into place.
+    """Give a path beside `path`; when the block ends well, sync it and rename it into place.
 
     When the block raises, the temporary file is removed and `path` is as it was before.
 
@@ -40,7 +40,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def whole_folder(path: Path) -> Iterator[Path]:
-    """Give a temporary folder beside `path`; when the block ends well, rename it into place, else remove it.
+    """Give a folder beside `path`; when the block ends well, rename it into place.
 
     Raises:
         InputError: `path` is there and not empty, or the folder cannot be made.

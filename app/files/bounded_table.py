@@ -1,4 +1,4 @@
-"""Tables of CSV, Parquet and Excel, no larger than allowed: counted before they are read, only the columns asked for.
+"""Tables of CSV, Parquet and Excel, no larger than allowed: counted before they are read.
 
 A few kB can unpack to more than any memory holds: repeated values of Parquet, a spreadsheet whose only cell stands in
 its last row. What is counted is what the reader would have to make, never what the file says of itself alone.
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 CSV, PARQUET, EXCEL = {".csv", ".txt", ".tsv"}, {".parquet", ".pq"}, {".xlsx", ".xlsm"}
 
 MOST_CELLS = 20_000_000
-"""A table with more cells is refused before it is read: a few kB of Parquet can hold them. As text they take 1.5 GB."""
+"""A table with more is refused before it is read: few kB of Parquet can hold 1.5 GB of text."""
 
 CSV_BYTES_PER_CELL = 25
 """More bytes no number takes as text, with what parts it from the next one."""
@@ -40,11 +40,9 @@ Wanted = Callable[[str], bool]
 
 
 def parsed(file: BinaryIO, path: Path, sheet: str | None, most_cells: int, wanted: Wanted | None) -> "pd.DataFrame":
-    """Return the wanted columns of a table; of a CSV all. Where none is wanted the first one stands for the rows.
+    """Return the wanted columns of a table; of a CSV all; where none is wanted the first.
 
     Args:
-        sheet: of an Excel file; None takes the first.
-        most_cells: a table with more is refused.
         wanted: tells by its name whether a column is asked for; None asks for all.
 
     Raises:
@@ -102,10 +100,15 @@ def _parquet(file: BinaryIO, path: Path, most_cells: int, wanted: Wanted | None)
     file.seek(0)
     # Equal texts stay one text: a column of them may otherwise unpack to any size.
     opened = pq.ParquetFile(file, page_checksum_verification=True, read_dictionary=text)
-    rows = _parquet_rows(opened.metadata)
+    # The footer may lie: the row groups say it again, and what a page really holds pyarrow checks against them.
+    groups = [opened.metadata.row_group(k) for k in range(opened.metadata.num_row_groups)]
+    rows = max(int(opened.metadata.num_rows), sum(int(group.num_rows) for group in groups))
     refuse_large(path, rows * sum(_cells_of(schema.field(name), path) for name in names), most_cells)
     if text:
-        refuse_large(path, _parquet_bytes(opened.metadata) // 8, most_cells)
+        # What the file unpacks to, with the columns that nobody asks for. A column's own facts are not looked at: where
+        # they contradict the schema, pyarrow ends the whole process there; reading the column refuses them in order.
+        # Numbers need no such count: their rows say how much they take.
+        refuse_large(path, sum(int(group.total_byte_size) for group in groups) // 8, most_cells)
     table = opened.read(columns=names)
     for name in text:
         refuse_large(path, _text_bytes(table[name]) // 8, most_cells)
@@ -128,29 +131,12 @@ def _cells_of(field: "pa.Field", path: Path) -> int:
 
     if pa.types.is_nested(field.type):
         raise InputError(f"{path}: column {field.name!r} holds lists or records where numbers were expected")
-    return 1 if _is_text(field.type) or not _has_width(field.type) else max(1, field.type.bit_width // 64)
-
-
-def _has_width(kind: "pa.DataType") -> bool:
+    if _is_text(field.type):
+        return 1
     try:
-        return bool(kind.bit_width)
+        return max(1, int(field.type.bit_width) // 64)
     except ValueError:
-        return False
-
-
-def _parquet_rows(facts: Any) -> int:
-    # The footer may lie: the row groups say it again, and what a page really holds pyarrow checks against them.
-    groups = [int(facts.row_group(k).num_rows) for k in range(facts.num_row_groups)]
-    return max(int(facts.num_rows), sum(groups))
-
-
-def _parquet_bytes(facts: Any) -> int:
-    """Return what the file unpacks to, with the columns that nobody asks for.
-
-    A column's own facts are not looked at: where they contradict the schema, pyarrow ends the whole process there.
-    Reading the column refuses them in order. Numbers need no such count: their rows say how much they take.
-    """
-    return sum(int(facts.row_group(k).total_byte_size) for k in range(facts.num_row_groups))
+        return 1  # A type without a width
 
 
 def _text_bytes(column: "pa.ChunkedArray") -> int:

@@ -1,10 +1,10 @@
-"""A case for diagnosis on disk: runs of one unit on one rig, each a folder with recording.csv and recording.json."""
+"""A case for diagnosis on disk: runs of one unit, each with recording.csv and recording.json."""
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -31,21 +31,18 @@ def open_case(folder: Path) -> Case:
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such folder; a case holds runs/<n>/{RECORDING} and {METADATA}")
     places = _run_folders(folder)
-    runs = []
-    serials = []
-    for place in places:
-        metadata = _metadata(place / METADATA)
-        serials.append(str(metadata["serial"]))
-        runs.append(_run(place, folder, metadata))
+    facts = [_metadata(place / METADATA) for place in places]
+    serials = [str(metadata["serial"]) for metadata in facts]
+    runs = [_run(place, folder, metadata) for place, metadata in zip(places, facts, strict=True)]
     with naming(folder):
         if len(set(serials)) > 1:
             raise InputError(f"runs of several units ({', '.join(sorted(set(serials)))}); a case is of one unit")
-        return Case(serials[0], tuple(runs), stiffness_N_mm=_stated_stiffness(places[0] / METADATA))
+        return Case(serials[0], tuple(runs), stiffness_N_mm=_stated_stiffness(facts[0], places[0] / METADATA))
 
 
-def _stated_stiffness(path: Path) -> tuple[float, float] | None:
-    """Return lowest and highest peak force over depth of the lot's units, where the first run's metadata state it."""
-    stated = _metadata(path).get("stiffness_N_mm")
+def _stated_stiffness(metadata: Mapping[str, object], path: Path) -> tuple[float, float] | None:
+    """Return lowest and highest peak force over depth of the lot's units, where it is stated."""
+    stated = metadata.get("stiffness_N_mm")
     if stated is None:
         return None
     numbers = [v for v in stated if isinstance(v, int | float)] if isinstance(stated, list) else []
@@ -69,18 +66,10 @@ def open_table(path: Path, readout: ReadoutMetadata) -> Case:
         InputError: the table cannot be read or shows no gap.
     """
     table = read_table(path).rename(columns=OTHER_NAMES)
-    channels = {name: column(table, name, path) for name in CHANNELS if _is_recorded(table, name)}
+    channels = _channels(table, CHANNELS, path)
     with naming(path):
-        run = Run(
-            name=path.stem,
-            t_s=_time(table, path, readout.sample_rate_Hz),
-            readout=readout,
-            stage_mm=channels.get("stage_mm"),
-            force_N=channels.get("force_N"),
-            output_V=channels.get("output_V"),
-            temperature_C=channels.get("temperature_C"),
-        )
-        return Case(path.stem, (run,))
+        t_s = _time(table, path, readout.sample_rate_Hz)
+        return Case(path.stem, (Run(name=path.stem, t_s=t_s, readout=readout, **channels),))
 
 
 def _run_folders(folder: Path) -> list[Path]:
@@ -143,7 +132,7 @@ def _run(place: Path, case: Path, metadata: Mapping[str, object]) -> Run:
             sample_rate_Hz=_number(metadata, "sample_rate_Hz", described),
             sensor_type=cast(SensorType, metadata.get("sensor_type") or "pressure"),
         )
-    channels = {name: column(table, name, path) for name in KNOWN_COLUMNS if _is_recorded(table, name)}
+    channels = _channels(table, KNOWN_COLUMNS, path)
     with naming(path):
         return Run(
             name=place.name if place != case else "recording",
@@ -152,17 +141,14 @@ def _run(place: Path, case: Path, metadata: Mapping[str, object]) -> Run:
             dummy_ohm=_number(metadata, "dummy_ohm", described) if metadata.get("dummy_ohm") is not None else None,
             kind=kind,
             profile=str(metadata.get("profile") or ""),
-            stage_mm=channels.get("stage_mm"),
-            force_N=channels.get("force_N"),
-            output_V=channels.get("output_V"),
-            temperature_C=channels.get("temperature_C"),
-            known_force_N=channels.get("known_force_N"),
+            **channels,
         )
 
 
-def _is_recorded(table: "pd.DataFrame", name: str) -> bool:
-    """A column of nothing but empty cells is a channel that was not recorded."""
-    return name in table.columns and not bool(table[name].isna().all())
+def _channels(table: "pd.DataFrame", names: Sequence[str], path: Path) -> dict[str, Any]:
+    """Return the channels that were recorded: a column of nothing but empty cells is none."""
+    recorded = [name for name in names if name in table.columns and not bool(table[name].isna().all())]
+    return {name: column(table, name, path) for name in recorded}
 
 
 def _time(table: "pd.DataFrame", path: Path, sample_rate_Hz: float) -> Array:

@@ -1,9 +1,9 @@
-"""Make a lot folder out of the tables people have: one file per unit, or one wide file with a column per unit."""
+"""Make a lot folder out of tables: one file per unit, or one wide file with a column per unit."""
 
 import fnmatch
 import hashlib
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,8 +12,8 @@ import numpy as np
 
 from softcal.app.files.atomic import whole_folder
 from softcal.app.files.bounded_table import MOST_CELLS
-from softcal.app.files.lot_folder import same_recording, write_lot_toml
-from softcal.app.files.recording_file import STAGE, SUFFIXES, column, naming, read_table, timed, write_columns
+from softcal.app.files.lot_folder import alike, same_recording, write_lot_toml
+from softcal.app.files.recording_file import STAGE, SUFFIXES, column, naming, read_table, timed, write_recording
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
@@ -44,7 +44,7 @@ class Columns:
         return any(c in self.output for c in "*?[")
 
     def asks_for(self, name: str) -> bool:
-        """Whether a column of this name is needed; the others are not read where the format allows."""
+        """Whether a column of this name is needed; others are not read where possible."""
         return name in (self.reference, self.time, self.stage) or (
             fnmatch.fnmatchcase(name, self.output) if self.is_wide else name == self.output
         )
@@ -137,46 +137,25 @@ def import_lot(plan: ImportPlan, folder: Path, on_remark: Callable[[str], None] 
             raise InputError(f"source {serial!r} has no reference; name its column")
     with whole_folder(folder) as part:
         _write(part, plan, units)
-    for serials in _alike(units):
+    outputs = {serial: hashlib.sha256(unit.recording.output.tobytes()).digest() for serial, unit in units.items()}
+    for serials in alike(outputs):
         on_remark(same_recording(serials))
     return [serial for serial in units if serial not in plan.sources]
-
-
-def _alike(units: Mapping[str, ImportedUnit]) -> list[list[str]]:
-    """Return the serials whose outputs are the same, sample by sample."""
-    by_output: dict[bytes, list[str]] = {}
-    for serial, unit in units.items():
-        by_output.setdefault(hashlib.sha256(unit.recording.output.tobytes()).digest(), []).append(serial)
-    return [serials for serials in by_output.values() if len(serials) > 1]
 
 
 def _write(folder: Path, plan: ImportPlan, units: dict[str, ImportedUnit]) -> None:
     write_lot_toml(folder, plan.lot, more_sources=plan.more_sources)
     for serial, unit in units.items():
         fit = unit.part(plan.fit_rows)
-        if serial in plan.sources:
+        if serial in plan.sources and fit.reference is not None:
             # The check of both columns together happens here, so that a lot folder never holds a broken source.
-            LabelledRecording(fit.recording, _present(fit.reference))
-            _write_unit(folder / "source" / f"{serial}.csv", fit)
+            LabelledRecording(fit.recording, fit.reference)
+            write_recording(folder / "source" / f"{serial}.csv", fit.recording, fit.reference)
         else:
-            _write_unit(folder / "units" / f"{serial}.csv", ImportedUnit(fit.recording, None))
+            write_recording(folder / "units" / f"{serial}.csv", fit.recording)
         if plan.audit and unit.reference is not None:
-            _write_unit(folder / "audit" / f"{serial}.csv", unit.part(plan.audit_rows))
-
-
-def _present(reference: Array | None) -> Array:
-    if reference is None:
-        raise InputError("the source has no reference")
-    return reference
-
-
-def _write_unit(path: Path, unit: ImportedUnit) -> None:
-    columns = [("t_s", unit.recording.t_s), ("output", unit.recording.output)]
-    if unit.reference is not None:
-        columns.append(("reference", unit.reference))
-    if unit.recording.stage_mm is not None:
-        columns.append(("stage_mm", unit.recording.stage_mm))
-    write_columns(path, columns)
+            audit = unit.part(plan.audit_rows)
+            write_recording(folder / "audit" / f"{serial}.csv", audit.recording, audit.reference)
 
 
 @dataclass(frozen=True, eq=False)

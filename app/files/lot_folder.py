@@ -1,4 +1,4 @@
-"""A lot folder: lot.toml, source/, units/, audit/, golden/ into core values. One bad unit never stops the others."""
+"""A lot folder: lot.toml, source/, units/, audit/, golden/ into core values."""
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -33,7 +33,7 @@ KNOWN_KEYS = {
     "limit": {"rmse"},
     "line": {"load_spread", "day_spread"},
 }
-"""Keys of lot.toml by table. The two bare keys may also stand in [lot] or [output], where TOML puts what follows."""
+"""Keys of lot.toml by table. Two bare keys may also stand where TOML puts what follows."""
 
 ANCHOR_FILES = ("anchors.csv", "anchors.parquet")
 """Where a lot folder holds known loads of its units."""
@@ -103,7 +103,7 @@ class LotFolder:
         return None if path is None else self._labelled(path, serial)
 
     def read_golden(self) -> OutputRecording | LabelledRecording | None:
-        """Read the source unit's run in the units' sitting, with its reference where the file has one."""
+        """Read the source's run in the units' sitting, with its reference if it has one."""
         path = self.golden_path
         if path is None:
             return None
@@ -157,29 +157,25 @@ def _golden(folder: Path, source: str) -> Path | None:
 
 
 def _same_files(units: Mapping[str, Path], root: Path) -> Iterator[str]:
-    """Say which units have one and the same file: one of the serials is wrong, or a file was copied.
+    """Say which units have one and the same file: a serial is wrong, or a file was copied.
 
     Whatever is no file, or cannot be read, is told as that unit's result later.
     """
-    by_size: dict[int, list[str]] = {}
-    for serial, path in units.items():
-        if path.is_file():
-            by_size.setdefault(path.stat().st_size, []).append(serial)
-    for alike in by_size.values():
-        if len(alike) > 1:
-            yield from _same_content({serial: units[serial] for serial in alike}, root)
+    sizes = {serial: path.stat().st_size for serial, path in units.items() if path.is_file()}
+    for candidates in alike(sizes):
+        contents = {}
+        for serial in candidates:
+            with suppress(InputError):
+                contents[serial] = hashlib.sha256(read_regular(units[serial], root)).digest()
+        yield from map(same_recording, alike(contents))
 
 
-def _same_content(units: Mapping[str, Path], root: Path) -> Iterator[str]:
-    by_hash: dict[str, list[str]] = {}
-    for serial, path in units.items():
-        # What cannot be read is the result of its unit and of no other.
-        with suppress(InputError):
-            content = read_regular(path, root)
-            by_hash.setdefault(hashlib.sha256(content).hexdigest(), []).append(serial)
-    for serials in by_hash.values():
-        if len(serials) > 1:
-            yield same_recording(serials)
+def alike(contents: Mapping[str, object]) -> list[list[str]]:
+    """Return the serials that have the same content, several at a time."""
+    holders: dict[object, list[str]] = {}
+    for serial, content in contents.items():
+        holders.setdefault(content, []).append(serial)
+    return [serials for serials in holders.values() if len(serials) > 1]
 
 
 def same_recording(serials: Sequence[str]) -> str:
@@ -202,16 +198,15 @@ def _recordings(folder: Path) -> dict[str, Path]:
     return found
 
 
-def _read_lot_toml(
-    path: Path,
-) -> tuple[Lot, LineSpread | None, Reference | None, tuple[str, ...], tuple[str, ...]]:
+def _read_lot_toml(path: Path) -> tuple[Lot, LineSpread | None, Reference | None, tuple[str, ...], tuple[str, ...]]:
     content = read_toml(path, "`softcal import` writes one", path.parent)
     with naming(path):
         tables = {name: content.get(name, {}) for name in ("lot", "reference", "output", "limit", "line")}
         for name, table in tables.items():
             if not isinstance(table, dict):
                 raise InputError(f"[{name}] must be a table")
-        line, reference = _line(tables["line"]), _reference(tables)
+        spreads = [typed(f"[line] {key}", float, tables["line"].get(key, 0.0)) for key in ("load_spread", "day_spread")]
+        line, reference = LineSpread(*spreads) if tables["line"] else None, _reference(tables)
         lot = _lot(content, tables)
         return lot, line, reference, _more_sources(tables["lot"], lot.source), tuple(_unknown_keys(path, content))
 
@@ -238,20 +233,13 @@ def _reference(tables: Mapping[str, Mapping[str, object]]) -> Reference | None:
     return Reference(**facts) if facts else None
 
 
-def _line(table: Mapping[str, object]) -> LineSpread | None:
-    if not table:
-        return None
-    load, day = (typed(f"[line] {name}", float, table.get(name, 0.0)) for name in ("load_spread", "day_spread"))
-    return LineSpread(load, day)
-
-
 def _lot(content: Mapping[str, object], tables: Mapping[str, Mapping[str, object]]) -> Lot:
     places = (content, tables["lot"], tables["output"])
     limit = tables["limit"].get("rmse")
     return Lot(
         id=typed("[lot] id", str, tables["lot"].get("id")),
-        source=typed("source", str, _only(places, "source")["source"]),
-        sample_rate_Hz=typed("sample_rate_Hz", float, _only(places, "sample_rate_Hz")["sample_rate_Hz"]),
+        source=typed("source", str, _only(places, "source")),
+        sample_rate_Hz=typed("sample_rate_Hz", float, _only(places, "sample_rate_Hz")),
         sensor_model=str(tables["lot"].get("sensor_model", "")),
         reference_quantity=str(tables["reference"].get("quantity", "force")),
         reference_unit=str(tables["reference"].get("unit", "N")),
@@ -260,13 +248,13 @@ def _lot(content: Mapping[str, object], tables: Mapping[str, Mapping[str, object
     )
 
 
-def _only(places: tuple[Mapping[str, object], ...], key: str) -> Mapping[str, object]:
-    holders = [place for place in places if key in place]
-    if len({str(place[key]) for place in holders}) > 1:
+def _only(places: tuple[Mapping[str, object], ...], key: str) -> object:
+    given = [place[key] for place in places if key in place]
+    if len(set(map(str, given))) > 1:
         raise InputError(f"{key} is given more than once, with different values")
-    if not holders:
+    if not given:
         raise InputError(f"{key} is missing")
-    return holders[0]
+    return given[0]
 
 
 def _unknown_keys(path: Path, content: Mapping[str, object]) -> Iterator[str]:
@@ -282,7 +270,7 @@ def _unknown_keys(path: Path, content: Mapping[str, object]) -> Iterator[str]:
 def write_lot_toml(
     folder: Path, lot: Lot, reference: Reference | None = None, more_sources: Sequence[str] = ()
 ) -> None:
-    """Write `lot.toml` for a lot folder, with what its source was compared with and the serials of further sources."""
+    """Write `lot.toml`, with what its source was compared with and further sources."""
     document = tomlkit.document()
     document["sample_rate_Hz"] = lot.sample_rate_Hz
     document["source"] = lot.source
@@ -306,7 +294,7 @@ def read_lot(folder: Path) -> Lot:
 
 
 def restate_reference(folder: Path, reference: Reference | None) -> None:
-    """Write into `lot.toml` what the source was compared with this time; everything else in it stays as it is."""
+    """Write into `lot.toml` what the source was compared with this time; all else stays."""
     stated = _stated(reference)
     if not stated:
         return

@@ -1,4 +1,4 @@
-"""An ONNX model from plain nodes and arrays: one file, the same bytes every time, no torch and no host paths."""
+"""An ONNX model from plain nodes and arrays: the same bytes every time, no torch."""
 
 from collections.abc import Mapping
 
@@ -14,9 +14,6 @@ OPSET, IR_VERSION = 13, 8
 def onnx_bytes(graph: Graph, metadata: Mapping[str, str]) -> bytes:
     """Return the model: `window` (n, 15), oldest sample first, in; `estimate`, `lower`, `upper`, `flag` (n,) out, and
     `source_window` (n, 15).
-
-    Args:
-        metadata: custom properties such as serial, units and hashes.
     """
     nodes = [
         helper.make_node(n.operator, list(n.inputs), [n.output], name=n.output, **n.attributes) for n in graph.nodes

@@ -1,4 +1,4 @@
-"""A stage profile as a TOML file that people write and read: one move a line, target, speed and hold."""
+"""A stage profile as a TOML file that people write: a move a line, target, speed and hold."""
 
 import math
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Tables on disk (CSV, Parquet, Excel) into columns of numbers; every error names file, line and column."""
+"""Tables on disk (CSV, Parquet, Excel) into columns of numbers; errors name file and line."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -55,8 +55,6 @@ def read_table(
     Args:
         wanted: tells by its name whether a column is asked for: others of Parquet and Excel are not read. None asks
             for all.
-        most_cells: a table with more is refused before it is read.
-        sheet: of an Excel file; None takes the first.
         content: the bytes of the file where somebody has read them already, maybe on another machine.
 
     Raises:
@@ -103,7 +101,7 @@ def named_column(table: "pd.DataFrame", name: str, path: Path, cure: str = "") -
 
 
 def timed(table: "pd.DataFrame", name: str | None, rate_Hz: float, path: Path) -> Array:
-    """Return the column of time in s as finite numbers; made from the rate where no column is named."""
+    """Return the time in s as finite numbers; made from the rate where no column is named."""
     if name is None:
         return np.arange(len(table)) / rate_Hz
     return column(table, name, path, ", or give the sample rate")
@@ -149,12 +147,10 @@ def read_recording(
     content: bytes | None = None,
     names: ColumnNames = PLAIN,
 ) -> OutputRecording:
-    """Read `t_s, output` (and `stage_mm` where there is one). Any other column, a reference too, is not looked at.
+    """Read `t_s, output` (and `stage_mm` where there is one); no other column is looked at.
 
     Args:
         sample_rate_Hz: the declared rate; None takes the median rate of the time stamps.
-        content: the bytes of the file where somebody has read them already.
-        names: of the columns, where they are called otherwise.
     """
     asked = {names.output, names.time, STAGE}
     table = read_table(path, content=content, wanted=asked.__contains__)
@@ -168,12 +164,7 @@ def read_labelled(
     units: tuple[str, str] = ("V", "N"),
     content: bytes | None = None,
 ) -> LabelledRecording:
-    """Read `t_s, output, reference`.
-
-    Args:
-        sample_rate_Hz: the declared rate; None takes the median rate of the time stamps.
-        content: the bytes of the file where somebody has read them already.
-    """
+    """Read `t_s, output, reference`."""
     output_unit, reference_unit = units
     asked = {PLAIN.output, PLAIN.time, "reference", STAGE}
     table = read_table(path, content=content, wanted=asked.__contains__)
@@ -216,7 +207,7 @@ class naming:
 
 
 def write_columns(path: Path, columns: Sequence[tuple[str, Array | Sequence[str]]]) -> None:
-    """Write columns as CSV or, where `path` ends in .parquet, as Parquet; whole or not at all. NaN stays empty."""
+    """Write columns as CSV or, by the name, Parquet; whole or not at all. NaN stays empty."""
     import pandas as pd
 
     from softcal.app.files.atomic import whole_file
@@ -229,12 +220,29 @@ def write_columns(path: Path, columns: Sequence[tuple[str, Array | Sequence[str]
             table.to_csv(part, index=False, lineterminator="\n")
 
 
-def write_recording(path: Path, recording: OutputRecording | LabelledRecording) -> None:
-    """Write a recording as a lot folder holds it: `t_s, output`, and reference and stage where it has them."""
-    plain = recording.unlabelled if isinstance(recording, LabelledRecording) else recording
-    columns = [("t_s", plain.t_s), ("output", plain.output)]
+def replace_recording(folder: Path, serial: str, suffix: str, recording: OutputRecording | LabelledRecording) -> bool:
+    """Write a recording as the only one of its serial in a folder; return whether one was there."""
+    folder.mkdir(exist_ok=True)
+    path, older = folder / f"{serial}{suffix}", [file for file in folder.iterdir() if file.stem == serial]
+    write_recording(path, recording)
+    for file in older:
+        if file != path:
+            file.unlink()
+    return bool(older)
+
+
+def write_recording(path: Path, recording: OutputRecording | LabelledRecording, reference: Array | None = None) -> None:
+    """Write a recording as a lot folder holds it: `t_s, output`, reference and stage.
+
+    Args:
+        reference: (n,) of an output that was not checked with it.
+    """
     if isinstance(recording, LabelledRecording):
-        columns.append(("reference", recording.reference))
-    if plain.stage_mm is not None:
-        columns.append((STAGE, plain.stage_mm))
+        reference = recording.reference
+        recording = recording.unlabelled
+    columns = [("t_s", recording.t_s), ("output", recording.output)]
+    if reference is not None:
+        columns.append(("reference", reference))
+    if recording.stage_mm is not None:
+        columns.append((STAGE, recording.stage_mm))
     write_columns(path, columns)

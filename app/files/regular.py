@@ -1,4 +1,4 @@
-"""Read the files of a folder and nothing else: no pipe, device or socket, no link that leads out, no half copy."""
+"""Read the files of a folder and nothing else: no pipe, no device, no link out, no half copy."""
 
 import os
 import stat
@@ -7,7 +7,7 @@ from pathlib import Path
 from softcal.core.errors import InputError
 
 MOST_BYTES = 1_000_000_000
-"""A recording of a unit is a few MB; more than this is something else, and would fill the memory of every worker."""
+"""A recording is a few MB; more than this is something else, and would fill all memory."""
 
 KINDS = {
     stat.S_IFIFO: "a pipe",

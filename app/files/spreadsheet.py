@@ -9,11 +9,11 @@ from softcal.app.files.atomic import write_bytes, write_text
 from softcal.core.errors import InputError
 
 FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n")
-"""Text that starts like this is run by a spreadsheet (OWASP, CSV Injection); numbers are written as numbers."""
+"""Text that starts like this is run by a spreadsheet (OWASP, CSV Injection)."""
 
 
 def guarded(cell: object) -> object:
-    """Return a cell that a spreadsheet shows as it is: text that would run gets an apostrophe before it."""
+    """Return a cell that a spreadsheet shows as it is: an apostrophe before what would run."""
     return f"'{cell}" if isinstance(cell, str) and cell.startswith(FORMULA_STARTS) else cell
 
 

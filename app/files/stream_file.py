@@ -1,4 +1,4 @@
-"""Long streams on disk, piece by piece: `t_s, output` in, estimates out, in constant memory for CSV."""
+"""Long streams on disk, piece by piece: `t_s, output` in, estimates out."""
 
 import csv
 from collections.abc import Iterator
@@ -24,10 +24,7 @@ PIECE = 1024
 
 
 def read_stream(path: Path, names: ColumnNames = PLAIN) -> Iterator[tuple[Array, Array]]:
-    """Yield `t_s` and `output` in pieces, a row for every row of the file; what is empty or cut off is NaN.
-
-    Args:
-        names: of the columns, where they are called otherwise.
+    """Yield `t_s` and `output` in pieces, every row of the file; what is empty is NaN.
 
     Raises:
         InputError: no such file, no such columns, a text where a number belongs, or fewer rows than one window.
@@ -45,7 +42,7 @@ def read_stream(path: Path, names: ColumnNames = PLAIN) -> Iterator[tuple[Array,
 
 
 def count_rows(path: Path) -> int:
-    """Return about how many rows a CSV or Parquet file holds, for progress; 0 where only reading it would tell."""
+    """Return about how many rows a file holds; 0 where only reading it would tell."""
     if path.suffix.lower() in PARQUET:
         from pyarrow.lib import ArrowInvalid
         from pyarrow.parquet import read_metadata
@@ -89,11 +86,16 @@ def _csv_pieces(path: Path, names: tuple[str, ...]) -> Iterator[tuple[Array, ...
 
 
 def _numbers(path: Path, file: IO[str], names: tuple[str, ...]) -> Iterator[tuple[Array, ...]]:
+    import pandas as pd
+
     reader = csv.reader(file, delimiter="\t" if path.suffix.lower() == ".tsv" else ",")
     header = next(reader, None)
     if header is None:
         raise InputError(f"{path}: the file is empty")
-    places = _places(path, [name.strip() for name in header], names)
+    header = [name.strip() for name in header]
+    for name in names:
+        named_column(pd.DataFrame(columns=header), name, path)
+    places = [header.index(name) for name in names]
     piece: list[list[float]] = []
     wrong: InputError | None = None
     for row in reader:
@@ -118,14 +120,6 @@ def _numbers(path: Path, file: IO[str], names: tuple[str, ...]) -> Iterator[tupl
         yield _columns(piece)
     elif reader.line_num <= 1:
         raise InputError(f"{path}: there is no row of data below the header")
-
-
-def _places(path: Path, header: list[str], names: tuple[str, ...]) -> list[int]:
-    import pandas as pd
-
-    for name in names:
-        named_column(pd.DataFrame(columns=header), name, path)
-    return [header.index(name) for name in names]
 
 
 def _columns(piece: list[list[float]]) -> tuple[Array, ...]:
@@ -172,7 +166,7 @@ class EstimateWriter:
 
 @contextmanager
 def estimate_writer(path: Path) -> Iterator[EstimateWriter]:
-    """Open a writer of `t_s, estimate, lower, upper, flag`; `path` appears when the block has ended well."""
+    """Open a writer of estimates; `path` appears when the block has ended well."""
     with whole_file(path) as part:
         writer = EstimateWriter(part, path.suffix.lower() in PARQUET)
         try:

@@ -1,4 +1,4 @@
-"""TOML files that people write, into tables and dataclasses; every error names file, section and key."""
+"""TOML files that people write, into dataclasses; errors name file, section and key."""
 
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -44,7 +44,6 @@ def read_section(where: str, kind: type[Section], table: object, folder: Path = 
 
     Args:
         where: file and section, for errors.
-        folder: where files that are named lie.
 
     Raises:
         InputError: it is no table, a key is unknown or missing, or a value is not what its field holds.
@@ -63,7 +62,7 @@ def read_section(where: str, kind: type[Section], table: object, folder: Path = 
 
 
 def typed(key: str, hint: Any, value: object, folder: Path = Path()) -> Any:
-    """Return a value of TOML as its field wants it; a file is looked for beside the file that names it.
+    """Return a value of TOML as its field wants it; a file lies beside the one that names it.
 
     Raises:
         InputError: it is something else.

@@ -1,1 +1,1 @@
-"""The gap between the twin and a rig on disk: cases, diagnoses, sealed challenges, the explained twin in use."""
+"""The gap between the twin and a rig on disk: cases, diagnoses, challenges, the twin in use."""

@@ -1,9 +1,10 @@
-"""Sealed cases on disk: make a challenge, ask a sealed rig for one more run, open the seal and score the reports."""
+"""Sealed cases on disk: make them, ask a sealed rig for one more run, score the reports."""
 
 import hashlib
 import json
 import secrets
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -47,15 +48,12 @@ def make_challenge(
     line: str | None = None,
     on_case: Callable[[str], None] = lambda name: None,
 ) -> MadeChallenge:
-    """Draw sealed cases, write their recordings into a new folder and their labels into a separate file.
+    """Draw sealed cases, write recordings into a folder and labels into a separate file.
 
     Args:
         folder: where the cases go; must not exist or be empty.
         seal_file: where the labels go; outside of `folder`.
-        count: how many cases.
         seed: seed of the draw; a secret one is chosen when it is not given.
-        line: draw this one line instead of the mix.
-        on_case: called with the name of each case when it is written.
 
     Raises:
         InputError: the folder is not empty, the seal would lie in it or exists, a count below 1, an unknown line.
@@ -94,7 +92,7 @@ def _one_line(seed: int, count: int, line: str) -> list[SealedCase]:
 
 
 def write_case(folder: Path, case: SealedCase) -> str:
-    """Record every run of a sealed case into `runs/<n>/` and return the content hash of the folder."""
+    """Record every run of a sealed case and return the content hash of the folder."""
     for number, found in enumerate(case.written(case.plans), start=1):
         write_run(folder / "runs" / str(number), case, found)
     return folder_sha256(folder)
@@ -135,7 +133,7 @@ def folder_sha256(folder: Path) -> str:
 
 
 def ask_rig(folder: Path, seal_file: Path, case_name: str, experiment: str) -> Path:
-    """Run one more experiment on a sealed rig with the same hidden causes; it is added to the case as `runs/asked-<n>`.
+    """Run one more experiment on a sealed rig; it is added to the case as `runs/asked-<n>`.
 
     Raises:
         InputError: the seal is broken, no such case, or an experiment that is not on the menu.
@@ -151,7 +149,7 @@ def ask_rig(folder: Path, seal_file: Path, case_name: str, experiment: str) -> P
 
 
 def press_rig_lot(folder: Path, seal_file: Path, case_name: str, units: int, out: Path) -> Path:
-    """Press a lot on a sealed rig, with its hidden causes, and write it as a lot folder with audits.
+    """Press a lot on a sealed rig and write it as a lot folder with audits.
 
     Raises:
         InputError: the seal is broken, no such case, no unit asked for, or `out` exists.
@@ -195,24 +193,22 @@ def open_challenge(folder: Path, seal_file: Path) -> list[Label]:
 
 
 def score_challenge(folder: Path, reports: Path, seal_file: Path) -> ScoreSheet:
-    """Open the seal and score the reports `<case>.json` of a folder; one that cannot be read counts as wrong.
+    """Open the seal and score the reports `<case>.json`; an unreadable one is wrong.
 
     Raises:
         InputError: the seal is broken, a case was changed, or the folder has no report.
     """
     labels = open_challenge(folder, seal_file)
     found = {label.case.name: reports / f"{label.case.name}.json" for label in labels}
-    read = {name: _report(path) for name, path in found.items() if path.exists()}
+    read: dict[str, dict[str, Any]] = {}
+    for name, path in found.items():
+        if path.exists():
+            read[name] = {}
+            with suppress(InputError):
+                read[name] = _json(path)
     if not read:
         raise InputError(f"{reports}: no report of this challenge; expected files such as {labels[0].case.name}.json")
     return score_reports(labels, read, lambda label, report: realised_shrink(label.case, report))
-
-
-def _report(path: Path) -> dict[str, Any]:
-    try:
-        return _json(path)
-    except InputError:
-        return {}
 
 
 def _text(path: Path) -> str:

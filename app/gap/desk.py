@@ -1,9 +1,9 @@
-"""Cases of the gap page: where they lie, uploads, sealed rigs to practise on, and a diagnosis as values to keep."""
+"""Cases of the gap page: where they lie, uploads, sealed rigs, a diagnosis to keep."""
 
 import json
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,7 +15,7 @@ from softcal.app.bootstrap import data_folder
 from softcal.app.files.atomic import whole_folder, write_bytes, write_text
 from softcal.app.files.case_folder import METADATA, RECORDING, open_case
 from softcal.app.gap.challenge import ask_rig, make_challenge, open_challenge
-from softcal.app.gap.diagnose import diagnose_case, run_views
+from softcal.app.gap.diagnose import run_views
 from softcal.core.challenge.mistakes import Mistake
 from softcal.core.errors import InputError
 from softcal.core.recording import Array
@@ -40,20 +40,14 @@ def cases_folder() -> Path:
 def cases() -> list[Path]:
     """Return the cases of that folder, the newest first: plain ones and those of sealed rigs."""
     places = [p for p in cases_folder().iterdir() if p.is_dir() and not p.name.startswith(".")]
-    found = [c for place in places for c in (place, *place.iterdir()) if (c / "runs").is_dir() or _is_run(c)]
+    found = [
+        c for place in places for c in (place, *place.iterdir()) if (c / "runs").is_dir() or (c / RECORDING).is_file()
+    ]
     return sorted(found, key=lambda case: -case.stat().st_mtime)
 
 
-def _is_run(folder: Path) -> bool:
-    return (folder / RECORDING).is_file()
-
-
 def practise(line: str | None = None) -> Path:
-    """Make a sealed rig with something hidden and return its case; the label lies in a file beside it.
-
-    Args:
-        line: of which kind; None draws one.
-    """
+    """Make a sealed rig with something hidden and return its case."""
     folder = cases_folder() / f"practice-{datetime.now(UTC):%Y%m%d-%H%M%S}"
     made = make_challenge(folder, _seal(folder), 1, line=line)
     return folder / made.cases[0]
@@ -132,11 +126,6 @@ def store_upload(name: str, runs: Sequence[bytes], metadata: Mapping[str, object
             # The person knows runs by their number, not by the place they were checked in.
             raise InputError(str(error).replace(str(part), name)) from error
     return target
-
-
-def diagnosis_outcome(folder: Path, progress: Callable[[str], None]) -> "tuple[dict[str, Any], Arrays]":
-    """Diagnose a case and return what is kept of it."""
-    return kept_of(diagnose_case(folder, progress))
 
 
 def kept_of(diagnosis: "Diagnosis") -> "tuple[dict[str, Any], Arrays]":

@@ -41,11 +41,7 @@ def diagnose_case(
 def check_case(
     place: Path, readout: ReadoutMetadata | None = None
 ) -> tuple[tuple[DataMistake, ...], Identifiability | None]:
-    """Read a case and return its mistakes and, where it can be diagnosed, what its runs tell; nothing is searched.
-
-    Raises:
-        InputError: as for `diagnose_case`.
-    """
+    """Return a case's mistakes and, where it can be diagnosed, what its runs tell."""
     return checked(_opened(place, readout))
 
 
@@ -66,7 +62,7 @@ def write_page(path: Path, diagnosis: GapDiagnosis[Any]) -> None:
 
 
 def run_views(diagnosis: GapDiagnosis[Any]) -> list["RunView"]:
-    """Return what a page shows of every pressed run: measured and predicted channels before and after the causes."""
+    """Return every pressed run as a page shows it: measured, and predicted before and after."""
     from softcal.app.charts.gap import ChannelView, RunView
 
     problem, views = diagnosis.best.problem, []

@@ -15,7 +15,7 @@ AUDIT = "audit"
 
 @dataclass(frozen=True, eq=False)
 class LotReport:
-    """A lot's diagnosis, and what its causes are worth to each unit that follows them and has an audit."""
+    """A lot's diagnosis, and what its causes are worth to the units that follow them."""
 
     diagnosis: LotDiagnosis
     calibration: tuple[CalibrationWorth, ...]

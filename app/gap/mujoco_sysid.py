@@ -19,7 +19,7 @@ from softcal.core.recording import Array
 from softcal.core.twin.effects import Parameter, Scale
 
 RUN = "run"
-"""Input column that says which measured sequence a run is: its initial state and its control belong to it."""
+"""Input column that says which measured sequence a run is: it has its state and control."""
 
 LOG = 30.0
 """Ratio of the bounds of a positive parameter from which it is fitted by its order of magnitude."""
@@ -51,7 +51,6 @@ def from_sysid(
         models_sequences: its `ModelSequences`.
         neutral: parameters that are candidates, with the value that switches each off; the others are the base.
         signal_transform: its `SignalTransform`; gains and biases must act on what is predicted.
-        name: for reports.
         per_run: by signal, what every run may have of its own, as for `Simulator`.
 
     Raises:
@@ -160,12 +159,12 @@ def _names(parameter: Any) -> list[str]:
 
 def _parameters(parameter: Any) -> list[Parameter]:
     low, high, usual = (v.flatten() for v in (parameter.min_value, parameter.max_value, parameter.nominal))
-    return [_parameter(*row) for row in zip(_names(parameter), low, high, usual, strict=True)]
-
-
-def _parameter(name: str, low: float, high: float, usual: float) -> Parameter:
-    scale: Scale = "log" if low > 0.0 and high > LOG * low else "linear"
-    return Parameter(name, "", float(low), float(high), float(usual) or USUAL * float(high - low), scale=scale)
+    found = []
+    for name, least, most, nominal in zip(_names(parameter), low, high, usual, strict=True):
+        scale: Scale = "log" if least > 0.0 and most > LOG * least else "linear"
+        size = float(nominal) or USUAL * float(most - least)
+        found.append(Parameter(name, "", float(least), float(most), size, scale=scale))
+    return found
 
 
 def _candidate(parameter: Any, neutral: float) -> Any:

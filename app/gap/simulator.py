@@ -1,11 +1,11 @@
-"""Diagnose the gap between a simulator of the user's own, a Python module, and recordings of what it simulates."""
+"""Diagnose the gap between a simulator of the user's own and recordings of its mechanism."""
 
 import importlib
 import json
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from softcal.app.files.atomic import write_text
 from softcal.app.files.case_folder import METADATA, RECORDING
@@ -17,9 +17,6 @@ from softcal.core.gap.plausibility import DataMistake
 from softcal.core.gap.simulator import Simulator, SimulatorRun, recorded
 from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis, check_simulator, diagnose_simulator
 from softcal.core.gap.simulator_terms import term_of, with_terms
-
-if TYPE_CHECKING:
-    pass
 
 PARAMETERS_SCHEMA = "softcal.simulator/1"
 
@@ -79,11 +76,7 @@ def diagnose_with(
 
 
 def check_with(place: Path, simulator: Simulator) -> tuple[tuple[DataMistake, ...], Identifiability | None]:
-    """Read the runs of a mechanism and return their mistakes and what they tell of its simulator.
-
-    Raises:
-        InputError: as for `diagnose_with`.
-    """
+    """Return the mistakes of a mechanism's runs and what they tell of its simulator."""
     return check_simulator(simulator, _recorded(place, simulator)[0])
 
 
@@ -114,13 +107,7 @@ def _run(simulator: Simulator, path: Path, name: str) -> SimulatorRun:
 
 def _said(path: Path) -> dict[str, object]:
     beside = path.parent / METADATA
-    if not beside.is_file():
-        return {}
-    try:
-        content = json.loads(beside.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{beside}: cannot be read as JSON: {error}") from error
-    return content if isinstance(content, dict) else {}
+    return _written(beside) if beside.is_file() else {}
 
 
 def write_parameters(
@@ -130,7 +117,6 @@ def write_parameters(
 
     Args:
         content: a report of schema `softcal.gap/1`.
-        source: where it is from, for messages.
         empirical: with the empirical terms that describe what no cause explains, and the parameters beside them.
 
     Raises:
@@ -146,12 +132,8 @@ def write_parameters(
     found, terms = described.get("parameters", found), described.get("added", [])
     if not isinstance(found, Mapping) or not all(isinstance(v, int | float) for v in found.values()):
         raise InputError(f"{source}: holds no parameters; diagnose the simulator again with --json")
-    record = {
-        "schema": PARAMETERS_SCHEMA,
-        "simulator": content.get("simulator"),
-        "parameters": dict(found),
-        "terms": terms,
-    }
+    record = {"schema": PARAMETERS_SCHEMA, "simulator": content.get("simulator"), "parameters": dict(found)}
+    record["terms"] = terms
     write_text(path, json.dumps(record, indent=2, allow_nan=False) + "\n")
     return {name: float(value) for name, value in found.items()}
 
@@ -177,7 +159,7 @@ def read_parameters(path: str | Path, simulator: Simulator) -> dict[str, float]:
 
 
 def with_written_terms(path: str | Path, simulator: Simulator) -> Simulator:
-    """Return a simulator with the empirical terms that `softcal gap apply --empirical` wrote for it; others as it is.
+    """Return a simulator with the empirical terms that `gap apply --empirical` wrote.
 
     Raises:
         InputError: the file cannot be read, or a term is none.

@@ -1,4 +1,4 @@
-"""The closed loop: calibrate a rig's lot and lots simulated on its twin before and after a cause was explained."""
+"""Calibrate a rig's lot and lots simulated on its twin, before and after the explanation."""
 
 from collections.abc import Callable
 from pathlib import Path

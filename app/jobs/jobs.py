@@ -1,4 +1,4 @@
-"""What another process computes for a page: calibrate a lot, train f, compare, diagnose a gap, check a rig, pack files.
+"""What another process computes for a page: a lot, f, a comparison, a gap, a check, files.
 
 A job reads its request from the registry, tells how far it is, and leaves its result there; what it registers (a
 network) it registers as any command would.
@@ -24,7 +24,7 @@ Work = Callable[[Registry, Job, Teller], Outcome]
 
 
 def run_job(registry: Registry, job_id: str, on_cancel: Callable[[], None]) -> RunState:
-    """Do a job and return how it ended. It always ends: with a result, or with one line that says why not.
+    """Do a job and return how it ended: always with a result, or a line that says why not.
 
     Args:
         on_cancel: called from another thread once somebody wants the job stopped and it is marked so; ends the process.
@@ -79,7 +79,7 @@ def _work(kind: str) -> Work:
 
 
 def train(registry: Registry, job: Job, tell: Teller) -> Outcome:
-    """Train f on the newest source recording of a lot; request: lot, hidden, seed, members, max_epochs."""
+    """Train f on a lot's newest source; request: lot, hidden, seed, members, max_epochs."""
     from softcal.app.batch.train import train_or_find
 
     request = job.request
@@ -121,7 +121,7 @@ def newest_source(registry: Registry, lot_id: str) -> LabelledRecording:
 
 
 def compare(registry: Registry, job: Job, tell: Teller) -> Outcome:
-    """Map a lot's units with several networks and families; request: lot, networks, families, units."""
+    """Map units with several networks and families; request: lot, networks, families, units."""
     from softcal.app.batch.compare import compare_on_lot
 
     rows = compare_on_lot(registry, job.request, tell)
@@ -129,8 +129,9 @@ def compare(registry: Registry, job: Job, tell: Teller) -> Outcome:
 
 
 def diagnose(registry: Registry, job: Job, tell: Teller) -> Outcome:
-    """Diagnose a case; request: case, and experiment where the sealed rig is to be pressed once more before."""
-    from softcal.app.gap.desk import ask_case, diagnosis_outcome
+    """Diagnose a case; request: case, experiment to press once more on a sealed rig."""
+    from softcal.app.gap.desk import ask_case, kept_of
+    from softcal.app.gap.diagnose import diagnose_case
 
     folder = Path(job.request["case"])
     if experiment := job.request.get("experiment"):
@@ -143,7 +144,7 @@ def diagnose(registry: Registry, job: Job, tell: Teller) -> Outcome:
         steps += 1
         tell(min(0.95, 1 - 0.9**steps), text)
 
-    report, arrays = diagnosis_outcome(folder, on_step)
+    report, arrays = kept_of(diagnose_case(folder, on_step))
     return Outcome(report["verdict"], report, arrays)
 
 

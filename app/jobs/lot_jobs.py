@@ -25,27 +25,22 @@ PRESSING, TRAINING = 0.35, 0.3
 def lot_watch(tell: Teller, begin: float = 0.0) -> Watch:
     """Return a watch that tells training and units as one bar from `begin` to 1."""
     trained = begin + TRAINING * (1 - begin)
-    total = 0
-
-    def on_start(units: int) -> None:
-        nonlocal total
-        total = units
-        tell.step(trained, "units", done=0, total=units)
 
     def on_epoch(report: EpochReport) -> None:
         done = report.epoch / report.max_epochs
         tell.step(begin + (trained - begin) * done, "train", epoch=report.epoch, most=report.max_epochs)
 
-    def on_done(units: int) -> None:
-        tell.step(trained + (1 - trained) * units / max(total, 1), "units", done=units, total=total)
+    def on_done(done: int, units: int) -> None:
+        tell.step(trained + (1 - trained) * done / max(units, 1), "units", done=done, total=units)
 
-    return Watch(on_epoch=on_epoch, on_start=on_start, on_done=on_done)
+    return Watch(on_epoch=on_epoch, on_done=on_done)
 
 
 def demo(registry: Registry, job: Job, tell: Teller) -> Outcome:
     """Press the demo's lot on a simulated station and calibrate it; request: units."""
+    from softcal.app.batch.batch import run_batch
     from softcal.app.batch.front_door import lots_folder
-    from softcal.app.line.demo import DemoConfig, press_demo_lot, run_demo
+    from softcal.app.line.demo import DemoConfig, press_demo_lot
 
     config = DemoConfig(units=job.request["units"], batch=BatchConfig(chunk=1, actor=job.actor))
     runs, total = 0, 1 + 2 * config.units
@@ -57,7 +52,7 @@ def demo(registry: Registry, job: Job, tell: Teller) -> Outcome:
 
     tell.step(0.0, "press", done=0, total=total)
     folder = press_demo_lot(config, lots_folder() / DEMO, on_run)
-    report = run_demo(config, folder, registry, lot_watch(tell, PRESSING))
+    report = run_batch(folder, registry, config.batch, lot_watch(tell, PRESSING))
     return Outcome("", {"lot": report.lot_id, "counts": report.counts})
 
 
@@ -87,7 +82,7 @@ def archive_path(job: Job) -> Path:
 
 
 def archive(registry: Registry, job: Job, tell: Teller) -> Outcome:
-    """Pack files and certificates of units of a lot with their manifest; request: lot, serials, formats, release.
+    """Pack files and certificates of a lot; request: lot, serials, formats, release.
 
     `serials` None takes every calibrated unit; a unit whose device files are refused has its reports, and its reason.
     """
@@ -102,7 +97,9 @@ def archive(registry: Registry, job: Job, tell: Teller) -> Outcome:
     serials = request["serials"] or known
     if not serials:
         raise InputError(f"lot {lot_id!r} has no calibrated unit yet; there is nothing to pack")
-    _forget_old()
+    for file in archives_folder().glob("*.zip"):
+        if time.time() - file.stat().st_mtime > KEPT_S:
+            file.unlink(missing_ok=True)
     options = ExportOptions(release=Release(request["release"]), lot_id=lot_id, laboratory=kept_laboratory())
     done = 0
 
@@ -124,9 +121,3 @@ def archive(registry: Registry, job: Job, tell: Teller) -> Outcome:
     registry.trail.add("export", "lots", (lot_id,), facts, actor=job.actor)
     refused = [[unit.serial, unit.refusal] for unit in exported if unit.refusal]
     return Outcome("", {"lot": lot_id, "units": len(exported), "refused": refused})
-
-
-def _forget_old() -> None:
-    for file in archives_folder().glob("*.zip"):
-        if time.time() - file.stat().st_mtime > KEPT_S:
-            file.unlink(missing_ok=True)

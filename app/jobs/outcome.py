@@ -36,5 +36,5 @@ class Teller:
             self._board.report(self._job_id, fraction, message, trace)
 
     def step(self, fraction: float, name: str, **values: object) -> None:
-        """Tell a step by the key of its text, `step.NAME`, so that every screen says it in its own language."""
+        """Tell a step by the key of its text, `step.NAME`, for screens of any language."""
         self(fraction, "", {"step": name, "values": values})

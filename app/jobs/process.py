@@ -1,4 +1,4 @@
-"""A job in a process of its own: it goes on when its page is closed, reloaded, or the server of the screens ends."""
+"""A job in a process of its own: it goes on when its page or the screens' server ends."""
 
 import os
 import subprocess
@@ -31,7 +31,7 @@ def launch(job_id: str) -> None:
 
 
 def start_simulated_station(name: str) -> None:
-    """Start a simulated station's service on the registry of the environment; it outlives this process."""
+    """Start a simulated station's service on the registry of the environment."""
     _detached(["softcal.app.cli.main", "station", "serve", "--simulated", "--name", name], "station.log", name, {})
 
 

@@ -22,12 +22,14 @@ def certificate_from(given: Mapping[str, Any], dcc: Path | None) -> CellCertific
 
     Args:
         given: fields of `CellCertificate`; None where nothing was given.
-        dcc: the Digital Calibration Certificate.
 
     Raises:
         InputError: the file is no DCC, or something is missing; everything that is missing is named.
     """
-    document = None if dcc is None else _content(dcc)
+    try:
+        document = None if dcc is None else dcc.read_bytes()
+    except OSError as error:
+        raise InputError(f"{dcc}: {error.strerror}") from error
     facts = {} if document is None else _facts(document, dcc)
     facts |= {name: value for name, value in given.items() if value is not None}
     missing = [name for name in NEEDED if facts.get(name) is None]
@@ -35,13 +37,6 @@ def certificate_from(given: Mapping[str, Any], dcc: Path | None) -> CellCertific
         where = "" if dcc is None else f"{dcc}: "
         raise InputError(f"{where}the certificate lacks {', '.join(missing)}; state them beside it, nothing was stored")
     return CellCertificate(**{"laboratory": "", **facts}, document=document)
-
-
-def _content(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
 
 
 def _facts(document: bytes, path: Path | None) -> dict[str, Any]:
@@ -120,7 +115,7 @@ def _force_N(element: ET.Element) -> float | None:
 
 
 def _uncertainties_N(root: ET.Element) -> Iterator[float | None]:
-    """Expanded uncertainties of forces in N, carried to k = 2; D-SI 1 and 2 name them differently."""
+    """Expanded uncertainties of forces in N, at k = 2; D-SI 1 and 2 name them differently."""
     for real in _all(root, "real"):
         factor = PER_UNIT_N.get(_text(_first(real, "unit")) or "")
         expanded = _text(_first(real, "uncertainty")) or _text(_first(real, "valueExpandedMU"))

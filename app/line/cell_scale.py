@@ -14,7 +14,7 @@ from softcal.station.drivers.hx711 import Hx711Config
 def calibrate_cell(
     config: StationConfig, masses_kg: Sequence[float], wait_for: Callable[[float], None]
 ) -> tuple[CellCalibration, StationConfig]:
-    """Read the load cell with each weight on it and return its scale, and the station with that scale.
+    """Return the load cell's scale by the weights put on it, and the station with that scale.
 
     Args:
         config: the station; only its load cell is opened.

@@ -1,26 +1,26 @@
-"""The main job from end to end on a simulated station: press, train, map, judge, register, export."""
+"""The main job on a simulated station: press, train, map, judge, register, export."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from softcal.app.batch.batch import run_batch
-from softcal.app.batch.lot_work import BatchConfig, Watch
-from softcal.app.batch.report import BatchReport, UnitResult
+from softcal.app.batch.lot_work import BatchConfig
+from softcal.app.batch.report import UnitResult
 from softcal.app.files.atomic import whole_folder
 from softcal.app.files.lot_folder import LotFolder, open_lot_folder, write_lot_toml
 from softcal.app.files.recording_file import write_recording
-from softcal.app.line.rig import PressTimes, RecordedLot, press_simulated_lot
+from softcal.app.line.rig import PressTimes, press_simulated_lot
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.simulated_lot import draw_twins
 from softcal.core.twin.simulate import Twin
 from softcal.core.unit.budget import SIMULATED
-from softcal.db.registry import Registry
 
 TABLE_HEADER = ("unit", "verdict", "before [N]", "after [N]", "own [N]", "after/own", "before/own", "predicted [N]")
+SEED = 20201900178
+"""Of the units' differences, of mounting, noise and profiles."""
 
 
 @dataclass(frozen=True)
@@ -29,14 +29,12 @@ class DemoConfig:
 
     Args:
         units: target units beside the source.
-        seed: of the units' differences, of mounting, noise and profiles.
         times: how long each run presses. An audit is as long as it takes to train a fair own calibration on it.
         batch: how the lot is calibrated.
         twin: the nominal unit, of a diagnosis for example; None draws one.
     """
 
     units: int = 6
-    seed: int = 20201900178
     times: PressTimes = PressTimes(source_s=300.0, unit_s=150.0, audit_s=90.0)
     batch: BatchConfig = BatchConfig()
     twin: Twin | None = None
@@ -47,7 +45,7 @@ class DemoConfig:
 
 
 def press_demo_lot(config: DemoConfig, folder: Path, on_run: Callable[[str], None]) -> LotFolder:
-    """Press a simulated lot over its serial lines and write it as a lot folder; one pressed before is taken as it is.
+    """Press a simulated lot over its serial lines as a lot folder; one pressed before is taken.
 
     Raises:
         InputError: `folder` is there and is no lot folder.
@@ -57,18 +55,17 @@ def press_demo_lot(config: DemoConfig, folder: Path, on_run: Callable[[str], Non
         on_run(f"{folder}: pressed before, taken as it is; remove it to press again")
         return open_lot_folder(folder)
     serials = [f"DEMO-{k:02d}" for k in range(config.units + 1)]
-    rng = np.random.default_rng(config.seed)
+    rng = np.random.default_rng(SEED)
     twins = draw_twins(rng, len(serials), twin=config.twin)
-    pressed = press_simulated_lot(twins, serials, config.seed, config.times, on_run)
-    _write(
-        folder, pressed, Lot("demo", serials[0], pressed.source.unlabelled.sample_rate_Hz, "simulated eGaIn channel")
-    )
+    pressed = press_simulated_lot(twins, serials, SEED, config.times, on_run)
+    lot = Lot("demo", serials[0], pressed.source.unlabelled.sample_rate_Hz, "simulated eGaIn channel")
+    with whole_folder(folder) as part:
+        write_lot_toml(part, lot, SIMULATED)
+        write_recording(part / "source" / f"{lot.source}.csv", pressed.source)
+        for serial, unit in pressed.units.items():
+            write_recording(part / "units" / f"{serial}.csv", unit)
+            write_recording(part / "audit" / f"{serial}.csv", pressed.audits[serial])
     return open_lot_folder(folder)
-
-
-def run_demo(config: DemoConfig, folder: LotFolder, registry: Registry, watch: Watch) -> BatchReport:
-    """Calibrate the demo's lot."""
-    return run_batch(folder, registry, replace(config.batch, score_own=True), watch)
 
 
 def table_row(unit: UnitResult) -> list[object]:
@@ -79,12 +76,3 @@ def table_row(unit: UnitResult) -> list[object]:
     before, after, own = made.before_rmse, made.after_rmse, made.own_rmse
     ratios = [after / own if after and own else None, before / own if before and own else None]
     return [unit.serial, unit.verdict, before, after, own, *ratios, made.predicted_rmse]
-
-
-def _write(folder: Path, pressed: RecordedLot, lot: Lot) -> None:
-    with whole_folder(folder) as part:
-        write_lot_toml(part, lot, SIMULATED)
-        write_recording(part / "source" / f"{lot.source}.csv", pressed.source)
-        for serial, unit in pressed.units.items():
-            write_recording(part / "units" / f"{serial}.csv", unit)
-            write_recording(part / "audit" / f"{serial}.csv", pressed.audits[serial])

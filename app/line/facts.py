@@ -1,10 +1,11 @@
-"""Where a line stands, read from the registry alone: a reload, a killed screen and a second one show the same."""
+"""Where a line stands, read from the registry alone: every screen shows the same."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 
-from softcal.app.line.place import Note, Place, is_alive, read_place
+from softcal.app.bootstrap import is_alive
+from softcal.app.line.place import Note, Place, read_place
 from softcal.app.line.serials import numbered
 from softcal.core.lot import Lot
 from softcal.core.orders import Heartbeat, Order, Progress, RunState, StationState
@@ -18,7 +19,7 @@ from softcal.db.truth.networks import NetworkState
 
 NEWEST_RUNS = 40
 HUNG_AFTER = timedelta(seconds=15)
-"""A service whose process is seen to live may be late with its beat for so long: it trains, or the machine is busy."""
+"""A service that is seen to live may be late with its beat for so long: it trains, or waits."""
 
 SHOWN_RUNS = 14
 """So many of the last units a screen shows."""
@@ -33,7 +34,7 @@ LineRun = tuple[Order, Progress]
 
 
 def state_of(beat: Heartbeat, now: datetime, is_alive: bool | None) -> str:
-    """Return what a station is doing as every screen and interface says it; `ready`: it takes a unit now.
+    """Return what a station is doing, as every screen says it; `ready`: it takes a unit now.
 
     Args:
         is_alive: whether its process lives; None where that cannot be seen from here.
@@ -119,12 +120,12 @@ class LineFacts:
 
     @property
     def is_answering(self) -> bool:
-        """Whether the station's service is there: its process is seen to live, or its beat is fresh."""
+        """Whether the service is there: its process is seen to live, or its beat is fresh."""
         return self.station_state not in ("", SILENT, StationState.OFF)
 
     @property
     def is_stopped(self) -> bool:
-        """Whether somebody must acknowledge before anything moves; so too while the station is late with its beat."""
+        """Whether somebody must acknowledge before anything moves, also where its beat is late."""
         return self.heartbeat is not None and self.heartbeat.state is StationState.STOPPED
 
     @property
@@ -144,13 +145,13 @@ class LineFacts:
 
     @property
     def serial(self) -> str:
-        """The unit that was scanned and not pressed yet; "" where nobody knows which one is in the hand."""
+        """The unit that was scanned and not pressed yet; "" where nobody knows it."""
         is_same_service = self.heartbeat is not None and self.place.process == self.heartbeat.process
         return self.place.serial if self.is_in_doubt and is_same_service else ""
 
     @property
     def load_step(self) -> int:
-        """Number, from 1, of the known load that is read next on the unit pressed last; 0 where none is.
+        """Number, from 1, of the known load that is read next on the last unit; 0 for none.
 
         Not after a restart of the station's service: nobody knows what happened at the fixture meanwhile.
         """
@@ -190,7 +191,7 @@ class LineFacts:
 
     @property
     def open_question(self) -> str:
-        """What a person has to say yes to before the unit that waits may be pressed; "" where nothing is open."""
+        """What a person must say yes to before the unit that waits is pressed; "" for nothing."""
         if not self.serial or self.is_golden:
             return ""
         if self.results and self.retests_left == 0:
@@ -206,7 +207,7 @@ class LineFacts:
 
     @property
     def note(self) -> Note | None:
-        """The sentence about the last scan, as long as it matters: of what was refused in a run until the next scan."""
+        """The sentence about the last scan, as long as it matters."""
         note = self.place.note
         if note is None or note.run != self.newest_run:
             return None
@@ -244,7 +245,7 @@ def read_line(
 
 
 def _standings(registry: Registry, facts: LineFacts, lot_id: str) -> dict[str, UnitStanding]:
-    """Return where the units stand that the line shows; a run of several units stands under the serial of each."""
+    """Return where the units stand that the line shows, each of a run of several, too."""
     over = [run for run in facts.runs if run[0].lot_id == lot_id and run[1].state is RunState.DONE][:SHOWN_RUNS]
     shown = list(dict.fromkeys((*filter(None, [facts.serial]), *(order.serial for order, _ in over))))
     found = registry.pages.standings(lot_id, shown) if shown else {}
@@ -254,7 +255,7 @@ def _standings(registry: Registry, facts: LineFacts, lot_id: str) -> dict[str, U
 
 
 def standing_of(facts: LineFacts, run: LineRun) -> tuple[UnitStanding, ...]:
-    """Return where the units of a run stand now, the worst first; none where the run decided nothing about them."""
+    """Return where the units of a run stand now, the worst first; none where it decided none."""
     order, progress = run
     if not order.kind.is_about_unit or facts.lot is None or order.lot_id != facts.lot.id:
         return ()

@@ -1,4 +1,4 @@
-"""What the registry knows of a station, as facts for its gate; and the check of a golden unit that opens it."""
+"""What the registry knows of a station, for its gate; and the golden check that opens it."""
 
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -90,11 +90,7 @@ class StationGate:
         return may_run(facts, kind)
 
     def override(self, actor: str, reason: str) -> None:
-        """Open the gate for a shift in spite of its reasons; the decision goes into the audit trail.
-
-        Raises:
-            InputError: no reason.
-        """
+        """Open the gate for a shift in spite of its reasons; the audit trail has it."""
         if not reason.strip():
             raise InputError(Reason("gate.needs_reason"))
         until = datetime.now(UTC) + self._rules.shift

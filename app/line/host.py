@@ -1,4 +1,4 @@
-"""The resident process of a station: takes orders from the registry, gives them to the service, writes what happens.
+"""The resident process of a station: takes orders from the registry, writes what happens.
 
 Pages and commands only order and read. The ports have one owner, this process; it survives any of them.
 """
@@ -10,9 +10,9 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from softcal.app.line.place import is_alive
+from softcal.app.bootstrap import is_alive
 from softcal.core.errors import InputError, RegistryError, SoftcalError
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
 from softcal.core.quality.known_loads import ordered_load
@@ -21,6 +21,9 @@ from softcal.db.queues.order_queue import TAKEN_OVER_AFTER, OrderQueue
 from softcal.station.record.recording import StationRecording
 from softcal.station.tasks.at_rest import RestReading
 from softcal.station.tasks.service import StationService
+
+if TYPE_CHECKING:
+    from softcal.app.line.pressed_run import RunKeeper
 
 BEAT_S = 1.0
 REPORT_S = 0.2
@@ -39,20 +42,6 @@ LISTEN_S = 0.01
 INTERRUPTED = Reason("run.interrupted")
 
 
-class Keeper(Protocol):
-    """Knows which runs can be kept, and keeps them."""
-
-    def check(self, order: Order) -> None:
-        """Raise `InputError` where the run of an order could not be kept."""
-        ...
-
-    def keep(
-        self, order: Order, recording: StationRecording | RestReading, tell: Callable[[Progress], None]
-    ) -> Progress:
-        """Store a finished run and return how its order ended."""
-        ...
-
-
 class Fixture(Protocol):
     """What holds the unit: a person on a real station, a program on the simulated one.
 
@@ -64,7 +53,7 @@ class Fixture(Protocol):
         return None
 
     def put_on(self, load: float) -> None:
-        """Put a known load on the unit, in the reference unit of its lot; 0 takes everything off."""
+        """Put a known load on the unit, in its lot's reference unit; 0 takes all off."""
         return None
 
     def follow(self, phase: str) -> None:
@@ -77,14 +66,10 @@ class Fixture(Protocol):
 
 
 class HandFixture(Fixture):
-    """A person puts the unit in and the loads on, as the run will show, and nothing breaks on demand."""
+    """A person puts the unit in and the loads on; nothing breaks on demand."""
 
     def inject(self, name: str) -> Reason:
-        """Refuse.
-
-        Raises:
-            InputError: always; a real station breaks by itself.
-        """
+        """Refuse: a real station breaks by itself."""
         raise InputError(Reason("fault.real"))
 
 
@@ -108,7 +93,7 @@ class StationHost:
         self,
         queue: OrderQueue,
         station: str,
-        keeper: Keeper,
+        keeper: "RunKeeper",
         override: Callable[[str, str], None],
         make_service: Callable[[Callable[[Progress], None], Callable[[], bool]], StationService],
         fixture: Fixture | None = None,
@@ -128,7 +113,7 @@ class StationHost:
         self._service = make_service(self._report, self._is_stop_wanted.is_set)
 
     def run(self, goes_on: Callable[[], bool]) -> None:
-        """Serve until `goes_on` says no; a run in progress is stopped then. Give the ports back at the end.
+        """Serve until `goes_on` says no; a run is stopped then, and the ports given back.
 
         Raises:
             InputError: another process serves this station.
@@ -155,12 +140,9 @@ class StationHost:
         self._beat()
 
     def _patience(self) -> timedelta:
-        """Return how long another owner must have been silent: no time where its process is seen to be gone.
+        """Return how long another owner must have been silent: no time where it is gone.
 
         An owner that seems silent may only be on a busy machine, or have another clock: while it beats, it is there.
-
-        Raises:
-            InputError: another process serves this station.
         """
         before = self._queue.heartbeat(self._station)
         if before is None or before.state is StationState.OFF or before.process == self._process:
@@ -221,16 +203,11 @@ class StationHost:
     def _defect(self, order: Order, error: Exception) -> Progress:
         """Write a defect into the log, for support, and return how its order ends."""
         self._log("defect", {"order": order.order_id, "error": repr(error), "exc_info": error})
-        kind = type(error).__name__
-        message = reason("run.defect", kind=str(kind))
+        message = reason("run.defect", kind=type(error).__name__)
         return Progress(order.order_id, RunState.ERROR, "", 1.0, code="E-INTERNAL", message=(message,))
 
     def _store_late(self) -> None:
-        """Keep what was recorded; what the registry cannot take now is tried again at every turn.
-
-        Raises:
-            RegistryError: the registry is away; the recording is kept here and in its spool.
-        """
+        """Keep what was recorded; what the registry cannot take is tried at every turn."""
         while self._late:
             order, recording = self._late[0]
             try:
@@ -248,7 +225,7 @@ class StationHost:
         self._say_ends()
 
     def _report(self, progress: Progress) -> None:
-        """Take progress from the service; the end of a run is written at once, all else by the desk."""
+        """Take progress from the service; the end of a run is written at once."""
         if progress.state.is_active:
             self._fixture.follow(progress.phase)
             before = self._newest
@@ -263,11 +240,7 @@ class StationHost:
             pass  # Said again at every turn: until then the order occupies its station.
 
     def _say_ends(self) -> None:
-        """Write how orders ended.
-
-        Raises:
-            RegistryError: the registry is away; what could not be said is kept.
-        """
+        """Write how orders ended."""
         with self._at_desk:
             # From here on a new order may come: it is not for the desk.
             self._active, self._newest = "", None
@@ -286,16 +259,12 @@ class StationHost:
                 self._is_stop_wanted.set()
             try:
                 if self._active and self._queue.has_stop(self._station):
+                    # The stage is told first.
                     self._is_stop_wanted.set()
-                    self._answer_stop()
+                    if order := self._queue.take(self._station, only=OrderKind.STOP):
+                        self._say(order, RunState.DONE, Reason("run.stopping"))
             except SoftcalError:
                 continue  # Away for a moment: the next look tries again.
-
-    def _answer_stop(self) -> None:
-        """Say that the run is being stopped; the stage was told before."""
-        order = self._queue.take(self._station, only=OrderKind.STOP)
-        if order is not None:
-            self._say(order, RunState.DONE, Reason("run.stopping"))
 
     def _keep_desk(self) -> None:
         beaten_s = 0.0

@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from softcal.app.line.facts import LineFacts, LotAtLine, Screen, read_line
 from softcal.app.line.place import Note, Place, read_place, write_place
 from softcal.app.line.scan_codes import Scan, read_scan
-from softcal.app.line.serials import is_unheard_of
+from softcal.app.line.serials import is_unheard_of, lots_of
 from softcal.core.errors import InputError
 from softcal.core.lot import check_serial
 from softcal.core.orders import Order, OrderKind, RunState
@@ -25,7 +25,7 @@ NEWEST_LOTS = 8
 MOST_CONFLICTS = 5
 
 START_S = 2.5
-"""A start that could not be ordered for so long, since the registry was busy, moves nothing: nobody expects it then."""
+"""A start that could not be ordered for so long moves nothing: nobody expects it then."""
 
 BADGE_MARK = " (badge)"
 """Behind a name that a badge gave: nobody has shown that it is theirs."""
@@ -48,11 +48,7 @@ def take_scan(registry: Registry, screen: Screen, text: str, actor: str = "") ->
     """Do what a scan means; what it led to stands at the line, for every screen.
 
     Args:
-        text: as the scanner typed it.
         actor: who has shown who they are at this screen; "" leaves it to the badge.
-
-    Returns:
-        Where the line stands then.
 
     Raises:
         RegistryError: the registry is away; nothing was ordered.
@@ -72,12 +68,9 @@ def take_scan(registry: Registry, screen: Screen, text: str, actor: str = "") ->
 
 
 def order_stop(registry: Registry, station: str) -> bool:
-    """Tell a station to stop its run; every way a stop takes gives the same order, so that a run is told once.
+    """Tell a station to stop its run; every way gives the same order: a run is told once.
 
     It reads no more than it must: the stop key does not wait for what a screen shows.
-
-    Args:
-        station: "" for the only one there is.
 
     Returns:
         Whether something runs.
@@ -102,7 +95,7 @@ def _stop_order(station: str, run: Order, who: str) -> Order:
 
 
 def _ordered(registry: Registry, facts: LineFacts, screen: Screen, step: Step) -> LineFacts:
-    """Give the order of a step to the station. Its unit waits no longer, so that no order is ever given twice."""
+    """Give the order of a step to the station. Its unit waits no longer: no order comes twice."""
     if step.order is not None:
         until_s = screen.until_s if step.order.kind.is_run else None
         try:
@@ -156,7 +149,7 @@ def _badged(operator: str) -> str:
 
 
 def _badge(registry: Registry, facts: LineFacts, name: str) -> Place:
-    """Take the name of the operator from a badge; a name that opens more than the line needs its PIN."""
+    """Take the operator's name from a badge; one that opens more than the line needs its PIN."""
     if not name:
         return _told(facts, Note("badge_off", {}, False), replace(facts.place, operator="", badged_at=None))
     is_other = any(user.name.lower() == name.lower() and user.role != "operator" for user in registry.people.all())
@@ -172,7 +165,11 @@ def _unit(registry: Registry, facts: LineFacts, scan: Scan) -> Place | Note:
     if scan.kind == "unreadable":
         return Note("unreadable", {"text": scan.value[:40]})
     if scan.kind == "lot":
-        return _choose_lot(facts, emptied, scan.value)
+        lot_id = next((known for known in facts.lots if known.lower() == scan.value.lower()), None)
+        if lot_id is None:
+            known = ", ".join(facts.lots[:NEWEST_LOTS]) or "–"
+            return Note("unknown_lot", {"lot": scan.value[:40], "known": known})
+        return replace(emptied, lot_id=lot_id)
     if scan.kind == "golden" or scan.value in {run.serial for run in registry.stations.golden_runs(facts.station)}:
         return replace(emptied, serial=scan.value, is_golden=True)
     if facts.lot is None:
@@ -186,13 +183,6 @@ def _unit(registry: Registry, facts: LineFacts, scan: Scan) -> Place | Note:
     pressed = {run[0].serial for run in facts.runs if run[0].lot_id == facts.lot.id}
     is_new = is_unheard_of(registry, facts.lot.lot, facts.lot.rules, serial, pressed)
     return replace(emptied, lot_id=facts.lot.id, serial=serial, is_new=is_new)
-
-
-def _choose_lot(facts: LineFacts, emptied: Place, lot_id: str) -> Place | Note:
-    found = next((known for known in facts.lots if known.lower() == lot_id.lower()), None)
-    if found is None:
-        return Note("unknown_lot", {"lot": lot_id[:40], "known": ", ".join(facts.lots[:NEWEST_LOTS]) or "–"})
-    return replace(emptied, lot_id=found)
 
 
 def _serial_refusal(registry: Registry, lot: LotAtLine, serial: str) -> Note | None:
@@ -211,11 +201,8 @@ def _serial_refusal(registry: Registry, lot: LotAtLine, serial: str) -> Note | N
 
 
 def _other_lot(registry: Registry, lot: LotAtLine, serial: str) -> str:
-    """Return the lot that a serial belongs to instead of this one: it stands there already, or only fits there."""
-    try:
-        known = {unit.lot_id for unit in registry.lots.units(serial=serial)}
-    except InputError:
-        known = set()
+    """Return the lot that a serial belongs to instead: it stands there, or fits only there."""
+    known = lots_of(registry, serial)
     if lot.id in known:
         return ""
     if known:

@@ -1,4 +1,4 @@
-"""The known loads of the unit that was pressed last: which were read, and what is wrong with one that was not taken."""
+"""The known loads of the unit that was pressed last: which were read, what is wrong with one."""
 
 from collections.abc import Sequence
 
@@ -9,14 +9,7 @@ from softcal.core.maps.anchors import check_loads, check_values
 from softcal.core.maps.config import AnchorConfig
 from softcal.core.maps.interface import Anchors
 from softcal.core.orders import Order
-from softcal.core.quality.known_loads import (
-    FROM_START,
-    READ,
-    WANTED,
-    KnownLoad,
-    loads_text,
-    ordered_load,
-)
+from softcal.core.quality.known_loads import FROM_START, READ, WANTED, KnownLoad, loads_text, ordered_load
 from softcal.core.quality.reading_at_rest import ReadingConfig, level_at_rest
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.budget import COVERAGE
@@ -28,7 +21,7 @@ DIGITS = 7
 
 
 class LoadReadings:
-    """What was read on one unit since its run. It ends with the station's service, and with the next run."""
+    """What was read on one unit since its run; the next run, or the service's end, ends it."""
 
     def __init__(self, config: ReadingConfig = ReadingConfig()) -> None:  # noqa: B008 - frozen
         self._config = config
@@ -49,7 +42,7 @@ class LoadReadings:
         return reason(WANTED, step=0, **self._asked)
 
     def check(self, order: Order) -> None:
-        """Raise `InputError` where a reading is not the one that is due: of that unit, that step, that load."""
+        """Refuse a reading that is not the one that is due: of that unit, step and load."""
         step, value = ordered_load(order.reason)
         unit = self._unit
         is_due = unit is not None and (unit.serial, self._lot_id) == (order.serial, order.lot_id)
@@ -64,10 +57,7 @@ class LoadReadings:
         """Take one reading.
 
         Args:
-            order: names step and load.
             output: (n,) what was read.
-            source: of the lot; None while it has none.
-            config: which loads are plausible.
 
         Returns:
             What the run says, or, with the last load, the unit's recording and all its loads.

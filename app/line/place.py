@@ -1,14 +1,11 @@
-"""What stands at a line beside its runs: the unit that waits for its run, the last sentence, the badge. No Streamlit.
+"""What stands at a line beside its runs: the unit that waits, the last sentence, the badge.
 
 It lies in the registry, one row a station, so that every screen shows the same after a reload or a restart.
 """
 
-import os
-import socket
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime, timedelta
-from typing import Any
 
 from softcal.db.queues.order_queue import LinePlaces
 
@@ -76,34 +73,17 @@ class Place:
 def read_place(places: LinePlaces, station: str) -> Place:
     """Return what stands at the line of a station."""
     version, values = places.read(station)
-    return _place(version, values) if values else Place(version)
-
-
-def write_place(places: LinePlaces, station: str, place: Place) -> bool:
-    """Put another place there; False, with nothing changed, where a screen was first since `place.version`."""
-    values = asdict(place) | {"badged_at": place.badged_at.isoformat() if place.badged_at else None}
-    return places.write(station, values.pop("version"), values)
-
-
-def is_alive(process: str) -> bool | None:
-    """Return whether a station's service lives: `host:process id`. None where it is on another machine."""
-    host, _, number = process.rpartition(":")
-    if host != socket.gethostname() or not number.isdecimal():
-        return None
-    try:
-        os.kill(int(number), 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True  # It is there, and somebody else's.
-    return True
-
-
-def _place(version: int, values: Mapping[str, Any]) -> Place:
-    badged_at = values.get("badged_at")
-    note = values.get("note")
-    told = {
+    if not values:
+        return Place(version)
+    note, badged_at = values.get("note"), values.get("badged_at")
+    facts = {
         "note": Note(**note) if note else None,
         "badged_at": datetime.fromisoformat(badged_at).astimezone(UTC) if badged_at else None,
     }
-    return Place(version, **{**values, **told})
+    return Place(version, **{**values, **facts})
+
+
+def write_place(places: LinePlaces, station: str, place: Place) -> bool:
+    """Put another place there; False, and nothing changed, where a screen was first."""
+    values = asdict(place) | {"badged_at": place.badged_at.isoformat() if place.badged_at else None}
+    return places.write(station, values.pop("version"), values)

@@ -1,4 +1,4 @@
-"""What becomes of a run that went through: a recording, and with it a trained network, a verdict or a golden check.
+"""What becomes of a run: a recording, with it a trained network, a verdict or a golden check.
 
 Where the lot asks for known loads, a unit is judged once they were read, and not before.
 """
@@ -51,7 +51,6 @@ class RunKeeper:
     Args:
         registry: where recordings, networks and verdicts go.
         network: how f is trained from a source's recording.
-        method: every number of the calibration.
         reference: what the station compares sources with; None where nobody said.
         sitting: how long after a golden run of the source units are fitted to it.
     """
@@ -61,19 +60,18 @@ class RunKeeper:
         registry: Registry,
         station: str,
         network: NetworkConfig = NetworkConfig(),  # noqa: B008 - frozen
-        method: Method = Method(),  # noqa: B008 - frozen
         reference: Reference | None = None,
         sitting: timedelta = SHIFT,
     ) -> None:
         self._registry, self._station, self._reference = registry, station, reference
-        self._network, self._method, self._sitting = network, method, sitting
-        self._source_model = lru_cache(MOST_SOURCES)(lambda network: source_model(registry, network, method))
+        self._network, self._method, self._sitting = network, Method(), sitting
+        self._source_model = lru_cache(MOST_SOURCES)(lambda network: source_model(registry, network, self._method))
         self._cross = lru_cache(MOST_SOURCES)(partial(bridge_over, registry))
         self._loads = LoadReadings()
         self._release = LineRelease(registry)
 
     def check(self, order: Order) -> None:
-        """Raise `InputError` where the run of an order could not be kept; asked before anything moves."""
+        """Refuse an order whose run could not be kept; asked before anything moves."""
         if order.kind is OrderKind.LOAD:
             self._loads.check(order)
             return
@@ -91,17 +89,13 @@ class RunKeeper:
             return
         source = self._registry.lots.get(order.lot_id).source
         if (order.serial == source) != (order.kind is OrderKind.SOURCE):
-            raise InputError(
-                reason("run.wrong_kind", lot=order.lot_id, source=source, serial=order.serial, kind=str(order.kind))
-            )
+            facts = {"lot": order.lot_id, "source": source, "serial": order.serial, "kind": str(order.kind)}
+            raise InputError(reason("run.wrong_kind", **facts))
         if order.kind is OrderKind.UNIT:
             self._check_loads(order.lot_id)
 
     def keep(self, order: Order, recording: StationRecording | RestReading, tell: Tell) -> Progress:
         """Store a finished run and do what follows from it; return how the order ended.
-
-        Args:
-            tell: takes progress while a network is trained or a unit calibrated.
 
         Raises:
             RegistryError: the registry is away; doing it again later stores nothing twice.
@@ -115,7 +109,10 @@ class RunKeeper:
             return self._keep_golden(order, recording, done)
         if order.kind is OrderKind.SOURCE:
             return self._keep_source(order, recording, tell, done)
-        units = _units(order, recording)
+        # Several units pressed at once are numbered behind the order's serial
+        channels = range(recording.output.shape[1])
+        names = [order.serial] if len(channels) == 1 else [numbered(order.serial, k) for k in channels]
+        units = [recording.output_recording(k, name) for k, name in zip(channels, names, strict=True)]
         loads = self._registry.lots.line_rules(self._registry.lots.get(order.lot_id)).loads
         if loads:
             if len(units) > 1:
@@ -148,7 +145,7 @@ class RunKeeper:
         return replace(done, message=reasons, recording_sha256=sha256, verdict=word)
 
     def _check_loads(self, lot_id: str) -> None:
-        """Raise `InputError` where the loads that a lot asks for could not be used; nothing has moved yet."""
+        """Refuse loads of a lot that could not be used; nothing has moved yet."""
         lot = self._registry.lots.get(lot_id)
         entry, loads = released_network(self._registry, lot_id), self._registry.lots.line_rules(lot).loads
         if entry is not None and loads:
@@ -169,24 +166,15 @@ class RunKeeper:
         held = quarantine(self._registry, self._station, run.made_at)
         facts = {"units": list(held), "golden": order.serial}
         self._registry.trail.add("quarantine", "station", (self._station,), facts, reason=joined(run.reasons))
-        return replace(
-            done, message=(*run.reasons, reason("golden.held", serials=", ".join(held) or Reason("golden.none")))
-        )
+        said = reason("golden.held", serials=", ".join(held) or Reason("golden.none"))
+        return replace(done, message=(*run.reasons, said))
 
     def _keep_source(self, order: Order, recording: StationRecording, tell: Tell, done: Progress) -> Progress:
         def on_epoch(report: EpochReport) -> None:
             fraction = report.epoch / report.max_epochs
-            tell(
-                Progress(
-                    order.order_id,
-                    RunState.RUNNING,
-                    TRAINING,
-                    fraction,
-                    message=(
-                        reason("run.epoch", epoch=report.epoch, most=report.max_epochs, error=report.validation_rmse),
-                    ),
-                )
-            )
+            facts = {"epoch": report.epoch, "most": report.max_epochs, "error": report.validation_rmse}
+            message = (reason("run.epoch", **facts),)
+            tell(Progress(order.order_id, RunState.RUNNING, TRAINING, fraction, message=message))
 
         tell(Progress(order.order_id, RunState.RUNNING, TRAINING))
         source = recording.labelled_recording()
@@ -229,14 +217,6 @@ class RunKeeper:
 
 
 def released_network(registry: Registry, lot_id: str) -> NetworkEntry | None:
-    """Return the shared network of a lot that its units are judged by, None where none is released."""
+    """Return the shared network that a lot's units are judged by, None where none is released."""
     state = registry.networks.released(lot_id)
     return state.network if state else None
-
-
-def _units(order: Order, recording: StationRecording) -> list[OutputRecording]:
-    """Return one recording per channel; several units pressed at once are numbered behind the order's serial."""
-    channels = recording.output.shape[1]
-    if channels == 1:
-        return [recording.output_recording(0, order.serial)]
-    return [recording.output_recording(channel, numbered(order.serial, channel)) for channel in range(channels)]

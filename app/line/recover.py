@@ -1,4 +1,4 @@
-"""What runs that were cut off left on the disk: finished ones become recordings again, all others are marked."""
+"""What runs that were cut off left on the disk: finished ones as recordings, others marked."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,7 +37,7 @@ class Recovered:
 
 
 def recover(folder: Path, out: Path) -> list[Recovered]:
-    """Write what the spools of a folder hold: finished runs as recordings, all others marked as aborted.
+    """Write what the spools of a folder hold: finished runs as recordings, others marked.
 
     Spools stay where they are; deleting them is a decision of a person. One that cannot be read (a full disk leaves an
     empty one) is named and keeps no other from being recovered. A file that is another recording is not written over.
@@ -70,7 +70,7 @@ def _recover(path: Path, out: Path) -> Recovered:
 
 
 def _write(recording: StationRecording, channel: int, out: Path, serial: str, spool: str) -> Path:
-    """Write one channel under its serial, or under the name of its spool where that file is another recording."""
+    """Write a channel under its serial, or its spool where that file is another recording."""
     file, own = out / f"{serial}.csv", out / f"{spool}-{serial}.csv"
     if not file.exists():
         write_columns(file, columns(recording, channel))
@@ -83,7 +83,7 @@ def _write(recording: StationRecording, channel: int, out: Path, serial: str, sp
 
 
 def _aborted_columns(run: SpooledRun, end: str) -> list[tuple[str, Any]]:
-    """Return every channel of a run that is no recording, at the times of the first one that spoke at all.
+    """Return every channel of an aborted run, at the times of the first one that spoke.
 
     Other channels are read between two of their samples; before the first and after the last one they are empty.
     """
@@ -102,7 +102,7 @@ def _aborted_columns(run: SpooledRun, end: str) -> list[tuple[str, Any]]:
 
 
 def _serials(run: SpooledRun, channels: int) -> list[str]:
-    """Return the serial of each channel: as the run was told, else numbered behind the substrate's."""
+    """Return the serial of each channel: as the run was told, else numbered."""
     serial = run.header.get("serial", "unknown")
     told = run.header.get("serials", serial).split(SERIALS_APART)
     return told if len(told) == channels else [numbered(serial, channel) for channel in range(channels)]

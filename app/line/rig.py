@@ -1,4 +1,4 @@
-"""The rig as a use case: find it, test it, press a unit and write its recording, or press a whole simulated lot."""
+"""The rig: find it, test it, press a unit and write its recording, or press a simulated lot."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -21,13 +21,7 @@ from softcal.core.unit.budget import SIMULATED, Reference
 from softcal.core.words.reason import Reason, reason, several
 from softcal.station.clock import HostClock
 from softcal.station.devices.bench import SIMULATED_NAME, Bench, open_bench, open_simulated_bench
-from softcal.station.devices.config import (
-    ForceConfig,
-    ReadoutConfig,
-    StageConfig,
-    StationConfig,
-    read_station_file,
-)
+from softcal.station.devices.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig, read_station_file
 from softcal.station.record.recording import StationRecording
 from softcal.station.record.spool import Spool
 from softcal.station.tasks.acquisition import OnProgress, record
@@ -60,7 +54,14 @@ def chosen_bench(
         DeviceError: devices are missing; all of them are named.
     """
     if simulated_seed is not None:
-        twins = _units_like(twin, simulated_seed, simulated_channels)
+        from softcal.core.twin.spread import draw_lot
+
+        rng, count = np.random.default_rng(simulated_seed), simulated_channels
+        twins = (
+            draw_lot(rng, count)
+            if twin is None
+            else (twin, *draw_lot(rng, count - 1, twin.parameters, twin.metadata, twin.effects))
+        )
         with open_simulated_bench(twins[0], simulated_seed, beside=twins[1:]) as (bench, _):
             yield bench
     elif station_file is None:
@@ -72,17 +73,8 @@ def chosen_bench(
             yield bench
 
 
-def _units_like(twin: "Twin | None", seed: int, count: int) -> "tuple[Twin, ...]":
-    from softcal.core.twin.spread import draw_lot
-
-    rng = np.random.default_rng(seed)
-    if twin is None:
-        return draw_lot(rng, count)
-    return (twin, *draw_lot(rng, count - 1, twin.parameters, twin.metadata, twin.effects))
-
-
 def find_devices(ports: Sequence[str]) -> list[DeviceIdentity]:
-    """Return what answers at these ports, or at all USB serial ports of this machine where none is given.
+    """Return what answers at these ports, or at all USB serial ports where none is given.
 
     A port that cannot be opened stands in the list with the reason: another program has it, or nothing is there.
 
@@ -106,7 +98,7 @@ def find_devices(ports: Sequence[str]) -> list[DeviceIdentity]:
 
 
 Choose = Callable[[Reason, Sequence[DeviceIdentity]], DeviceIdentity | None]
-"""(part of the station, what it may be) -> what it is; None where nobody says: the file is then to be filled in."""
+"""(part of the station, what it may be) -> what it is; None where nobody says."""
 
 
 def station_of(devices: Sequence[DeviceIdentity], choose: Choose | None = None) -> StationConfig:
@@ -137,7 +129,7 @@ def station_of(devices: Sequence[DeviceIdentity], choose: Choose | None = None) 
 def _only(
     devices: Sequence[DeviceIdentity], role: str, taken: list[DeviceIdentity], choose: Choose | None
 ) -> DeviceIdentity | None:
-    """Return the one device of a role; between two, or where a stream may be either part, a person decides."""
+    """Return the one device of a role; where two may be it, a person decides."""
     found = [device for device in devices if device.role == role]
     streams = [device for device in devices if not device.role and device.channels and device not in taken]
     if len(found) == 1 or not (found or (streams and role in BARE and choose)):
@@ -171,24 +163,19 @@ class StationCheck:
     findings: tuple[SelfTestItem, ...]
 
     def as_json(self) -> dict[str, object]:
+        names = ("device", "what", "value", "cure")
+        findings = [
+            {name: str(getattr(finding, name) or "") for name in names} | {"is_good": finding.is_good}
+            for finding in self.findings
+        ]
+        devices = [vars(device) | {"description": str(device.says)} for device in self.devices]
         return {
             "schema": "softcal.station-check/1",
             "station": self.config.name,
-            "devices": [_device_json(device) for device in self.devices],
-            "findings": [_finding_json(finding) for finding in self.findings],
+            "devices": [{key: value for key, value in device.items() if key != "says"} for device in devices],
+            "findings": findings,
             "is_good": all(finding.is_good for finding in self.findings),
         }
-
-
-def _device_json(device: DeviceIdentity) -> dict[str, object]:
-    facts = asdict(replace(device, says=Reason("port.unknown")))
-    del facts["says"]
-    return facts | {"description": str(device.says)}
-
-
-def _finding_json(finding: SelfTestItem) -> dict[str, object]:
-    texts = {name: str(getattr(finding, name) or "") for name in ("device", "what", "value", "cure")}
-    return texts | {"is_good": finding.is_good}
 
 
 def check_station(
@@ -225,7 +212,7 @@ def _tested(bench: Bench, may_move: bool) -> tuple[SelfTestItem, ...]:
 
 @dataclass(frozen=True)
 class WrittenRun:
-    """What one run left behind: the recording, the files that hold it, and what a person should know of them."""
+    """What one run left behind: recording, files, and what a person should know of them."""
 
     recording: StationRecording
     files: tuple[Path, ...]
@@ -274,19 +261,14 @@ def record_to_files(
 
 
 def station_reference(config: StationConfig) -> Reference | None:
-    """Return what a station compares sources with today, by the serial of its load cell; None without one."""
+    """Return what a station compares sources with today: its load cell; None without one."""
     if config.force is None:
         return None
     return Reference(cell=config.force.serial or "not named", used_on=datetime.now(UTC).astimezone().date())
 
 
 def _check_lot(paths: Sequence[Path], serials: Sequence[str], bench: Bench, with_reference: bool) -> None:
-    """Refuse, before anything moves, a recording that the lot folder it goes to could not use.
-
-    Raises:
-        InputError: another rate or unit than the lot's, the lot's source as one of its units, or a lot.toml that
-            cannot be read.
-    """
+    """Refuse, before anything moves, a recording that the lot folder it goes to could not use."""
     folder = paths[0].parent
     if folder.name not in FOLDER_OF.values() or not (folder.parent / "lot.toml").is_file():
         return
@@ -304,7 +286,7 @@ def _check_lot(paths: Sequence[Path], serials: Sequence[str], bench: Bench, with
 
 
 def _state_source(source: Path, recording: StationRecording, reference: Reference | None) -> list[str]:
-    """Write the lot.toml of a source in LOT/source/, so that `softcal batch LOT` takes the folder; return remarks."""
+    """Write the lot.toml of a source in LOT/source/, so that a batch takes it; return remarks."""
     folder = source.parent.parent
     if not (folder / "lot.toml").exists():
         lot = Lot(folder.resolve().name, source.stem, recording.sample_rate_Hz, output_unit=recording.output_unit)
@@ -369,7 +351,7 @@ def columns(recording: StationRecording, channel: int = 0) -> list[tuple[str, Ar
 
 
 def profile_for(kind: str, seed: int, seconds: float | None, depth_mm: float, file: Path | None = None) -> Profile:
-    """Return the profile of a file where one is given, else the source or the short unit profile."""
+    """Return the profile of a file, else the source or the short unit profile."""
     if file is not None:
         return read_profile(file)
     rng = np.random.default_rng(seed)
@@ -380,7 +362,7 @@ def profile_for(kind: str, seed: int, seconds: float | None, depth_mm: float, fi
 
 @dataclass(frozen=True)
 class RecordedLot:
-    """A lot as the station records it: the source with its reference, units without, audits that decide about them."""
+    """A lot as the station records it: source, units, and audits that decide about them."""
 
     source: LabelledRecording
     units: Mapping[str, OutputRecording]
@@ -408,8 +390,6 @@ def press_simulated_lot(
     Args:
         twins, serials: (number of units,) the units, the source first.
         seed: of mounting, noise and profiles.
-        times: how long each run presses, an audit too.
-        on_run: called with a sentence before each run.
 
     Raises:
         DeviceError: the station failed.

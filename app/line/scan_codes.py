@@ -1,4 +1,4 @@
-"""What a scan means: a serial, a lot, a badge or a command; with the prefixes that scanners and GS1 labels put before.
+"""What a scan means: a serial, a lot, a badge or a command, behind scanners' and GS1 prefixes.
 
 Sources: AIM symbology identifiers (ISO/IEC 15424: `]`, a letter, a modifier); GS1 General Specifications, section 3
 (application identifiers 01, 10, 21 and the dates), section 7.8 (FNC1 as ASCII 29 between fields of variable length).
@@ -32,11 +32,7 @@ class Scan:
 
 
 def read_scan(text: str) -> Scan:
-    """Return what a scan means.
-
-    Args:
-        text: as the scanner typed it, without its Enter or Tab.
-    """
+    """Return what a scan means."""
     raw = text.strip(" \t\r\n")
     prefix = AIM_PREFIX.match(raw)
     bare = raw[prefix.end() :] if prefix else raw

@@ -1,4 +1,4 @@
-"""Whether a serial may be a slip of the hand: the lot has not planned it, and no unit of the lot looks like it."""
+"""Whether a serial may be a slip of the hand: not planned, and like no unit of the lot."""
 
 import re
 from collections.abc import Set
@@ -16,9 +16,11 @@ def is_unheard_of(registry: Registry, lot: Lot, rules: LineRules, serial: str, p
     A unit that the lot knows is not asked for. Where the lot's units were registered by name, every other one is. Else
     it must fit the lot's rule or, where nobody set one, look like the source or like a unit pressed of late.
     """
-    if _is_of_lot(registry, lot, serial):
+    if lot.id in lots_of(registry, serial):
         return False
-    if _is_planned_by_name(registry, lot):
+    # A unit that was registered and never recorded: the lot is planned by name
+    waiting = registry.pages.unit_page(lot.id, UnitFilter(verdicts=("none",)), size=1).units
+    if any(not registry.recordings.of_lot(lot.id, unit.serial) for unit in waiting):
         return True
     return not rules.serial_pattern and shape(serial) not in {shape(known) for known in {lot.source, *pressed}}
 
@@ -28,19 +30,14 @@ def shape(serial: str) -> str:
     return re.sub(r"\d", "0", serial)
 
 
-def _is_of_lot(registry: Registry, lot: Lot, serial: str) -> bool:
+def lots_of(registry: Registry, serial: str) -> set[str]:
+    """Return the lots that a serial stands in."""
     try:
-        return any(unit.lot_id == lot.id for unit in registry.lots.units(serial=serial))
+        return {unit.lot_id for unit in registry.lots.units(serial=serial)}
     except InputError:
-        return False
-
-
-def _is_planned_by_name(registry: Registry, lot: Lot) -> bool:
-    """Whether the lot holds a unit that was registered and never recorded."""
-    waiting = registry.pages.unit_page(lot.id, UnitFilter(verdicts=("none",)), size=1).units
-    return any(not registry.recordings.of_lot(lot.id, unit.serial) for unit in waiting)
+        return set()
 
 
 def numbered(serial: str, channel: int) -> str:
-    """Return the serial of one unit among several that are pressed at once; channels count from 0."""
+    """Return the serial of one of several units pressed at once; channels count from 0."""
     return f"{serial}-{channel + 1}"

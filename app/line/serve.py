@@ -1,4 +1,4 @@
-"""A resident station: its rig, its gate and its registry, joined and served until somebody says no."""
+"""A resident station: rig, gate and registry, joined and served until somebody says no."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -79,16 +79,12 @@ def serve(registry: Registry, serving: Serving, spools: Path, goes_on: Callable[
     def make_service(report: Callable[[Progress], None], is_stop_wanted: Callable[[], bool]) -> StationService:
         return StationService(opened, profiles, spools, Hooks(report, is_stop_wanted, gate))
 
-    def write_log(event: str, facts: dict[str, object]) -> None:
-        log.info(event, **facts)
-
     reference = SIMULATED if serving.simulated_seed is not None else station_reference(config)
     # A bench whose gate asks for no golden unit still has sittings.
     sitting = serving.rules.shift or SHIFT
     keeper = RunKeeper(registry, serving.station, serving.network, reference=reference, sitting=sitting)
-    StationHost(registry.order_queue, serving.station, keeper, gate.override, make_service, fixture, write_log).run(
-        goes_on
-    )
+    queue, write_log = registry.order_queue, lambda event, facts: log.info(event, **facts)
+    StationHost(queue, serving.station, keeper, gate.override, make_service, fixture, write_log).run(goes_on)
 
 
 def _rig(serving: Serving) -> tuple[StationConfig, Fixture, Callable[[], AbstractContextManager[Bench]]]:

@@ -1,4 +1,4 @@
-"""The last rows of the audit trail, written down outside the database: who cuts the trail there is found out here."""
+"""The last rows of the audit trail, written down elsewhere: who cuts it is found out here."""
 
 import json
 from datetime import UTC, datetime
@@ -15,13 +15,13 @@ SCHEMA = "softcal.audit-heads/1"
 
 
 def anchor_json(registry: Registry, why: str) -> dict[str, object]:
-    """Return the last row of every chain as JSON values, to be kept beside what is exported or backed up."""
+    """Return the last row of every chain as JSON values, to be kept elsewhere."""
     at = datetime.now(UTC).isoformat(timespec="seconds")
     return {"schema": SCHEMA, "registry": registry.origin, "at": at, "why": why, "heads": registry.trail.heads()}
 
 
 def remember(registry: Registry, why: str) -> None:
-    """Append the last rows to the file of this computer; where it cannot be written, the work goes on without."""
+    """Append the last rows to the file of this computer, where it can be written."""
     line = json.dumps(anchor_json(registry, why), sort_keys=True)
     try:
         with (data_folder() / NAME).open("a", encoding="utf-8") as file:
@@ -31,7 +31,7 @@ def remember(registry: Registry, why: str) -> None:
 
 
 def remembered(registry: Registry) -> list[Anchor]:
-    """Return what this computer wrote down of a registry. A line that cannot be read is left out."""
+    """Return what this computer wrote down of a registry, as far as it can be read."""
     try:
         lines = (data_folder() / NAME).read_text(encoding="utf-8").splitlines()
     except (OSError, ValueError, SoftcalError):

@@ -5,7 +5,6 @@ import platform
 import shutil
 import sys
 import zipfile
-from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -32,26 +31,22 @@ def examine(url_option: str | None) -> tuple[Facts, list[str]]:
         "environment": {k: masked(v) for k, v in sorted(os.environ.items()) if k.startswith("SOFTCAL_")},
     }
     for name, look in (("folders", _folders), ("registry", lambda found: _registry(url_option, found))):
-        facts[name] = _looked_at(look, problems)
+        try:
+            facts[name] = look(problems)
+        except (SoftcalError, OSError) as error:
+            problems.append(masked(str(error)))
+            facts[name] = {"error": masked(str(error))}
     return facts, problems
 
 
 def collect(path: Path, report: str) -> int:
-    """Write the report and the logs into a zip file, whole or not at all; return how many logs went in."""
+    """Write report and logs into a zip file, whole or not at all; return how many logs."""
     logs = sorted(log_folder().glob("softcal-*.jsonl"))
     with whole_file(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as bundle:
         bundle.writestr("report.json", report)
         for log in logs:
             bundle.writestr(f"logs/{log.name}", masked(log.read_text(encoding="utf-8", errors="replace")))
     return len(logs)
-
-
-def _looked_at(look: Callable[[list[str]], Facts], problems: list[str]) -> Facts:
-    try:
-        return look(problems)
-    except (SoftcalError, OSError) as error:
-        problems.append(masked(str(error)))
-        return {"error": masked(str(error))}
 
 
 def _folders(problems: list[str]) -> Facts:

@@ -4,11 +4,10 @@ One home for it: a station finds it when a unit is pressed, a lot folder brings 
 recording crosses the same bridge. They are rows of the audit trail.
 """
 
-import json
 from collections.abc import Collection, Mapping
 from datetime import datetime
-from typing import Any
 
+from softcal.app.registry.stated import statements
 from softcal.core.errors import InputError
 from softcal.core.unit.bridge import Bridge, make_bridge
 from softcal.core.unit.source_model import SourceModel
@@ -18,18 +17,17 @@ ENTITY = "golden_of"
 
 
 def golden_of(registry: Registry, lot_id: str, serials: Collection[str]) -> Mapping[str, tuple[str, str]]:
-    """Return, by the hash of a unit's recording, its serial and the hash of the golden run it belongs to."""
+    """Return, by the hash of a unit's recording, its serial and its golden run's hash."""
     found: dict[str, tuple[str, str]] = {}
-    for row in registry.trail.of_several(ENTITY, [(lot_id, serial) for serial in sorted(serials)]):
-        told: dict[str, Any] = json.loads(row.after or "{}")
-        found |= {sha256: (told["serial"], golden) for sha256, golden in told["recordings"].items()}
+    for facts in statements(registry, ENTITY, *((lot_id, serial) for serial in sorted(serials))):
+        found |= {sha256: (facts["serial"], golden) for sha256, golden in facts["recordings"].items()}
     return found
 
 
 def keep_golden_of(
     registry: Registry, lot_id: str, of: Mapping[str, tuple[str, str]], *, actor: str | None = None
 ) -> None:
-    """Keep which golden run recordings belong to, a row a unit, all or none; what is known already gets no row.
+    """Keep which golden run recordings belong to, a row a unit; what is known gets no row.
 
     Args:
         of: hash of a unit's recording → (serial, hash of the golden run).
@@ -40,19 +38,18 @@ def keep_golden_of(
         return
     with registry.transaction():
         for sha256, (serial, golden) in new.items():
-            registry.trail.add(
-                "state", ENTITY, (lot_id, serial), {"serial": serial, "recordings": {sha256: golden}}, actor=actor
-            )
+            facts = {"serial": serial, "recordings": {sha256: golden}}
+            registry.trail.add("state", ENTITY, (lot_id, serial), facts, actor=actor)
 
 
 def newest_golden(registry: Registry, station: str, source: str, since: datetime) -> str | None:
-    """Return the hash of the newest golden run of a source on a station that passed, None where there is none."""
+    """Return the hash of the newest golden run of a source on a station that passed."""
     runs = registry.stations.golden_runs(station, source, since)
     return next((run.recording_sha256 for run in reversed(runs) if run.passed and run.recording_sha256), None)
 
 
 def bridge_over(registry: Registry, model: SourceModel, golden_sha256: str) -> Bridge | str:
-    """Return a kept golden run as units of its sitting are compared with it; why, where it cannot be crossed."""
+    """Return a kept golden run as its sitting's units are compared with it, or why not."""
     try:
         return make_bridge(model, registry.recordings.get(golden_sha256))
     except InputError as error:
@@ -60,6 +57,6 @@ def bridge_over(registry: Registry, model: SourceModel, golden_sha256: str) -> B
 
 
 def golden_lot(registry: Registry, serial: str) -> str | None:
-    """Return a lot whose source a serial is and whose network is released; None where it is no source."""
+    """Return a lot whose source a serial is and whose network is released."""
     lots = (lot.id for lot in registry.lots.all() if lot.source == serial)
     return next((lot for lot in lots if registry.networks.released(lot) is not None), None)

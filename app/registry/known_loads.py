@@ -1,4 +1,4 @@
-"""Known loads of a lot's units: what was read at rest under which load, kept with the recording it belongs to.
+"""Known loads of a lot's units: read at rest, kept with the recording they belong to.
 
 One home for all of them: the line reads them, a file or a page brings them, and every calibration of that recording
 takes them from here, so that none is put into use without them. They are rows of the audit trail.
@@ -52,27 +52,20 @@ def known_loads(registry: Registry, lot_id: str, serials: Collection[str] | None
         for sha256, one in told["recordings"].items():
             if one["serial"] not in serials:
                 continue
-            loads = Anchors(np.array(one["output"], np.float64), np.array(one["reference"], np.float64))
-            found[sha256] = UnitLoads(one["serial"], sha256, loads, row.at, row.actor, told["where"])
+            found[sha256] = UnitLoads(one["serial"], sha256, loads_of(one), row.at, row.actor, told["where"])
     return found
 
 
 def keep_loads(
-    registry: Registry,
-    lot_id: str,
-    loads: Mapping[str, tuple[str, Anchors]],
-    where: str,
-    *,
-    actor: str | None = None,
+    registry: Registry, lot_id: str, loads: Mapping[str, tuple[str, Anchors]], where: str, *, actor: str | None = None
 ) -> int:
     """Keep known loads that are new, a row a unit, all or none; return of how many recordings.
 
     Args:
         loads: hash of a recording → (serial, loads).
-        where: `line`, `file` or `page`.
     """
     before = known_loads(registry, lot_id, {serial for serial, _ in loads.values()})
-    new = {sha: one for sha, one in loads.items() if sha not in before or not _is_same(before[sha].loads, one[1])}
+    new = {sha: one for sha, one in loads.items() if sha not in before or values(before[sha].loads) != values(one[1])}
     by_unit: dict[str, dict[str, object]] = {}
     for sha, (serial, anchors) in new.items():
         by_unit.setdefault(serial, {})[sha] = {"serial": serial, **values(anchors)}
@@ -90,5 +83,6 @@ def values(loads: Anchors) -> dict[str, list[float]]:
     return {"output": loads.output.tolist(), "reference": loads.reference.tolist()}
 
 
-def _is_same(one: Anchors, other: Anchors) -> bool:
-    return values(one) == values(other)
+def loads_of(kept: Mapping[str, Any]) -> Anchors:
+    """Return loads from the JSON values that `values` made."""
+    return Anchors(np.array(kept["output"], np.float64), np.array(kept["reference"], np.float64))

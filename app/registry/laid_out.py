@@ -1,4 +1,4 @@
-"""A lot of the registry as a lot folder: what a station recorded for orders, in files that people and `batch` take."""
+"""A lot of the registry as a lot folder, in files that people and `batch` take."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,13 +15,10 @@ from softcal.db.registry import Registry
 
 
 def write_lot_folder(registry: Registry, lot_id: str, folder: Path) -> dict[str, list[str]]:
-    """Write the newest recording of each unit and kind, and the known loads that belong to it, whole or not at all.
+    """Write the newest recording of each unit and kind, and its known loads, or nothing.
 
     The golden run is written where every unit belongs to the same one: a folder has one. Of several sittings the
     registry alone knows which unit belongs to which.
-
-    Returns:
-        The serials by part.
 
     Raises:
         InputError: no such lot, its source has no recording, or the folder exists and is not empty.
@@ -50,7 +47,7 @@ def write_lot_folder(registry: Registry, lot_id: str, folder: Path) -> dict[str,
 
 
 def _one_golden(registry: Registry, lot_id: str, pressed: Mapping[str, str]) -> str | None:
-    """Return the golden run that all of these recordings, hash → serial, belong to; None where there is no such one."""
+    """Return the golden run that all recordings, hash → serial, belong to; None without one."""
     of = golden_of(registry, lot_id, set(pressed.values()))
     found = {of[sha256][1] if sha256 in of else None for sha256 in pressed}
     return found.pop() if len(found) == 1 else None

@@ -1,4 +1,4 @@
-"""The limit that the units of a lot are judged by: stated, or what follows from the source's own error."""
+"""The limit that a lot's units are judged by: stated, or from the source's own error."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from softcal.db.registry import Registry
 
 
 def lot_limit(registry: Registry, lot_id: str) -> Limit:
-    """Return the lot's limit, or the one that follows from its source's own error where none was stated.
+    """Return the lot's limit; where none is stated, the one that its source's error gives.
 
     Raises:
         InputError: none was stated, and no unit was calibrated yet.
@@ -35,7 +35,7 @@ def lot_limit(registry: Registry, lot_id: str) -> Limit:
 
 
 def limit_or_none(registry: Registry, lot_id: str) -> Limit | None:
-    """Return the limit of a lot as `lot_limit`; None where none was stated and no unit was calibrated yet."""
+    """Return the limit as `lot_limit`; None without one, and without a calibrated unit."""
     try:
         return lot_limit(registry, lot_id)
     except InputError:

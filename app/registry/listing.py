@@ -6,33 +6,8 @@ from softcal.app.texts.catalogue import here
 from softcal.core.errors import InputError
 from softcal.db.entries import StoredCalibration, UnitEntry
 
-UNIT_HEADER = (
-    "lot",
-    "serial",
-    "role",
-    "verdict",
-    "rev",
-    "map",
-    "predicted",
-    "before",
-    "after",
-    "own",
-    "made",
-    "reason",
-)
-HISTORY_HEADER = (
-    "rev",
-    "registry",
-    "in use",
-    "made",
-    "by",
-    "lot",
-    "verdict",
-    "map",
-    "predicted",
-    "after",
-    "remark",
-)
+UNIT_HEADER = tuple("lot serial role verdict rev map predicted before after own made reason".split())
+HISTORY_HEADER = ("rev", "registry", "in use", "made", "by", "lot", "verdict", "map", "predicted", "after", "remark")
 
 
 def unit_row(unit: UnitEntry) -> list[object]:
@@ -77,19 +52,9 @@ def history_row(stored: StoredCalibration) -> list[object]:
         "put into use by one of two registries" if stored.is_conflict else "",
         stored.reason,
     ]
-    return [
-        stored.revision,
-        stored.origin,
-        "yes" if stored.is_current else "",
-        here(stored.made_at),
-        stored.actor,
-        stored.lot_id,
-        record.verdict,
-        record.family,
-        record.predicted_rmse,
-        record.after_rmse,
-        "; ".join(filter(None, remarks)),
-    ]
+    in_use, errors = "yes" if stored.is_current else "", [record.predicted_rmse, record.after_rmse]
+    made = [here(stored.made_at), stored.actor, stored.lot_id, record.verdict, record.family]
+    return [stored.revision, stored.origin, in_use, *made, *errors, "; ".join(filter(None, remarks))]
 
 
 def history_json(stored: StoredCalibration) -> dict[str, object]:

@@ -1,4 +1,4 @@
-"""Recordings of a lot that the registry keeps: the source behind a shared network, and the audits that stand."""
+"""Recordings of a lot that the registry keeps: sources of networks, and audits."""
 
 from softcal.core.errors import InputError
 from softcal.core.recording import LabelledRecording, OutputRecording
@@ -27,13 +27,18 @@ def source_recording(registry: Registry, network_id: str) -> LabelledRecording:
 
 
 def source_model(registry: Registry, network_id: str, method: Method) -> SourceModel:
-    """Return the source of a network as the units of its lot are compared with it; make it once for all of them."""
+    """Return the source of a network as units are compared with it; make it once for all."""
     return make_source_model(source_recording(registry, network_id), registry.networks.get(network_id), method=method)
 
 
 def unlabelled(recording: OutputRecording | LabelledRecording) -> OutputRecording:
     """Return what a fit may see of a recording."""
     return recording.unlabelled if isinstance(recording, LabelledRecording) else recording
+
+
+def target_serials(registry: Registry, lot_id: str) -> list[str]:
+    """Return the serials of a lot's target units."""
+    return [unit.serial for unit in registry.lots.units(lot_id) if unit.role == "target"]
 
 
 def newest_audits(registry: Registry, lot_id: str, serial: str | None = None) -> dict[str, RecordingEntry]:

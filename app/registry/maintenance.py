@@ -7,19 +7,19 @@ from pathlib import Path
 
 from softcal.app.registry.anchors import read_anchor, remember, remembered
 from softcal.core.errors import RegistryError
-from softcal.db.care.backup import back_up, restore
+from softcal.db.care.backup import back_up
 from softcal.db.care.maintenance import migrate
 from softcal.db.care.sync import SyncReport, synchronise
 from softcal.db.connection import open_registry
 from softcal.db.entries import Heads
 from softcal.db.registry import Registry
-from softcal.db.schema.database import Database, open_database, schema_of
+from softcal.db.schema.database import open_database, schema_of
 from softcal.db.schema.tables import SCHEMA
 
 
 @dataclass(frozen=True)
 class Upgrade:
-    """What `registry upgrade` did: from which schema (None: empty) to which, and where the old one was backed up."""
+    """What an upgrade did: from which schema (None: empty) to which, and the backup of the old."""
 
     before: str | None
     after: str
@@ -27,7 +27,7 @@ class Upgrade:
 
 
 def upgrade(url: str) -> Upgrade:
-    """Bring a registry to the schema of this version; an SQLite registry with data is backed up beside itself first.
+    """Bring a registry to this version's schema; an SQLite one is backed up beside itself.
 
     Raises:
         RegistryError: it cannot be opened, was made by a newer version, or the upgrade failed and nothing was changed.
@@ -39,20 +39,14 @@ def upgrade(url: str) -> Upgrade:
             raise RegistryError(f"registry {database.name} has schema {before}, newer than {SCHEMA}; update softcal")
         if before == SCHEMA:
             return Upgrade(before, SCHEMA, None)
-        backup = _backup_before_upgrade(database, before)
+        backup = None
+        # On PostgreSQL the upgrade is one transaction, and the server has backups of its own.
+        if before is not None and (path := database.path) is not None:
+            backup = path.with_name(f"{path.stem}-schema-{before}-{datetime.now(UTC):%Y%m%d-%H%M%S}.db")
+            back_up(database, backup)
         return Upgrade(before, migrate(database), backup)
     finally:
         database.close()
-
-
-def _backup_before_upgrade(database: Database, schema: str | None) -> Path | None:
-    # On PostgreSQL the upgrade is one transaction, and the server has backups of its own.
-    path = database.path
-    if schema is None or path is None:
-        return None
-    backup = path.with_name(f"{path.stem}-schema-{schema}-{datetime.now(UTC):%Y%m%d-%H%M%S}.db")
-    back_up(database, backup)
-    return backup
 
 
 @dataclass(frozen=True)
@@ -76,7 +70,7 @@ def verify(
     files: Sequence[Path] = (),
     on_step: Callable[[str], None] = lambda _: None,
 ) -> Verification:
-    """Check a registry against its schema, its audit trail, and what was written down of the trail elsewhere.
+    """Check a registry against its schema, its audit trail, and what is written elsewhere.
 
     Args:
         is_quick: leave out what reads every page and blob.
@@ -92,11 +86,6 @@ def back_up_registry(registry: Registry, path: Path) -> None:
     """Write a backup while the registry is in use."""
     back_up(registry.database, path)
     remember(registry, f"backup {path.absolute()}")
-
-
-def restore_registry(path: Path, url: str) -> None:
-    """Fill an empty registry from a backup."""
-    restore(path, url)
 
 
 def synchronise_with(registry: Registry, other_url: str) -> SyncReport:

@@ -1,4 +1,4 @@
-"""What a quality manager asks of the registry: gauge studies, capability, yields and golden units."""
+"""What a quality manager asks: gauge studies, capability, yields and golden units."""
 
 import csv
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ METHODS = {"anova": study_by_anova, "range": study_by_ranges}
 
 
 def gauge_study(path: Path, method: str) -> GaugeStudy:
-    """Read a crossed study (`unit, station, trial, value`, one row per press) and split its variation.
+    """Read a crossed study (`unit, station, trial, value`) and split its variation.
 
     Raises:
         InputError: the file cannot be read, or some unit misses a station or a trial.
@@ -44,15 +44,8 @@ def file_chart(path: Path, column: str) -> ControlChart:
     return control_chart(np.array(values))
 
 
-def lot_chart(registry: Registry, lot_id: str) -> ControlChart:
-    """Make the control chart of the predicted errors of a lot's units, in the order they were calibrated."""
-    return control_chart(
-        np.array([run.predicted_rmse for run in registry.lots.runs(lot_id) if run.predicted_rmse is not None])
-    )
-
-
 def lot_capability(registry: Registry, lot_id: str, maximum: float | None = None) -> tuple[ControlChart, Capability]:
-    """Return chart and capability of a lot's predicted errors against a maximum, by default the lot's limit.
+    """Return chart and capability of predicted errors against a maximum, else the limit.
 
     Raises:
         InputError: no limit was stated, or capability must be refused.
@@ -60,7 +53,8 @@ def lot_capability(registry: Registry, lot_id: str, maximum: float | None = None
     limit = maximum if maximum is not None else registry.lots.get(lot_id).limit_rmse
     if limit is None:
         raise InputError(f"lot {lot_id!r} has no stated limit; give --max")
-    chart = lot_chart(registry, lot_id)
+    errors = [run.predicted_rmse for run in registry.lots.runs(lot_id) if run.predicted_rmse is not None]
+    chart = control_chart(np.array(errors))
     return chart, capability(chart, None, limit)
 
 
@@ -78,11 +72,7 @@ def lot_yields(registry: Registry, lot_id: str, *, conditional_is_good: bool = F
 def golden_charts(
     registry: Registry, station: str | None, serial: str | None, baseline: int | None
 ) -> dict[tuple[str, str], ControlChart]:
-    """Return a control chart per station and golden unit that has enough checks.
-
-    Raises:
-        InputError: there are no checks with golden units.
-    """
+    """Return a control chart per station and golden unit that has enough checks."""
     values: dict[tuple[str, str], list[float]] = {}
     for run in registry.stations.golden_runs(station, serial):
         values.setdefault((run.station, run.serial), []).append(run.value)
@@ -106,21 +96,17 @@ def chart_json(chart: ControlChart) -> dict[str, object]:
 
 def yields_json(found: Yields) -> dict[str, object]:
     """Return yields as JSON values."""
-    return {
-        **{name: share_json(share) for name, share in named_shares(found)},
-        "reasons": {kind(why): count for why, count in found.reasons},
+    shares = {
+        name: {"count": share.count, "of": share.of, "value": share.value, "interval": list(share.interval)}
+        for name, share in named_shares(found)
     }
+    return {**shares, "reasons": {kind(why): count for why, count in found.reasons}}
 
 
 def named_shares(found: Yields) -> list[tuple[str, Share]]:
     """Return the shares under the names of a report."""
     names = ("first_pass", "second_pass", "last_pass", "runs")
     return [(name, getattr(found, name)) for name in names]
-
-
-def share_json(share: Share) -> dict[str, object]:
-    """Return a share as JSON values."""
-    return {"count": share.count, "of": share.of, "value": share.value, "interval": list(share.interval)}
 
 
 def _rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:

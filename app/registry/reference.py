@@ -1,12 +1,11 @@
-"""What the source of a lot was compared with: stated once, kept in the audit trail, completed from the registry."""
+"""What the source of a lot was compared with: stated once, completed from the registry."""
 
-import json
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import Any
 
 import numpy as np
 
+from softcal.app.registry.stated import state, stated
 from softcal.core.recording import LabelledRecording
 from softcal.core.unit.budget import Reference
 from softcal.core.unit.method import DecisionConfig
@@ -16,62 +15,48 @@ ENTITY = "lot_reference"
 
 
 def state_reference(
-    registry: Registry, lot_id: str, stated: Reference | None, source: LabelledRecording, actor: str | None = None
+    registry: Registry, lot_id: str, reference: Reference | None, source: LabelledRecording, actor: str | None = None
 ) -> Reference | None:
     """Keep what is stated of a lot's reference, and return what is in force for its units.
 
     Args:
         source: what was recorded with it: at its RMS load the reference's U counts against the limit.
-        stated: None where nothing is stated; what was stated before stays in force then. A reference that only names
-            its instrument gets the certificate that the registry has of it on the day of use, else the newest one.
+        reference: None where nothing is stated; what was stated before stays in force then. One that only names its
+            instrument gets the certificate that the registry has of it on the day of use, else the newest one.
     """
-    if stated is None:
+    if reference is None:
         return lot_reference(registry, lot_id)
-    found = stated if stated.is_simulated else _completed(registry, lot_id, stated)
+    found = reference if reference.is_simulated else _completed(registry, lot_id, reference)
     facts = {"reference": found.to_json(), "source_rms": float(np.sqrt(np.mean(source.reference**2)))}
-    if facts != _stated(registry, lot_id):
-        registry.trail.add("state", ENTITY, (lot_id,), facts, actor=actor)
+    state(registry, ENTITY, (lot_id,), facts, actor=actor)
     return found
 
 
 def lot_reference(registry: Registry, lot_id: str) -> Reference | None:
     """Return what was stated last; None where nobody said."""
-    stated = _stated(registry, lot_id)
-    return None if stated is None else Reference.of(stated["reference"])
+    facts = stated(registry, ENTITY, (lot_id,))
+    return None if facts is None else Reference.of(facts["reference"])
 
 
 def reference_expanded(registry: Registry, lot_id: str) -> float:
-    """Return U of a lot's reference as it counts against the limit, in the reference unit; 0 where nobody stated it."""
-    stated = _stated(registry, lot_id)
-    if stated is None:
+    """Return U of a lot's reference, in the reference unit; 0 where nobody stated it."""
+    facts = stated(registry, ENTITY, (lot_id,))
+    if facts is None:
         return 0.0
-    return Reference.of(stated["reference"]).expanded(stated["source_rms"], DecisionConfig().coverage_factor)
+    return Reference.of(facts["reference"]).expanded(facts["source_rms"], DecisionConfig().coverage_factor)
 
 
-def _stated(registry: Registry, lot_id: str) -> dict[str, Any] | None:
-    told = registry.trail.of(ENTITY, (lot_id,))
-    facts: dict[str, Any] | None = json.loads(told[-1].after or "{}") if told else None
-    return facts
-
-
-def _completed(registry: Registry, lot_id: str, stated: Reference) -> Reference:
-    if stated.used_on is None:
+def _completed(registry: Registry, lot_id: str, given: Reference) -> Reference:
+    if given.used_on is None:
         sources = registry.recordings.of_lot(lot_id, kind="source")
         used_at = sources[-1].added_at if sources else datetime.now(UTC)
-        stated = replace(stated, used_on=used_at.astimezone().date())
-    if stated.certificate or not stated.cell or stated.used_on is None:
-        return stated
-    known = registry.stations.certificate(stated.cell, stated.used_on) or next(
-        reversed(registry.stations.certificates(stated.cell)), None
+        given = replace(given, used_on=used_at.astimezone().date())
+    if given.certificate or not given.cell or given.used_on is None:
+        return given
+    known = registry.stations.certificate(given.cell, given.used_on) or next(
+        reversed(registry.stations.certificates(given.cell)), None
     )
     if known is None:
-        return stated
-    return replace(
-        stated,
-        certificate=known.number,
-        laboratory=known.laboratory,
-        issued_on=known.issued_on,
-        due_on=known.due_on,
-        uncertainty=known.uncertainty_N,
-        capacity=known.capacity_N,
-    )
+        return given
+    facts = {name: getattr(known, name) for name in ("laboratory", "issued_on", "due_on")}
+    return replace(given, certificate=known.number, uncertainty=known.uncertainty_N, capacity=known.capacity_N, **facts)

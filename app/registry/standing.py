@@ -1,4 +1,4 @@
-"""How a unit stands: a refusal may be newer than the calibration in use, and then the unit has no map to give out.
+"""How a unit stands: a refusal newer than its calibration leaves it no map to give out.
 
 Whoever gives out files, warns at use or shows a verdict asks here, so that all of them say the same word.
 """
@@ -11,18 +11,14 @@ from softcal.db.registry import Registry
 
 
 def standing_of(registry: Registry, stored: StoredCalibration) -> UnitStanding:
-    """Return how the unit of a calibration stands now; without `made`, its newest result is no calibration."""
+    """Return how the unit of a calibration stands now; `made` is None after a refusal."""
     found = registry.pages.standings(stored.lot_id, [stored.serial]).get(stored.serial)
     nothing = UnitStanding(stored.serial, UNDECIDED, (plain("none of its calibrations is in use"),), stored.made_at)
     return nothing if found is None else found
 
 
 def caution(registry: Registry, stored: StoredCalibration, action: str) -> str:
-    """Return the warning, and record the use; empty where the calibration passed and the unit still does.
-
-    Args:
-        action: what is done with it, for example `estimate`.
-    """
+    """Return the warning, and record the use; empty where the unit passed and still does."""
     standing = standing_of(registry, stored)
     # An older calibration that passed is cautioned against where the unit does not pass any more.
     is_bad = standing.made is not None and stored.record.verdict != Verdict.PASS

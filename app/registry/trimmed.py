@@ -1,4 +1,4 @@
-"""Trims of a unit: the calibration a trim began from, the one it makes, and the same loads behind a new fit.
+"""Trims of a unit: what a trim began from, what it makes, and its loads behind a new fit.
 
 A trim is a measured fact of its unit. Whoever calibrates the recording again, its loads go behind the new map, or the
 unit says why they do not.
@@ -9,9 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
-from softcal.app.registry.known_loads import values
+from softcal.app.registry.known_loads import loads_of, values
 from softcal.app.registry.limit import lot_limit
 from softcal.app.registry.lot_recordings import audit_of, newest_audits, source_recording, unlabelled
 from softcal.core.errors import InputError
@@ -30,7 +28,7 @@ from softcal.db.entries import StoredCalibration
 from softcal.db.registry import Registry
 
 LOADS = "loads"
-"""Group of a calibration's settings that keeps the known loads it was trimmed by, and what they were read after."""
+"""Group of a calibration's settings: the loads it was trimmed by, and after what."""
 
 UNTRIMMED = "untrimmed_revision"
 """Number among a trimmed calibration's evidence: the revision it was made from."""
@@ -67,7 +65,7 @@ def is_trimmed_by(record: CalibrationRecord, loads: Anchors) -> bool:
 
 
 def untrimmed(registry: Registry, stored: StoredCalibration) -> StoredCalibration:
-    """Return the calibration behind trims, and behind what audits of other units said: a new trim replaces them.
+    """Return the calibration behind trims and others' audits: a new trim replaces them.
 
     Those audits are asked again what the trimmed one is worth; what trims do not settle does not add up.
     """
@@ -79,7 +77,7 @@ def untrimmed(registry: Registry, stored: StoredCalibration) -> StoredCalibratio
 
 
 def keep_trim(registry: Registry, stored: StoredCalibration, loads: Anchors, actor: str | None = None) -> Trimmed:
-    """Trim a calibration that is in use by known loads, and put the result into use as the next revision.
+    """Trim a calibration in use by known loads, and put the result into use.
 
     Raises:
         InputError: the loads cannot be of this unit; nothing was changed.
@@ -91,7 +89,7 @@ def keep_trim(registry: Registry, stored: StoredCalibration, loads: Anchors, act
 
 @contextmanager
 def trim_kept(registry: Registry, lot_id: str, serial: str, actor: str | None = None) -> Iterator[None]:
-    """Keep the trim of a unit while another calibration of it is put into use: both at once, or neither."""
+    """Keep the trim of a unit while another calibration comes into use: both, or neither."""
     known = _known_trim(registry, lot_id, serial)
     with registry.transaction():
         yield
@@ -111,15 +109,14 @@ def _known_trim(registry: Registry, lot_id: str, serial: str) -> KnownTrim | Non
     kept: Mapping[str, Any] | None = stored.record.settings.get(LOADS)  # type: ignore[assignment]
     if kept is None:
         return None
-    loads = Anchors(np.array(kept["output"], np.float64), np.array(kept["reference"], np.float64))
     # Older versions kept the loads alone.
     before = untrimmed(registry, stored).record.audit
     audit = "" if before is None else before.recording_sha256
-    return KnownTrim(loads, kept.get("recording", stored.record.recording_sha256), kept.get("audit", audit))
+    return KnownTrim(loads_of(kept), kept.get("recording", stored.record.recording_sha256), kept.get("audit", audit))
 
 
 def _carry(registry: Registry, stored: StoredCalibration, known: KnownTrim, actor: str | None) -> None:
-    """Put a trim behind the map that a new fit put into use, or say with the unit why it is left out.
+    """Put a trim behind the map of a new fit, or say with the unit why it is left out.
 
     The loads of another recording are left out: they say how the unit was when that one was made. So are loads that
     the new map cannot take.
@@ -140,13 +137,9 @@ def _carry(registry: Registry, stored: StoredCalibration, known: KnownTrim, acto
 def _trimmed(registry: Registry, stored: StoredCalibration, known: KnownTrim, why: str, actor: str | None) -> Trimmed:
     base = untrimmed(registry, stored)
     record = base.record
-    f, recording = (
-        registry.networks.get(record.network_id),
-        unlabelled(registry.recordings.get(record.recording_sha256)),
-    )
-    problem = FitProblem(
-        source_recording(registry, record.network_id), f, recording, config=(record.method or Method()).map
-    )
+    f, source = registry.networks.get(record.network_id), source_recording(registry, record.network_id)
+    recording = unlabelled(registry.recordings.get(record.recording_sha256))
+    problem = FitProblem(source, f, recording, config=(record.method or Method()).map)
     before = Calibration.from_record(record)
     found = trim(problem, before.unit_map, before.interval, known.loads, UseMethod().trim)
     # What the trim leaves open, whichever way the load moves.
@@ -206,12 +199,7 @@ def _trimless(reasons: Iterable[Reason]) -> tuple[Reason, ...]:
 def _record(
     base: StoredCalibration, before: CalibrationRecord, found: Trimmed, wider: Interval, known: KnownTrim
 ) -> CalibrationRecord:
-    """Return the calibration with the trimmed map. What was measured or sampled was so with the map before.
-
-    Args:
-        base: the trim begins from it.
-        before: what was in use, by which the unit was judged last.
-    """
+    """Return the calibration with the trimmed map. What was measured was so before it."""
     record, decision = base.record, _decided(before.decision, found, known.loads)
     grounds = before.grounds
     if grounds is not None:

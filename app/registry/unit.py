@@ -67,7 +67,7 @@ def unit_in_use(registry: Registry, serial: str, revision: int | None = None, lo
 
 
 def _register_source(registry: Registry, serial: str, lot_id: str | None) -> None:
-    """Give the source of a lot its calibration: f itself, the identity map, the interval of f on its recording."""
+    """Give the source of a lot its calibration: f itself with the identity map."""
     lots = [lot for lot in registry.lots.all() if lot.source == serial and lot_id in (None, lot.id)]
     sources = {entry.sha256: lot.id for lot in lots for entry in registry.recordings.of_lot(lot.id, serial, "source")}
     trained = [entry for entry in registry.networks.all() if entry.training.get("source_recording_sha256") in sources]

@@ -1,1 +1,1 @@
-"""A calibrated unit in use: estimates over a file or a live stream, and the map that follows the drift."""
+"""A calibrated unit in use: estimates over a file or a stream, the map following the drift."""

@@ -1,4 +1,4 @@
-"""Long-term use of one unit: estimates over a stream while its map follows the drift, every step in the registry."""
+"""Long-term use of one unit: estimates while its map follows the drift, all in the registry."""
 
 import hashlib
 from collections import Counter
@@ -29,6 +29,9 @@ from softcal.db.registry import Registry
 MAPS_S = 2.0
 """Most seconds of a live stream whose maps a crash can lose."""
 
+STATE_S = 60.0
+"""Seconds of a live stream between two states to resume from."""
+
 FILE_MAPS_ROWS = 100_000
 """Rows of a file between two writes of its maps; its state is kept at its end only."""
 
@@ -42,7 +45,6 @@ class AdaptOptions:
         revision: calibration to start from; None for the one in use.
         stream: name under which the registry keeps the course; None makes one from the file's content.
         resume: go on from the last state of the stream in the registry.
-        checkpoint_s: seconds of a live stream between two states to resume from.
         lot_id: lot of the unit; needed where its serial stands in several.
     """
 
@@ -50,7 +52,6 @@ class AdaptOptions:
     revision: int | None = None
     stream: str | None = None
     resume: bool = False
-    checkpoint_s: float = 60.0
     lot_id: str | None = None
 
 
@@ -82,16 +83,8 @@ class AdaptReport:
     trace: Trace = field(default_factory=Trace)
 
 
-def _follower_of(registry: Registry, unit: UnitInUse, config: AdaptConfig, pool: Executor | None) -> Batches:
-    """Return what follows the unit in the mode that was chosen."""
-    known = (unit.network, unit.calibration, unit.recording)
-    if config.mode not in QUEUES:
-        return Adapter(*known, config)
-    return QueuedTransport(*known, source_recording(registry, unit.network.id), config, pool)
-
-
 class Follower:
-    """Follows one stream of one unit and keeps every map and the state to resume from in the registry.
+    """Follows one stream of one unit and keeps maps and state in the registry.
 
     Args:
         keeper: writes to the registry while estimates go on; None writes at once.
@@ -113,7 +106,12 @@ class Follower:
         serial = unit.calibration.serial
         self._registry, self._keeper = registry, keeper
         self._writing: Future[int] | None = None
-        self._adapter = _follower_of(registry, unit, options.config, keeper)
+        known = (unit.network, unit.calibration, unit.recording)
+        self._adapter: Batches = (
+            QueuedTransport(*known, source_recording(registry, unit.network.id), options.config, keeper)
+            if options.config.mode in QUEUES
+            else Adapter(*known, options.config)
+        )
         newest = registry.adaptations.last(serial, unit.revision, stream)
         # The same rows again give the same steps; those that are kept already stay as they are.
         self._kept_until = -1 if newest is None else int(newest["sample"])
@@ -125,7 +123,11 @@ class Follower:
         # A file that was broken off is begun again, and so is one whose content names its stream.
         has_begun = last is not None and options.stream is not None if is_repeatable else newest is not None
         if options.resume and last is not None:
-            changed = self._restore(stream, last["state"])
+            try:
+                changed = self._adapter.restore(last["state"])
+            except InputError as error:
+                begin = "begin again from the calibration with another --stream NAME"
+                raise InputError(f"stream {stream!r} cannot be gone on with: {error}; {begin}") from error
             self._began = last.get("began")
         elif not options.resume and has_begun:
             raise InputError(f"stream {stream!r} has begun already; go on with --resume, or give --stream another name")
@@ -133,31 +135,17 @@ class Follower:
             self._state_until = int(last["sample"])
         self._pending: list[MapUpdate] = []
         rate_Hz = unit.recording.sample_rate_Hz
-        self._maps_rows, self._state_rows = (max(1, round(s * rate_Hz)) for s in (MAPS_S, options.checkpoint_s))
+        self._maps_rows, self._state_rows = (max(1, round(s * rate_Hz)) for s in (MAPS_S, STATE_S))
         self._since_maps = self._since_state = 0
-        self.report = AdaptReport(
-            serial,
-            unit.revision,
-            stream,
-            options.config.mode,
-            self._adapter.current,
-            unit.lot,
-            options.config.method,
-            changed,
-        )
+        config = options.config
+        place = (serial, unit.revision, stream, config.mode, self._adapter.current, unit.lot, config.method)
+        self.report = AdaptReport(*place, changed)
         # Written once: from then on the newest step of the stream names the new method.
         self._note_change = bool(changed) and newest is not None and newest.get("method") != self._method_id
 
-    def _restore(self, stream: str, state: Mapping[str, Any]) -> list[str]:
-        try:
-            return self._adapter.restore(state)
-        except InputError as error:
-            begin = "begin again from the calibration with another --stream NAME"
-            raise InputError(f"stream {stream!r} cannot be gone on with: {error}; {begin}") from error
-
     @property
     def rows_since_begin(self) -> int | None:
-        """Rows the state to go on from has taken of the input now open; None where it has taken of others too."""
+        """Rows of the input now open in the state to go on from; None where it has others."""
         return None if self._began is None else self._adapter.row - self._began
 
     def reconnect(self) -> None:
@@ -166,7 +154,7 @@ class Follower:
         self._adapter.reconnect(self._kept_until + 1)
 
     def begin_file(self) -> None:
-        """Go on with the first row of another file; one that was broken off before gives the same steps again."""
+        """Go on with the first row of another file; one broken off gives the same steps again."""
         self._adapter.reconnect()
 
     def advance(self, t_s: Array, output: Array) -> Estimate:
@@ -184,7 +172,7 @@ class Follower:
         return rows
 
     def keep(self) -> None:
-        """Keep the maps, and now and then the state, of rows whose estimates are written; never waits for a write."""
+        """Keep maps, and now and then the state, of rows that are written; never waits."""
         if self._writing is not None and not self._writing.done():
             return
         if self._since_state >= self._state_rows:
@@ -246,12 +234,9 @@ def adapt_file(
     on_rows: Callable[[int], None] = lambda rows: None,
     names: ColumnNames = PLAIN,
 ) -> AdaptReport:
-    """Follow a recorded stream: `t_s, output` of `source` in, `t_s, estimate, lower, upper, flag` to `target`.
+    """Follow a recorded stream: `t_s, output` of `source` in, estimates to `target`.
 
     A row of the result depends on no later row of `source`; `target` appears whole or not at all.
-
-    Args:
-        names: of the columns of `source`, where they are called otherwise.
 
     Raises:
         InputError: `source` cannot be read or fills no queue, the registry does not know the serial, or a stream is to
@@ -273,18 +258,15 @@ def adapt_file(
                 follower.keep_maps()
                 kept = follower.report.rows
         if options.config.mode in QUEUES and not options.resume:
-            _check_queue(source, options.config.method.online.queue, follower.report.rows)
+            rows, queue = follower.report.rows, options.config.method.online.queue
+            # A queue that a whole recording cannot fill would never find its map.
+            if rows < (needed := queue + TAPS - 1):
+                raise InputError(
+                    f"{source}: a queue of {queue} windows needs {needed} rows, the recording has {rows}; "
+                    "give a shorter --queue, or another --mode"
+                )
     follower.checkpoint()
     return follower.report
-
-
-def _check_queue(source: Path, queue: int, rows: int) -> None:
-    """Refuse a queue that a whole recording cannot fill: its map would never be found."""
-    if rows < (needed := queue + TAPS - 1):
-        raise InputError(
-            f"{source}: a queue of {queue} windows needs {needed} rows, the recording has {rows}; "
-            "give a shorter --queue, or another --mode"
-        )
 
 
 def _stream_of(source: Path, mode: str, names: ColumnNames) -> str:
@@ -298,11 +280,7 @@ def _stream_of(source: Path, mode: str, names: ColumnNames) -> str:
 
 
 def report_json(report: AdaptReport, course: list[Mapping[str, Any]]) -> dict[str, object]:
-    """Return the report as the JSON of `softcal adapt --json` (schema `softcal.adapt/1`).
-
-    Args:
-        course: the steps of the stream as the registry keeps them.
-    """
+    """Return the report as the JSON of `softcal adapt --json` (schema `softcal.adapt/1`)."""
     return {
         "schema": "softcal.adapt/1",
         "serial": report.serial,
@@ -320,12 +298,12 @@ def report_json(report: AdaptReport, course: list[Mapping[str, Any]]) -> dict[st
 
 
 def maps_of(course: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Return the steps of a course that changed the map or what is said of it, without the checkpoints."""
+    """Return the steps of a course that changed something, without the checkpoints."""
     return [step for step in course if step["event"] != "checkpoint"]
 
 
 def write_figure(registry: Registry, path: Path, report: AdaptReport, maps: list[Mapping[str, Any]]) -> None:
-    """Write drift, map, estimate and predicted error over time as one page that needs no network."""
+    """Write drift, map, estimate and predicted error over time as one page."""
     lot = report.lot
     title = f"{report.serial}, stream {report.stream}"
     figure = adaptation_figure(title, report.trace, maps, lot.output_unit, lot.reference_unit)

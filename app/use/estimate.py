@@ -17,27 +17,10 @@ def estimate_file(
     lot_id: str | None = None,
     names: ColumnNames = PLAIN,
 ) -> Estimate:
-    """Read `t_s, output` of `source`, write `t_s, estimate, lower, upper, flag` to `target`, whole or not at all.
-
-    Args:
-        names: of the columns of `source`, where they are called otherwise.
-    """
+    """Read `t_s, output` of `source`, write `t_s, estimate, lower, upper, flag` to `target`, whole or not at all."""
     lot, network, calibration = calibrated_unit(registry, serial, revision, lot_id)
     recording = read_recording(source, serial, lot.sample_rate_Hz, lot.output_unit, names=names)
     result = estimate(network, calibration, recording)
-    write_estimate(target, result)
+    numbers = [(name, getattr(result, name)) for name in ("t_s", "estimate", "lower", "upper")]
+    write_columns(target, [*numbers, ("flag", result.flag.tolist())])
     return result
-
-
-def write_estimate(target: Path, result: Estimate) -> None:
-    """Write an estimate as CSV or Parquet; rows without a full window stay empty."""
-    write_columns(
-        target,
-        [
-            ("t_s", result.t_s),
-            ("estimate", result.estimate),
-            ("lower", result.lower),
-            ("upper", result.upper),
-            ("flag", result.flag.tolist()),
-        ],
-    )

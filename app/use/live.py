@@ -1,4 +1,4 @@
-"""The live form of long-term adaptation: samples come, estimates go, the map follows, the registry keeps the course."""
+"""The live form of long-term adaptation: samples come, estimates go, the registry keeps all."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -22,30 +22,14 @@ from softcal.db.registry import Registry
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from softcal.app.use.adapt import AdaptReport
-
 WIDTH = 48
 """Characters of the bar over the range of the source's reference."""
 
-Show = Callable[[Estimate, "AdaptReport"], None]
-
-
-@contextmanager
-def terminal_view(title: str, low: float, high: float, unit: str) -> Iterator[Show]:
-    """Give a function that shows rows and the state of the map, at most eight times a second.
-
-    Args:
-        low, high: range of the bar, in `unit`.
-    """
-    from rich.console import Console
-    from rich.live import Live
-
-    with Live(console=Console(stderr=True), refresh_per_second=8, transient=False) as live:
-        yield lambda rows, report: live.update(_table(title, rows, report, (low, high), unit))
+Show = Callable[[Estimate, AdaptReport], None]
 
 
 def bar(value: float, lower: float, upper: float, span: tuple[float, float]) -> str:
-    """Return a line with the interval as dashes and the estimate as a block; blank without an estimate."""
+    """Return a line with the interval as dashes and the estimate as a block."""
     if not value == value:
         return " " * WIDTH
     low, high = span
@@ -55,7 +39,7 @@ def bar(value: float, lower: float, upper: float, span: tuple[float, float]) -> 
     return "".join(cells)
 
 
-def _table(title: str, rows: Estimate, report: "AdaptReport", span: tuple[float, float], unit: str) -> "Table":
+def _table(title: str, rows: Estimate, report: AdaptReport, span: tuple[float, float], unit: str) -> "Table":
     from rich.table import Table
 
     value, lower, upper = (float(column[-1]) for column in (rows.estimate, rows.lower, rows.upper))
@@ -92,7 +76,7 @@ class LiveOptions:
 
 
 def adapt_live(registry: Registry, serial: str, live: LiveOptions, options: AdaptOptions) -> AdaptReport:
-    """Follow a live stream until it ends; whatever ends it, the state to resume from is in the registry.
+    """Follow a live stream until it ends; whatever ends it, the state is in the registry.
 
     Raises:
         InputError: source, target or serial cannot be used.
@@ -128,11 +112,7 @@ def _all_new(samples: Samples) -> Pieces:
 
 
 def _gone_on(follower: Follower, samples: Samples, held: Written) -> Pieces:
-    """Go on with a stream: a log that is sent again from its start where it was broken off, else with what comes now.
-
-    Raises:
-        InputError: the log is sent again, but how much of it is estimated cannot be told.
-    """
+    """Go on with a stream: a log sent again from where it broke off, else with what comes."""
     first = next(samples, None)
     if first is None:
         return
@@ -155,7 +135,7 @@ def _gone_on(follower: Follower, samples: Samples, held: Written) -> Pieces:
 
 @contextmanager
 def _kept(follower: Follower) -> Iterator[Follower]:
-    """Keep the state of a follower however the block ends. Ctrl-C is the usual way to end a stream."""
+    """Keep a follower's state however the block ends; Ctrl-C is the usual way."""
     try:
         yield follower
     except KeyboardInterrupt:
@@ -167,16 +147,20 @@ def _kept(follower: Follower) -> Iterator[Follower]:
 
 @contextmanager
 def _view(unit: UnitInUse, has_view: bool) -> Iterator[Show]:
+    """Give what shows rows and map in the terminal, at most eight times a second."""
     if not has_view:
         yield lambda rows, report: None
         return
-    interval = unit.calibration.interval
-    with terminal_view(f"unit {unit.calibration.serial}", interval.low, interval.high, unit.lot.reference_unit) as show:
-        yield show
+    from rich.console import Console
+    from rich.live import Live
+
+    title, span = f"unit {unit.calibration.serial}", (unit.calibration.interval.low, unit.calibration.interval.high)
+    with Live(console=Console(stderr=True), refresh_per_second=8, transient=False) as live:
+        yield lambda rows, report: live.update(_table(title, rows, report, span, unit.lot.reference_unit))
 
 
 def _limited(samples: Samples, duration_s: float | None) -> Samples:
-    """Yield the pieces that hold samples, for so much time of the stream, or of the clock while it gives none."""
+    """Yield the pieces with samples, for so much time of the stream, or of the clock."""
     first_s: float | None = None
     start_s = time.monotonic()
     for piece in samples:

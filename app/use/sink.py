@@ -1,4 +1,4 @@
-"""Where live estimates go, line by line: a new file, standard output, or a socket that may come and go."""
+"""Where live estimates go, line by line: a file, standard output, or a socket."""
 
 import socket
 import sys
@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TextIO
 from urllib.parse import urlsplit
 
 from softcal.app.output import say
@@ -27,14 +27,14 @@ class Sink(Protocol):
 
 @dataclass(frozen=True)
 class Written:
-    """What stands in a target already: so many rows, the first of this time as it was written; "" without one."""
+    """What stands in a target already: so many rows, the first of this time; "" without one."""
 
     rows: int = 0
     first_t_s: str = ""
 
 
 def written(target: str) -> Written:
-    """Return what a file to go on with holds, after cutting off a last line that a crash left unfinished.
+    """Return what a file to go on with holds, without a line that was left unfinished.
 
     Raises:
         InputError: the file holds no estimates.
@@ -58,16 +58,9 @@ def written(target: str) -> Written:
 
 def lines_of(rows: Estimate) -> str:
     """Return rows as CSV lines; what is not a number stays empty."""
-    columns = zip(
-        rows.t_s.tolist(),
-        rows.estimate.tolist(),
-        rows.lower.tolist(),
-        rows.upper.tolist(),
-        rows.flag.tolist(),
-        strict=True,
-    )
+    numbers = zip(*(column.tolist() for column in (rows.t_s, rows.estimate, rows.lower, rows.upper)), strict=True)
     return "".join(
-        f"{cell(t_s)},{cell(value)},{cell(lower)},{cell(upper)},{flag}\n" for t_s, value, lower, upper, flag in columns
+        f"{','.join(map(cell, row))},{flag}\n" for row, flag in zip(numbers, rows.flag.tolist(), strict=True)
     )
 
 
@@ -97,14 +90,8 @@ def open_sink(target: str, append: bool) -> Iterator[Sink]:
             yield file
 
 
-class _File(Protocol):
-    def write(self, text: str, /) -> int: ...
-
-    def flush(self) -> None: ...
-
-
 class _Flushed:
-    def __init__(self, file: _File) -> None:
+    def __init__(self, file: TextIO) -> None:
         self._file = file
 
     def write(self, lines: str) -> None:
@@ -130,7 +117,7 @@ def _open_file(path: Path, append: bool) -> Iterator[Sink]:
 
 
 class _Listener:
-    """A socket somebody listens at; while nobody does, rows are lost and counted, and the sensor goes on."""
+    """A socket somebody listens at; while nobody does, rows are lost and counted."""
 
     def __init__(self, target: str) -> None:
         parts = urlsplit(target)

@@ -1,4 +1,4 @@
-"""Where live samples come from: a sensor readout on a serial port, a simulated one, or lines on standard input."""
+"""Where live samples come from: a sensor readout, a simulated one, or standard input."""
 
 import sys
 import threading
@@ -47,7 +47,9 @@ def open_source(source: str, station_file: Path | None, output_unit: str) -> Ite
         yield lines_of(sys.stdin)
         return
     if source.startswith("serial:"):
-        config = _readout_config(source.removeprefix("serial:"), station_file)
+        port = source.removeprefix("serial:")
+        config = ReadoutConfig(port) if station_file is None else read_station_file(station_file).readout
+        config = replace(config, port=port or config.port)
         clock = HostClock()
         with closing(replugged(lambda: _open_readout(config, clock, output_unit), clock)) as samples:
             # The first step opens the port: one that is not there is refused before anything is written.
@@ -60,11 +62,6 @@ def open_source(source: str, station_file: Path | None, output_unit: str) -> Ite
         yield _pressed(bench.stage, bench.readout, bench.clock, bench.config.fixture.approach_mm)
 
 
-def _readout_config(port: str, station_file: Path | None) -> ReadoutConfig:
-    config = ReadoutConfig(port) if station_file is None else read_station_file(station_file).readout
-    return replace(config, port=port or config.port)
-
-
 def _open_readout(config: ReadoutConfig, clock: Clock, output_unit: str) -> Readout:
     readout = open_readout(config, clock)
     if readout.unit != output_unit:
@@ -74,7 +71,7 @@ def _open_readout(config: ReadoutConfig, clock: Clock, output_unit: str) -> Read
 
 
 def replugged(open_readout: Callable[[], Readout], clock: Clock) -> Generator[list[Sample], None, None]:
-    """Yield what a readout sends, first nothing; when it goes in mid-stream, wait for it to come back.
+    """Yield what a readout sends, first nothing; when it goes, wait for it to come back.
 
     Raises:
         NoReply: it is not there at the start, or was away for `AWAY_S`.
@@ -164,7 +161,7 @@ def _pressed(stage: Stage, readout: Readout, clock: Clock, free_mm: float) -> Sa
 
 
 def lines_of(file: IO[str]) -> Samples:
-    """Yield `t_s,output` lines as they come, until the end; a line that cannot be read is a sample of NaN.
+    """Yield `t_s,output` lines as they come; a line that cannot be read is NaN.
 
     Other columns are skipped by a header; without one the first two columns are taken.
     """

@@ -1,4 +1,4 @@
-"""Trim a registered unit by known loads at its place of use: a new revision of its calibration, or nothing."""
+"""Trim a registered unit by known loads at its place of use: a new revision, or nothing."""
 
 from pathlib import Path
 
@@ -9,34 +9,25 @@ from softcal.core.use.trim import Trimmed
 from softcal.db.registry import Registry
 
 
-def trim_unit(
-    registry: Registry, serial: str, loads_file: Path, lot_id: str | None = None, actor: str | None = None
-) -> tuple[Trimmed, int]:
-    """Re-anchor a unit's map by the loads of a file, and keep it as its next revision.
+def trim_unit(registry: Registry, serial: str, loads_file: Path, lot_id: str | None = None) -> tuple[Trimmed, int]:
+    """Re-anchor a unit's map by loads of a file; return the trim and the new revision.
 
     Args:
         loads_file: table with the columns output, reference; a row a load; a column serial names this unit.
-        lot_id: lot of the unit; needed where the serial stands in several.
-
-    Returns:
-        What the trim found, and the new revision.
 
     Raises:
         InputError: the loads cannot be of this unit, or the unit is not in the registry; nothing was changed.
     """
     stored = registry.calibrations.get(serial, lot_id=lot_id)
-    found = keep_trim(registry, stored, read_anchors(loads_file, [serial])[serial], actor)
-    judge_again(registry, [stored.lot_id], actor)
+    found = keep_trim(registry, stored, read_anchors(loads_file, [serial])[serial])
+    judge_again(registry, [stored.lot_id])
     return found, registry.calibrations.get(serial, lot_id=stored.lot_id).revision
 
 
 def trimmed_by(registry: Registry, serial: str, loads_file: Path, lot_id: str | None = None) -> int:
-    """Return the revision of a unit that known loads made, trimming it only where they have not done so yet.
+    """Return the revision that known loads made, trimming only where they have not yet.
 
     A stream that is followed again from its start is then followed from the same map.
-
-    Raises:
-        InputError: as `trim_unit`.
     """
     stored = registry.calibrations.get(serial, lot_id=lot_id)
     if is_trimmed_by(stored.record, read_anchors(loads_file, [serial])[serial]):

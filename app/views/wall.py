@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
+from softcal.app.bootstrap import is_alive
 from softcal.app.line.facts import state_of
-from softcal.app.line.place import is_alive
 from softcal.app.texts.reasons import Words
 from softcal.app.views.alerts import Alert
 from softcal.app.views.common import number, percent

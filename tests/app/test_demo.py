@@ -5,9 +5,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from softcal.app.batch.lot_work import BatchConfig, Watch
+from softcal.app.batch.batch import run_batch
+from softcal.app.batch.lot_work import BatchConfig
 from softcal.app.cli.main import main
-from softcal.app.line.demo import TABLE_HEADER, DemoConfig, press_demo_lot, run_demo, table_row
+from softcal.app.line.demo import TABLE_HEADER, DemoConfig, press_demo_lot, table_row
 from softcal.app.line.rig import PressTimes
 from softcal.core.network.config import NetworkConfig
 from softcal.db.connection import open_registry
@@ -28,7 +29,7 @@ def test_a_pressed_unit_comes_out_better_than_it_went_in(tmp_path: Path) -> None
     assert list(source.columns) == ["t_s", "output", "reference", "stage_mm"]
     assert list(unit.columns) == ["t_s", "output", "stage_mm"]
     with open_registry(f"sqlite:///{tmp_path / 'registry.db'}") as registry:
-        (result,) = run_demo(SMALL, folder, registry, Watch()).units
+        (result,) = run_batch(folder, registry, SMALL.batch).units
         assert registry.verify() == []
     row = dict(zip(TABLE_HEADER, table_row(result), strict=True))
     assert row["after [N]"] < 0.5 * row["before [N]"]

@@ -1,12 +1,11 @@
 """`softcal gap challenge`, `ask` and `score` on disk."""
 
-import argparse
 import json
 from pathlib import Path
 
 import pytest
 
-from softcal.app.cli.gap_challenge import add_parsers
+from softcal.app.cli.main import command_parser
 from softcal.app.files.lot_folder import open_lot_folder
 from softcal.app.gap.challenge import ask_rig, make_challenge, open_challenge, press_rig_lot, score_challenge
 from softcal.core.errors import InputError
@@ -19,10 +18,8 @@ def made(tmp_path: Path) -> tuple[Path, Path]:
 
 
 def run(*words: object) -> int:
-    parser = argparse.ArgumentParser()
-    add_parsers(parser.add_subparsers())
-    options = parser.parse_args([str(word) for word in words])
-    return int(options.run(options))
+    options = command_parser(["gap"]).parse_args(["gap", *map(str, words)])
+    return int(options.run(options) or 0)
 
 
 def write_reports(folder: Path, names: list[str], verdict: str = "no_gap") -> Path:

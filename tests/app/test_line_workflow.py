@@ -10,10 +10,10 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
+from softcal.app.bootstrap import is_alive
 from softcal.app.line import line as line_module
 from softcal.app.line.facts import Screen, read_line
 from softcal.app.line.line import order_stop, take_scan
-from softcal.app.line.place import is_alive
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState

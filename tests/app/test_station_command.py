@@ -35,7 +35,7 @@ def softcal():
 
     def call(*words: object) -> int:
         options = parser.parse_args(["station", *map(str, words)])
-        return int(options.run(options))
+        return int(options.run(options) or 0)
 
     return call
 

@@ -3,9 +3,10 @@
 import streamlit as st
 
 from softcal.app.batch.audit import LotAudit, draw_plan, lot_audit
-from softcal.app.batch.audit_files import AuditFile, look_at_audits, store_audits, target_serials
+from softcal.app.batch.audit_files import AuditFile, look_at_audits, store_audits
 from softcal.app.batch.judging import confirm
 from softcal.app.batch.release import lot_standing
+from softcal.app.registry.lot_recordings import target_serials
 from softcal.app.ui.account import actor, allows, permit
 from softcal.app.ui.actions import ask_reason, csv_of, download, role_allows, say_finished
 from softcal.app.ui.components.job_panel import awaits_calibration, begin_job

@@ -6,9 +6,9 @@ from typing import Any
 
 import streamlit as st
 
+from softcal.app.bootstrap import is_alive
 from softcal.app.line.facts import state_of
 from softcal.app.line.gate_facts import quarantine
-from softcal.app.line.place import is_alive
 from softcal.app.ui.account import allows
 from softcal.app.ui.actions import ask_reason
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
