@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from common.law_unit import ForceLaw
-from common.rig_trial import RigCase, open_rig
+from common.rig_trial import ForceLaw, RigCase, open_rig
 
 from softcal.core.profiles import Profile, ramps
 from softcal.core.simulated_lot import draw_twins

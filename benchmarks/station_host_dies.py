@@ -6,8 +6,7 @@ python benchmarks/station_host_dies.py [--quick]
 import argparse
 import itertools
 
-from common.law_unit import ForceLaw
-from common.rig_trial import RigCase, press_until_gone
+from common.rig_trial import ForceLaw, RigCase, press_until_gone
 
 from softcal.core.profiles import ramps
 from softcal.station.devices.config import UNKNOWN_S
