@@ -9,12 +9,10 @@ with other work the CPU time is the one to compare. `--kept` keeps lots, SQLite 
 batch is ended (Ctrl-C) after so many seconds, and the same command goes on where it was; `parts` says how often.
 """
 
-import argparse
 import json
 import os
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -23,28 +21,16 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from common.lots import make_lot
-from common.registries import fresh_url
+from common.command import parser_of
+from common.registries import DATABASES, SOFTCAL, fresh_url, make_lot
 from common.tables import print_table
 
-DATABASES, ENGINES, WORKERS = ("SQLite", "PostgreSQL"), ("local", "dask"), (1, 2)
+ENGINES, WORKERS = ("local", "dask"), (1, 2)
 CASES = tuple(f"{database}:{engine}:{jobs}" for database in DATABASES for engine in ENGINES for jobs in WORKERS)
 HEADER = (
-    "registry",
-    "engine",
-    "workers",
-    "units",
-    "parts",
-    "wall s",
-    "units/s",
-    "CPU s",
-    "MB command",
-    "MB worker",
-    "MB registry",
-    "wall ratio",
-    "CPU ratio",
+    "registry | engine | workers | units | parts | wall s | units/s | CPU s | MB command | MB worker | MB registry | "
+    "wall ratio | CPU ratio"
 )
-SOFTCAL = str(Path(sys.executable).with_name("softcal"))
 
 
 class Memory:
@@ -185,8 +171,7 @@ def measure(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="40 and 120 units, SQLite, one and two processes")
+    parser = parser_of(__doc__, "40 and 120 units, SQLite, one and two processes")
     parser.add_argument("--units", type=int, nargs="+", default=[1_000, 10_000])
     parser.add_argument("--case", nargs="+", default=list(CASES), metavar="DATABASE:ENGINE:WORKERS")
     parser.add_argument("--kept", type=Path, metavar="DIR", help="folder that keeps everything, for a run in parts")

@@ -15,8 +15,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from common.law_unit import ForceLaw
-from common.rig_trial import RigCase, RigOutcome, press
+from common.rig_trial import ForceLaw, RigCase, RigOutcome, press
 
 from softcal.core.profiles import ramps
 from softcal.station.devices.config import LATEST_S, UNKNOWN_S, FixtureConfig

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from common.law_unit import ForceLaw, LawUnit
+from common.rig_trial import ForceLaw, LawUnit
 
 from softcal.core.profiles import Profile, ramps, source_profile, unit_profile
 from softcal.core.twin.parameters import BaseParameters

@@ -3,11 +3,15 @@
 from collections.abc import Iterable
 
 
-def print_table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
-    """Print a Markdown table, each row as soon as it is known; numbers with four digits."""
-    head = list(head)
-    print("| " + " | ".join(head) + " |")
-    print("|" + "---|" * len(head), flush=True)
+def print_table(head: str | Iterable[str], rows: Iterable[Iterable[object]]) -> None:
+    """Print a Markdown table, each row as soon as it is known; numbers with four digits.
+
+    Args:
+        head: names of the columns, or all of them with ` | ` between.
+    """
+    names = head.split(" | ") if isinstance(head, str) else list(head)
+    print("| " + " | ".join(names) + " |")
+    print("|" + "---|" * len(names), flush=True)
     for row in rows:
         print("| " + " | ".join(f"{x:.4g}" if isinstance(x, float) else str(x) for x in row) + " |", flush=True)
     print()

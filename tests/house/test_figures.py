@@ -55,8 +55,12 @@ def _sections(page: str) -> Iterator[tuple[str, list[str]]]:
 
 
 def _named(text: str) -> list[str]:
-    named = set(re.findall(r"printed: (\w+)|benchmarks/(\w+)\.py|`softcal (demo)`", text))
-    return sorted({name for names in named for name in names if name in PRINTED})
+    """Return what is named: `benchmarks/registry.py list` printed registry_list, `benchmarks/gap.py --cases 5` gap."""
+    named = set(re.findall(r"printed: (\w+)|`softcal (demo)`", text))
+    names = {name for pair in named for name in pair}
+    for file, word in re.findall(r"benchmarks/(\w+)\.py(?: (?:--)?(\w+))?", text):
+        names.add(f"{file}_{word}" if f"{file}_{word}" in PRINTED else file)
+    return sorted(names & PRINTED.keys())
 
 
 def _numbers(text: str) -> set[str]:

@@ -18,8 +18,8 @@ NAMES = [fault.name for fault in FAULTS]
 def is_known(name: str) -> bool:
     if name.startswith("test_"):
         return name in TESTS
-    if name.endswith(".py"):
-        return (ROOT / name).is_file()
+    if ".py" in name:
+        return (ROOT / name.split()[0]).is_file()
     pattern = ".*".join(re.escape(part.strip()) for part in name.split("…"))
     return any(re.fullmatch(pattern, fault) for fault in NAMES)
 

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from common.law_unit import ForceLaw
-from common.rig_trial import RigCase, open_rig
+from common.rig_trial import ForceLaw, RigCase, open_rig
 
 from softcal.core.errors import BadReply
 from softcal.core.profiles import ramps

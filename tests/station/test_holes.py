@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from common.fault_trial import tells_truth
-from common.law_unit import ForceLaw, LawUnit
-from common.rig_trial import RigCase, open_rig, press, press_until_gone
+from common.rig_trial import ForceLaw, LawUnit, RigCase, open_rig, press, press_until_gone
 
 from softcal.app.line.rig import station_of
 from softcal.core.errors import DeviceError, InputError, NoReply

@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from common.fault_trial import tells_truth
-from common.law_unit import ForceLaw
 from common.proof_trial import draw_good_rig, open_good_rig
-from common.rig_trial import RigCase, open_rig
+from common.rig_trial import ForceLaw, RigCase, open_rig
 
 from softcal.core.errors import DeviceError
 from softcal.core.profiles import ramps
