@@ -1,5 +1,6 @@
 """Recordings of one unit, checked once when made. A fit that takes an `OutputRecording` cannot read a reference."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeAlias
@@ -13,6 +14,9 @@ from softcal.core.windows import TAPS, windows
 
 Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.int64]
+Mask: TypeAlias = NDArray[np.bool_]
+Arrays: TypeAlias = Mapping[str, NDArray[np.generic]]
+"""Parameters by name, as they are stored and hashed."""
 
 GAP_FACTOR = 1.5
 """A step of t_s longer than this many sample periods is a gap: no window reaches across it."""
@@ -26,11 +30,9 @@ class OutputRecording:
     """The output of one unit while it was pressed, without any reference.
 
     Args:
-        serial: the unit's serial.
         t_s: (n,) time stamps in s, strictly increasing.
         output: (n,) sensor output in `output_unit`.
         sample_rate_Hz: nominal sample rate; the median step of `t_s` must agree within 2 %.
-        output_unit: physical unit of `output`.
         stage_mm: (n,) stage position in mm, positive when it compresses, where the station knows it.
 
     Raises:
@@ -70,6 +72,11 @@ class OutputRecording:
 
     def __len__(self) -> int:
         return len(self.t_s)
+
+    @cached_property
+    def step(self) -> float:
+        """Smallest step of the readout, in the output unit; infinite where the output never changes."""
+        return float(np.min(np.diff(np.unique(self.output)), initial=np.inf))
 
     @cached_property
     def segments(self) -> tuple[slice, ...]:
@@ -137,6 +144,11 @@ class LabelledRecording:
     @property
     def serial(self) -> str:
         return self.unlabelled.serial
+
+    @cached_property
+    def direction(self) -> float:
+        """1 where the output rises with the load, -1 where it falls."""
+        return 1.0 if np.corrcoef(self.unlabelled.output, self.reference)[0, 1] >= 0 else -1.0
 
     @cached_property
     def sha256(self) -> str:

@@ -18,7 +18,6 @@ def setting(value: Any, origin: str = SET) -> Any:
     """Declare one number of a frozen configuration.
 
     Args:
-        value: the default.
         origin: where it comes from: a command of benchmarks/ with the rows it was chosen on, a paper, a standard, or
             `SET`. Printed by `softcal explain --method`.
     """
@@ -42,12 +41,7 @@ def origins(config: object, prefix: str = "") -> Iterator[tuple[str, object, str
 
 
 def rebuilt(default: Config, kept: Mapping[str, Any]) -> Config:
-    """Return a configuration like `default` with the numbers that were kept as JSON; what is missing stays as it is.
-
-    Args:
-        default: a frozen configuration, nested ones included.
-        kept: from `dataclasses.asdict` through JSON.
-    """
+    """Return a configuration like `default` with the numbers that were kept as JSON; what is missing stays as it is."""
     declared: tuple[Field[Any], ...] = fields(default)  # type: ignore[arg-type]
     values = {}
     for one in declared:

@@ -9,19 +9,18 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softcal.core.maps.crossing import KEPT
 from softcal.core.maps.interface import UnitMap
 from softcal.core.metrics import rms
-from softcal.core.recording import Array, Indices, LabelledRecording, OutputRecording
+from softcal.core.recording import Array, Indices, LabelledRecording, Mask, OutputRecording
 from softcal.core.unit.health import OutputLimits, clipped_share
 from softcal.core.unit.knowledge import LoadKnowledge, known_by
 from softcal.core.unit.line_spread import LineSpread
 from softcal.core.unit.method import ForecastConfig
 from softcal.core.unit.source_model import SourceModel, unit_difference
 from softcal.core.unit.uncertainty import WindowShape
-from softcal.core.windows import TAPS
+from softcal.core.windows import TAPS, evenly
 
 LINE, DAY = "line", "day"
 """Terms of the budget for what line and day do to the load; they weigh 1 whatever is known of the loads."""
@@ -43,7 +42,6 @@ class MapEvidence:
         budget: standard uncertainties in the reference unit: `model` and the terms of every kind of knowledge
             (`knowledge.py`). `stage` and `slow` are there where source and unit carry the stage position, `line` where
             the spread of the line was stated, `day` where a golden run measured its day.
-        rest: level of the estimates at rest, in the reference unit.
     """
 
     rows: Indices
@@ -77,7 +75,6 @@ class Trial:
     Args:
         unit_map: the unit's map, or one fitted without these windows.
         source: recording of the source unit that the unit was pressed together with.
-        source_rows, target_rows: full windows of both, equal lengths.
         floor: RMS error that the reference of these windows does not hold: that of f, where f itself read it.
     """
 
@@ -120,11 +117,7 @@ def gather_evidence(
 ) -> MapEvidence:
     """Collect the budget of one unit from its map and from other maps that fit its recording too.
 
-    Args:
-        limits: rails of the raw output.
-        is_anchored: whether known loads of the unit entered its map.
-        line: the line's spread, where somebody stated it.
-        day_rmse: what the day of the recording changes, as a golden run showed it, in the reference unit.
+    `day_rmse` is what the day of the recording changes, as a golden run showed it, in the reference unit.
     """
     config, network, interval, known = model.method.forecast, model.network, model.interval, _known_use(model)
     # Evenly spaced rows: every statistic below costs the same however long the recording is.
@@ -204,8 +197,6 @@ class _KnownUse:
     Args:
         loads: quantiles of f on the source, in the reference unit.
         rest_spread: standard deviation of f at rest, in the reference unit.
-        rms_load: RMS load above rest, in the reference unit.
-        step: of its readout, in the output unit.
         levels, slopes: edges of the grid that uses are compared on.
         use: share of the source's windows in each cell of it.
     """
@@ -215,7 +206,6 @@ class _KnownUse:
     rms_load: float
     fast: float
     sharpness: float
-    step: float
     levels: Array
     slopes: Array
     use: Array
@@ -234,7 +224,6 @@ def _known_use(model: SourceModel) -> _KnownUse:
         rms_load=rms_load(estimate, config),
         fast=_fast(shape, config),
         sharpness=_sharpness(shape, config),
-        step=float(np.min(np.abs(np.diff(np.unique(model.source.unlabelled.output))))),
         levels=levels,
         slopes=slopes,
         use=_use(shape, levels, slopes),
@@ -251,7 +240,7 @@ def _spread(estimate: Array, others: Sequence[Array]) -> Array:
     return np.asarray(np.sqrt(np.mean([(other - estimate) ** 2 for other in others], axis=0)))
 
 
-def rest_rows(model: SourceModel, estimate: Array, shape: WindowShape) -> NDArray[np.bool_]:
+def rest_rows(model: SourceModel, estimate: Array, shape: WindowShape) -> Mask:
     """Mark the windows at rest: output still, load among the unit's own lowest."""
     config = model.method.forecast
     low = _rest_level(estimate, config)
@@ -266,10 +255,9 @@ def _spread_at_rest(model: SourceModel, estimate: Array, shape: WindowShape) -> 
 
 def _resolution(model: SourceModel, target: OutputRecording, gain: float) -> float:
     """Return the quantisation uncertainty d / (2 sqrt 3) of the readout's step d, carried through map and network."""
-    quantum = float(np.min(np.abs(np.diff(np.unique(target.output))), initial=np.inf))
-    gain, source_quantum = gain / model.network.output_scale, _known_use(model).step
+    scale, source_step = model.network.output_scale, model.source.unlabelled.step
     # f was trained on the source's steps: only a coarser readout adds error.
-    excess = max((quantum * gain) ** 2 - (source_quantum / model.network.output_scale) ** 2, 0.0)
+    excess = max((target.step * (gain / scale)) ** 2 - (source_step / scale) ** 2, 0.0)
     return model.interval.sensitivity * float(np.sqrt(excess / 12))
 
 
@@ -289,9 +277,6 @@ def _stage_terms(
 
     The error of a map grows with the load. A unit pressed less hard than the source is therefore scaled up to the
     source's loads.
-
-    Args:
-        estimate: f on all the unit's mapped windows, where it is known.
     """
     if model.stage_floor is None:
         return {}
@@ -308,8 +293,7 @@ def _stage_terms(
 
 def _misread(model: SourceModel, target: OutputRecording, trial: Trial) -> Array:
     """Return the differences of the unit's estimates from the source's reference at the same instants."""
-    count = min(model.method.forecast.rows, len(trial.source_rows))
-    spread = np.linspace(0, len(trial.source_rows) - 1, count).astype(np.int64)
+    spread = evenly(len(trial.source_rows), model.method.forecast.rows)
     estimate = model.network.evaluate(trial.unit_map.apply(target.windows[trial.target_rows[spread]]))
     return np.asarray(estimate - trial.source.window_reference[trial.source_rows[spread]])
 

@@ -18,10 +18,8 @@ from softcal.core.unit.uncertainty import DIRECTIONS, Interval, Support, WindowS
 
 @dataclass(frozen=True)
 class StageDifference:
-    """Difference between estimates and the source's reference at equal stage histories, in the reference unit.
-
-    Args:
-        slow_rms: of its means over a second or so (`StageCheckConfig.slow_s`).
+    """RMS of estimates less the source's reference at equal stage histories, and of its means over a second or so
+    (`StageCheckConfig.slow_s`), in the reference unit.
     """
 
     rms: float
@@ -40,12 +38,9 @@ class SourceModel:
     """The source of a lot as its units are compared with it.
 
     Args:
-        network: the shared network f trained on it.
         interval: 90 % interval that would hold for the source itself.
         rmse_table: (3, LEVELS) RMS error of f on the source, in the cells of the interval.
         held_out_rmse: error of f on the source's windows that never entered a gradient, in the reference unit.
-        shape: of the source's windows.
-        estimate: (n,) f on the source's windows.
         stage_floor: its own difference at equal stage histories, None where the stage position is unknown.
         method: the method all of this was computed with; the units of the lot are calibrated with it.
     """

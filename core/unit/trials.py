@@ -18,11 +18,7 @@ from softcal.core.windows import TAPS
 
 
 def other_maps(fit: FitProblem, chosen: ChosenMap, method: Method, floor: float) -> OtherMaps:
-    """Return what the chosen map of a unit is tried by.
-
-    Args:
-        floor: RMS error that the reference beside paired windows does not hold.
-    """
+    """Return what the chosen map is tried by; `floor` is the RMS error of the reference beside paired windows."""
     trials = _trials(fit, chosen, method.forecast.opening_parts, floor) if chosen.family == SYNCHRONOUS else []
     # Where the stage position or a common load is known, that tells more than leaving shares out.
     is_measured = bool(trials) or chosen.family == PHASE
