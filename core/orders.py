@@ -149,11 +149,9 @@ class Progress:
 
 @dataclass(frozen=True)
 class Condition:
-    """One thing the gate looked at; a sentence in the place of a reason is one that was kept.
+    """One thing the gate looked at, and what it says of it: the fact, and where it is not good what to do.
 
-    Args:
-        name: certificate, force range, warm-up, zero return, homing, golden unit.
-        says: the fact, and where it is not good what to do.
+    A sentence in the place of a reason is one that was kept.
     """
 
     name: Reason

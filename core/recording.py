@@ -1,7 +1,7 @@
 """Recordings of one unit, checked once when made. A fit that takes an `OutputRecording` cannot read a reference."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias
 
@@ -47,12 +47,10 @@ class OutputRecording:
     stage_mm: Array | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "t_s", _column("t_s", self.t_s))
-        object.__setattr__(self, "output", _column("output", self.output))
-        _same_length("t_s", self.t_s, "output", self.output)
-        if self.stage_mm is not None:
-            object.__setattr__(self, "stage_mm", _column("stage_mm", self.stage_mm))
-            _same_length("t_s", self.t_s, "stage_mm", self.stage_mm)
+        for name in ("t_s", "output", "stage_mm"):
+            if (values := getattr(self, name)) is not None:
+                object.__setattr__(self, name, _column(name, values))
+                _same_length("t_s", self.t_s, name, getattr(self, name))
         if len(self.t_s) < TAPS:
             raise InputError(f"{len(self.t_s)} samples; at least {TAPS} are needed to fill one window")
         if not (np.isfinite(self.sample_rate_Hz) and self.sample_rate_Hz > 0):
@@ -112,10 +110,9 @@ class OutputRecording:
 
     def part(self, start: int, stop: int) -> "OutputRecording":
         """Return samples start ... stop - 1 as a recording of their own."""
-        stage = None if self.stage_mm is None else self.stage_mm[start:stop]
-        return OutputRecording(
-            self.serial, self.t_s[start:stop], self.output[start:stop], self.sample_rate_Hz, self.output_unit, stage
-        )
+        rows = slice(start, stop)
+        stage_mm = None if self.stage_mm is None else self.stage_mm[rows]
+        return replace(self, t_s=self.t_s[rows], output=self.output[rows], stage_mm=stage_mm)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,12 +18,7 @@ KEPT = 32
 
 @dataclass(frozen=True, eq=False)
 class LevelPath:
-    """A recording reduced to the swings between its turning points.
-
-    Args:
-        low, high: (k,) lower and upper end of every swing, in the output unit.
-        start, stop: (k,) samples at which each swing begins and ends.
-    """
+    """A recording reduced to its (k,) swings between turning points: their ends in the output unit, and in samples."""
 
     low: Array
     high: Array

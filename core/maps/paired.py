@@ -101,10 +101,9 @@ def fit_phase(problem: FitProblem) -> PairedMap:
 
 
 def fit_pairs(problem: FitProblem, source_rows: Indices, target_rows: Indices, family: str) -> PairedMap:
-    """Fit a map to pairs of windows; a dynamic part is kept only where it lowers the error on held-out blocks.
+    """Fit a map to pairs of windows under equal load, in time order.
 
-    Args:
-        source_rows, target_rows: windows under equal load, in time order.
+    A dynamic part is kept only where it lowers the error on held-out blocks.
     """
     rows = evenly(len(target_rows), problem.config.pairs.pairs)
     fitted = _fit(_Pairs(problem, source_rows[rows], target_rows[rows], family))

@@ -119,13 +119,8 @@ def quarantined(
 ) -> tuple[str, ...]:
     """Return the serials pressed since the last good check, once a check has failed (ISO/IEC 17025, 6.4.9).
 
-    Args:
-        pressed: (serial, when) of every unit, in any order.
-        checks: runs of golden units, in any order.
-        now: checks and units after it do not count.
-
-    Returns:
-        Serials in the order they were pressed; empty while the newest check is good.
+    Units, (serial, when), and checks of golden units may come in any order; those after `now` do not count. Serials
+    come in the order they were pressed; none while the newest check is good.
     """
     known = sorted((check for check in checks if check.at <= now), key=lambda check: check.at)
     if not known or known[-1].is_in_control:

@@ -17,11 +17,9 @@ THIS_LOT, EARLIER_LOTS, NONE = "this lot", "earlier lots", "none"
 
 @dataclass(frozen=True)
 class PastAudit:
-    """An audit as it was kept.
+    """An audit as it was kept, with the method of its forecast.
 
-    Args:
-        method_id: what made the forecast: map and forecast configuration, and their version.
-        has_failed: the unit was accepted on its forecast, and its measured error is beyond the limit.
+    It has failed where the unit was accepted on its forecast, and its measured error is beyond the limit.
     """
 
     unit: AuditedUnit

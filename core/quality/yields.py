@@ -30,11 +30,9 @@ class Share:
 
 @dataclass(frozen=True)
 class Yields:
-    """Yields of units, each counted once.
+    """Yields of units, each counted once, and what stands first where the newest verdict is not good.
 
-    Args:
-        reasons: how often each kind of reason stands first where the newest verdict is not good, most frequent first;
-            each kind by the newest reason of it.
+    Kinds of reasons with how often they do, the most frequent first; each kind by the newest reason of it.
     """
 
     first_pass: Share

@@ -199,12 +199,7 @@ class Budget:
 def forecast_budget(
     terms: Mapping[str, float], knowledge: LoadKnowledge, rmse: float, reference: Reference | None, load: float
 ) -> Budget:
-    """Return the budget of a unit whose error was forecast.
-
-    Args:
-        rmse: forecast error against the reference, which f, the map and the quantisation share among them.
-        load: at which the budget is made, in the reference unit.
-    """
+    """Return the budget at a load of a unit whose error was forecast: f, map and quantisation share it among them."""
     network = min(terms["model"], rmse)
     step = knowledge.sensitivity.get("resolution", 0.0) * terms.get("resolution", 0.0)
     quantisation = min(step, float(np.sqrt(rmse**2 - network**2)))

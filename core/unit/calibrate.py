@@ -14,13 +14,12 @@ from softcal.core.maps.readout_lag import ReadoutLag, find_readout_lag
 from softcal.core.unit.audit_reading import output_level, score_map
 from softcal.core.unit.audited import with_audit
 from softcal.core.unit.calibration import OUTPUT_REST, OUTPUT_SPAN, Calibration
-from softcal.core.unit.evidence import MapEvidence, gather_evidence
+from softcal.core.unit.evidence import MapEvidence, gather_evidence, other_maps
 from softcal.core.unit.findings import contradictions, map_findings, opening_findings
 from softcal.core.unit.forecast import forecast_error, forecast_own, own_terms, variance_table
 from softcal.core.unit.health import check_alive, health_findings, output_limits
 from softcal.core.unit.judging import Grounds, MeasuredError, limit_evidence
 from softcal.core.unit.rules import RuleFacts, rule_findings
-from softcal.core.unit.trials import other_maps
 from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import Finding
 

@@ -23,12 +23,7 @@ from softcal.core.words.reason import reason
 
 @dataclass(frozen=True)
 class LoadLine:
-    """How a unit reads its loads: estimate = zero + gain x reference (least squares).
-
-    Args:
-        gain: 1 where it reads them in full.
-        level: where the output of its recording stands; None where nobody kept it.
-    """
+    """How a unit reads its loads: estimate = zero + gain x reference (least squares); gain 1 reads them in full."""
 
     gain: float
     zero: float
@@ -96,13 +91,10 @@ class CommonMisreading:
 
 
 def common_misreading(lines: Mapping[str, LoadLine]) -> CommonMisreading | None:
-    """Return what audited units misread alike; None where chance explains it, or they are too few to tell.
+    """Return what audited units, drawn at random, misread alike as they were fitted; None where chance explains it.
 
     Student's t of the slopes of log gains and zeros (simple linear regression), and of their means about what the
-    slopes leave.
-
-    Args:
-        lines: of audited units drawn at random, by serial, as their maps were fitted.
+    slopes leave. None also where they are too few to tell.
     """
     if len(lines) < ReleaseConfig.least_audits or min((line.gain for line in lines.values()), default=0.0) <= 0:
         return None

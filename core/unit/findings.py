@@ -53,9 +53,7 @@ def contradictions(
     """Return what the two outputs say against the unit being what it is declared to be; the first of them alone.
 
     A channel the wrong way round, or in another physical unit, also looks clipped or pressed by a wrong programme.
-
-    Args:
-        shared: what both outputs say about a common load; None where nobody compared them in time.
+    `shared` is None where nobody compared them in time.
     """
     config = method.findings
     if _is_reversed(source, target, limits, method, shared):

@@ -48,12 +48,7 @@ class Objection:
 
 @runtime_checkable
 class Rule(Protocol):
-    """One rule.
-
-    Args:
-        name: what it is called in messages.
-        version: another text wherever it decides otherwise.
-    """
+    """One rule: what it is called in messages, and another version wherever it decides otherwise."""
 
     name: str
     version: str

@@ -64,9 +64,8 @@ def make_source_model(
 ) -> SourceModel:
     """Compare the source with itself once for the whole lot.
 
-    Args:
-        held_out: indices of the windows kept out of the training (`TrainedNetwork.validation_rows`); by default those
-            that the default training keeps out of this recording.
+    `held_out` are indices of the windows kept out of the training (`TrainedNetwork.validation_rows`); by default those
+    that the default training keeps out of this recording.
     """
     windows = source.windows
     # A network that was stored has no list of them; the default split of the same recording is the same again.

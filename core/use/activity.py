@@ -244,9 +244,7 @@ def learn_use(
 ) -> CalibratedUse:
     """Learn from the recording a unit was calibrated with.
 
-    Args:
-        zero_output: output at zero load, in its unit; None where it is not known.
-        curve: characteristic of the sensor, in its unit; None where it is not known.
+    Its output at zero load and its characteristic, in its own unit, are None where they are not known.
     """
     low, high = (float(v) for v in np.quantile(recording.output, method.cycle.swing))
     longest = max(1, int(method.cycle.longest * len(recording)))

@@ -22,12 +22,7 @@ from softcal.core.use.trust import movement
 
 @dataclass(frozen=True, eq=False)
 class JumpReaction:
-    """What becomes of a cycle that changed suddenly.
-
-    Args:
-        verdict, reason: as of an `Observation`.
-        measured: the filter at the new place; None where it stays at the old one.
-    """
+    """What becomes of a cycle that changed suddenly; the filter stays at the old place where none is measured."""
 
     verdict: str
     reason: str

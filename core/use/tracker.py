@@ -47,9 +47,8 @@ from softcal.core.use.trust import Trust
 class DriftTracker:
     """Follows the drift of one unit, cycle by cycle.
 
-    Args:
-        is_improved: whether new activities are learnt from the best estimates so far, and shapes may move; otherwise
-            every cycle is compared with the calibration recording alone.
+    Improved, it learns new activities from the best estimates so far, and shapes may move; otherwise every cycle is
+    compared with the calibration recording alone.
     """
 
     def __init__(

@@ -49,9 +49,7 @@ class Trust:
     def reseated(self, drift: Array, covariance: Array, step: float, cycles: int) -> "Trust":
         """Return what is known when the sensor is re-seated after a drift, (2,) with (2, 2) covariance.
 
-        Args:
-            step: how far the rest moved at once, in scales; it vouches for the gain that came with it alone.
-            cycles: over so many the gain that came with it is found.
+        The step of its rest, in scales, vouches for the gain that came with it alone, found over so many cycles.
         """
         share = self._sure_share(float(drift[1]), float(covariance[1, 1]))
         applied = float(self.applied(drift, covariance)[1])
