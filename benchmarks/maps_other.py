@@ -29,12 +29,12 @@ from softcal.core.maps.catalogue import family
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.config import MapConfig
 from softcal.core.maps.interface import Anchors, FitProblem
+from softcal.core.maps.monotone import shape_distance
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.unit.sources import shape_distance
 
 NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60, batch=128)
 DAYS = ("calibration", "validation_1")

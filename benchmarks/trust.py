@@ -20,9 +20,7 @@ from common.trust_lots import GOOD, FittedUnit, covered, day_lots, drawn_lots, f
 from plotly.subplots import make_subplots
 from scipy.stats import beta
 
-from softcal.core.quality.acceptance import Promise
-from softcal.core.quality.conformal import least_risk
-from softcal.core.quality.qualification import wanted_audits
+from softcal.core.quality.acceptance import Promise, least_risk, least_units
 from softcal.core.quality.release import AuditedUnit, least_passing, release
 from softcal.core.quality.widening import Widening, fit_widening
 from softcal.core.unit.common_misreading import CommonMisreading, common_misreading, without
@@ -145,7 +143,7 @@ def _corrected(
 
     softcal does it behind the map; here it is done to the estimates that were kept, over the whole audit.
     """
-    if len(audited) < wanted_audits():
+    if len(audited) < least_units(RISK):
         return audited, rest
     lines = {u.serial: u.line for u in audited if u.sample and ANCHORED not in u.knowledge}
     common = common_misreading(lines)

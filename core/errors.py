@@ -1,17 +1,5 @@
-"""Everything softcal raises on purpose.
-
-SoftcalError
-├── InputError          the caller's file, row, column, option or value; the command ends with exit code 2
-├── DeviceError         the rig or another device; exit code 3
-│   ├── CommandRefused  we asked for something the device does not allow; nothing moved
-│   ├── BadReply        the device answered something we cannot trust
-│   ├── NoReply         the device did not answer in time, or its port is gone
-│   └── SafetyStop      a safety bound was met and the stage was stopped
-├── RegistryError       the registry cannot be opened, read or written; exit code 4
-└── UnitRefused         this unit cannot be calibrated from this recording; kept with the unit, the lot goes on
-
-Wrong arguments inside the program stay ValueError.
-"""
+"""Everything softcal raises on purpose, and the exit code of a command that ends so; wrong arguments inside the program
+stay ValueError."""
 
 import errno
 
@@ -41,11 +29,11 @@ class SoftcalError(Exception):
 
 
 class InputError(SoftcalError):
-    """A file, row, column, option or value the caller gave cannot be used."""
+    """A file, row, column, option or value the caller gave cannot be used; exit code 2."""
 
 
 class DeviceError(SoftcalError):
-    """The rig or another device failed."""
+    """The rig or another device failed; exit code 3."""
 
 
 class CommandRefused(DeviceError):
@@ -65,11 +53,11 @@ class SafetyStop(DeviceError):
 
 
 class RegistryError(SoftcalError):
-    """The registry cannot be opened, read or written."""
+    """The registry cannot be opened, read or written; exit code 4."""
 
 
 class UnitRefused(SoftcalError):
-    """This unit cannot be calibrated from this recording; the lot goes on without it."""
+    """This unit cannot be calibrated from this recording; it is kept with the unit, and the lot goes on without it."""
 
 
 def reason_of(error: BaseException) -> Reason:

@@ -30,9 +30,7 @@ class Lot:
 
     Args:
         source: serial of the first source unit.
-        sample_rate_Hz: nominal sample rate of every recording of the lot.
         reference_quantity, reference_unit: what the source's reference measures, for example force in N.
-        output_unit: physical unit of the sensor output.
         limit_rmse: largest acceptable error of a unit in `reference_unit`; None leaves it to the source's own error.
     """
 
@@ -59,14 +57,12 @@ class Lot:
 
     @classmethod
     def from_settings(cls, lot_id: str, settings: Mapping[str, object]) -> "Lot":
-        limit = settings.get("limit_rmse")
+        words = ("sensor_model", "reference_quantity", "reference_unit", "output_unit")
+        limit, rate_Hz = settings.get("limit_rmse"), float(str(settings["sample_rate_Hz"]))
         return cls(
-            id=lot_id,
-            source=str(settings["source"]),
-            sample_rate_Hz=float(str(settings["sample_rate_Hz"])),
-            sensor_model=str(settings["sensor_model"]),
-            reference_quantity=str(settings["reference_quantity"]),
-            reference_unit=str(settings["reference_unit"]),
-            output_unit=str(settings["output_unit"]),
+            lot_id,
+            str(settings["source"]),
+            rate_Hz,
+            **{name: str(settings[name]) for name in words},
             limit_rmse=None if limit is None else float(str(limit)),
         )

@@ -16,12 +16,7 @@ def rms(values: Array) -> float:
 
 
 def rmse(estimate: Array, reference: Array) -> float:
-    """Return the root mean square error over rows where both are finite; NaN where there is none.
-
-    Args:
-        estimate: (n,) in the reference unit; NaN during warm-up.
-        reference: (n,) in the same unit.
-    """
+    """Return the root mean square error over rows where both are finite; NaN where there is none."""
     error = (estimate - reference)[np.isfinite(estimate) & np.isfinite(reference)]
     return float(np.sqrt(np.mean(error**2))) if len(error) else float("nan")
 

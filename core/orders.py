@@ -80,12 +80,7 @@ class Order:
 
     Args:
         order_id: unique text, given by whoever asks; the same id twice is one order.
-        station: name of the station that is meant.
-        serial: the unit's serial, for kinds that press a unit.
-        lot_id: the lot the unit belongs to.
-        actor: who asked.
         reason: why, where a reason is needed (an override, a repeat).
-        created: when it was asked, with time zone.
     """
 
     order_id: str
@@ -109,7 +104,6 @@ class Signal:
     Args:
         t_s: (n,) seconds since the run began.
         output: (n,) sensor output in `output_unit`.
-        stage_mm: (n,) stage position in mm.
         force_N: (n,) force in N; empty where no load cell reads.
     """
 
@@ -125,10 +119,7 @@ class Progress:
     """How far one order is.
 
     Args:
-        state: queued, running, done, error or cancelled.
         phase: what happens now, in words ("searching for contact").
-        fraction: 0 ... 1 of the run.
-        remaining_s: estimated seconds to the end.
         code: "" while all is well, else the stable code of the message ("E-NOREPLY").
         message: what is said to the operator; on an error what happened and what to do. A text is one that was kept.
         recording_sha256: content hash of the stored recording, once there is one.
@@ -158,12 +149,9 @@ class Progress:
 
 @dataclass(frozen=True)
 class Condition:
-    """One thing the gate looked at; a sentence in the place of a reason is one that was kept.
+    """One thing the gate looked at, and what it says of it: the fact, and where it is not good what to do.
 
-    Args:
-        name: certificate, force range, warm-up, zero return, homing, golden unit.
-        is_good: whether it lets the station run.
-        says: the fact, and where it is not good what to do.
+    A sentence in the place of a reason is one that was kept.
     """
 
     name: Reason
@@ -180,11 +168,8 @@ class Heartbeat:
     """What a station says of itself every second; older than 3 s means that nobody is there.
 
     Args:
-        at: when this was written, with time zone.
         reasons: why the gate is closed or the station stopped; empty when it is ready.
         process: host and process id of the owner of the ports.
-        order_id: the active order, "" when there is none.
-        gate: what the gate looked at last, good and bad.
         is_overridden: whether an engineer keeps the gate open in spite of its reasons.
     """
 

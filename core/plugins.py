@@ -40,9 +40,6 @@ def _changed_ns(folder: str) -> int:
 def loaded(point: EntryPoint, kind: str) -> object:
     """Load what an entry point names.
 
-    Args:
-        kind: what it should be, in words, for the message.
-
     Raises:
         InputError: it cannot be loaded; the line names package and entry point.
     """
@@ -75,7 +72,6 @@ class PluginKind(Generic[Thing]):
         """Return softcal's own things and those of plug-ins, the plug-ins last, by name.
 
         Args:
-            points: None for those of all installed packages.
             taken: names that no plug-in may have, besides those of its own.
 
         Raises:

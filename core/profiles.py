@@ -16,12 +16,7 @@ NAME_AND_SIZE = re.compile(r"(\D+?) (\d.*)", re.DOTALL)
 
 @dataclass(frozen=True)
 class Segment:
-    """One straight piece of a profile.
-
-    Args:
-        target_mm: stage position at its end.
-        duration_s: time it takes; a segment that ends where it began is a hold.
-    """
+    """One straight piece of a profile; one that ends where it began is a hold."""
 
     target_mm: float
     duration_s: float
@@ -88,11 +83,7 @@ class Profile:
 
 
 def moves(name: str, targets_mm: Sequence[float], speeds_mm_s: Sequence[float], holds_s: Sequence[float]) -> Profile:
-    """Return straight moves with a hold after each; a hold of 0 s is none.
-
-    Args:
-        targets_mm, speeds_mm_s, holds_s: (number of moves,) each.
-    """
+    """Return straight moves with a hold after each, (number of moves,) of each number; a hold of 0 s is none."""
     segments, at_mm = [], 0.0
     for target_mm, speed_mm_s, hold_s in zip(targets_mm, speeds_mm_s, holds_s, strict=True):
         if speed_mm_s <= 0:

@@ -1,6 +1,7 @@
 """Recordings of one unit, checked once when made. A fit that takes an `OutputRecording` cannot read a reference."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias
 
@@ -13,6 +14,9 @@ from softcal.core.windows import TAPS, windows
 
 Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.int64]
+Mask: TypeAlias = NDArray[np.bool_]
+Arrays: TypeAlias = Mapping[str, NDArray[np.generic]]
+"""Parameters by name, as they are stored and hashed."""
 
 GAP_FACTOR = 1.5
 """A step of t_s longer than this many sample periods is a gap: no window reaches across it."""
@@ -26,11 +30,9 @@ class OutputRecording:
     """The output of one unit while it was pressed, without any reference.
 
     Args:
-        serial: the unit's serial.
         t_s: (n,) time stamps in s, strictly increasing.
         output: (n,) sensor output in `output_unit`.
         sample_rate_Hz: nominal sample rate; the median step of `t_s` must agree within 2 %.
-        output_unit: physical unit of `output`.
         stage_mm: (n,) stage position in mm, positive when it compresses, where the station knows it.
 
     Raises:
@@ -45,12 +47,10 @@ class OutputRecording:
     stage_mm: Array | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "t_s", _column("t_s", self.t_s))
-        object.__setattr__(self, "output", _column("output", self.output))
-        _same_length("t_s", self.t_s, "output", self.output)
-        if self.stage_mm is not None:
-            object.__setattr__(self, "stage_mm", _column("stage_mm", self.stage_mm))
-            _same_length("t_s", self.t_s, "stage_mm", self.stage_mm)
+        for name in ("t_s", "output", "stage_mm"):
+            if (values := getattr(self, name)) is not None:
+                object.__setattr__(self, name, _column(name, values))
+                _same_length("t_s", self.t_s, name, getattr(self, name))
         if len(self.t_s) < TAPS:
             raise InputError(f"{len(self.t_s)} samples; at least {TAPS} are needed to fill one window")
         if not (np.isfinite(self.sample_rate_Hz) and self.sample_rate_Hz > 0):
@@ -70,6 +70,11 @@ class OutputRecording:
 
     def __len__(self) -> int:
         return len(self.t_s)
+
+    @cached_property
+    def step(self) -> float:
+        """Smallest step of the readout, in the output unit; infinite where the output never changes."""
+        return float(np.min(np.diff(np.unique(self.output)), initial=np.inf))
 
     @cached_property
     def segments(self) -> tuple[slice, ...]:
@@ -105,10 +110,9 @@ class OutputRecording:
 
     def part(self, start: int, stop: int) -> "OutputRecording":
         """Return samples start ... stop - 1 as a recording of their own."""
-        stage = None if self.stage_mm is None else self.stage_mm[start:stop]
-        return OutputRecording(
-            self.serial, self.t_s[start:stop], self.output[start:stop], self.sample_rate_Hz, self.output_unit, stage
-        )
+        rows = slice(start, stop)
+        stage_mm = None if self.stage_mm is None else self.stage_mm[rows]
+        return replace(self, t_s=self.t_s[rows], output=self.output[rows], stage_mm=stage_mm)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +141,11 @@ class LabelledRecording:
     @property
     def serial(self) -> str:
         return self.unlabelled.serial
+
+    @cached_property
+    def direction(self) -> float:
+        """1 where the output rises with the load, -1 where it falls."""
+        return 1.0 if np.corrcoef(self.unlabelled.output, self.reference)[0, 1] >= 0 else -1.0
 
     @cached_property
     def sha256(self) -> str:

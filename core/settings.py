@@ -15,12 +15,10 @@ SET = "set, not fitted"
 
 
 def setting(value: Any, origin: str = SET) -> Any:
-    """Declare one number of a frozen configuration.
+    """Declare one number of a frozen configuration, and where it comes from.
 
-    Args:
-        value: the default.
-        origin: where it comes from: a command of benchmarks/ with the rows it was chosen on, a paper, a standard, or
-            `SET`. Printed by `softcal explain --method`.
+    A command of benchmarks/ with the rows it was chosen on, a paper, a standard, or `SET`. Printed by
+    `softcal explain --method`.
     """
     return field(default=value, metadata={"origin": origin})
 
@@ -42,12 +40,7 @@ def origins(config: object, prefix: str = "") -> Iterator[tuple[str, object, str
 
 
 def rebuilt(default: Config, kept: Mapping[str, Any]) -> Config:
-    """Return a configuration like `default` with the numbers that were kept as JSON; what is missing stays as it is.
-
-    Args:
-        default: a frozen configuration, nested ones included.
-        kept: from `dataclasses.asdict` through JSON.
-    """
+    """Return a configuration like `default` with the numbers that were kept as JSON; what is missing stays as it is."""
     declared: tuple[Field[Any], ...] = fields(default)  # type: ignore[arg-type]
     values = {}
     for one in declared:

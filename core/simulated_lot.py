@@ -21,23 +21,12 @@ GOLDEN = 86_401
 """The same for the golden run."""
 
 
-def _as_it_is(rng: np.random.Generator, twin: Twin) -> Twin:
-    return twin
-
-
 @dataclass(frozen=True)
 class UnitKind:
-    """What is special about units of a lot.
-
-    Args:
-        name: what it is called; good units have `GOOD`.
-        twin: what it does to the unit.
-        wired: what its wiring does to a recording.
-        profile: what it is pressed with in the place of the lot's programme; None for that.
-    """
+    """What is special about units of a lot: in the unit, in its wiring, and in how it is pressed, if it is."""
 
     name: str
-    twin: Callable[[np.random.Generator, Twin], Twin] = _as_it_is
+    twin: Callable[[np.random.Generator, Twin], Twin] = lambda rng, twin: twin
     wired: Callable[[LabelledRecording], LabelledRecording] = lambda recording: recording
     profile: Callable[[np.random.Generator], Profile] | None = None
 
@@ -60,15 +49,11 @@ class LotDesign:
 
     Args:
         good: number of units in good order.
-        bad: number of units of each other kind.
         shift: how the loads of the units' recordings differ from the source's, a name of `PROGRAMMES`.
-        source_s, unit_s, audit_s: length of the recordings.
-        has_stage: whether the recordings carry the stage position.
         spread: how the units differ. What they differ by in stiffness and contact position changes the load at equal
             travel, which no unlabelled recording shows; the default takes pads from one mould, all else by tens of
             per cent.
         twin: the nominal unit and its effects, of a diagnosis for example; None draws them.
-        line: what the line does to the units' recordings beside the shift.
     """
 
     good: int = 6
@@ -89,13 +74,7 @@ class LotDesign:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedUnit:
-    """One unit of a simulated lot.
-
-    Args:
-        kind: its name.
-        recording: what the line would record.
-        audit: a labelled recording of the source's programme, for the truth and for a calibration of its own.
-    """
+    """One unit of a simulated lot; its audit, under the source's programme, is the truth."""
 
     kind: str
     recording: OutputRecording
@@ -139,13 +118,8 @@ def simulate_lot(seed: int, design: LotDesign | None = None) -> SimulatedLot:
 def draw_twins(
     rng: np.random.Generator, count: int, spread: LotSpread | None = None, twin: Twin | None = None
 ) -> tuple[Twin, ...]:
-    """Draw the units of one lot: their own nominal unit, creep, hysteresis and readout lag, nearly alike in all.
-
-    Args:
-        twin: the nominal unit and its effects, of a diagnosis for example; None draws both.
-
-    Returns:
-        (count,) twins, the source unit first.
+    """Draw (count,) units of one lot, the source unit first: their own nominal unit, creep, hysteresis and readout lag,
+    nearly alike in all; or `twin` and its effects, of a diagnosis for example.
     """
     nominal = twin or Twin(_nominal(rng), _mild_effects(rng))
     twins = draw_lot(rng, count, nominal.parameters, nominal.metadata, nominal.effects, spread or LotDesign().spread)
@@ -153,11 +127,7 @@ def draw_twins(
 
 
 def twin_of(seed: int, serial: str) -> Twin:
-    """Return the twin of one serial of a simulated lot: the same for the same seed and serial, in any order.
-
-    Args:
-        seed: of the lot: its nominal unit and its effects.
-    """
+    """Return the twin of one serial of a simulated lot: the same for the same seed and serial, in any order."""
     rng, own = np.random.default_rng(seed), np.random.default_rng([seed, crc32(serial.encode())])
     nominal, effects = _nominal(rng), _mild_effects(rng)
     (twin,) = draw_lot(own, 1, nominal, ReadoutMetadata(), effects, LotDesign().spread)
@@ -211,24 +181,6 @@ def _record(rng: np.random.Generator, twin: Twin, profile: Profile, serial: str,
     )
 
 
-def _scaled(factor: float) -> Callable[[np.random.Generator, float], Profile]:
-    return lambda rng, duration_s: unit_profile(rng, duration_s, factor * DEPTH_MM)
-
-
-def _half_range(rng: np.random.Generator, duration_s: float) -> Profile:
-    # The cube root: half the force is reached well beyond half the depth.
-    return unit_profile(rng, duration_s, 0.72 * DEPTH_MM)
-
-
-def _own_programme(rng: np.random.Generator, duration_s: float) -> Profile:
-    return random_presses(rng, duration_s, DEPTH_MM)
-
-
-def _below_half(rng: np.random.Generator, duration_s: float) -> Profile:
-    # A third of the depth and a bit: less than a third of the force.
-    return random_presses(rng, duration_s, rng.uniform(0.35, 0.5) * DEPTH_MM)
-
-
 def _other_dwell(rng: np.random.Generator, duration_s: float) -> Profile:
     return ramps([DEPTH_MM], 3.0, rest_s=1.0).then(
         random_presses(rng, duration_s, DEPTH_MM, fastest_mm_s=2.0, return_share=0.15), "other dwell"
@@ -238,16 +190,18 @@ def _other_dwell(rng: np.random.Generator, duration_s: float) -> Profile:
 SHIFTS: Mapping[str, Callable[[np.random.Generator, float], Profile]] = {
     "none": source_profile,
     "short profile": unit_profile,
-    "lighter": _scaled(0.88),
-    "harder": _scaled(1.08),
-    "half range": _half_range,
+    "lighter": lambda rng, duration_s: unit_profile(rng, duration_s, 0.88 * DEPTH_MM),
+    "harder": lambda rng, duration_s: unit_profile(rng, duration_s, 1.08 * DEPTH_MM),
+    # The cube root: half the force is reached well beyond half the depth.
+    "half range": lambda rng, duration_s: unit_profile(rng, duration_s, 0.72 * DEPTH_MM),
     "other dwell": _other_dwell,
 }
 """Label shift by name: the profile of the units' recordings; audits keep the source's programme."""
 
 PROGRAMMES: Mapping[str, Callable[[np.random.Generator, float], Profile]] = {
     **SHIFTS,
-    "own programme": _own_programme,
-    "below half": _below_half,
+    "own programme": lambda rng, duration_s: random_presses(rng, duration_s, DEPTH_MM),
+    # A third of the depth and a bit: less than a third of the force.
+    "below half": lambda rng, duration_s: random_presses(rng, duration_s, rng.uniform(0.35, 0.5) * DEPTH_MM),
 }
 """Every profile units can be recorded under: the shifts the method was set on, and others."""

@@ -30,6 +30,13 @@ def windows(signal: NDArray[np.float64]) -> NDArray[np.float64]:
     return sliding_window_view(signal, TAPS)
 
 
+def evenly(count: int, most: int) -> NDArray[np.int64]:
+    """Return at most `most` row numbers spread evenly over `count`."""
+    import numpy as np
+
+    return np.linspace(0, count - 1, min(most, count)).astype(np.int64)
+
+
 def resting(levels: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the windows (n, TAPS) of a sensor whose output stands still at each of (n,) levels."""
     import numpy as np

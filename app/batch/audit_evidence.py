@@ -10,10 +10,10 @@ from softcal.app.batch.audit import confirmed_audits, lot_audit
 from softcal.app.registry.limit import lot_limit
 from softcal.app.registry.lot_recordings import audit_of, newest_audits
 from softcal.core.lot import Lot
-from softcal.core.quality.acceptance import Promise, tolerance_factor
+from softcal.core.quality.acceptance import Promise, least_units, tolerance_factor
 from softcal.core.quality.audit_check import doubtful_audits
 from softcal.core.quality.qualification import THIS_LOT, PastAudit, Qualification, qualify
-from softcal.core.quality.release import AuditedUnit, audits_wanted
+from softcal.core.quality.release import AuditedUnit
 from softcal.core.quality.widening import AuditedSamples, Widening, fit_widening
 from softcal.core.recording import LabelledRecording
 from softcal.core.unit.audit_reading import AuditReading, line_of
@@ -60,7 +60,7 @@ class AuditEvidence:
         """Return what is taken off a unit's map: of an audited one, what the others misread."""
         if self.common is None or ANCHORED in made.knowledge:
             return None
-        return without(self.lines, made.serial, self.common, RULES).of(made.output_level)
+        return without(self.lines, made.serial, self.common).of(made.output_level)
 
     def day_rmse(self, load_rms: float | None) -> float:
         """Return the error that another day adds to a unit with this RMS load, in the same unit.
@@ -98,7 +98,7 @@ class AuditReader:
         )
         audited = {serial: known for serial, known in audited.items() if serial not in doubts}
         here = [audit for audit, _, made in audited.values() if made.method_id == method_id]
-        past = [] if len(here) >= audits_wanted(PROMISE) else self._past(lot)
+        past = [] if len(here) >= least_units(PROMISE.risk) else self._past(lot)
         # Audits of this lot under another method say as much as those of another lot: nothing.
         past += [
             PastAudit(audit, lot.sensor_model, made.method_id, at)
@@ -109,7 +109,7 @@ class AuditReader:
         planned = registry.lots.line_rules(lot).target or 0
         units = max(planned, sum(registry.pages.verdict_counts(lot.id).values()))
         golden_failed_at = self._golden_failed_at(lot)
-        qualification = qualify(here, past, now, lot.sensor_model, method_id, golden_failed_at, units, RULES)
+        qualification = qualify(here, past, now, lot.sensor_model, method_id, golden_failed_at, units)
         gains = [reading.gain for audit in here if (reading := readings[audit.serial]) is not None]
         widening = self._widening(qualification, lot_id)
         days = self._days(lot, now)
@@ -119,7 +119,7 @@ class AuditReader:
             for _, _, made in audited.values()
             if made.audit_line is not None and ANCHORED not in made.knowledge
         }
-        common = common_misreading(lines, RULES) if qualification.source == THIS_LOT else None
+        common = common_misreading(lines) if qualification.source == THIS_LOT else None
         return AuditEvidence(qualification, limit, widening, seen_gains(gains), days, doubts, lines, common)
 
     def _days(self, lot: Lot, now: datetime) -> SeenGains | None:

@@ -14,12 +14,11 @@ from softcal.core.network.config import NetworkConfig
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.bridge import Bridge
 from softcal.core.unit.budget import Reference
-from softcal.core.unit.calibrate import calibrate
+from softcal.core.unit.calibrate import calibrate, nearest
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.line_spread import LineSpread
 from softcal.core.unit.rules import rules_in_force
 from softcal.core.unit.source_model import SourceModel
-from softcal.core.unit.sources import nearest
 from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import Limit, Verdict
 from softcal.core.words.reason import Reason, reason

@@ -181,8 +181,8 @@ def _folder(options: argparse.Namespace) -> None:
 def _audit_plan(options: argparse.Namespace) -> int:
     """The first call draws the plan and writes it down; later calls show where it stands."""
     from softcal.app.batch.audit import AUDIT_HEADER, audit_json, audit_line, audit_rows, draw_plan, update_lot
+    from softcal.core.quality.acceptance import PROMISE_HEADER, promise_rows
     from softcal.core.quality.audit_plan import AuditConfig
-    from softcal.core.quality.promises import PROMISE_HEADER, promise_rows
     from softcal.core.quality.qualification import small_lot
 
     lot_id = lot_id_of(options.lot)

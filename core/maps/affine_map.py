@@ -1,15 +1,13 @@
 """One gain and one offset for every sample: the form of several families, and of the identity."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softcal.core.errors import UnitRefused
 from softcal.core.identity import Settings
 from softcal.core.maps.interface import FitProblem
-from softcal.core.recording import Array
+from softcal.core.recording import Array, Arrays
 from softcal.core.windows import windows
 from softcal.core.words.reason import reason
 
@@ -36,14 +34,14 @@ class AffineMap:
     def apply_signal(self, signal: Array) -> Array:
         return windows(self.offset + self.gain * signal)
 
-    def arrays(self) -> dict[str, NDArray[np.generic]]:
+    def arrays(self) -> Arrays:
         return {"gain": np.array(self.gain), "offset": np.array(self.offset)}
 
     def settings(self) -> Settings:
         return {}
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]], settings: Settings, family: str) -> "AffineMap":
+    def from_arrays(cls, arrays: Arrays, settings: Settings, family: str) -> "AffineMap":
         return cls(float(arrays["gain"]), float(arrays["offset"]), family)
 
 

@@ -3,25 +3,19 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softcal.core.errors import InputError
 from softcal.core.identity import Settings
 from softcal.core.maps.config import AnchorConfig
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
 from softcal.core.metrics import rms, rmse
-from softcal.core.recording import Array, LabelledRecording
+from softcal.core.recording import Array, Arrays, LabelledRecording
 from softcal.core.windows import resting
 
 
 @dataclass(frozen=True, eq=False)
 class AnchoredMap:
-    """A map followed by a gain and an offset that known loads asked for.
-
-    Args:
-        inner: the map fitted without them.
-        gain, offset: applied to what `inner` gives, in the source's output unit.
-    """
+    """A map followed by a gain and an offset, in the source's output unit, that known loads asked for."""
 
     inner: UnitMap
     gain: float
@@ -37,9 +31,9 @@ class AnchoredMap:
     def apply_signal(self, signal: Array) -> Array:
         return self.offset + self.gain * self.inner.apply_signal(signal)
 
-    def arrays(self) -> dict[str, NDArray[np.generic]]:
+    def arrays(self) -> Arrays:
         own = {"anchor_gain": np.array(self.gain), "anchor_offset": np.array(self.offset)}
-        return self.inner.arrays() | own
+        return {**self.inner.arrays(), **own}
 
     def settings(self) -> Settings:
         return self.inner.settings()
@@ -50,7 +44,6 @@ class Anchoring:
     """What known loads made of a map, and how well they fix it.
 
     Args:
-        unit_map: the map with gain and offset behind it.
         gain_error: standard uncertainty of the gain, as a share of it.
         rest_error: the same of the level at rest, in the source's output unit.
         misfit: RMS distance of the loads from the source's levels after the fit, in standard uncertainties.
@@ -79,14 +72,11 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, kind: str) 
     little.
 
     Args:
-        unit_map: fitted without anchors.
-        anchors: outputs at rest under known loads.
         kind: how its loads are known: `paired`, `stage` or anything else (`core/unit/knowledge.py`).
     """
     config, output = problem.config.anchors, problem.source.unlabelled.output
     low, high = np.quantile(output, problem.config.crossing.robust_range)
-    is_rising = np.corrcoef(output, problem.source.reference)[0, 1] >= 0
-    rest, spread = float(low if is_rising else high), config.gain_spread
+    rest, spread = float(low if problem.source.direction > 0 else high), config.gain_spread
     firm = {"paired": config.firm_paired, "stage": config.firm_stage}.get(kind)
     level = (config.level_spread if firm is None else config.firm_level) * float(high - low)
     prior = np.array([spread if firm is None else firm, level])
@@ -141,12 +131,7 @@ def source_level(source: LabelledRecording, load: float, config: AnchorConfig) -
 
 @dataclass(frozen=True, eq=False)
 class SourceLevels:
-    """What a source puts out at rest, by load: a straight line between neighbours.
-
-    Args:
-        load: (k,) evenly spaced and rising, in the reference unit.
-        output: (k,) in the output unit.
-    """
+    """What a source puts out at rest under (k,) loads, evenly spaced and rising: a straight line between neighbours."""
 
     load: Array
     output: Array
@@ -219,10 +204,8 @@ def check_loads(source: LabelledRecording, loads: Anchors, nothing: str, config:
     output, load = np.asarray(loads.output, np.float64), np.asarray(loads.reference, np.float64)
     check_values(source, load, nothing, config)
     order = np.argsort(load)
-    rising = 1.0 if np.corrcoef(source.unlabelled.output, source.reference)[0, 1] >= 0 else -1.0
-    steps = rising * np.diff(output[order])
-    if np.any(steps <= 0):
-        word = "rises" if rising > 0 else "falls"
+    if np.any(source.direction * np.diff(output[order]) <= 0):
+        word = "rises" if source.direction > 0 else "falls"
         raise InputError(
             f"the output of a unit like the source {word} with the load, these do not in the order of their loads; "
             f"rows or columns are exchanged; {nothing}"

@@ -3,9 +3,6 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from softcal.core.errors import InputError
 from softcal.core.identity import Settings
 from softcal.core.maps.affine_map import (
@@ -25,6 +22,7 @@ from softcal.core.maps.monotone import BETWEEN, MONOTONE, fit_between, fit_monot
 from softcal.core.maps.paired import PHASE, SYNCHRONOUS, fit_phase, fit_synchronous, paired_map_from_arrays
 from softcal.core.maps.plan import EXACT, JOINT, TransportMap, fit_exact, fit_joint
 from softcal.core.plugins import PluginKind
+from softcal.core.recording import Arrays
 
 
 @dataclass(frozen=True)
@@ -33,9 +31,9 @@ class OwnFamily:
 
     name: str
     fit: Callable[[FitProblem], UnitMap]
-    rebuild: Callable[[Mapping[str, NDArray[np.generic]], Settings, str], UnitMap]
+    rebuild: Callable[[Arrays, Settings, str], UnitMap]
 
-    def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> UnitMap:
+    def from_arrays(self, arrays: Arrays, settings: Settings) -> UnitMap:
         return self.rebuild(arrays, settings, self.name)
 
 
@@ -78,7 +76,7 @@ def family(name: str) -> MapFamily:
     return FAMILIES[name]
 
 
-def map_from_arrays(family_name: str, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> UnitMap:
+def map_from_arrays(family_name: str, arrays: Arrays, settings: Settings) -> UnitMap:
     """Rebuild a map from what `UnitMap.arrays()` and `UnitMap.settings()` gave.
 
     Raises:

@@ -10,8 +10,8 @@ from softcal.core.errors import UnitRefused
 from softcal.core.maps.affine_map import AFFINE, IDENTITY, LABEL_SHIFT, fit_label_shift
 from softcal.core.maps.anchors import refine, source_bend
 from softcal.core.maps.catalogue import family
-from softcal.core.maps.config import DEFAULT, CrossingConfig
-from softcal.core.maps.crossing import KEPT, averaging_length, level_path
+from softcal.core.maps.config import DEFAULT
+from softcal.core.maps.crossing import KEPT, swings
 from softcal.core.maps.interface import FitProblem, UnitMap
 from softcal.core.maps.monotone import BETWEEN, MONOTONE
 from softcal.core.maps.paired import PHASE, SYNCHRONOUS
@@ -137,7 +137,8 @@ def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple
     config = problem.config.choice
     match = problem.ends
     target_rate, source_rate = (
-        _swing_rate(recording, problem.config.crossing) for recording in (problem.target, problem.source.unlabelled)
+        swings(recording, problem.config.crossing) / len(recording)
+        for recording in (problem.target, problem.source.unlabelled)
     )
     # Noise that passes for presses shows as far more swings than the source has.
     rate = target_rate / max(source_rate, 1e-9)
@@ -171,21 +172,11 @@ def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple
     return BETWEEN, numbers | {"decision": why}
 
 
-def _swing_rate(recording: OutputRecording, config: CrossingConfig) -> float:
-    path = level_path(recording, averaging_length(recording, config), config)
-    return 0.0 if path is None else path.swings / len(recording)
-
-
 def dwell_distance(source: OutputRecording, mapped_target: Array, cells: int) -> float:
     """Return how differently two units spend their time: 0 alike, 1 never at one level in one direction.
 
-    Args:
-        source: recording of the source, which every unit of a lot is compared with.
-        mapped_target: (m, taps) windows of the target after its map.
-        cells: levels; each counts twice, once rising and once falling.
-
-    Returns:
-        Total variation distance between the shares of time per level and direction.
+    Total variation distance between the shares of time per level, rising or falling, of the source and of (m, taps)
+    windows of the target after its map.
     """
     edges, source_share = _use(source, cells)
     return float(np.abs(source_share - _shares(mapped_target, edges)).sum() / 2)

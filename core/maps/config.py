@@ -311,7 +311,7 @@ class ChoiceConfig:
         clear: a gain or level this many standard errors from the source's is worth correcting.
         sharp: only a recording that fixes the gain this well can show that there is nothing to correct.
         curve_weight: of equal quantiles beside rest and peak where neither can be shown to be right (`monotone.py`).
-        shape_shares: quantiles between which two outputs are compared in shape (`sources.py`).
+        shape_shares: quantiles between which two outputs are compared in shape (`monotone.py`).
         extremes: quantiles both units share, for the affine family: rest below, the hardest presses above.
     """
 
@@ -327,11 +327,7 @@ class ChoiceConfig:
 
 @dataclass(frozen=True)
 class MapConfig:
-    """How a unit's map is chosen and fitted; one configuration for every sensor and data set.
-
-    Args:
-        family: a name of the catalogue to force one family, or "auto".
-    """
+    """How a unit's map is chosen, or the family that is forced, and fitted; one configuration for every sensor."""
 
     family: str = setting(DEFAULT, "the default lets each unit's evidence choose")
     choice: ChoiceConfig = field(default_factory=ChoiceConfig)

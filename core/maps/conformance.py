@@ -1,10 +1,9 @@
 """What every map family must keep, for the tests of families in other packages."""
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softcal.core.maps.interface import FitProblem, MapFamily, UnitMap, map_sha256
 from softcal.core.metrics import rms
@@ -51,21 +50,15 @@ def _of_map(family: MapFamily, fitted: UnitMap, problem: FitProblem) -> Iterator
         yield "apply_signal(signal) is not apply(windows(signal))"
     if not np.allclose(fitted.apply(probe[::-1].copy())[::-1], mapped, rtol=0, atol=1e-9):
         yield "the map of a window depends on the windows beside it"
-    yield from _kept(family, fitted, probe, mapped)
-    load = problem.network.evaluate(problem.source.windows[: len(probe)])
-    with_map, without = (rms(problem.network.evaluate(w) - load) for w in (mapped, probe))
-    if with_map > without:
-        yield f"the estimate errs by {with_map:.3g} with the map and {without:.3g} without it"
-
-
-def _kept(family: MapFamily, fitted: UnitMap, probe: NDArray[np.float64], mapped: NDArray[np.float64]) -> Iterator[str]:
-    arrays: Mapping[str, NDArray[np.generic]] = fitted.arrays()
-    settings = json.loads(json.dumps(fitted.settings()))
-    rebuilt = family.from_arrays(arrays, settings)
+    rebuilt = family.from_arrays(fitted.arrays(), json.loads(json.dumps(fitted.settings())))
     if not np.array_equal(rebuilt.apply(probe.copy()), mapped):
         yield "from_arrays(arrays(), settings()) gives another map"
     if map_sha256(rebuilt) != map_sha256(fitted):
         yield "the rebuilt map has another hash"
+    load = problem.network.evaluate(problem.source.windows[: len(probe)])
+    with_map, without = (rms(problem.network.evaluate(w) - load) for w in (mapped, probe))
+    if with_map > without:
+        yield f"the estimate errs by {with_map:.3g} with the map and {without:.3g} without it"
 
 
 def example_problem() -> FitProblem:

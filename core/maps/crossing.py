@@ -18,12 +18,7 @@ KEPT = 32
 
 @dataclass(frozen=True, eq=False)
 class LevelPath:
-    """A recording reduced to the swings between its turning points.
-
-    Args:
-        low, high: (k,) lower and upper end of every swing, in the output unit.
-        start, stop: (k,) samples at which each swing begins and ends.
-    """
+    """A recording reduced to its (k,) swings between turning points: their ends in the output unit, and in samples."""
 
     low: Array
     high: Array
@@ -59,12 +54,7 @@ class LevelPath:
 
 @lru_cache(maxsize=KEPT)
 def level_path(recording: OutputRecording, average: int, config: CrossingConfig) -> LevelPath | None:
-    """Reduce a recording to its swings; None where its output makes none.
-
-    Args:
-        recording: the unit's output.
-        average: samples averaged against noise before turning points are sought (`averaging_length`).
-    """
+    """Reduce a recording, averaged over so many samples against noise, to its swings; None where it makes none."""
     # A share of the range: no unit, gain or readout changes what counts as a swing.
     threshold = config.threshold * _range(recording, config)
     # Neighbours of an average share most of their samples: a third of its length loses no turning point.
@@ -84,13 +74,11 @@ def level_path(recording: OutputRecording, average: int, config: CrossingConfig)
 
 
 def turning_points(signal: Array, threshold: float) -> Indices:
-    """Return where a signal turns by more than a threshold, ends included (the rainflow filter of ASTM E1049).
-
-    Args:
-        signal: (n,) in time order.
-        threshold: smallest swing, same unit, > 0.
-    """
-    candidates = _local_extremes(signal)
+    """Return where a signal turns by more than a threshold, ends included (the rainflow filter of ASTM E1049)."""
+    # Ends and local extremes; a plateau counts once, where it ends.
+    moves = np.flatnonzero(np.diff(signal))
+    turns = moves[1:][np.diff(signal[moves + 1] > signal[moves])]
+    candidates = np.concatenate([[0], turns, [len(signal) - 1]]).astype(np.int64)
     levels = signal[candidates].tolist()
     found, extreme, rising = [0], 0, None
     for k, level in enumerate(levels):
@@ -109,13 +97,6 @@ def turning_points(signal: Array, threshold: float) -> Indices:
     return candidates[found]
 
 
-def _local_extremes(signal: Array) -> Indices:
-    """Ends and local extremes; a plateau counts once, where it ends."""
-    moves = np.flatnonzero(np.diff(signal))
-    turns = moves[1:][np.diff(signal[moves + 1] > signal[moves])]
-    return np.concatenate([[0], turns, [len(signal) - 1]]).astype(np.int64)
-
-
 @lru_cache(maxsize=KEPT)
 def averaging_length(recording: OutputRecording, config: CrossingConfig) -> int:
     """Return the fewest samples to average so that presses, not noise, make the turning points.
@@ -128,6 +109,12 @@ def averaging_length(recording: OutputRecording, config: CrossingConfig) -> int:
         if path is not None and np.median(path.high - path.low) >= config.press_share * spread:
             return average
     return config.averages[-1]
+
+
+def swings(recording: OutputRecording, config: CrossingConfig) -> int:
+    """Return how many swings a recording makes."""
+    path = level_path(recording, averaging_length(recording, config), config)
+    return 0 if path is None else path.swings
 
 
 @lru_cache(maxsize=KEPT)

@@ -1,14 +1,12 @@
 """A monotone curve applied to every sample: piecewise linear between knots, straight on beyond them."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softcal.core.identity import Settings
 from softcal.core.maps.config import CurveConfig
-from softcal.core.recording import Array
+from softcal.core.recording import Array, Arrays
 from softcal.core.windows import windows
 
 
@@ -43,14 +41,14 @@ class CurveMap:
     def apply_signal(self, signal: Array) -> Array:
         return windows(self(signal))
 
-    def arrays(self) -> dict[str, NDArray[np.generic]]:
+    def arrays(self) -> Arrays:
         return {"knots": self.knots, "values": self.values}
 
     def settings(self) -> Settings:
         return {}
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]], settings: Settings, family: str) -> "CurveMap":
+    def from_arrays(cls, arrays: Arrays, settings: Settings, family: str) -> "CurveMap":
         return cls(np.asarray(arrays["knots"], np.float64), np.asarray(arrays["values"], np.float64), family)
 
 
@@ -62,9 +60,7 @@ def continued(curve: CurveMap, source_span: float, config: CurveConfig) -> Curve
     follow from it. It is written as one far knot at either end.
 
     Args:
-        curve: fitted to what was seen.
         source_span: robust range of the source's output, same unit as `curve.values`.
-        config: what is believed of a range that was not seen.
     """
     knots, values = curve.knots, curve.values
     if len(knots) < 2:

@@ -14,11 +14,7 @@ from softcal.core.words.reason import reason
 
 @dataclass(frozen=True, eq=False)
 class Ends:
-    """Levels at rest and at the hardest presses, of one stretch or several; output times the direction of loading.
-
-    Args:
-        rest, peak: (k,) one entry per stretch.
-    """
+    """Levels at rest and at the hardest presses of (k,) stretches; output times the direction of loading."""
 
     rest: Array
     peak: Array
@@ -55,15 +51,17 @@ def match_ends(source: LabelledRecording, target: OutputRecording, config: MapCo
     Raises:
         UnitRefused: the unit's output makes no swing that stands out of its noise.
     """
-    known = source.unlabelled
-    sign = _direction(source)
-    is_patchy, ends = _is_patchy(target, config), config.ends
+    # A sensor may fall under load: every level is taken in the direction of loading.
+    known, sign = source.unlabelled, source.direction
+    ends, lengths = config.ends, [segment.stop - segment.start for segment in target.segments]
+    is_patchy = len(lengths) > 1 and float(np.median(lengths)) < ends.patch
     if is_patchy:
         average = ends.patch_average
+        shown = _patch_ends([sign * _smoothed(target, average)], config)
     else:
         # The same average on both: it lowers peaks, and must lower them alike.
         average = max(averaging_length(recording, config.crossing) for recording in (known, target))
-    shown = _whole(target, average, sign, config)
+        shown = _stretch_ends(target, average, sign, [(0, len(target))], config)
     noise = output_noise(target)
     if not shown.span[0] > max(ends.clear_of_noise * noise, ends.rounding * float(np.abs(target.output).max())):
         raise UnitRefused(reason("no_swing"))
@@ -72,12 +70,6 @@ def match_ends(source: LabelledRecording, target: OutputRecording, config: MapCo
     else:
         stretches, others = _stretches(known, len(target), average, sign, config)
     return _matched(stretches, others, shown, sign, float(2 * noise / shown.span[0]), config.curve.gain_prior)
-
-
-@lru_cache(maxsize=KEPT)
-def _direction(source: LabelledRecording) -> float:
-    """A sensor may fall under load: every level is taken in the direction of loading."""
-    return 1.0 if np.corrcoef(source.unlabelled.output, source.reference)[0, 1] >= 0 else -1.0
 
 
 def _matched(
@@ -124,22 +116,10 @@ def _smoothed(recording: OutputRecording, average: int) -> Array:
 def output_noise(recording: OutputRecording) -> float:
     """Return the standard deviation of the noise from second differences, at least that of the readout's steps."""
     bends = np.concatenate([np.diff(recording.output[part], 2) for part in recording.segments])
-    step = float(np.min(np.diff(np.unique(recording.output)), initial=np.inf))
     # 0.6745 makes a standard deviation of a median; a second difference has six times the variance of one sample.
     noise = float(np.median(np.abs(bends))) / 0.6745 / np.sqrt(6) if len(bends) else 0.0
     # A coarse converter hides its noise: what is left is the rounding, uniform over one step.
-    return max(noise, step / np.sqrt(12) if np.isfinite(step) else 0.0)
-
-
-def _is_patchy(recording: OutputRecording, config: MapConfig) -> bool:
-    lengths = [segment.stop - segment.start for segment in recording.segments]
-    return len(lengths) > 1 and float(np.median(lengths)) < config.ends.patch
-
-
-def _whole(recording: OutputRecording, average: int, sign: float, config: MapConfig) -> Ends:
-    if _is_patchy(recording, config):
-        return _patch_ends([sign * _smoothed(recording, average)], config)
-    return _stretch_ends(recording, average, sign, [(0, len(recording))], config)
+    return max(noise, recording.step / np.sqrt(12) if np.isfinite(recording.step) else 0.0)
 
 
 @lru_cache(maxsize=KEPT)

@@ -1,19 +1,15 @@
 """What a map γ is: windows of a target unit in, windows in the source's space out."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
-
-import numpy as np
-from numpy.typing import NDArray
 
 from softcal.core.identity import Settings, content_sha256
 from softcal.core.maps.config import MapConfig
 from softcal.core.maps.ends import EndMatch, match_ends
 from softcal.core.maps.synchrony import Synchrony, find_synchrony
 from softcal.core.network.network import Network
-from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.recording import Array, Arrays, LabelledRecording, OutputRecording
 
 
 class UnitMap(Protocol):
@@ -22,36 +18,26 @@ class UnitMap(Protocol):
     @property
     def family(self) -> str:
         """Name of the family in `catalogue.py`."""
-        ...
 
     def apply(self, windows: Array) -> Array:
         """Carry (n, taps) target windows, newest sample last, into the source's window space."""
-        ...
 
     def apply_signal(self, signal: Array) -> Array:
         """Carry every full window of a gap-free (n,) signal: (n - taps + 1, taps).
 
         Equal to `apply(windows(signal))`; a map that works sample by sample does it in one pass over the signal.
         """
-        ...
 
-    def arrays(self) -> dict[str, NDArray[np.generic]]:
+    def arrays(self) -> Arrays:
         """Return the parameters under stable names."""
-        ...
 
     def settings(self) -> Settings:
         """Return JSON values that `arrays` does not hold."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
 class Anchors:
-    """A few known loads on the target unit: outputs at rest under each load, and the loads themselves.
-
-    Args:
-        output: (k,) in the recording's output unit.
-        reference: (k,) in the source's reference unit.
-    """
+    """(k,) known loads on the target unit, and its outputs at rest under each."""
 
     output: Array
     reference: Array
@@ -59,16 +45,7 @@ class Anchors:
 
 @dataclass(frozen=True, eq=False)
 class FitProblem:
-    """All that a fit of γ may know. The target's reference is not among it.
-
-    Args:
-        source: labelled recording of the source unit.
-        network: the shared network f trained on it.
-        target: unlabelled recording of the target unit.
-        anchors: known loads of the target, where someone took them.
-        config: every number of the fit.
-        seed: drives every random choice of the fit.
-    """
+    """All that a fit of γ may know, with the seed of its random choices. The target's reference is not among it."""
 
     source: LabelledRecording
     network: Network
@@ -100,11 +77,9 @@ class MapFamily(Protocol):
 
     def fit(self, problem: FitProblem) -> UnitMap:
         """Fit γ, or raise `UnitRefused` saying why this recording allows none."""
-        ...
 
-    def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> UnitMap:
+    def from_arrays(self, arrays: Arrays, settings: Settings) -> UnitMap:
         """Rebuild a map from `UnitMap.arrays()` and `UnitMap.settings()`."""
-        ...
 
 
 def map_sha256(unit_map: UnitMap) -> str:

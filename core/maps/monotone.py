@@ -5,11 +5,12 @@ from functools import lru_cache
 import numpy as np
 
 from softcal.core.errors import UnitRefused
-from softcal.core.maps.config import CurveConfig
-from softcal.core.maps.crossing import KEPT
+from softcal.core.maps.config import CurveConfig, MapConfig
+from softcal.core.maps.crossing import KEPT, robust_range
 from softcal.core.maps.curve import CurveMap, continued
+from softcal.core.maps.ends import match_ends
 from softcal.core.maps.interface import FitProblem
-from softcal.core.recording import Array, OutputRecording
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.words.reason import reason
 
 MONOTONE, BETWEEN = "monotone", "between"
@@ -58,12 +59,25 @@ def _quantiles(recording: OutputRecording, config: CurveConfig) -> Array:
 
 
 def between_steps(samples: Array, shares: Array) -> Array:
-    """Return quantiles of quantised samples, interpolated between neighbouring steps.
-
-    Args:
-        samples: (n,) outputs, often on the few levels of an analogue-to-digital converter.
-        shares: (k,) in 0 ... 1.
-    """
+    """Return quantiles of quantised samples, interpolated between neighbouring steps."""
     levels, counts = np.unique(samples, return_counts=True)
     middles = (np.cumsum(counts) - counts / 2) / len(samples)
     return np.interp(shares, middles, levels)
+
+
+def shape_distance(source: LabelledRecording, target: OutputRecording, config: MapConfig) -> float:
+    """Return how far two outputs are from one another once rest and peak are matched, as a share of the source's range.
+
+    The mean distance of equal quantiles (Wasserstein distance of order 1). It holds how the units are bent and how
+    their time was spent. Sources that were pressed alike share the second, so the nearest of them is the one that is
+    bent most like the unit.
+
+    Raises:
+        UnitRefused: the unit's output makes no swing that stands out of its noise.
+    """
+    match = match_ends(source, target, config)
+    shares = np.linspace(*config.choice.shape_shares, config.curve.knots)
+    mapped = match.offset + match.gain * between_steps(target.output, shares)
+    known = source.unlabelled.output
+    span = robust_range(known, config.crossing)
+    return float(np.mean(np.abs(between_steps(known, shares) - mapped))) / span

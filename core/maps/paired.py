@@ -9,22 +9,20 @@ plus penalties on its roughness, by Gauss-Newton steps with Marquardt's damping 
 error of the estimate. The second keeps the map from bending to repair errors that f makes on its own source.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softcal.core.errors import UnitRefused
 from softcal.core.identity import Settings
-from softcal.core.maps.config import MapConfig, PairConfig, PhaseConfig
+from softcal.core.maps.config import MapConfig, PhaseConfig
 from softcal.core.maps.crossing import robust_range
 from softcal.core.maps.curve import CurveMap, continued
 from softcal.core.maps.interface import FitProblem
 from softcal.core.maps.synchrony import paired_rows
 from softcal.core.metrics import rms
-from softcal.core.recording import Array, Indices, OutputRecording
-from softcal.core.windows import TAPS, resting, windows
+from softcal.core.recording import Array, Arrays, Indices, OutputRecording
+from softcal.core.windows import TAPS, evenly, resting, windows
 from softcal.core.words.reason import reason
 
 SYNCHRONOUS, PHASE = "synchronous", "phase"
@@ -39,7 +37,6 @@ class DynamicMap:
     polynomials in P are taken for noise and dropped.
 
     Args:
-        curve: static part.
         mix: (shapes, shapes) matrix B; the identity leaves every polynomial as it is.
         family: name under which the catalogue rebuilds it.
     """
@@ -60,9 +57,9 @@ class DynamicMap:
     def apply_signal(self, signal: Array) -> Array:
         return np.asarray(windows(self.curve(signal)) @ self.matrix)
 
-    def arrays(self) -> dict[str, NDArray[np.generic]]:
+    def arrays(self) -> Arrays:
         """Return the curve's knots and values and the mix."""
-        return self.curve.arrays() | {"mix": self.mix}
+        return {**self.curve.arrays(), "mix": self.mix}
 
     def settings(self) -> Settings:
         return {}
@@ -71,7 +68,7 @@ class DynamicMap:
 PairedMap = CurveMap | DynamicMap
 
 
-def paired_map_from_arrays(arrays: Mapping[str, NDArray[np.generic]], settings: Settings, family: str) -> PairedMap:
+def paired_map_from_arrays(arrays: Arrays, settings: Settings, family: str) -> PairedMap:
     """Rebuild a map fitted to pairs, with or without its dynamic part."""
     curve = CurveMap.from_arrays(arrays, settings, family)
     return DynamicMap(curve, np.asarray(arrays["mix"], np.float64), family) if "mix" in arrays else curve
@@ -104,14 +101,11 @@ def fit_phase(problem: FitProblem) -> PairedMap:
 
 
 def fit_pairs(problem: FitProblem, source_rows: Indices, target_rows: Indices, family: str) -> PairedMap:
-    """Fit a map to pairs of windows; a dynamic part is kept only where it lowers the error on held-out blocks.
+    """Fit a map to pairs of windows under equal load, in time order.
 
-    Args:
-        problem: source, network and target.
-        source_rows, target_rows: windows under equal load, in time order.
-        family: name the map carries.
+    A dynamic part is kept only where it lowers the error on held-out blocks.
     """
-    rows = np.linspace(0, len(target_rows) - 1, min(problem.config.pairs.pairs, len(target_rows))).astype(np.int64)
+    rows = evenly(len(target_rows), problem.config.pairs.pairs)
     fitted = _fit(_Pairs(problem, source_rows[rows], target_rows[rows], family))
     span = robust_range(problem.source.unlabelled.output, problem.config.crossing)
     if isinstance(fitted, DynamicMap):
@@ -148,7 +142,9 @@ class _Pairs:
         # Both terms of the cost in one: (e - r)^2 + (e - f(y))^2 is 2 (e - mean of r and f(y))^2 plus a constant.
         label = (network.evaluate(source) + problem.source.window_reference[source_rows]) / 2
         self._label = label / network.reference_scale
-        self._knots = _knots(target, self.config)
+        low, high = np.quantile(target, self.config.knot_range)
+        count = np.clip(len(target) // self.config.pairs_per_knot, self.config.fewest_knots, self.config.knots)
+        self._knots = np.linspace(low, high, int(count))
         if self._knots[-1] <= self._knots[0]:
             level, unit = self._knots[0], problem.target.output_unit
             raise UnitRefused(reason("still.shared", level=float(level), unit=unit))
@@ -162,14 +158,19 @@ class _Pairs:
 
     def fit(self, rows: Indices, shapes: int) -> PairedMap:
         """Fit the curve, and the mix of the first `shapes` window polynomials where that is not 0."""
-        theta, config = np.concatenate([self._start, np.eye(shapes).ravel()]), self.config
+        # Imported here: whoever applies a map does not wait for scipy.
+        from scipy.optimize import isotonic_regression
+
+        theta, config, count = np.concatenate([self._start, np.eye(shapes).ravel()]), self.config, len(self._knots)
         cost, damping, idle = self._cost(theta, rows, shapes), config.damping, 0
         for _ in range(config.steps):
             hessian, descent = self._normal_equations(theta, rows, shapes)
             tried_first = damping
             for _ in range(config.attempts):
                 damped = hessian + damping * np.diag(np.diag(hessian) + 1e-9)
-                trial = self._monotone(theta + np.linalg.solve(damped, descent))
+                trial = theta + np.linalg.solve(damped, descent)
+                # Projection onto monotone curves: the cost is not convex anyway, and the projection is exact.
+                trial[:count] = isotonic_regression(trial[:count]).x
                 trial_cost = self._cost(trial, rows, shapes)
                 if trial_cost < cost:
                     break
@@ -189,14 +190,6 @@ class _Pairs:
         if not shapes:
             return curve
         return DynamicMap(curve, theta[len(self._knots) :].reshape(shapes, shapes), self._family)
-
-    def _monotone(self, theta: Array) -> Array:
-        # Imported here: whoever applies a map does not wait for scipy.
-        from scipy.optimize import isotonic_regression
-
-        count = len(self._knots)
-        # Projection onto monotone curves after each step: the cost is not convex anyway, and the projection is exact.
-        return np.concatenate([isotonic_regression(theta[:count]).x, theta[count:]])
 
     def _cost(self, theta: Array, rows: Indices, shapes: int) -> float:
         penalty, _ = self._penalty(theta, shapes)
@@ -234,12 +227,6 @@ class _Pairs:
         hessian = jacobian.T @ jacobian / len(rows) + by_theta.T @ by_theta
         gradient = jacobian.T @ residual / len(rows) + by_theta.T @ penalty
         return hessian, -gradient
-
-
-def _knots(target: Array, config: PairConfig) -> Array:
-    low, high = np.quantile(target, config.knot_range)
-    count = np.clip(len(target) // config.pairs_per_knot, config.fewest_knots, config.knots)
-    return np.linspace(low, high, int(count))
 
 
 def _bend(count: int) -> Array:
@@ -300,7 +287,7 @@ def paired_by_stage(source: OutputRecording, target: OutputRecording, config: Ma
     known, asked = (stage_histories(r, r.stage_mm, phase) for r in (source, target) if r.stage_mm is not None)
     travel_mm = float(np.ptp(target.stage_mm))
     # Twice as many as the fit reads: some of them find no partner.
-    rows = np.linspace(0, len(asked) - 1, min(2 * config.pairs.pairs, len(asked))).astype(np.int64)
+    rows = evenly(len(asked), 2 * config.pairs.pairs)
     distance_mm, nearest = np.empty(len(rows)), np.empty(len(rows), np.int64)
     seen = _seen_entries(target, phase)[rows]
     # One tree for each length of known history: what lies before a gap must not be compared as if it were known.

@@ -1,18 +1,16 @@
 """Discrete transport between windows: the paper's two plans, and the map each gives to windows it has not seen."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softcal.core.identity import Settings
 from softcal.core.maps.config import PlanConfig
 from softcal.core.maps.interface import FitProblem
-from softcal.core.recording import Array
-from softcal.core.windows import windows
+from softcal.core.recording import Array, Arrays
+from softcal.core.windows import evenly, windows
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -56,7 +54,7 @@ class TransportMap:
     def apply_signal(self, signal: Array) -> Array:
         return self.apply(windows(signal))
 
-    def arrays(self) -> dict[str, NDArray[np.generic]]:
+    def arrays(self) -> Arrays:
         return {"stored": self.stored, "displacement": self.displacement}
 
     def settings(self) -> Settings:
@@ -64,7 +62,7 @@ class TransportMap:
         return {"neighbours": self.neighbours}
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]], settings: Settings, family: str) -> "TransportMap":
+    def from_arrays(cls, arrays: Arrays, settings: Settings, family: str) -> "TransportMap":
         neighbours = int(str(settings.get("neighbours", PlanConfig.neighbours)))
         stored, displacement = (np.asarray(arrays[name], np.float64) for name in ("stored", "displacement"))
         return cls(stored, displacement, family, neighbours)
@@ -80,8 +78,8 @@ def exact_map(target: Array, source: Array, placed: Array, config: PlanConfig) -
         source: (n, taps) windows they are coupled with.
         placed: (n, taps) where these stand in the space f reads; the source windows themselves, unless they were moved.
     """
-    rows = _spread_rows(len(source), config.most_windows)
-    target, source, placed = target[_spread_rows(len(target), config.most_windows)], source[rows], placed[rows]
+    rows = evenly(len(source), config.most_windows)
+    target, source, placed = target[evenly(len(target), config.most_windows)], source[rows], placed[rows]
     plan = solve_exact(_squared_distances(target, source))
     return TransportMap(target, barycentric(plan, placed) - target, EXACT, config.neighbours)
 
@@ -106,10 +104,10 @@ def fit_joint(problem: FitProblem) -> TransportMap:
     windows that the shared f reads. Descent starts from f read through matched means and scales.
     """
     config = problem.config.plan
-    source_rows = _spread_rows(len(problem.source.windows), config.joint_windows)
+    source_rows = evenly(len(problem.source.windows), config.joint_windows)
     source = problem.source.windows[source_rows]
     label = problem.source.window_reference[source_rows] / problem.network.reference_scale
-    target = problem.target.windows[_spread_rows(len(problem.target.windows), config.joint_windows)]
+    target = problem.target.windows[evenly(len(problem.target.windows), config.joint_windows)]
     distance = _squared_distances(target, source)
     # Windows and labels are both made free of units, or one of them would decide alone.
     distance /= float(np.mean(np.var(source, axis=0))) * source.shape[1]
@@ -142,11 +140,7 @@ def _smoother(inputs: Array, ridge: float) -> Array:
 
 
 def solve_exact(cost: Array) -> Array:
-    """Return the plan of least total cost between uniform weights (Kantorovich; POT's network simplex).
-
-    Args:
-        cost: (m, n) cost of carrying target window i to source window j.
-    """
+    """Return the plan of least total cost between uniform weights (Kantorovich; POT's network simplex)."""
     # POT brings torch and scikit-learn along, seconds and 250 MB: only who solves a plan pays.
     import ot
 
@@ -164,8 +158,3 @@ def _squared_distances(a: Array, b: Array) -> Array:
 def barycentric(plan: Array, source: Array) -> Array:
     """Return where the plan sends each target window on average: (m, taps)."""
     return np.asarray(plan @ source / plan.sum(axis=1, keepdims=True))
-
-
-def _spread_rows(count: int, most: int) -> NDArray[np.int64]:
-    """Return at most `most` row numbers spread evenly over `count`."""
-    return np.linspace(0, count - 1, min(most, count)).astype(np.int64)

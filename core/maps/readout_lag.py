@@ -37,9 +37,6 @@ def find_readout_lag(
 
     Only loads that both were pressed by at once can show it. A strong lag hides them, so they are looked for behind a
     slowed source as well. Loads that change slowly show no lag, and suffer from none.
-
-    Args:
-        synchrony: what `find_synchrony` found between them.
     """
     config = maps.lag
     shared = (

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from softcal.core.maps.config import MapConfig, SynchronyConfig
 from softcal.core.maps.crossing import KEPT, moving_mean, robust_range, turning_points
-from softcal.core.recording import Array, Indices, OutputRecording
+from softcal.core.recording import Array, Indices, Mask, OutputRecording
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,6 @@ class Synchrony:
         detail: correlation of their fine structure at that lag, on the scale that shows it best.
         sigma: how far that stands out of the same correlation at unrelated lags, in standard deviations.
         until_s: on the source's clock, where the common load ends; infinite where it lasts as long as both recordings.
-        is_synchronous: whether pairing windows at equal time is supported.
     """
 
     lag_s: float
@@ -75,22 +74,25 @@ def _compared(
 ) -> Synchrony:
     rate_Hz = source.sample_rate_Hz
     is_other_rate = abs(target.sample_rate_Hz / rate_Hz - 1) > config.same_rate
-    start, stop = max(source.t_s[0], target.t_s[0], from_s), min(source.t_s[-1], target.t_s[-1], until_s)
-    time_s = np.arange(start, stop, 1.0 / rate_Hz)
+    time_s = _both_running(source, target, from_s, until_s)
     if len(time_s) < config.least_length * min(config.scales) or is_other_rate:
         return NONE
     # What one recording missed the other must not show either: both are read at the same instants.
     seen = time_s[_covered(source, time_s) & _covered(target, time_s)]
     if len(seen) < 2 * min(config.scales):
         return NONE
-    one, other = (_Ranked(each, time_s, seen) for each in (source, target))
-    a, b = one.ranks, other.ranks
+    # Every unit of a lot is compared with one source, and mostly at the same instants: what was found is kept.
+    keys = [(each, time_s.tobytes(), seen.tobytes()) for each in (source, target)]
+    a, b = (_ranks_at(*key) for key in keys)
     if np.ptp(a) == 0 or np.ptp(b) == 0:
         return NONE
     # One scale would miss slow loads or drown in noise; a scale needs twenty of its lengths to judge.
     scales = [scale for scale in config.scales if config.least_length * scale <= len(time_s)]
-    found = [_detail(one.band(scale, config), other.band(scale, config), scale, rate_Hz, config) for scale in scales]
-    detail, sigma, lag = max(found, key=lambda item: item[1])
+    looks = []
+    for scale in scales:
+        band, other = (_band_of(*key, scale, config.slow) for key in keys)
+        looks.append(_detail(band, other, scale, rate_Hz, config))
+    detail, sigma, lag = max(looks, key=lambda item: item[1])
     stands_out = detail >= config.min_detail and sigma >= config.min_sigma
     # A lag that does not stand out is chance. A wrong lag pairs foreign loads; no lag at worst pairs none.
     lag = lag if stands_out else 0
@@ -102,33 +104,11 @@ def _compared(
 
 @dataclass(frozen=True, eq=False)
 class _Band:
-    """Ranks of one output, without what is slower or faster than a scale.
-
-    Args:
-        spectrum: its Fourier transform.
-        length, spread: its number of values, and their standard deviation.
-    """
+    """Ranks of one output, without what is slower or faster than a scale."""
 
     spectrum: NDArray[np.complex128]
     length: int
     spread: float
-
-
-class _Ranked:
-    """The ranks of an output at given instants, and their bands.
-
-    Every unit of a lot is compared with one source, and mostly at the same instants: what was found is kept.
-    """
-
-    def __init__(self, recording: OutputRecording, time_s: Array, seen: Array) -> None:
-        self._key = recording, time_s.tobytes(), seen.tobytes()
-
-    @property
-    def ranks(self) -> Array:
-        return _ranks_at(*self._key)
-
-    def band(self, scale: int, config: SynchronyConfig) -> _Band:
-        return _band_of(*self._key, scale, config.slow)
 
 
 @lru_cache(maxsize=KEPT)
@@ -140,13 +120,17 @@ def _ranks_at(recording: OutputRecording, time_s: bytes, seen: bytes) -> Array:
 
 @lru_cache(maxsize=4 * KEPT)
 def _band_of(recording: OutputRecording, time_s: bytes, seen: bytes, scale: int, slow: int) -> _Band:
-    band = _band(_ranks_at(recording, time_s, seen), scale, slow)
+    values = _ranks_at(recording, time_s, seen)
+    slower, faster = moving_mean(values, slow * scale), moving_mean(values, scale)
+    offset = (len(faster) - len(slower)) // 2
+    band = faster[offset : offset + len(slower)] - slower
+    band = band - band.mean()
     return _Band(np.fft.rfft(band), len(band), float(np.std(band)))
 
 
 def ranks(values: Array) -> Array:
-    """Return the rank of each value, from 1 on; equal values share the mean of theirs. `scipy.stats` takes a second to
-    load and gives the same."""
+    """Return the rank of each value, from 1 on; equal values share the mean of theirs."""
+    # `scipy.stats` gives the same and takes a second to load.
     _, place, count = np.unique(values, return_inverse=True, return_counts=True)
     last = np.cumsum(count)
     shared: Array = (last - (count - 1) / 2)[place]
@@ -160,8 +144,7 @@ def _opening_end(source: OutputRecording, target: OutputRecording, maps: MapConf
     holds for; where the recordings leave that curve, the opening has ended.
     """
     config, rate_Hz = maps.synchrony, source.sample_rate_Hz
-    start, stop = max(source.t_s[0], target.t_s[0]), min(source.t_s[-1], target.t_s[-1])
-    time_s = np.arange(start, stop, 1.0 / rate_Hz)
+    time_s = _both_running(source, target)
     if len(time_s) <= config.rank_average or np.ptp(target.output) == 0:
         return None
     a, b = (moving_mean(np.interp(time_s, r.t_s, r.output), config.rank_average) for r in (source, target))
@@ -209,9 +192,6 @@ def paired_rows(
 ) -> tuple[Indices, Indices]:
     """Return the windows of both recordings whose newest samples were taken at the same time.
 
-    Args:
-        synchrony: what `find_synchrony` found between them.
-
     Returns:
         Row numbers into `source.windows` and `target.windows`, equal lengths.
     """
@@ -225,14 +205,20 @@ def paired_rows(
     return nearest[close].astype(np.int64), np.flatnonzero(close).astype(np.int64)
 
 
+def _both_running(
+    source: OutputRecording, target: OutputRecording, from_s: float = -np.inf, until_s: float = np.inf
+) -> Array:
+    start, stop = max(source.t_s[0], target.t_s[0], from_s), min(source.t_s[-1], target.t_s[-1], until_s)
+    return np.arange(start, stop, 1.0 / source.sample_rate_Hz)
+
+
 def common_time(source: OutputRecording, target: OutputRecording, until_s: float = np.inf) -> Array:
     """Return the instants, at the source's rate, that both recordings cover, up to `until_s` on the source's clock."""
-    start, stop = max(source.t_s[0], target.t_s[0]), min(source.t_s[-1], target.t_s[-1], until_s)
-    time_s = np.arange(start, stop, 1.0 / source.sample_rate_Hz)
+    time_s = _both_running(source, target, until_s=until_s)
     return np.asarray(time_s[_covered(source, time_s) & _covered(target, time_s)])
 
 
-def _covered(recording: OutputRecording, time_s: Array) -> NDArray[np.bool_]:
+def _covered(recording: OutputRecording, time_s: Array) -> Mask:
     """Mark the instants that lie within a segment of the recording."""
     inside = np.zeros(len(time_s), dtype=bool)
     for part in recording.segments:
@@ -257,11 +243,3 @@ def _detail(x: _Band, y: _Band, scale: int, rate_Hz: float, config: SynchronyCon
     spread = max(float(np.std(far)), 1e-12)
     elsewhere = max(0.0, float(far.max()) - config.chance * spread)
     return float(near[best]), float((near[best] - elsewhere) / spread), lag
-
-
-def _band(values: Array, scale: int, slow_factor: int) -> Array:
-    slow = moving_mean(values, slow_factor * scale)
-    fast = moving_mean(values, scale)
-    offset = (len(fast) - len(slow)) // 2
-    band = fast[offset : offset + len(slow)] - slow
-    return np.asarray(band - band.mean())

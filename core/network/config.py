@@ -2,11 +2,6 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-Mask = NDArray[np.bool_]
-
 
 @dataclass(frozen=True)
 class NetworkConfig:

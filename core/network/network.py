@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,10 @@ from softcal.core.recording import Array
 
 CHUNK = 2_048
 """Windows per matrix product: the activations stay in cache."""
+
+_SCALES = ("output_mean", "output_scale", "reference_mean", "reference_scale")
+_UNITS = ("output_unit", "reference_unit")
+"""Fields as a network is kept."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,28 +51,16 @@ class Network:
         return named | {f"bias_{i}": b for i, b in enumerate(self.biases)}
 
     def settings(self) -> dict[str, float | str]:
-        return {
-            "output_mean": self.output_mean,
-            "output_scale": self.output_scale,
-            "reference_mean": self.reference_mean,
-            "reference_scale": self.reference_scale,
-            "output_unit": self.output_unit,
-            "reference_unit": self.reference_unit,
-        }
+        return {name: getattr(self, name) for name in (*_SCALES, *_UNITS)}
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, Array], settings: dict[str, float | str]) -> "Network":
+        """Read what `arrays` and `settings` gave."""
         depth = sum(name.startswith("weight_") for name in arrays)
-        return cls(
-            weights=tuple(arrays[f"weight_{i}"] for i in range(depth)),
-            biases=tuple(arrays[f"bias_{i}"] for i in range(depth)),
-            output_mean=float(settings["output_mean"]),
-            output_scale=float(settings["output_scale"]),
-            reference_mean=float(settings["reference_mean"]),
-            reference_scale=float(settings["reference_scale"]),
-            output_unit=str(settings["output_unit"]),
-            reference_unit=str(settings["reference_unit"]),
-        )
+        weights, biases = (tuple(arrays[f"{name}_{i}"] for i in range(depth)) for name in ("weight", "bias"))
+        facts: dict[str, Any] = {name: float(settings[name]) for name in _SCALES}
+        facts |= {name: str(settings[name]) for name in _UNITS}
+        return cls(weights, biases, **facts)
 
     @cached_property
     def id(self) -> str:
@@ -108,9 +101,6 @@ class Network:
     def evaluate_exactly(self, windows: Array) -> Array:
         """Estimate as `evaluate` does, in float64: slower, and the same however many windows come at once.
 
-        Args:
-            windows: (n, taps) in `output_unit`.
-
         Returns:
             (n,) estimates in `reference_unit`.
         """
@@ -122,9 +112,6 @@ class Network:
 
     def gradient(self, windows: Array) -> tuple[Array, Array]:
         """Estimate the reference and how it answers to each tap, computed in float32 as `evaluate` does.
-
-        Args:
-            windows: (n, taps) in `output_unit`.
 
         Returns:
             (n,) estimates and (n, taps) their derivatives, reference unit per output unit.

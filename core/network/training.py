@@ -4,13 +4,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softcal.core.errors import InputError
 from softcal.core.metrics import rms
-from softcal.core.network.config import EpochReport, Mask, NetworkConfig
+from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.network.network import Network
-from softcal.core.recording import Array, LabelledRecording
+from softcal.core.recording import Array, Indices, LabelledRecording, Mask
 from softcal.core.windows import TAPS
 
 MIN_WINDOWS = 10 * TAPS
@@ -22,7 +21,6 @@ class TrainedNetwork:
     """A network with what its training showed.
 
     Args:
-        network: the shared network f.
         validation_rmse: error on the held-out blocks, in the reference unit.
         epochs: epochs trained, per member.
         validation_rows: window indices of the held-out blocks; they never entered a gradient.
@@ -31,7 +29,7 @@ class TrainedNetwork:
     network: Network
     validation_rmse: float
     epochs: tuple[int, ...]
-    validation_rows: NDArray[np.int64]
+    validation_rows: Indices
 
 
 def fit_network(
@@ -40,11 +38,6 @@ def fit_network(
     on_epoch: Callable[[EpochReport], None] | None = None,
 ) -> TrainedNetwork:
     """Train f on a labelled recording with early stopping on time blocks; also gives a unit's own calibration.
-
-    Args:
-        source: output and reference of one unit.
-        config: layer widths, seed and stopping rule.
-        on_epoch: told the errors after every epoch.
 
     Raises:
         InputError: the recording is too short, constant or saturated, or output and reference have nothing in common.
@@ -121,13 +114,10 @@ def validation_blocks(count: int, share: float) -> Mask:
 
 
 def merge_members(members: list[list[tuple[Array, Array]]]) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-    """Merge networks of equal depth into one whose estimate is exactly their mean.
+    """Merge networks, each as its layers of weight (inputs, outputs) and bias, into one whose estimate is their mean.
 
     The first layers stand side by side, hidden layers become block-diagonal, the last layers are stacked and divided
     by the number of members.
-
-    Args:
-        members: per member its layers (weight (inputs, outputs), bias (outputs,)).
     """
     # Imported here: whoever reads a calibration must not wait for scipy.
     from scipy.linalg import block_diag

@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from softcal.core.network.config import EpochReport, Mask, NetworkConfig
-from softcal.core.recording import Array
+from softcal.core.network.config import EpochReport, NetworkConfig
+from softcal.core.recording import Array, Mask
 
 Layers = list[tuple[Array, Array]]
 """Weight (inputs, outputs) and bias (outputs,) of every layer."""
@@ -23,13 +23,7 @@ def train_members(
     reference_scale: float,
     on_epoch: Callable[[EpochReport], None] | None,
 ) -> list[tuple[Layers, int]]:
-    """Train networks from consecutive seeds; return the best state of each and its number of epochs.
-
-    Args:
-        inputs, labels: (n, taps) and (n, 1), scaled to mean 0 and standard deviation 1.
-        training, validation: (n,) which rows train and which decide when to stop.
-        reference_scale: carries errors back into the reference unit for `on_epoch`.
-    """
+    """Train networks on standardised rows from consecutive seeds; return the best state and the epochs of each."""
     x, y = torch.from_numpy(inputs), torch.from_numpy(labels)
     with _single_thread():
         return [

@@ -3,7 +3,8 @@
 A doubt is about one audit. It is set aside and named, and the others decide on the lot; a person may confirm it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from itertools import combinations
 
 import numpy as np
 
@@ -15,23 +16,18 @@ Readings = Mapping[str, AuditReading]
 Doubts = dict[str, Reason]
 
 
-def doubtful_audits(
-    readings: Readings,
-    rules: ReleaseConfig = ReleaseConfig(),  # noqa: B008 - frozen
-) -> Doubts:
-    """Return the audits that may not be what they are said to be, by serial, and why.
+def doubtful_audits(readings: Readings) -> Doubts:
+    """Return the audits of one lot that may not be what they are said to be, by serial, and why.
 
-    Args:
-        readings: by serial, of one lot, without those that a person confirmed.
-        rules: what is out of line.
+    Those that a person confirmed are not among the readings.
     """
     found: Doubts = {}
     for look in (_one_recording, _exchanged, _out_of_line, _strangers):
-        found |= look({serial: one for serial, one in readings.items() if serial not in found}, rules)
+        found |= look({serial: one for serial, one in readings.items() if serial not in found})
     return found
 
 
-def _one_recording(readings: Readings, _: ReleaseConfig) -> Doubts:
+def _one_recording(readings: Readings) -> Doubts:
     of: dict[str, list[str]] = {}
     for serial, reading in readings.items():
         of.setdefault(reading.output_sha256, []).append(serial)
@@ -43,33 +39,30 @@ def _one_recording(readings: Readings, _: ReleaseConfig) -> Doubts:
     }
 
 
-def _exchanged(readings: Readings, rules: ReleaseConfig) -> Doubts:
+def _exchanged(readings: Readings) -> Doubts:
     """A zero that moved moves all units alike; only an exchange carries each of two to the other's.
 
     How far units rest from where they did is what the other audits of the lot show.
     """
     found: Doubts = {}
-    serials = list(readings)
-    for k, first in enumerate(serials):
-        for second in serials[k + 1 :]:
-            moved = [_moved(one) for name, one in readings.items() if name not in (first, second)]
-            if len(moved) < rules.least_others:
-                continue
-            pair = readings[first], readings[second]
-            usual = float(np.median(moved))
-            # Three quarters of a normal distribution are within 1.15 SD; a quarter may be exchanged themselves.
-            shown = float(np.quantile(np.abs(np.subtract(moved, usual)), 0.75)) / 1.15
-            spread = max(shown, rules.least_rest * min(one.span for one in pair))
-            far = (rules.exchanged * spread) ** 2
-            # By how much, squared, each audit rests nearer to where the other unit does than to its own.
-            nearer = [
-                (_moved(own) - usual) ** 2 - (own.audit_rest - other.unit_rest - usual) ** 2
-                for own, other in (pair, pair[::-1])
-            ]
-            if min(nearer) > far:
-                for own, name in zip(pair, (second, first), strict=True):
-                    serial = first if name == second else second
-                    found[serial] = reason("doubt.exchanged", other=name, rest=own.audit_rest, unit_rest=own.unit_rest)
+    for first, second in combinations(readings, 2):
+        moved = [_moved(one) for name, one in readings.items() if name not in (first, second)]
+        if len(moved) < ReleaseConfig.least_others:
+            continue
+        pair = readings[first], readings[second]
+        usual = float(np.median(moved))
+        # Three quarters of a normal distribution are within 1.15 SD; a quarter may be exchanged themselves.
+        shown = float(np.quantile(np.abs(np.subtract(moved, usual)), 0.75)) / 1.15
+        spread = max(shown, ReleaseConfig.least_rest * min(one.span for one in pair))
+        # By how much, squared, each audit rests nearer to where the other unit does than to its own.
+        nearer = [
+            (_moved(own) - usual) ** 2 - (own.audit_rest - other.unit_rest - usual) ** 2
+            for own, other in (pair, pair[::-1])
+        ]
+        if min(nearer) > (ReleaseConfig.exchanged * spread) ** 2:
+            for serial, other_serial in ((first, second), (second, first)):
+                rest, unit_rest = readings[serial].audit_rest, readings[serial].unit_rest
+                found[serial] = reason("doubt.exchanged", other=other_serial, rest=rest, unit_rest=unit_rest)
     return found
 
 
@@ -77,29 +70,29 @@ def _moved(reading: AuditReading) -> float:
     return reading.audit_rest - reading.unit_rest
 
 
-def _out_of_line(readings: Readings, rules: ReleaseConfig) -> Doubts:
+def _beside(values: Mapping[str, float]) -> Iterator[tuple[str, float, list[float], float]]:
+    """Yield each serial and its value with those of the others and their median, where there are enough others."""
+    for serial, own in values.items():
+        others = [other for name, other in values.items() if name != serial]
+        if len(others) >= ReleaseConfig.least_others:
+            yield serial, own, others, float(np.median(others))
+
+
+def _out_of_line(readings: Readings) -> Doubts:
     found: Doubts = {}
-    for serial, reading in readings.items():
-        others = [other.gain for name, other in readings.items() if name != serial]
-        if len(others) < rules.least_others:
-            continue
-        usual = float(np.median(others))
-        if usual > 0 and not usual / rules.most_gain <= reading.gain <= usual * rules.most_gain:
-            found[serial] = reason("doubt.gain", gain=reading.gain, usual=usual, others=len(others))
+    for serial, gain, others, usual in _beside({serial: one.gain for serial, one in readings.items()}):
+        if usual > 0 and not usual / ReleaseConfig.most_gain <= gain <= usual * ReleaseConfig.most_gain:
+            found[serial] = reason("doubt.gain", gain=gain, usual=usual, others=len(others))
     return found
 
 
-def _strangers(readings: Readings, rules: ReleaseConfig) -> Doubts:
+def _strangers(readings: Readings) -> Doubts:
     """Name an audit that rests far from where its unit does while the others rest where theirs do."""
     found: Doubts = {}
     moved = {serial: _moved(one) / max(one.span, 1e-12) for serial, one in readings.items()}
-    for serial, own in moved.items():
-        others = [other for name, other in moved.items() if name != serial]
-        if len(others) < rules.least_others:
-            continue
-        usual = float(np.median(others))
+    for serial, own, others, usual in _beside(moved):
         farthest = max(abs(other - usual) for other in others)
-        if abs(own - usual) > max(rules.stranger_rest, rules.stranger_factor * farthest):
+        if abs(own - usual) > max(ReleaseConfig.stranger_rest, ReleaseConfig.stranger_factor * farthest):
             one = readings[serial]
             found[serial] = reason("doubt.stranger", rest=one.audit_rest, unit_rest=one.unit_rest, others=len(others))
     return found

@@ -33,14 +33,7 @@ class AuditConfig:
 
 @dataclass(frozen=True)
 class AuditPlan:
-    """The units to check.
-
-    Args:
-        doubtful: serials with the largest forecast error, worst first.
-        random: serials drawn from the rest.
-        population: number of accepted units the random ones were drawn from.
-        allowed_share: of nonconforming units.
-    """
+    """The units to check, and the number of accepted units that the random ones were drawn from."""
 
     doubtful: tuple[str, ...]
     random: tuple[str, ...]
@@ -67,11 +60,9 @@ class LotStatement:
     Args:
         word: `pass` no checked unit failed and, at 95 % confidence, no more than the allowed share of the rest does;
             `conditional` none failed but too few were checked to say that; `fail` a checked unit failed.
-        failed: serials that missed the limit.
         nonconforming_upper: largest number of nonconforming units among the unchecked ones (95 %, hypergeometric).
         process_upper: largest nonconforming share of the process (95 %, Clopper and Pearson 1934).
         error_ratio: RMS of measured over forecast error; well above 1, the forecasts of this lot are too low.
-        text: the same in a sentence.
     """
 
     word: str
@@ -84,10 +75,6 @@ class LotStatement:
 
 def plan_audit(forecasts: Mapping[str, float], config: AuditConfig = AuditConfig()) -> AuditPlan:  # noqa: B008 - frozen
     """Choose the units to check among the accepted ones.
-
-    Args:
-        forecasts: forecast RMSE of every accepted unit by serial.
-        config: how many, and the seed.
 
     Raises:
         InputError: a forecast is not a number, no unit is asked for, or the share is not between 0 and 1.
@@ -111,10 +98,7 @@ def judge_lot(
     """Update the lot's verdict with the measured errors of the checked units.
 
     Args:
-        plan: the plan that was carried out.
-        forecasts: as given to `plan_audit`.
         measured: RMSE against the load cell by serial, every unit of the plan.
-        limit: the lot's tolerance limit.
 
     Raises:
         InputError: a unit of the plan was not measured.

@@ -5,11 +5,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from softcal.core.errors import InputError
-from softcal.core.recording import Array
+from softcal.core.recording import Array, Mask
 from softcal.core.words.reason import Reason, reason
 
 D2 = 1.128
@@ -24,18 +23,10 @@ FORBIDDING = (1, 2, 3)
 """Rules that a process must keep to be called stable. All eight together would stop a quarter of the stable processes
 at 30 values and most of them at 100, these three an eighth and somewhat under a half."""
 
-Flags = NDArray[np.bool_]
-
 
 @dataclass(frozen=True)
 class ChartSignal:
-    """A point that does not look like chance.
-
-    Args:
-        index: of the point that completes the pattern.
-        rule: number of the rule (Nelson 1984).
-        text: the rule in words.
-    """
+    """The point, by its index, that completes a pattern which does not look like chance."""
 
     index: int
     rule: int
@@ -100,7 +91,6 @@ def control_chart(values: Array, baseline: int | None = None) -> ControlChart:
     """Make an I-MR chart.
 
     Args:
-        values: (n,) in time order.
         baseline: the limits come from the first `baseline` values; None takes all of them.
 
     Raises:
@@ -123,7 +113,6 @@ class Capability:
         cp, cpk: with the spread from one value to the next; cp is None for a one-sided limit.
         pp, ppk: with the spread of all values.
         cpk_lower, cpk_upper: 95 % interval of cpk (Bissell 1990).
-        count: number of values.
     """
 
     cp: float | None
@@ -175,23 +164,23 @@ def _nearest(mean: float, sigma: float, minimum: float | None, maximum: float | 
     return min(distances) / (3 * sigma)
 
 
-def _same_side(windows: Array, beyond: float, count: int) -> Flags:
+def _same_side(windows: Array, beyond: float, count: int) -> Mask:
     above, below = (windows > beyond).sum(1) >= count, (windows < -beyond).sum(1) >= count
     # The point that completes the pattern is itself one of those that make it.
     return np.asarray((above & (windows[:, -1] > beyond)) | (below & (windows[:, -1] < -beyond)))
 
 
-def _trend(windows: Array) -> Flags:
+def _trend(windows: Array) -> Mask:
     steps = np.diff(windows, axis=1)
     return np.asarray((steps > 0).all(1) | (steps < 0).all(1))
 
 
-def _alternates(windows: Array) -> Flags:
+def _alternates(windows: Array) -> Mask:
     steps = np.diff(windows, axis=1)
     return np.asarray((steps[:, 1:] * steps[:, :-1] < 0).all(1))
 
 
-RULES: tuple[tuple[Reason, int, Callable[[Array], Flags]], ...] = (
+RULES: tuple[tuple[Reason, int, Callable[[Array], Mask]], ...] = (
     (Reason("chart.rule.1"), 1, lambda w: np.asarray((np.abs(w) > 3).all(1))),
     (Reason("chart.rule.2"), 9, lambda w: _same_side(w, 0.0, 9)),
     (Reason("chart.rule.3"), 6, _trend),

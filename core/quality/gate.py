@@ -10,13 +10,7 @@ from softcal.core.words.reason import Reason, reason
 
 @dataclass(frozen=True)
 class CellAtGate:
-    """The load cell's calibration, from its certificate (a DCC or typed in).
-
-    Args:
-        valid_until: last day on which it holds.
-        capacity_N: upper end of the calibrated range.
-        uncertainty_N: expanded uncertainty, k = 2.
-    """
+    """The load cell's certificate (a DCC or typed in): its last valid day, its range, and its U (k = 2)."""
 
     number: str
     valid_until: date
@@ -26,12 +20,7 @@ class CellAtGate:
 
 @dataclass(frozen=True)
 class GoldenCheck:
-    """The newest run of a golden unit.
-
-    Args:
-        at: when, with time zone.
-        is_in_control: whether it lay within its own control limits.
-    """
+    """The newest run of a golden unit, and whether it lay within its own control limits."""
 
     at: datetime
     serial: str
@@ -71,16 +60,8 @@ class StationFacts:
     """What is known when somebody wants to run.
 
     Args:
-        now: this instant, with time zone.
         certificate: of the load cell; None where none is on file.
-        largest_force_N: that the profile may reach: the station's force limit.
         shift_began: the golden unit must have been pressed since then.
-        golden: its newest run; None where there is none.
-        rig: what the rig says of itself.
-        zero_return_limit_N: largest change of the load cell's zero over a run.
-        warm_up: how long the load cell must be powered first.
-        needs_certificate, needs_golden: whether this line asks for them.
-        override: an engineer's decision, where there is one.
     """
 
     now: datetime
@@ -99,12 +80,7 @@ class StationFacts:
 
 @dataclass(frozen=True)
 class Gate:
-    """The answer.
-
-    Args:
-        conditions: everything that was looked at.
-        is_overridden: whether an engineer lets it run in spite of what is not good.
-    """
+    """The answer, and whether an engineer lets it run in spite of what is not good."""
 
     conditions: tuple[Condition, ...] = ()
     is_overridden: bool = False
@@ -143,13 +119,8 @@ def quarantined(
 ) -> tuple[str, ...]:
     """Return the serials pressed since the last good check, once a check has failed (ISO/IEC 17025, 6.4.9).
 
-    Args:
-        pressed: (serial, when) of every unit, in any order.
-        checks: runs of golden units, in any order.
-        now: checks and units after it do not count.
-
-    Returns:
-        Serials in the order they were pressed; empty while the newest check is good.
+    Units, (serial, when), and checks of golden units may come in any order; those after `now` do not count. Serials
+    come in the order they were pressed; none while the newest check is good.
     """
     known = sorted((check for check in checks if check.at <= now), key=lambda check: check.at)
     if not known or known[-1].is_in_control:

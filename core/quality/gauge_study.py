@@ -24,7 +24,6 @@ class GaugeStudy:
     """Standard deviations of a gauge study, in the unit of the measurement.
 
     Args:
-        method: "anova" or "average-range".
         repeatability: equipment variation EV, the same unit on the same station again.
         reproducibility: appraiser variation AV between stations or re-mounts, without the interaction.
         interaction: of units with stations; 0 where it was pooled or cannot be estimated.

@@ -22,12 +22,7 @@ REPEATED = ("load.unsteady", "load.unloaded", "load.same")
 
 @dataclass(frozen=True)
 class KnownLoad:
-    """One weight, in the reference unit of the lot.
-
-    Args:
-        value: the load, 0 for the unit with nothing on it.
-        expanded: its expanded uncertainty U (k = 2).
-    """
+    """One weight with its expanded uncertainty U (k = 2), in the reference unit of the lot."""
 
     value: float
     expanded: float = 0.0

@@ -59,12 +59,7 @@ class LineRules:
         return not self.serial_pattern or re.fullmatch(self.serial_pattern, serial) is not None
 
     def retests_left(self, verdict: str, tests: int) -> int:
-        """Return how often a unit may still be pressed again.
-
-        Args:
-            verdict: of its newest result.
-            tests: how often it has been pressed to an end.
-        """
+        """Return how often a unit may still be pressed again after so many tests and its newest verdict."""
         return max(0, self.retests.get(verdict, 0) - max(0, tests - 1))
 
     def settings(self) -> dict[str, object]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -21,14 +22,9 @@ class LotRelease:
     """What is decided on the unmeasured units of a lot, and what is promised about those released.
 
     Args:
-        qualification: whether units may be released, and on which audits.
-        forecasts: forecast RMSE by serial of the units decided on.
         found: which of them are released; None without a qualification.
-        widening: of their 90 % intervals.
-        statement: the promise, or why there is none.
         seen: gains that audited units of this lot read their loads with; None where too few were audited.
         days: by serial, the error that another day adds as golden runs show it; empty without them.
-        doubts: audits that are set aside, by serial, and why.
         common: what the audited units misread alike, and what was taken off all maps of the lot; None where nothing.
     """
 
@@ -38,7 +34,6 @@ class LotRelease:
     forecasts: Mapping[str, float]
     found: PromisedRelease | None
     widening: Widening
-    statement: Reason
     seen: SeenGains | None = None
     days: Mapping[str, float] = field(default_factory=dict)
     doubts: Mapping[str, Reason] = field(default_factory=dict)
@@ -58,6 +53,46 @@ class LotRelease:
     def forecast_scale(self) -> float:
         """Mean of measured over forecast error: what a forecast of this lot is to be multiplied with; 1 if unknown."""
         return 1.0 if self.found is None else float(np.exp(self.found.ratios.centre))
+
+    @cached_property
+    def statement(self) -> Reason:
+        """The promise, or why there is none, and what the audits show beside it."""
+        said, unit = [self._promised()], self.limit.unit
+        if self.seen is not None:
+            said.append(reason("release.gains", centre=self.seen.centre, spread=self.seen.spread))
+        if self.days:
+            said.append(reason("release.days", day=max(self.days.values()), unit=unit))
+        if (common := self.common) is not None:
+            gain, zero = common.line.gain, common.line.zero
+            said.append(reason("release.common", gain=gain, zero=zero, unit=unit, audits=common.audits))
+        if self.doubts:
+            said.append(reason("release.doubts", serials=", ".join(self.doubts)))
+        return several(said)
+
+    def _promised(self) -> Reason:
+        found, here, which = self.found, self.qualification.here, self.qualification.reason
+        bound: Mapping[str, Value] = {"limit": self.limit.maximum_rmse, "unit": self.limit.unit}
+        if not self.forecasts and here:
+            return reason("release.none_left", seen=_audited(here, reason("part.here", audits=len(here)), bound))
+        if found is None:
+            return reason("release.unqualified", why=which)
+        seen = _audited(self.qualification.audits, which, bound)
+        if not self.forecasts:
+            return reason("release.none_left", seen=seen)
+        count = len(self.forecasts)
+        if not found.released:
+            part, factor = ReleaseConfig.least_part, found.factor
+            return reason("release.poor", seen=seen, part=part, open=count, factor=factor)
+        return reason(
+            "release.promised",
+            seen=seen,
+            risk=self.promise.risk,
+            confidence=self.promise.confidence,
+            released=len(found.released),
+            open=count,
+            any_form=any_form(found),
+            **bound,
+        )
 
     def judgement(self, serial: str) -> Judgement:
         """Return what the audits of the lot say about one of the units decided on."""
@@ -133,60 +168,12 @@ def release_lot(
 
     Args:
         forecasts: forecast RMSE by serial of the units no finding stands against.
-        qualification: on which audits, if any.
-        limit: of the lot, in the forecasts' unit.
-        promise: what is to hold for the released units.
-        widening: of their intervals, from the same audits.
         least: number of units that must pass, or none is released.
-        seen: gains that audited units of this lot read their loads with.
         days: by serial, the error that another day adds as golden runs show it, in the forecasts' unit.
-        doubts: audits that are set aside, by serial, and why.
-        common: what the audited units misread alike, taken off all maps of the lot.
     """
     found = release(forecasts, qualification.audits, limit, promise, least, days) if qualification.is_given else None
-    statement = [_promised(forecasts, found, qualification, limit, promise)]
-    if seen is not None:
-        statement.append(reason("release.gains", centre=seen.centre, spread=seen.spread))
-    if days:
-        statement.append(reason("release.days", day=max(days.values()), unit=limit.unit))
-    if common is not None:
-        gain, zero = common.line.gain, common.line.zero
-        statement.append(reason("release.common", gain=gain, zero=zero, unit=limit.unit, audits=common.audits))
-    if doubts:
-        statement.append(reason("release.doubts", serials=", ".join(doubts)))
-    said, days, doubts = several(statement), days or {}, doubts or {}
-    return LotRelease(qualification, limit, promise, forecasts, found, widening, said, seen, days, doubts, common)
-
-
-def _promised(
-    forecasts: Mapping[str, float],
-    found: PromisedRelease | None,
-    qualification: Qualification,
-    limit: Limit,
-    promise: Promise,
-) -> Reason:
-    bound: Mapping[str, Value] = {"limit": limit.maximum_rmse, "unit": limit.unit}
-    if not forecasts and qualification.here:
-        seen = _audited(qualification.here, reason("part.here", audits=len(qualification.here)), bound)
-        return reason("release.none_left", seen=seen)
-    if found is None:
-        return reason("release.unqualified", why=qualification.reason)
-    seen = _audited(qualification.audits, qualification.reason, bound)
-    if not forecasts:
-        return reason("release.none_left", seen=seen)
-    if not found.released:
-        facts: Mapping[str, Value] = {"part": ReleaseConfig.least_part, "open": len(forecasts), "factor": found.factor}
-        return reason("release.poor", seen=seen, **facts)
-    return reason(
-        "release.promised",
-        seen=seen,
-        risk=promise.risk,
-        confidence=promise.confidence,
-        released=len(found.released),
-        open=len(forecasts),
-        any_form=any_form(found),
-        **bound,
-    )
+    days, doubts = days or {}, doubts or {}
+    return LotRelease(qualification, limit, promise, forecasts, found, widening, seen, days, doubts, common)
 
 
 def _audited(audits: Sequence[AuditedUnit], which: Reason, bound: Mapping[str, Value]) -> Reason:

@@ -29,9 +29,6 @@ class UnitInLot:
     """One unit of a lot.
 
     Args:
-        verdict: as it stands; None before the first result.
-        is_measured: whether its error was measured, by an audit that counts.
-        had_passed: whether an earlier verdict released it.
         audited_at: when its newest audit came into the registry, UTC; None without one, whether it counts or not.
         forecast_rmse, measured_rmse: in the reference unit; None where there is none.
     """
@@ -67,13 +64,7 @@ class UnitInLot:
 
 @dataclass(frozen=True)
 class LotStanding:
-    """A lot as every page, paper and program tells it.
-
-    Args:
-        units: its target units, by serial.
-        limit: in force; None where none is stated and no unit is calibrated yet.
-        decided: on the units nobody measured; None while no unit has a forecast.
-    """
+    """A lot as every page, paper and program tells it; nothing is decided while no unit has a forecast."""
 
     lot_id: str
     units: Sequence[UnitInLot]

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
-from softcal.core.quality.acceptance import Promise
-from softcal.core.quality.release import AuditedUnit, audits_wanted
+from softcal.core.quality.acceptance import least_units
+from softcal.core.quality.release import AuditedUnit
 from softcal.core.unit.method import ReleaseConfig
 from softcal.core.words.reason import Reason, reason
 
@@ -17,14 +17,9 @@ THIS_LOT, EARLIER_LOTS, NONE = "this lot", "earlier lots", "none"
 
 @dataclass(frozen=True)
 class PastAudit:
-    """An audit as it was kept.
+    """An audit as it was kept, with the method of its forecast.
 
-    Args:
-        unit: forecast and measured error.
-        sensor_model: product of its lot.
-        method_id: what made the forecast: map and forecast configuration, and their version.
-        made_at: when it was measured.
-        has_failed: the unit was accepted on its forecast, and its measured error is beyond the limit.
+    It has failed where the unit was accepted on its forecast, and its measured error is beyond the limit.
     """
 
     unit: AuditedUnit
@@ -36,13 +31,7 @@ class PastAudit:
 
 @dataclass(frozen=True)
 class Qualification:
-    """On which audits units of a lot may be released.
-
-    Args:
-        source: `this lot`, `earlier lots` or `none`.
-        audits: the audited units that count; empty where there is none.
-        wanted: audits of this lot that are still missing; 0 where it is qualified.
-    """
+    """On which audits units of a lot may be released, and how many of this lot are wanted still."""
 
     source: str
     audits: tuple[AuditedUnit, ...]
@@ -64,54 +53,47 @@ def qualify(
     method_id: str,
     golden_failed_at: datetime | None = None,
     units: int | None = None,
-    rules: ReleaseConfig = ReleaseConfig(),  # noqa: B008 - frozen
 ) -> Qualification:
     """Say whether and on what audits the units of a lot may be released.
 
     Enough audits of the lot itself outrank all others. Audits of earlier lots count where they are of the same product
-    and method, not older than `rules.lasts_days`, of `rules.least_lots` lots at least, and no later audit or golden
-    unit failed: a failure withdraws everything before it.
+    and method, not older than `lasts_days`, of `least_lots` lots at least, and no later audit or golden unit failed: a
+    failure withdraws everything before it.
 
     Args:
         past: audits of other lots, of any product, method and age.
-        now: the time of the decision.
         golden_failed_at: when a golden unit last failed on the line that presses this lot.
         units: of this lot, measured or not; None where more may come than anybody knows.
     """
-    wanted = wanted_audits(rules)
+    wanted = least_units(ReleaseConfig.risk)
     if len(here) >= wanted:
         return Qualification(THIS_LOT, tuple(here), 0, reason("part.here", audits=len(here)), tuple(here))
     if not sensor_model:
-        return _none(here, reason("part.no_model"), units, rules)
+        return _none(here, reason("part.no_model"), units)
     same = [audit for audit in past if (audit.sensor_model, audit.method_id) == (sensor_model, method_id)]
-    lasts = timedelta(days=rules.lasts_days)
+    lasts = timedelta(days=ReleaseConfig.lasts_days)
     fresh = [audit for audit in same if now - audit.made_at <= lasts]
     failed = [audit.made_at for audit in fresh if audit.has_failed]
     since = max([*failed, *([golden_failed_at] if golden_failed_at else [])], default=None)
     standing = [audit for audit in fresh if since is None or audit.made_at > since]
     lots = {audit.unit.lot_id for audit in standing}
-    if len(standing) + len(here) >= wanted and len(lots) >= rules.least_lots:
+    if len(standing) + len(here) >= wanted and len(lots) >= ReleaseConfig.least_lots:
         audits = (*here, *(audit.unit for audit in standing))
         seen = reason("part.of_lots", audits=len(standing), lots=len(lots))
         return Qualification(EARLIER_LOTS, audits, 0, seen, tuple(here))
-    return _none(here, _why(past, same, fresh, standing, rules), units, rules)
+    return _none(here, _why(past, same, fresh, standing), units)
 
 
-def wanted_audits(rules: ReleaseConfig = ReleaseConfig()) -> int:  # noqa: B008 - frozen
-    """Return how many audits qualify."""
-    return audits_wanted(Promise(rules.risk, rules.confidence))
-
-
-def small_lot(units: int, rules: ReleaseConfig = ReleaseConfig()) -> Reason | None:  # noqa: B008 - frozen
+def small_lot(units: int) -> Reason | None:  # noqa: B008 - frozen
     """Say what a lot is to do that has no unit left once enough are audited; None for a larger one."""
-    wanted = wanted_audits(rules)
+    wanted = least_units(ReleaseConfig.risk)
     if units > wanted:
         return None
-    return reason("part.small_lot", units=units, wanted=wanted, least=rules.least_lots)
+    return reason("part.small_lot", units=units, wanted=wanted, least=ReleaseConfig.least_lots)
 
 
-def _none(here: Sequence[AuditedUnit], why: Reason, units: int | None, rules: ReleaseConfig) -> Qualification:
-    missing, small = wanted_audits(rules) - len(here), None if units is None else small_lot(units, rules)
+def _none(here: Sequence[AuditedUnit], why: Reason, units: int | None) -> Qualification:
+    missing, small = least_units(ReleaseConfig.risk) - len(here), None if units is None else small_lot(units)
     if small is None or units is None:
         said = reason("part.unqualified", audits=len(here), why=why, missing=missing)
         return Qualification(NONE, (), missing, said, tuple(here))
@@ -120,19 +102,15 @@ def _none(here: Sequence[AuditedUnit], why: Reason, units: int | None, rules: Re
 
 
 def _why(
-    past: Sequence[PastAudit],
-    same: Sequence[PastAudit],
-    fresh: Sequence[PastAudit],
-    standing: Sequence[PastAudit],
-    rules: ReleaseConfig,
+    past: Sequence[PastAudit], same: Sequence[PastAudit], fresh: Sequence[PastAudit], standing: Sequence[PastAudit]
 ) -> Reason:
     if not past:
         return reason("part.no_lot")
     if not same:
         return reason("part.other_method")
     if not fresh:
-        return reason("part.old_audits", days=rules.lasts_days)
+        return reason("part.old_audits", days=ReleaseConfig.lasts_days)
     if len(standing) < len(fresh):
         return reason("part.withdrawn")
     lots = len({audit.unit.lot_id for audit in standing})
-    return reason("part.few_lots", audits=len(standing), lots=lots, least=rules.least_lots)
+    return reason("part.few_lots", audits=len(standing), lots=lots, least=ReleaseConfig.least_lots)

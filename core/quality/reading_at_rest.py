@@ -40,7 +40,6 @@ def level_at_rest(
     """Return the output at rest under a load.
 
     Args:
-        output: (n,) the reading.
         recorded: (m,) output of the unit's run; it begins with nothing on the unit.
         load: what lies on the unit, as far as it was asked for.
         before: levels under the loads read before.

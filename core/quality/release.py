@@ -11,13 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.quality.acceptance import Promise, tolerance_factor
-from softcal.core.quality.conformal import least_units, share_beyond
+from softcal.core.quality.acceptance import Promise, least_risk, share_beyond, tolerance_factor
 from softcal.core.recording import Array
 from softcal.core.unit.method import ReleaseConfig
 from softcal.core.unit.verdict import Limit
-
-RULES = ReleaseConfig()
 
 
 @dataclass(frozen=True)
@@ -26,7 +23,6 @@ class AuditedUnit:
 
     Args:
         forecast_rmse: forecast before it was measured, in the reference unit.
-        measured_rmse: RMSE against the reference, in the same.
 
     Raises:
         InputError: an error is not a positive number.
@@ -67,18 +63,18 @@ class Ratios:
     count: float
     degrees: float
 
-    def bound(self, promise: Promise, rules: ReleaseConfig = RULES) -> float:
+    def bound(self, promise: Promise) -> float:
         """Return the factor that measured / forecast of all but a share `risk` of the units stays below.
 
         The larger of two. exp(mean + k SD) holds with the promise's confidence where the ratios are near log-normal
         (ISO 16269-6, the method of ISO 3951). One unit in audits + 1 exceeds the largest ratio seen, for ratios of any
         distribution. Infinite where the audits are too few.
         """
-        if self.audits < rules.least_audits or (self.lots > 1 and self.lots < rules.least_lots):
+        if self.audits < ReleaseConfig.least_audits or (self.lots > 1 and self.lots < ReleaseConfig.least_lots):
             return float("inf")
-        reckoned = replace(promise, confidence=1 - (1 - promise.confidence) / rules.reserve)
+        reckoned = replace(promise, confidence=1 - (1 - promise.confidence) / ReleaseConfig.reserve)
         factor = tolerance_factor(self.count, self.degrees, reckoned)
-        return float(np.exp(max(self.largest, self.centre + factor * max(self.spread, rules.least_spread))))
+        return float(np.exp(max(self.largest, self.centre + factor * max(self.spread, ReleaseConfig.least_spread))))
 
 
 @dataclass(frozen=True)
@@ -86,11 +82,7 @@ class PromisedRelease:
     """Which of the unmeasured units of a lot are released, and what is promised about them.
 
     Args:
-        released: serials, smallest forecast first.
         factor: largest measured / forecast error reckoned with; infinite where nothing can be promised.
-        ratios: what the audits showed.
-        considered: number of unmeasured units the decision was on.
-        promise: what holds for the released ones.
         share_any_form: share of released units beyond the limit that holds at the promise's confidence without any
             assumption on the form of the ratios; 1 where nothing does.
         risk_any_form: the same on average over audits that might have been drawn.
@@ -99,13 +91,11 @@ class PromisedRelease:
     released: tuple[str, ...]
     factor: float
     ratios: Ratios
-    considered: int
-    promise: Promise
     share_any_form: float
     risk_any_form: float
 
 
-def audited_ratios(audits: Sequence[AuditedUnit], rules: ReleaseConfig = RULES) -> Ratios:
+def audited_ratios(audits: Sequence[AuditedUnit]) -> Ratios:
     """Return what the audited units show; units of several lots show how lots differ as well.
 
     Over lots the variance of one more unit is that of the lots' means and what one unit adds to it (one-way random
@@ -128,7 +118,7 @@ def audited_ratios(audits: Sequence[AuditedUnit], rules: ReleaseConfig = RULES) 
         (group,) = groups
         spread = float(np.std(group, ddof=1))
         return Ratios(len(group), 1, float(group.mean()), spread, largest, len(group), len(group) - 1)
-    return _over_lots(groups, largest, rules.least_spread)
+    return _over_lots(groups, largest, ReleaseConfig.least_spread)
 
 
 def _over_lots(groups: Sequence[Array], largest: float, least_spread: float) -> Ratios:
@@ -152,7 +142,6 @@ def release(
     promise: Promise = Promise(),  # noqa: B008 - frozen
     least: float = 0.0,
     days: Mapping[str, float] | None = None,
-    rules: ReleaseConfig = RULES,
 ) -> PromisedRelease:
     """Choose which unmeasured units to release so that the promise holds for the released ones.
 
@@ -164,14 +153,14 @@ def release(
     Args:
         forecasts: forecast RMSE by serial of the units that nobody measured and nothing else stands against.
         audits: of the same lot, drawn at random; or of several earlier lots.
-        limit: largest acceptable RMSE.
-        rules: the numbers behind it.
 
     Raises:
         InputError: a unit was audited twice, or a forecast is no positive number.
     """
-    _check(forecasts)
-    ratios, considered = audited_ratios(audits, rules), len(forecasts)
+    for serial, rmse in forecasts.items():
+        if not 0 < rmse < float("inf"):
+            raise InputError(f"unit {serial}: forecast error is {rmse}; only units with a forecast can be released")
+    ratios, considered = audited_ratios(audits), len(forecasts)
     days = days or {}
     # What is left of the limit once another day has taken its part; without golden runs the limit itself.
     limits = {
@@ -180,44 +169,28 @@ def release(
     need = {serial: forecasts[serial] / limits[serial] if limits[serial] else np.inf for serial in forecasts}
     ordered = sorted(forecasts, key=lambda serial: (need[serial], serial))
     needed = np.array([need[serial] for serial in ordered])
-    count, factor = considered, ratios.bound(promise, rules)
-    least = max(rules.least_part * considered, least, 1)
+    count, factor = considered, ratios.bound(promise)
+    least = max(ReleaseConfig.least_part * considered, least, 1)
     while (passing := int(np.count_nonzero(needed[:count] * factor <= 1))) < count:
         count = passing
         if count < least:
             break
-        factor = ratios.bound(replace(promise, risk=promise.risk * count / considered), rules)
+        factor = ratios.bound(replace(promise, risk=promise.risk * count / considered))
     if count < least:
-        return PromisedRelease((), factor, ratios, considered, promise, 1.0, 1.0)
+        return PromisedRelease((), factor, ratios, 1.0, 1.0)
     said = _any_form(ratios, count / considered, promise) if count else (1.0, 1.0)
-    return PromisedRelease(tuple(ordered[:count]), factor, ratios, considered, promise, *said)
+    return PromisedRelease(tuple(ordered[:count]), factor, ratios, *said)
 
 
-def least_passing(units: int, held: int, rules: ReleaseConfig = RULES) -> float:
-    """Return how many unmeasured units must pass so that half of a whole lot does.
-
-    Args:
-        units: of the lot, those that a finding or refusal stands against among them.
-        held: of these, measured within the limit.
-    """
-    return rules.least_part * units - held
-
-
-def audits_wanted(promise: Promise) -> int:
-    """Return how many audits of a lot make the promise hold on average for any ratios: 9 for 1 in 10."""
-    return least_units(promise.risk)
+def least_passing(units: int, held: int) -> float:
+    """Return how many unmeasured units must pass so that half of a lot does, of which `held` were measured."""
+    return ReleaseConfig.least_part * units - held
 
 
 def _any_form(ratios: Ratios, part: float, promise: Promise) -> tuple[float, float]:
     if ratios.lots > 1:
         # Lots are exchangeable as wholes only: the bound is the largest of that many lots.
         return 1.0, min(1 / (ratios.lots + 1) / part, 1.0)
-    risk = 1 / (ratios.audits + 1)
+    risk = least_risk(ratios.audits)
     share = share_beyond(ratios.audits, risk, promise.confidence)
     return min(share / part, 1.0), min(risk / part, 1.0)
-
-
-def _check(forecasts: Mapping[str, float]) -> None:
-    for serial, rmse in forecasts.items():
-        if not 0 < rmse < float("inf"):
-            raise InputError(f"unit {serial}: forecast error is {rmse}; only units with a forecast can be released")

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from softcal.core.errors import InputError
-from softcal.core.quality.conformal import pooled_scale
+from softcal.core.quality.acceptance import pooled_scale
 from softcal.core.recording import Array
 from softcal.core.unit.method import ReleaseConfig
 
@@ -21,12 +21,7 @@ CLOSE = 1e-3
 
 @dataclass(frozen=True)
 class Widening:
-    """What becomes of an interval's half-width h: sqrt((scale h)^2 + added^2).
-
-    Args:
-        scale: factor on the half-width that was forecast; 1 or less.
-        added: half-width beside it, in the reference unit.
-    """
+    """What becomes of an interval's half-width h, in the reference unit: sqrt((scale h)^2 + added^2)."""
 
     scale: float = 1.0
     added: float = 0.0
@@ -37,12 +32,7 @@ class Widening:
 
 @dataclass(frozen=True, eq=False)
 class AuditedSamples:
-    """What the audit of one unit shows of its interval.
-
-    Args:
-        residual: (n,) |estimate - reference|, in the reference unit.
-        half: (n,) half-width of the 90 % interval there, before audits of other units widened it.
-    """
+    """|residual| and half-width of the 90 % interval, as it was forecast, at (n,) samples of an audit."""
 
     residual: Array
     half: Array
@@ -52,22 +42,14 @@ class AuditedSamples:
         return np.asarray(self.residual / np.maximum(widening(self.half), 1e-12))
 
 
-def fit_widening(
-    units: Sequence[AuditedSamples],
-    coverage: float,
-    rules: ReleaseConfig = ReleaseConfig(),  # noqa: B008 - frozen
-) -> Widening:
+def fit_widening(units: Sequence[AuditedSamples], coverage: float) -> Widening:
     """Return the widening that serves the samples on average and the units one by one.
 
     The factor is what the median unit asks for where that is less than 1. The added error is the smallest that
     does two things. It covers the audited units' samples to `coverage`, each unit weighing the same: the pooled version
     of hierarchical conformal prediction (Dunn, Wasserman and Ramdas 2023; Lee, Barber and Willett 2023). And one more
-    unit has `rules.least_coverage` of its samples covered, all but a share `rules.most_units` of the times. That is the
+    unit has `least_coverage` of its samples covered, all but a share `most_units` of the times. That is the
     prediction limit of the logarithm of the units' own factors (Student's t; Hahn 1970).
-
-    Args:
-        units: audited ones, drawn at random.
-        coverage: share of samples, between 0 and 1.
 
     Raises:
         InputError: there is no audited unit.
@@ -76,23 +58,23 @@ def fit_widening(
         raise InputError("no audited unit: to widen intervals takes one at least")
     median = float(np.median([np.quantile(unit.ratio(Widening()), coverage) for unit in units]))
     scale, step = min(1.0, median), max(float(np.median(unit.residual)) for unit in units) or CLOSE
-    if _needed(units, Widening(scale), coverage, rules) <= 1:
+    if _needed(units, Widening(scale), coverage) <= 1:
         return Widening(scale)
     low, high = 0.0, step
-    while _needed(units, Widening(scale, high), coverage, rules) > 1:
+    while _needed(units, Widening(scale, high), coverage) > 1:
         low, high = high, 2 * high
     while high - low > CLOSE * high:
         middle = (low + high) / 2
-        is_enough = _needed(units, Widening(scale, middle), coverage, rules) <= 1
+        is_enough = _needed(units, Widening(scale, middle), coverage) <= 1
         low, high = (low, middle) if is_enough else (middle, high)
     return Widening(scale, high)
 
 
-def _needed(units: Sequence[AuditedSamples], widening: Widening, coverage: float, rules: ReleaseConfig) -> float:
+def _needed(units: Sequence[AuditedSamples], widening: Widening, coverage: float) -> float:
     """Return the factor that the widened intervals would still need."""
     ratios = [unit.ratio(widening) for unit in units]
-    own = np.log([max(float(np.quantile(ratio, rules.least_coverage)), 1e-12) for ratio in ratios])
-    return max(pooled_scale(ratios, coverage), float(np.exp(_next_unit(own, rules.most_units))))
+    own = np.log([max(float(np.quantile(ratio, ReleaseConfig.least_coverage)), 1e-12) for ratio in ratios])
+    return max(pooled_scale(ratios, coverage), float(np.exp(_next_unit(own, ReleaseConfig.most_units))))
 
 
 def _next_unit(values: Array, risk: float) -> float:

@@ -30,15 +30,9 @@ class Share:
 
 @dataclass(frozen=True)
 class Yields:
-    """Yields of units, each counted once.
+    """Yields of units, each counted once, and what stands first where the newest verdict is not good.
 
-    Args:
-        first_pass: units good in their first run.
-        second_pass: units good in their first or second run.
-        last_pass: units whose newest verdict is good.
-        runs: runs that were good, of all runs.
-        reasons: how often each kind of reason stands first where the newest verdict is not good, most frequent first;
-            each kind by the newest reason of it.
+    Kinds of reasons with how often they do, the most frequent first; each kind by the newest reason of it.
     """
 
     first_pass: Share
@@ -57,12 +51,7 @@ class UnitRun:
 
 
 def yields(runs: Mapping[str, Sequence[UnitRun]], golden: Collection[str] = (), good: Collection[str] = GOOD) -> Yields:
-    """Count the yields of a lot.
-
-    Args:
-        runs: per serial its runs in time order; a unit without a run does not count.
-        golden: serials that check the station; they are left out.
-    """
+    """Count the yields of a lot from the runs of each unit in time order; golden units are left out."""
     kept = [unit for serial, unit in runs.items() if unit and serial not in golden]
     verdicts = [[run.verdict in good for run in unit] for unit in kept]
     firsts = [

@@ -22,22 +22,14 @@ KEPT = 201
 
 @dataclass(frozen=True)
 class OutputLevel:
-    """Where the output of a unit stands in its recording, in the output's unit.
-
-    Args:
-        span: from there to its highest loads, more than 0.
-    """
+    """Where the output of a unit stands at rest, and its span to its highest loads (above 0), in the output's unit."""
 
     rest: float
     span: float
 
 
 def output_level(recording: OutputRecording, *, is_rising: bool, rest: float) -> OutputLevel:
-    """Return where the output of a unit stands.
-
-    Args:
-        rest: share of the samples at whose quantile a unit is at rest.
-    """
+    """Return where the output of a unit stands."""
     low, high = (float(value) for value in np.quantile(recording.output, (rest, 1 - rest)))
     return OutputLevel(low if is_rising else high, high - low)
 
@@ -48,7 +40,6 @@ class AuditReading:
 
     Args:
         output_sha256: content hash of the output alone: one recording that stands for two units is known by it.
-        reference_sha256: content hash of the reference.
         gain, zero: of the straight line of the estimates over the reference (least squares): 1 where the unit reads its
             loads in full, and in the reference's unit.
         unit_rest, audit_rest: output at rest in the unit's recording and in the audit, in the output's unit.
@@ -93,8 +84,7 @@ def read_audit(
     """
     rows = np.flatnonzero(np.isfinite(value))
     kept = rows[np.unique(np.linspace(0, len(rows) - 1, KEPT).astype(np.int64))]
-    is_rising = bool(np.corrcoef(audit.unlabelled.output, audit.reference)[0, 1] >= 0)
-    unit, now = (output_level(one, is_rising=is_rising, rest=rest) for one in (recording, audit.unlabelled))
+    unit, now = (output_level(one, is_rising=audit.direction > 0, rest=rest) for one in (recording, audit.unlabelled))
     gain, zero = line_of(value, audit.reference)
     return AuditReading(
         output_sha256=content_sha256({"output": audit.unlabelled.output}, {}),
@@ -123,12 +113,7 @@ def line_of(value: Array, reference: Array) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Scores:
-    """Errors on one audit recording, in the reference unit.
-
-    Args:
-        before, after: RMSE of f on raw and on mapped windows.
-        own: RMSE of a network trained on the unit's own labels; None where there are too few of them.
-    """
+    """RMSE on one audit, in the reference unit: of f on raw and on mapped windows, and of the unit's own network."""
 
     before: float
     after: float
@@ -144,9 +129,7 @@ def score_map(
 ) -> Scores:
     """Score a unit on the last quarter of its audit recording, by time (Kim et al. 2020, Table 1).
 
-    Args:
-        audit: labelled recording of the unit that no fit has seen.
-        own: how to train the unit's own calibration on the first three quarters; None leaves it out.
+    `own` is how its own calibration is trained on the first three quarters; None leaves it out.
     """
     # By time and never at random: a later stretch is what the unit will be used on.
     split = round(len(audit) * (1 - config.test_share))

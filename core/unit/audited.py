@@ -16,13 +16,7 @@ from softcal.core.unit.verdict import Limit
 def with_audit(
     network: Network, calibration: Calibration, audit: LabelledRecording, recording: OutputRecording
 ) -> Calibration:
-    """Return the calibration with what a labelled recording of its unit says beside the error.
-
-    Args:
-        network: the shared network f.
-        calibration: of the unit, before audits of other units scaled its interval.
-        recording: the one it was calibrated from.
-    """
+    """Return the calibration with what an audit says beside the error; `recording` is the one it was made from."""
     found = estimate(network, calibration, audit.unlabelled)
     half, rest = found.upper - found.estimate, (calibration.method or Method()).decision.audit_rest
     reading = read_audit(found.estimate, half, audit, recording, rest)
@@ -45,11 +39,8 @@ def measured(
     """Return a calibration scored on an audit, and judged by it; its map stays.
 
     Args:
-        network: the shared network f.
         record: as it was fitted or trimmed, with its grounds.
-        audit: labelled recording of the unit.
         recording: the one it was calibrated from.
-        limit: in force.
         is_newer: whether the audit is another than it was made with: what barred the older one is over.
     """
     calibration, grounds = Calibration.from_record(record), record.grounds
@@ -82,7 +73,6 @@ def judged(record: CalibrationRecord, limit: Limit) -> CalibrationRecord | None:
 
     Args:
         record: as it was fitted, before audits of other units scaled it.
-        limit: in force now.
     """
     grounds = record.grounds
     if grounds is None or grounds.rules:

@@ -30,7 +30,6 @@ class Bridge:
         day_map: gain and zero of that day's output on the source's.
         day_rmse: RMS change of the estimates that the day makes, in the reference unit; 0 where it was not measured.
         floor: RMS error of `golden`'s reference, in the same.
-        is_measured: whether a load cell was under it.
     """
 
     golden: LabelledRecording
@@ -49,7 +48,6 @@ def make_bridge(model: SourceModel, run: OutputRecording | LabelledRecording) ->
     """Look at a golden run through f.
 
     Args:
-        model: the lot's source.
         run: the source unit pressed in the units' sitting, with a reference where a load cell was under it.
 
     Raises:
@@ -68,8 +66,9 @@ def make_bridge(model: SourceModel, run: OutputRecording | LabelledRecording) ->
             "unit again in the units' sitting"
         )
     if not isinstance(run, LabelledRecording):
-        read = model.network.evaluate(recording.windows)
-        golden = LabelledRecording(recording, _at_samples(recording, read), source.reference_unit)
+        # One value a sample: before the first full window of a stretch, that of the nearest one.
+        read = np.interp(np.arange(len(recording)), recording.window_rows, model.network.evaluate(recording.windows))
+        golden = LabelledRecording(recording, read, source.reference_unit)
         return Bridge(golden, SAME_DAY, 0.0, model.held_out_rmse, is_measured=False)
     day_map = _fit_day(model.network, run, config)
     corrected = replace(recording, output=day_map.gain * recording.output + day_map.offset)
@@ -119,9 +118,3 @@ def _check_read(run: LabelledRecording, estimate: Array, day_map: AffineMap, con
         f"golden run of {run.serial}: with the best gain for its day, {gain:.3g}, its loads are misread by {error:.3g} "
         f"{unit} RMS; is it another unit, or its reference not in {unit}? nothing was fitted"
     )
-
-
-def _at_samples(recording: OutputRecording, estimate: Array) -> Array:
-    """Return one value a sample: before the first full window of a stretch, that of the nearest one."""
-    rows = recording.window_rows
-    return np.interp(np.arange(len(recording)), rows, estimate)

@@ -86,11 +86,7 @@ class Reference:
         return Standing.EXPIRED if is_early or self.used_on >= self.due_on else Standing.VALID
 
     def bars(self, highest: float) -> tuple[Reason, ...]:
-        """Return what keeps every unit of the lot from passing.
-
-        Args:
-            highest: largest value that was read from it for the lot, in the reference unit.
-        """
+        """Return what keeps every unit of a lot from passing; `highest` is the largest value that was read for it."""
         if self.standing is Standing.MISSING:
             return (reason("reference_missing", cell=self.cell or "?"),)
         if self.standing is Standing.EXPIRED:
@@ -184,12 +180,7 @@ class Contribution:
 
 @dataclass(frozen=True)
 class Budget:
-    """The uncertainty of one estimate: u_c^2 = sum (c_i u_i)^2 over independent contributions (GUM, equation 10).
-
-    Args:
-        load: at which it holds, in the reference unit.
-        contributions: reference first.
-    """
+    """The uncertainty of an estimate: u_c^2 = sum (c_i u_i)^2 over independent contributions (GUM, equation 10)."""
 
     load: float
     contributions: tuple[Contribution, ...]
@@ -208,15 +199,7 @@ class Budget:
 def forecast_budget(
     terms: Mapping[str, float], knowledge: LoadKnowledge, rmse: float, reference: Reference | None, load: float
 ) -> Budget:
-    """Return the budget of a unit whose error was forecast.
-
-    Args:
-        terms: the error budget of the unit (`forecast.py`).
-        knowledge: how its loads are known; its coefficients weigh the terms.
-        rmse: forecast error against the reference, which f, the map and the quantisation share among them.
-        reference: what the source was compared with; None where nobody said.
-        load: at which the budget is made, in the reference unit.
-    """
+    """Return the budget at a load of a unit whose error was forecast: f, map and quantisation share it among them."""
     network = min(terms["model"], rmse)
     step = knowledge.sensitivity.get("resolution", 0.0) * terms.get("resolution", 0.0)
     quantisation = min(step, float(np.sqrt(rmse**2 - network**2)))

@@ -4,20 +4,22 @@ The line, a batch, its workers, a watched folder and the screens all call `calib
 by the `input_sha256` of its problem. No fit sees a reference of the unit; an audit decides, and fits nothing.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
+from softcal.core.errors import UnitRefused
 from softcal.core.maps.choose import ChosenMap, choose_map
+from softcal.core.maps.monotone import shape_distance
 from softcal.core.maps.readout_lag import ReadoutLag, find_readout_lag
 from softcal.core.unit.audit_reading import output_level, score_map
 from softcal.core.unit.audited import with_audit
 from softcal.core.unit.calibration import OUTPUT_REST, OUTPUT_SPAN, Calibration
-from softcal.core.unit.evidence import MapEvidence, gather_evidence
+from softcal.core.unit.evidence import MapEvidence, gather_evidence, other_maps
 from softcal.core.unit.findings import contradictions, map_findings, opening_findings
 from softcal.core.unit.forecast import forecast_error, forecast_own, own_terms, variance_table
 from softcal.core.unit.health import check_alive, health_findings, output_limits
 from softcal.core.unit.judging import Grounds, MeasuredError, limit_evidence
 from softcal.core.unit.rules import RuleFacts, rule_findings
-from softcal.core.unit.trials import other_maps
 from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import Finding
 
@@ -114,3 +116,30 @@ def _numbers(
         **{f"own_{name}": value for name, value in own.items()},
         "own_rmse_forecast": forecast_own(own, evidence.knowledge),
     }
+
+
+def nearest(problems: Sequence[UnitProblem]) -> UnitProblem:
+    """Choose the source of one unit of a lot with several, by evidence that needs no label of it.
+
+    Where pairs with a source are to be had, at equal time or stage position, the forecast says which source reads the
+    unit best. Where nothing is shared, a forecast is a guess: there the source is taken that the unit's output is bent
+    most like.
+
+    Args:
+        problems: the unit with each source, in the order of the lot; every one names the others in `beside`.
+
+    Returns:
+        The problem to calibrate; the first where no source allows a map, so that its reason is told.
+    """
+    ranked = []
+    for place, problem in enumerate(problems):
+        try:
+            made = calibrate(replace(problem, audit=None, own=None))
+            if made.forecast is not None and made.knowledge.is_placed:
+                ranked.append((0, made.forecast.rmse, place))
+            else:
+                known, config = problem.source.source, problem.source.method.map
+                ranked.append((1, shape_distance(known, problem.recording, config), place))
+        except UnitRefused:
+            continue
+    return problems[min(ranked)[-1]] if ranked else problems[0]

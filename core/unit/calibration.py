@@ -1,15 +1,15 @@
 """The result of calibrating one unit: what the registry keeps, what estimates and exports start from."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softcal.core.identity import Settings
 from softcal.core.maps.interface import UnitMap, map_sha256
 from softcal.core.metrics import finite_or_none
+from softcal.core.recording import Arrays
 from softcal.core.unit.audit_reading import AuditReading, OutputLevel, Scores
 from softcal.core.unit.budget import Reference
 from softcal.core.unit.health import OutputLimits
@@ -19,6 +19,8 @@ from softcal.core.unit.method import Method
 from softcal.core.unit.uncertainty import ErrorForecast, Interval
 from softcal.core.unit.verdict import VERDICTS, Decision, Judgement, Verdict
 from softcal.core.words.reason import Reason
+
+Read = TypeVar("Read")
 
 AUDIT_GAIN, AUDIT_ZERO = "audit_gain", "audit_zero"
 """Names under which a calibration keeps, among its numbers, how its fitted map reads the loads of its audit."""
@@ -39,30 +41,25 @@ class CalibrationRecord:
     """One calibration of one unit as plain values: arrays, JSON settings and numbers. The registry stores it whole.
 
     Args:
-        serial: the unit's serial.
         network_id: content hash of the shared network f it belongs to.
         family: family of the map γ (`maps.catalogue`).
-        map_sha256: content hash of the map alone.
         arrays: parameters of the map (names `map.*`), of the interval and support model (names `interval.*`).
         settings: JSON values beside the arrays, grouped: `map`, `interval`, `forecast`; `decision`, what was predicted
             and what was measured; `grounds`, what that rests on but the limit. `method` has every number of the method,
             `reference` what it is traced to, `audit` what its audit says beside the error.
         predicted_rmse: forecast of the error against the reference, in the reference unit; None where none can be made.
         before_rmse, after_rmse, own_rmse: scores on an audit recording, in the reference unit; None without an audit.
-        verdict: pass, conditional, fail or retest.
         reasons: why, most important first.
         evidence: numbers the verdict rests on.
         input_sha256: content hash of everything that went in (recording, network, method ...): equal input, equal
             result, so that finished work is found again.
-        recording_sha256: content hash of the unit's recording.
-        fit_s: seconds the fit took.
     """
 
     serial: str
     network_id: str
     family: str
     map_sha256: str
-    arrays: Mapping[str, NDArray[np.generic]]
+    arrays: Arrays
     settings: Settings
     predicted_rmse: float | None
     verdict: str
@@ -78,8 +75,8 @@ class CalibrationRecord:
     @property
     def forecast_rmse(self) -> float | None:
         """Forecast before audits of other units scaled it; `predicted_rmse` is the one in force."""
-        kept = self.evidence.get("forecast_rmse")
-        return self.predicted_rmse if kept is None else float(kept)
+        before = self._number("forecast_rmse")
+        return self.predicted_rmse if before is None else before
 
     @property
     def method_id(self) -> str:
@@ -89,8 +86,7 @@ class CalibrationRecord:
     @property
     def method(self) -> Method | None:
         """Every number it was made with; None in records of versions that kept none."""
-        kept = self.settings.get("method")
-        return None if kept is None else Method.of(kept)  # type: ignore[arg-type]
+        return self._kept("method", Method.of)
 
     @property
     def knowledge(self) -> LoadKnowledge:
@@ -102,22 +98,18 @@ class CalibrationRecord:
     @property
     def reference(self) -> Reference | None:
         """What the source was compared with; None where nobody said."""
-        kept = self.settings.get("reference")
-        return None if kept is None else Reference.of(kept)  # type: ignore[arg-type]
+        return self._kept("reference", Reference.of)
 
     @property
     def decision(self) -> Decision:
         """What was predicted and what was measured. Records of older versions kept the word alone."""
-        kept = self.settings.get("decision")
-        if kept is None:
-            return Decision(Judgement(Verdict(self.verdict), self.reasons))
-        return Decision.of(kept)  # type: ignore[arg-type]
+        known = self._kept("decision", Decision.of)
+        return known or Decision(Judgement(Verdict(self.verdict), self.reasons))
 
     @property
     def grounds(self) -> Grounds | None:
         """What it was decided on, but the limit; None in records of older versions."""
-        kept = self.settings.get("grounds")
-        return None if kept is None else Grounds.of(kept)  # type: ignore[arg-type]
+        return self._kept("grounds", Grounds.of)
 
     @property
     def is_open(self) -> bool:
@@ -128,8 +120,7 @@ class CalibrationRecord:
     @property
     def limit_rmse(self) -> float | None:
         """Limit it was judged against, in the reference unit; None in records of older versions."""
-        kept = self.evidence.get("limit_rmse")
-        return None if kept is None else float(kept)
+        return self._number("limit_rmse")
 
     @property
     def audit_line(self) -> tuple[float, float] | None:
@@ -139,29 +130,36 @@ class CalibrationRecord:
     @property
     def output_level(self) -> OutputLevel | None:
         """Where the output of its recording stands; None in records of older versions."""
-        kept = self._pair(OUTPUT_REST, OUTPUT_SPAN)
-        return None if kept is None else OutputLevel(*kept)
+        level = self._pair(OUTPUT_REST, OUTPUT_SPAN)
+        return None if level is None else OutputLevel(*level)
 
     @property
     def common_line(self) -> tuple[float, float] | None:
         """Gain and zero that were taken off its map; None where none were."""
         return self._pair(COMMON_GAIN, COMMON_ZERO)
 
-    def _pair(self, *names: str) -> tuple[float, float] | None:
-        gain, zero = (self.evidence.get(name) for name in names)
-        return None if gain is None or zero is None else (float(gain), float(zero))
-
     @property
     def load_rms(self) -> float | None:
         """RMS load above rest that its recording shows, in the reference unit; None in records of older versions."""
-        kept = self.evidence.get("load_rms")
-        return None if kept is None else float(kept)
+        return self._number("load_rms")
 
     @property
     def audit(self) -> AuditReading | None:
         """What its audit says beside the error; None without one, and in records of older versions."""
-        kept = self.settings.get("audit")
-        return None if kept is None else AuditReading.of(kept)  # type: ignore[arg-type]
+        return self._kept("audit", AuditReading.of)
+
+    def _kept(self, name: str, read: Callable[[Any], Read]) -> Read | None:
+        """Return what was written under a name of the settings; None where nothing was."""
+        written = self.settings.get(name)
+        return None if written is None else read(written)
+
+    def _number(self, name: str) -> float | None:
+        value = self.evidence.get(name)
+        return None if value is None else float(value)
+
+    def _pair(self, first: str, second: str) -> tuple[float, float] | None:
+        one, other = self._number(first), self._number(second)
+        return None if one is None or other is None else (one, other)
 
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:
@@ -173,17 +171,9 @@ class Calibration:
     """The calibration of one unit, ready to estimate with.
 
     Args:
-        serial: the unit's serial.
-        network_id: content hash of the shared network f it belongs to.
-        interval: 90 % interval of its estimates.
-        output_limits: where the raw output stops to be believable.
         forecast: error forecast without labels, in the reference unit; None where none can be made.
-        decision: what was decided, on what, and why.
         grounds: what it was decided on, but the limit; None in records of older versions.
         evidence: numbers and words behind it.
-        method: every number it was made with; None in records of versions that kept none.
-        scores: errors on the unit's audit; None without one.
-        reference: what the source was compared with; None where nobody said.
         audit: what the audit says beside them; None without one, and in records of older versions.
     """
 
@@ -252,44 +242,30 @@ class Calibration:
         # The families bring solvers that take seconds to import; a registry that lists records needs none of them.
         from softcal.core.maps.catalogue import map_from_arrays
 
-        settings = {name: _mapping(record.settings, name) for name in ("map", "interval")}
-        limits = _mapping(settings["interval"], "output_limits")
-        forecast = record.settings["forecast"]
+        settings: Mapping[str, Any] = record.settings
+        limits = settings["interval"]["output_limits"]
+        before, after = record.before_rmse, record.after_rmse
         return cls(
             serial=record.serial,
             network_id=record.network_id,
             unit_map=map_from_arrays(record.family, _group(record.arrays, "map."), settings["map"]),
             interval=Interval.from_arrays(_group(record.arrays, "interval."), settings["interval"]),
             output_limits=OutputLimits(
-                rail_low=_number(limits["rail_low"], -np.inf),
-                rail_high=_number(limits["rail_high"], np.inf),
-                stuck_samples=int(str(limits["stuck_samples"])),
+                rail_low=-np.inf if limits["rail_low"] is None else float(limits["rail_low"]),
+                rail_high=np.inf if limits["rail_high"] is None else float(limits["rail_high"]),
+                stuck_samples=int(limits["stuck_samples"]),
             ),
-            forecast=None if forecast is None else ErrorForecast(**_mapping(record.settings, "forecast")),
+            forecast=None if settings["forecast"] is None else ErrorForecast(**settings["forecast"]),
             decision=record.decision,
             knowledge=record.knowledge,
             evidence=record.evidence,
             method=record.method,
-            scores=_scores(record),
+            scores=None if before is None or after is None else Scores(before, after, record.own_rmse),
             reference=record.reference,
             audit=record.audit,
             grounds=record.grounds,
         )
 
 
-def _scores(record: CalibrationRecord) -> Scores | None:
-    if record.before_rmse is None or record.after_rmse is None:
-        return None
-    return Scores(record.before_rmse, record.after_rmse, record.own_rmse)
-
-
-def _group(arrays: Mapping[str, NDArray[np.generic]], prefix: str) -> dict[str, NDArray[np.generic]]:
+def _group(arrays: Arrays, prefix: str) -> Arrays:
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
-
-
-def _mapping(settings: Settings, name: str) -> dict[str, Any]:
-    return dict(settings[name])  # type: ignore[call-overload,no-any-return]
-
-
-def _number(value: object, otherwise: float) -> float:
-    return otherwise if value is None else float(str(value))

@@ -23,12 +23,7 @@ from softcal.core.words.reason import reason
 
 @dataclass(frozen=True)
 class LoadLine:
-    """How a unit reads its loads: estimate = zero + gain x reference (least squares).
-
-    Args:
-        gain: 1 where it reads them in full.
-        level: where the output of its recording stands; None where nobody kept it.
-    """
+    """How a unit reads its loads: estimate = zero + gain x reference (least squares); gain 1 reads them in full."""
 
     gain: float
     zero: float
@@ -43,7 +38,6 @@ class Trend:
         mean: of the audited units.
         slope: 0 where chance explains it.
         centre, low, high: mean and ends of x over the audited units.
-        spread: standard deviation about it.
         degrees: degrees of freedom behind the spread.
     """
 
@@ -92,44 +86,30 @@ class CommonMisreading:
         return replace(self, line=LoadLine(float(np.exp(gain)), zero))
 
     def to_json(self) -> dict[str, float]:
-        slopes = {name: 0.0 if trend is None else trend.slope for name, trend in vars(self).items() if name in SLOPES}
-        return {"gain": self.line.gain, "zero": self.line.zero, **{f"{name}_slope": slopes[name] for name in SLOPES}}
+        gain_slope, zero_slope = (0.0 if trend is None else trend.slope for trend in (self.gain, self.zero))
+        return {"gain": self.line.gain, "zero": self.line.zero, "gain_slope": gain_slope, "zero_slope": zero_slope}
 
 
-SLOPES = ("gain", "zero")
-
-
-def common_misreading(
-    lines: Mapping[str, LoadLine],
-    rules: ReleaseConfig = ReleaseConfig(),  # noqa: B008 - frozen
-) -> CommonMisreading | None:
-    """Return what audited units misread alike; None where chance explains it, or they are too few to tell.
+def common_misreading(lines: Mapping[str, LoadLine]) -> CommonMisreading | None:
+    """Return what audited units, drawn at random, misread alike as they were fitted; None where chance explains it.
 
     Student's t of the slopes of log gains and zeros (simple linear regression), and of their means about what the
-    slopes leave.
-
-    Args:
-        lines: of audited units drawn at random, by serial, as their maps were fitted.
-        rules: how many, and how sure.
+    slopes leave. None also where they are too few to tell.
     """
-    if len(lines) < rules.least_audits or min((line.gain for line in lines.values()), default=0.0) <= 0:
+    if len(lines) < ReleaseConfig.least_audits or min((line.gain for line in lines.values()), default=0.0) <= 0:
         return None
-    gain, zero = _trends(lines, rules)
-    is_seen = any(one.slope or one.is_seen(len(lines), rules.common_chance) for one in (gain, zero))
+    gain, zero = _trends(lines)
+    is_seen = any(one.slope or one.is_seen(len(lines), ReleaseConfig.common_chance) for one in (gain, zero))
     return _common(gain, zero, len(lines)) if is_seen else None
 
 
-def without(
-    lines: Mapping[str, LoadLine],
-    serial: str,
-    found: CommonMisreading,
-    rules: ReleaseConfig = ReleaseConfig(),  # noqa: B008 - frozen
-) -> CommonMisreading:
+def without(lines: Mapping[str, LoadLine], serial: str, found: CommonMisreading) -> CommonMisreading:
     """Return what the other audited units misread alike, where all together do."""
     if serial not in lines:
         return found
     others = {name: line for name, line in lines.items() if name != serial}
-    return _common(*_trends(others, rules, found), len(others))
+    slopes = [bool(trend and trend.slope) for trend in (found.gain, found.zero)]
+    return _common(*_trends(others, slopes), len(others))
 
 
 def _common(gain: Trend, zero: Trend, count: int) -> CommonMisreading:
@@ -140,23 +120,16 @@ def _span(level: OutputLevel) -> float | None:
     return float(np.log(level.span)) if level.span > 0 else None
 
 
-def _trends(
-    lines: Mapping[str, LoadLine], rules: ReleaseConfig, known: CommonMisreading | None = None
-) -> tuple[Trend, Trend]:
-    """Return how log gain and zero of units go with span and rest; with the slopes of `known` where that is given."""
-    gains, zeros = (np.array([getattr(line, name) for line in lines.values()]) for name in SLOPES)
+def _trends(lines: Mapping[str, LoadLine], slopes: Sequence[bool | None] = (None, None)) -> tuple[Trend, Trend]:
+    """Return how log gain and zero of units go with span and rest; with slopes or without, where that is known."""
+    gains, zeros = (np.array(values) for values in zip(*((one.gain, one.zero) for one in lines.values()), strict=True))
     levels = [line.level for line in lines.values()]
     spans = [None if level is None else _span(level) for level in levels]
     rests = [None if level is None else level.rest for level in levels]
-    asked = [None if known is None else bool(trend and trend.slope) for trend in _known_trends(known)]
-    return _trend(np.log(gains), spans, rules, asked[0]), _trend(zeros, rests, rules, asked[1])
+    return _trend(np.log(gains), spans, slopes[0]), _trend(zeros, rests, slopes[1])
 
 
-def _known_trends(known: CommonMisreading | None) -> tuple[Trend | None, Trend | None]:
-    return (None, None) if known is None else (known.gain, known.zero)
-
-
-def _trend(values: Array, at: Sequence[float | None], rules: ReleaseConfig, has_slope: bool | None) -> Trend:
+def _trend(values: Array, at: Sequence[float | None], has_slope: bool | None) -> Trend:
     """Fit a number over another by least squares, with a slope where one is asked for, or where Student's t sees it."""
     count, mean = len(values), float(values.mean())
     flat = Trend(mean, 0.0, 0.0, 0.0, 0.0, float(values.std(ddof=1)), count - 1)
@@ -167,7 +140,7 @@ def _trend(values: Array, at: Sequence[float | None], rules: ReleaseConfig, has_
     slope = float(away @ values / (away @ away))
     degrees = count - 2
     spread = float(np.sqrt(np.sum((values - mean - slope * away) ** 2) / degrees))
-    seen = abs(slope) * np.sqrt(away @ away) > float(stdtrit(degrees, 1 - rules.common_chance)) * spread
+    seen = abs(slope) * np.sqrt(away @ away) > float(stdtrit(degrees, 1 - ReleaseConfig.common_chance)) * spread
     if has_slope is None and not seen:
         return flat
     return Trend(mean, slope, float(x.mean()), float(x.min()), float(x.max()), spread, degrees)
@@ -177,9 +150,6 @@ def corrected(record: CalibrationRecord, source: LabelledRecording, found: Commo
     """Return a calibration whose map takes off what the lot's audited units misread alike.
 
     A straight line behind the map, through the source's levels at both ends of its range: a device trims so, too.
-
-    Args:
-        source: labelled recording of the source that f was trained on.
     """
     calibration = Calibration.from_record(record)
     levels = SourceLevels.of(source, (calibration.method or Method()).map.anchors)

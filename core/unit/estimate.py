@@ -54,9 +54,6 @@ class EstimateRow:
 def estimate(network: Network, calibration: Calibration, recording: OutputRecording) -> Estimate:
     """Estimate the reference over a whole recording.
 
-    Args:
-        network: the shared network f the calibration belongs to.
-
     Raises:
         InputError: the calibration belongs to another network, or the output has another physical unit.
     """

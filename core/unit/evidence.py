@@ -1,27 +1,32 @@
-"""What the mapped windows of a unit show, and the uncertainty budget made of it (GUM, JCGM 100:2008).
+"""What a map is tried by, what the mapped windows show, and the uncertainty budget of it (GUM, JCGM 100:2008).
 
 Each term of the budget is a standard uncertainty in the reference unit: how well f reads its own source, how much
 candidate maps disagree, what of the source's loads the unit has not shown, and so on.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from softcal.core.errors import UnitRefused
+from softcal.core.maps.affine_map import IDENTITY, LABEL_SHIFT
+from softcal.core.maps.choose import ChosenMap, fit_family
 from softcal.core.maps.crossing import KEPT
-from softcal.core.maps.interface import UnitMap
+from softcal.core.maps.interface import FitProblem, UnitMap
+from softcal.core.maps.monotone import BETWEEN
+from softcal.core.maps.paired import PHASE, SYNCHRONOUS, fit_pairs
+from softcal.core.maps.synchrony import paired_rows
 from softcal.core.metrics import rms
-from softcal.core.recording import Array, Indices, LabelledRecording, OutputRecording
+from softcal.core.recording import Array, Indices, LabelledRecording, Mask, OutputRecording
 from softcal.core.unit.health import OutputLimits, clipped_share
 from softcal.core.unit.knowledge import LoadKnowledge, known_by
 from softcal.core.unit.line_spread import LineSpread
-from softcal.core.unit.method import ForecastConfig
+from softcal.core.unit.method import ForecastConfig, Method
 from softcal.core.unit.source_model import SourceModel, unit_difference
 from softcal.core.unit.uncertainty import WindowShape
-from softcal.core.windows import TAPS
+from softcal.core.windows import TAPS, evenly
 
 LINE, DAY = "line", "day"
 """Terms of the budget for what line and day do to the load; they weigh 1 whatever is known of the loads."""
@@ -43,7 +48,6 @@ class MapEvidence:
         budget: standard uncertainties in the reference unit: `model` and the terms of every kind of knowledge
             (`knowledge.py`). `stage` and `slow` are there where source and unit carry the stage position, `line` where
             the spread of the line was stated, `day` where a golden run measured its day.
-        rest: level of the estimates at rest, in the reference unit.
     """
 
     rows: Indices
@@ -77,7 +81,6 @@ class Trial:
     Args:
         unit_map: the unit's map, or one fitted without these windows.
         source: recording of the source unit that the unit was pressed together with.
-        source_rows, target_rows: full windows of both, equal lengths.
         floor: RMS error that the reference of these windows does not hold: that of f, where f itself read it.
     """
 
@@ -108,6 +111,65 @@ class OtherMaps:
     straight: UnitMap | None = None
 
 
+def other_maps(fit: FitProblem, chosen: ChosenMap, method: Method, floor: float) -> OtherMaps:
+    """Return what the chosen map is tried by; `floor` is the RMS error of the reference beside paired windows."""
+    trials = _trials(fit, chosen, method.forecast.opening_parts, floor) if chosen.family == SYNCHRONOUS else []
+    # Where the stage position or a common load is known, that tells more than leaving shares out.
+    is_measured = bool(trials) or chosen.family == PHASE
+    return OtherMaps(
+        alternatives=[other for name, other in chosen.alternatives.items() if name != IDENTITY],
+        resampled=[] if is_measured else _refitted(fit, chosen, method),
+        trials=trials,
+        gain_error=_gain_error(chosen, method),
+        straight=chosen.alternatives.get(LABEL_SHIFT) if chosen.family == BETWEEN else None,
+    )
+
+
+def _gain_error(chosen: ChosenMap, method: Method) -> float:
+    """Return the standard error of log gain; a gain far from the source's is a doubt unless loads were given."""
+    error, gain = float(chosen.evidence.get("gain_error", 0.0)), float(chosen.evidence.get("gain", 1.0))
+    far = abs(float(np.log(gain)))
+    is_doubtful = "anchor_gain" not in chosen.evidence and far > np.log(method.findings.said_stretch)
+    return float(np.hypot(error, far)) if is_doubtful else error
+
+
+def _trials(fit: FitProblem, chosen: ChosenMap, parts: int, floor: float) -> list[Trial]:
+    """Return maps with the windows under one load at once to judge them by.
+
+    An opening holds few presses, which the map has been bent to: there, each map has not seen the windows it is
+    judged by.
+    """
+    source_rows, target_rows = paired_rows(fit.source.unlabelled, fit.target, fit.synchrony, fit.config.synchrony)
+    if not np.isfinite(fit.synchrony.until_s):
+        return [Trial(chosen.unit_map, fit.source, source_rows, target_rows, floor)]
+    part = np.arange(len(target_rows)) * parts // len(target_rows)
+    trials = []
+    for held in (part == k for k in range(parts)):
+        unit_map = fit_pairs(fit, source_rows[~held], target_rows[~held], SYNCHRONOUS)
+        trials.append(Trial(unit_map, fit.source, source_rows[held], target_rows[held], floor))
+    return trials
+
+
+def _refitted(fit: FitProblem, chosen: ChosenMap, method: Method) -> list[UnitMap]:
+    """Fit the chosen family again with one share of the recording left out at a time."""
+    config, refits = method.forecast, []
+    for part in range(config.parts):
+        target = _without_share(fit.target, part, config.parts, config.stretches)
+        try:
+            refits.append(fit_family(replace(fit, target=target), chosen.family))
+        except UnitRefused:
+            continue
+    return refits
+
+
+def _without_share(target: OutputRecording, part: int, parts: int, stretches: int) -> OutputRecording:
+    """Leave out every parts-th of many stretches, so that what is left still covers the whole programme."""
+    length = max(len(target) // (parts * stretches), TAPS)
+    keep = (np.arange(len(target)) // length) % parts != part
+    stage_mm = None if target.stage_mm is None else target.stage_mm[keep]
+    return replace(target, t_s=target.t_s[keep], output=target.output[keep], stage_mm=stage_mm)
+
+
 def gather_evidence(
     model: SourceModel,
     target: OutputRecording,
@@ -120,11 +182,7 @@ def gather_evidence(
 ) -> MapEvidence:
     """Collect the budget of one unit from its map and from other maps that fit its recording too.
 
-    Args:
-        limits: rails of the raw output.
-        is_anchored: whether known loads of the unit entered its map.
-        line: the line's spread, where somebody stated it.
-        day_rmse: what the day of the recording changes, as a golden run showed it, in the reference unit.
+    `day_rmse` is what the day of the recording changes, as a golden run showed it, in the reference unit.
     """
     config, network, interval, known = model.method.forecast, model.network, model.interval, _known_use(model)
     # Evenly spaced rows: every statistic below costs the same however long the recording is.
@@ -204,8 +262,6 @@ class _KnownUse:
     Args:
         loads: quantiles of f on the source, in the reference unit.
         rest_spread: standard deviation of f at rest, in the reference unit.
-        rms_load: RMS load above rest, in the reference unit.
-        step: of its readout, in the output unit.
         levels, slopes: edges of the grid that uses are compared on.
         use: share of the source's windows in each cell of it.
     """
@@ -215,7 +271,6 @@ class _KnownUse:
     rms_load: float
     fast: float
     sharpness: float
-    step: float
     levels: Array
     slopes: Array
     use: Array
@@ -234,7 +289,6 @@ def _known_use(model: SourceModel) -> _KnownUse:
         rms_load=rms_load(estimate, config),
         fast=_fast(shape, config),
         sharpness=_sharpness(shape, config),
-        step=float(np.min(np.abs(np.diff(np.unique(model.source.unlabelled.output))))),
         levels=levels,
         slopes=slopes,
         use=_use(shape, levels, slopes),
@@ -251,7 +305,7 @@ def _spread(estimate: Array, others: Sequence[Array]) -> Array:
     return np.asarray(np.sqrt(np.mean([(other - estimate) ** 2 for other in others], axis=0)))
 
 
-def rest_rows(model: SourceModel, estimate: Array, shape: WindowShape) -> NDArray[np.bool_]:
+def rest_rows(model: SourceModel, estimate: Array, shape: WindowShape) -> Mask:
     """Mark the windows at rest: output still, load among the unit's own lowest."""
     config = model.method.forecast
     low = _rest_level(estimate, config)
@@ -266,10 +320,9 @@ def _spread_at_rest(model: SourceModel, estimate: Array, shape: WindowShape) -> 
 
 def _resolution(model: SourceModel, target: OutputRecording, gain: float) -> float:
     """Return the quantisation uncertainty d / (2 sqrt 3) of the readout's step d, carried through map and network."""
-    quantum = float(np.min(np.abs(np.diff(np.unique(target.output))), initial=np.inf))
-    gain, source_quantum = gain / model.network.output_scale, _known_use(model).step
+    scale, source_step = model.network.output_scale, model.source.unlabelled.step
     # f was trained on the source's steps: only a coarser readout adds error.
-    excess = max((quantum * gain) ** 2 - (source_quantum / model.network.output_scale) ** 2, 0.0)
+    excess = max((target.step * (gain / scale)) ** 2 - (source_step / scale) ** 2, 0.0)
     return model.interval.sensitivity * float(np.sqrt(excess / 12))
 
 
@@ -289,9 +342,6 @@ def _stage_terms(
 
     The error of a map grows with the load. A unit pressed less hard than the source is therefore scaled up to the
     source's loads.
-
-    Args:
-        estimate: f on all the unit's mapped windows, where it is known.
     """
     if model.stage_floor is None:
         return {}
@@ -308,8 +358,7 @@ def _stage_terms(
 
 def _misread(model: SourceModel, target: OutputRecording, trial: Trial) -> Array:
     """Return the differences of the unit's estimates from the source's reference at the same instants."""
-    count = min(model.method.forecast.rows, len(trial.source_rows))
-    spread = np.linspace(0, len(trial.source_rows) - 1, count).astype(np.int64)
+    spread = evenly(len(trial.source_rows), model.method.forecast.rows)
     estimate = model.network.evaluate(trial.unit_map.apply(target.windows[trial.target_rows[spread]]))
     return np.asarray(estimate - trial.source.window_reference[trial.source_rows[spread]])
 

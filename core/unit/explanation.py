@@ -29,7 +29,6 @@ class Explanation:
         contributions: error contributions in the reference unit by name, c_i u_i of the budget, largest first.
         forecast, limit: forecast RMSE with its 95 % interval, and the tolerance limit; None where there is none.
         t_s, estimate, distance: (n,) windows looked at: time, estimate, distance from the source's support.
-        familiar_distance: distances above it are unfamiliar.
     """
 
     levels: Array
@@ -51,14 +50,11 @@ class Explanation:
 
 
 def explain(model: SourceModel, calibration: Calibration, target: OutputRecording) -> Explanation:
-    """Return the arrays that explain a unit's verdict.
-
-    Args:
-        model: the lot's source.
-    """
+    """Return the arrays that explain a unit's verdict."""
     interval = model.interval
     evidence = gather_evidence(model, target, calibration.unit_map, calibration.output_limits)
-    edges = np.linspace(*_span(model.estimate, evidence.estimate), DENSITY_BINS + 1)
+    both = np.concatenate([model.estimate, evidence.estimate])
+    edges = np.linspace(both.min(), both.max(), DENSITY_BINS + 1)
     forecast = calibration.forecast
     limit = calibration.evidence.get("limit_rmse")
     return Explanation(
@@ -89,10 +85,6 @@ def contributions(calibration: Calibration) -> dict[str, float]:
     # A calibration of an older version may lack a term that came later.
     parts = {name: weight * budget[name] for name, weight in weights.items() if name in budget}
     return dict(sorted(parts.items(), key=lambda item: -item[1]))
-
-
-def _span(*estimates: Array) -> tuple[float, float]:
-    return min(float(e.min()) for e in estimates), max(float(e.max()) for e in estimates)
 
 
 def _density(estimate: Array, edges: Array) -> Array:

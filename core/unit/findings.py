@@ -6,8 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from softcal.core.maps.config import CrossingConfig
-from softcal.core.maps.crossing import KEPT, averaging_length, level_path
+from softcal.core.maps.crossing import KEPT, swings
 from softcal.core.maps.readout_lag import ReadoutLag
 from softcal.core.maps.synchrony import Synchrony, find_synchrony
 from softcal.core.recording import RATE_TOLERANCE, Array, OutputRecording
@@ -27,8 +26,13 @@ def map_findings(
 
     A lag was seen beside the source's own load, so that the programme was the source's and is not blamed.
     """
+    lagging = None
+    if lag is not None:
+        # So strong a lag that it hid the common load leaves a map of nothing.
+        best = Verdict.CONDITIONAL if lag.is_paired else Verdict.RETEST
+        lagging = Finding(reason("lagging", lag=lag.time_constant_s), best)
     checks = (
-        _lagging(lag),
+        lagging,
         _unfamiliar(model, evidence),
         None if lag else _other_use(evidence, model.method.findings),
         _uncovered(model, target, evidence),
@@ -49,10 +53,7 @@ def contradictions(
     """Return what the two outputs say against the unit being what it is declared to be; the first of them alone.
 
     A channel the wrong way round, or in another physical unit, also looks clipped or pressed by a wrong programme.
-
-    Args:
-        limits: of the unit's output.
-        shared: what both outputs say about a common load; None where nobody compared them in time.
+    `shared` is None where nobody compared them in time.
     """
     config = method.findings
     if _is_reversed(source, target, limits, method, shared):
@@ -68,23 +69,11 @@ def contradictions(
 
 
 def opening_findings(evidence: Mapping[str, float | str], config: FindingConfig) -> tuple[Finding, ...]:
-    """Return a finding where a unit follows the source late in an opening that both run from their own start.
-
-    Args:
-        evidence: of the chosen map (`ChosenMap.evidence`).
-    """
+    """Return a finding where a unit follows the source late in an opening that both run from their own start."""
     lag_s = float(evidence.get("lag_s", 0.0))
     if "shared_until_s" not in evidence or lag_s < config.late_s:
         return ()
     return (Finding(reason("late", lag=lag_s)),)
-
-
-def _lagging(lag: ReadoutLag | None) -> Finding | None:
-    """Return a finding where the readout lags. So strong a lag that it hid the common load leaves a map of nothing."""
-    if lag is None:
-        return None
-    best = Verdict.CONDITIONAL if lag.is_paired else Verdict.RETEST
-    return Finding(reason("lagging", lag=lag.time_constant_s), best)
 
 
 def _unfamiliar(model: SourceModel, evidence: MapEvidence) -> Finding | None:
@@ -209,7 +198,7 @@ def _is_reversed(
     # Wasserstein's distance of the levels, as they are and upside down. k presses leave 1 / sqrt(k) of it to chance.
     unit, known = (_levels(recording, config) for recording in (target, source))
     upright, mirrored = (float(np.mean(np.abs(levels - known))) for levels in (unit, 1 - unit[::-1]))
-    presses = min(_presses(recording, method.map.crossing) for recording in (target, source))
+    presses = max(min(swings(recording, method.map.crossing) for recording in (target, source)) / 2, 1.0)
     is_nearer = (upright - mirrored) * presses**0.5 > config.upside_down
     # A readout that clips heaps its levels at the loaded end: like the source it is neither way.
     is_clipped = bool(np.isfinite([limits.rail_low, limits.rail_high]).any())
@@ -237,11 +226,6 @@ def _levels(recording: OutputRecording, config: FindingConfig) -> Array:
     low, high = _reach(recording.output, config.level_tails)
     shares = np.linspace(*config.level_shares, config.levels)
     return np.asarray((np.quantile(recording.output, shares) - low) / (high - low))
-
-
-def _presses(recording: OutputRecording, config: CrossingConfig) -> float:
-    path = level_path(recording, averaging_length(recording, config), config)
-    return 1.0 if path is None else max(path.swings / 2, 1.0)
 
 
 @lru_cache(maxsize=KEPT)

@@ -27,10 +27,6 @@ def forecast_error(budget: Mapping[str, float], knowledge: LoadKnowledge) -> Err
     """Combine a budget: u_c^2 = u_base^2 + sum (c_i u_i)^2 (GUM, JCGM 100:2008, eq. 10), with its own uncertainty.
 
     What line and day add has coefficient 1 whatever is known of the loads: no recording of the unit shows it.
-
-    Args:
-        budget: standard uncertainties u by term, in the reference unit.
-        knowledge: how the loads are known: it names the base term and the sensitivity coefficients c.
     """
     outside = budget.get(LINE, 0.0) ** 2 + budget.get(DAY, 0.0) ** 2
     rmse = float(np.sqrt(_base(budget, knowledge) ** 2 + _squares(budget, knowledge) + outside))
@@ -83,8 +79,9 @@ def _disagreement_pattern(model: SourceModel, evidence: MapEvidence) -> Array:
     tables = [np.asarray(np.bincount(flat, one, size), dtype=np.float64).reshape(pattern.shape) for one in weights]
     config = model.method.forecast
     # Pseudo-counts pull cells with few windows towards an even disagreement of 1.
-    sums, counts = (_smooth(table, config.smooth) + config.cell_prior for table in tables)
-    return sums / counts
+    kernel = np.ones(config.smooth)
+    smooth = [np.stack([np.convolve(row, kernel, mode="same") for row in table]) for table in tables]
+    return (smooth[0] + config.cell_prior) / (smooth[1] + config.cell_prior)
 
 
 def _load_pattern(model: SourceModel, evidence: MapEvidence) -> Array:
@@ -93,18 +90,8 @@ def _load_pattern(model: SourceModel, evidence: MapEvidence) -> Array:
     return np.asarray((load / max(evidence.load_rms, 1e-12)) ** 2)
 
 
-def _smooth(table: Array, levels: int) -> Array:
-    kernel = np.ones(levels)
-    return np.stack([np.convolve(row, kernel, mode="same") for row in table])
-
-
 def forecast_own(terms: Mapping[str, float], knowledge: LoadKnowledge) -> float:
-    """Return the RMSE a network trained on the unit's own labels would have, in the reference unit: u^2 = sum (c u)^2.
-
-    Args:
-        terms: from `own_terms`.
-        knowledge: how the unit's loads are known; its coefficients weigh the terms.
-    """
+    """Return the RMSE, in the reference unit, of a network trained on the unit's own labels: u^2 = sum (c u)^2."""
     return float(np.sqrt(sum((c * terms[name]) ** 2 for name, c in knowledge.own.items())))
 
 
@@ -118,10 +105,6 @@ def own_terms(
     - `clipping`, `rest`: as in the budget.
     - `excess`: the forecast error beyond the network's. Part of it is creep, lag and hysteresis that a window does not
       show; no network that reads windows could do better.
-
-    Args:
-        model: the lot's source.
-        evidence: of its map, with the budget of its forecast error.
     """
     network, budget, rows = model.network, evidence.budget, model.method.forecast.own_rows
     # Variances subtract: f was trained with the source's noise, so that much is in `floor` already.
@@ -146,13 +129,9 @@ def noise_error(
     unit_map: UnitMap | None = None,
     estimate: Array | None = None,
 ) -> float:
-    """Return the RMS change of the estimates under one more draw of the recording's output noise.
+    """Return the RMS change of so many estimates under one more draw of the recording's output noise.
 
-    Args:
-        network: the shared network f.
-        windows: how many of it are looked at; of a short one some count twice.
-        unit_map: its map; None for the source.
-        estimate: f on all the recording's mapped windows, where it is known.
+    `estimate` is f on all the recording's mapped windows, where it is known.
     """
     rows = np.linspace(0, len(recording.windows) - 1, windows).astype(np.int64)
     clean = recording.windows[rows]

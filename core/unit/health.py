@@ -61,7 +61,7 @@ def rail(recording: OutputRecording, is_upper: bool, config: HealthConfig) -> Ra
     """Describe the upper or lower end of the range of a recording's output."""
     output = recording.output
     rising = output if is_upper else -output
-    band = noise_band(output, config)
+    band = noise_band(recording, config)
     top, span = float(rising.max()), float(np.ptp(rising))
     in_band, beside = rising > top - band, (rising <= top - band) & (rising > top - 2 * band)
     pressed = rising >= top - max(config.near_rail * span, 2 * band)
@@ -80,14 +80,14 @@ def rail(recording: OutputRecording, is_upper: bool, config: HealthConfig) -> Ra
     )
 
 
-def noise_band(output: Array, config: HealthConfig) -> float:
+def noise_band(recording: OutputRecording, config: HealthConfig) -> float:
     """Return the width of a flat stretch: six standard deviations of the noise, at least one and a half ADC steps.
 
     The noise comes from second differences, which a slow signal leaves small (median absolute value / 0.6745 / √6).
     """
-    noise = float(np.median(np.abs(np.diff(output, 2)))) / 0.6745 / np.sqrt(6)
-    step = float(np.min(np.diff(np.unique(output)), initial=np.inf))
-    return float(max(config.noise_steps * noise, config.adc_steps * step, config.least_band * float(np.ptp(output))))
+    noise = float(np.median(np.abs(np.diff(recording.output, 2)))) / 0.6745 / np.sqrt(6)
+    least = config.least_band * float(np.ptp(recording.output))
+    return float(max(config.noise_steps * noise, config.adc_steps * recording.step, least))
 
 
 def check_alive(target: OutputRecording, source: OutputRecording, config: HealthConfig) -> None:
@@ -122,9 +122,7 @@ def output_limits(
 ) -> OutputLimits:
     """Find the rail of the unit's readout and the longest stillness it shows in good order.
 
-    Args:
-        target, source: the unit's recording and the source's.
-        is_rising: the output rises with the load. Only its loaded end is looked at: at rest every unit is flat.
+    Only the loaded end of the output is looked at: at rest every unit is flat.
     """
     end, known = (rail(recording, is_rising, config) for recording in (target, source))
     clipped = end.level if end.is_clipped(known, config) else None

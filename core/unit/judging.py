@@ -1,24 +1,19 @@
 """What a unit is judged by, kept with its calibration: another limit or a doubt about its audit needs no new fit."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from softcal.core.unit.audit_reading import Scores
 from softcal.core.unit.method import DecisionConfig
 from softcal.core.unit.uncertainty import ErrorForecast
-from softcal.core.unit.verdict import Decision, Finding, Judgement, Limit, Verdict, decide, decide_audited, worst_of
+from softcal.core.unit.verdict import Decision, Finding, Limit, Verdict, decide, decide_audited, worst_of
 from softcal.core.words.reason import Reason
 
 
 @dataclass(frozen=True)
 class MeasuredError:
-    """What an audit of the unit showed.
-
-    Args:
-        scores: errors in the reference unit.
-        windows: number of windows behind them.
-    """
+    """What an audit of the unit showed."""
 
     scores: Scores
     windows: int
@@ -33,9 +28,7 @@ class Grounds:
         findings: what recording and map show against it.
         held: what rules of other packages have against it; they looked at the limit of then.
         told: what is said last beside a forecast.
-        measured: None without an audit.
         bars: what keeps it from passing whatever was found.
-        rules: identities of the rules that were asked.
     """
 
     forecast: ErrorForecast
@@ -56,13 +49,10 @@ class Grounds:
         """Decide against a limit in the unit of the errors."""
         predicted = decide(self.forecast, limit, (*self.findings, *self.held))
         predicted = replace(predicted, reasons=(*predicted.reasons, *self.told))
-        return Decision(predicted, self._measured(limit, config), bars=self.bars)
-
-    def _measured(self, limit: Limit, config: DecisionConfig) -> Judgement | None:
         if self.measured is None:
-            return None
-        scores = self.measured.scores
-        return decide_audited(scores.before, scores.after, self.measured.windows, limit, config, self.held)
+            return Decision(predicted, bars=self.bars)
+        before, after, windows = self.measured.scores.before, self.measured.scores.after, self.measured.windows
+        return Decision(predicted, decide_audited(before, after, windows, limit, config, self.held), bars=self.bars)
 
     def to_json(self) -> dict[str, object]:
         measured = self.measured
@@ -77,20 +67,17 @@ class Grounds:
         }
 
     @classmethod
-    def of(cls, kept: Mapping[str, object]) -> "Grounds":
+    def of(cls, kept: Mapping[str, Any]) -> "Grounds":
         """Read what `to_json` wrote."""
-        read: dict[str, Iterable[object]] = {name: kept[name] for name in ("findings", "held", "told", "bars", "rules")}  # type: ignore[misc]
-        measured: Mapping[str, Any] | None = kept["measured"]  # type: ignore[assignment]
+        measured = kept["measured"]
         return cls(
-            forecast=ErrorForecast(**kept["forecast"]),  # type: ignore[arg-type]
-            findings=tuple(map(_finding_of, read["findings"])),
-            held=tuple(map(_finding_of, read["held"])),
-            told=tuple(map(Reason.of, read["told"])),
-            measured=None
-            if measured is None
-            else MeasuredError(Scores(**measured["scores"]), int(str(measured["windows"]))),  # type: ignore[arg-type]
-            bars=tuple(map(Reason.of, read["bars"])),
-            rules=tuple(map(str, read["rules"])),
+            forecast=ErrorForecast(**kept["forecast"]),
+            findings=tuple(map(_finding_of, kept["findings"])),
+            held=tuple(map(_finding_of, kept["held"])),
+            told=tuple(map(Reason.of, kept["told"])),
+            measured=measured and MeasuredError(Scores(**measured["scores"]), int(measured["windows"])),
+            bars=tuple(map(Reason.of, kept["bars"])),
+            rules=tuple(map(str, kept["rules"])),
         )
 
 
@@ -98,9 +85,8 @@ def _finding_json(finding: Finding) -> dict[str, object]:
     return {"reason": finding.reason.to_json(), "best": str(finding.best)}
 
 
-def _finding_of(kept: object) -> Finding:
-    facts: Mapping[str, object] = kept  # type: ignore[assignment]
-    return Finding(Reason.of(facts["reason"]), Verdict(str(facts["best"])))
+def _finding_of(kept: Mapping[str, Any]) -> Finding:
+    return Finding(Reason.of(kept["reason"]), Verdict(kept["best"]))
 
 
 AUDITED_BEFORE_TRIM = "audited_before_trim"

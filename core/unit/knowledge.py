@@ -113,8 +113,7 @@ class BlindConfig(KnowledgeConfig):
         FITTED,
     )
     log_error: tuple[float, float] = setting(
-        (-1.75, 0.78),
-        f"{GOOD_UNITS}benchmarks/verdict.py --fit --seeds 1003 1089 4, lots whose loads are unknown",
+        (-1.75, 0.78), f"{GOOD_UNITS}benchmarks/verdict.py --fit --seeds 1003 1089 4, lots whose loads are unknown"
     )
     interval_share: float = setting(1.1, COVERAGE)
     own: tuple[tuple[str, float], ...] = table({"floor": 1.31, "clipping": 2.0, "rest": 0.37}, FITTED_OWN)
@@ -167,10 +166,8 @@ class LoadKnowledge:
 def known_by(budget: Mapping[str, float], kinds: KnowledgeTable, is_anchored: bool = False) -> LoadKnowledge:
     """Return how the loads are known, by what could be measured.
 
-    Args:
-        budget: terms of the unit's error budget: `paired` stands in it where unit and source were pressed by one load
-            at once, `stage` where both carry the stage position.
-        is_anchored: known loads of the unit were given.
+    `paired` stands in the budget where unit and source were pressed by one load at once, `stage` where both carry the
+    stage position.
     """
     kind = next((name for name in ("paired", "stage") if name in budget), "blind")
     return LoadKnowledge(kind, getattr(kinds, kind), is_anchored)

@@ -55,21 +55,16 @@ class LineSpread:
 
 @dataclass(frozen=True)
 class SeenGains:
-    """What audited units of one lot, or golden runs of several days, show of the gain they read their loads with.
-
-    Args:
-        centre: geometric mean of estimate / reference.
-        spread: standard deviation of its logarithm.
-    """
+    """Geometric mean, and standard deviation of the logarithm, of estimate / reference in audits or golden runs."""
 
     count: int
     centre: float
     spread: float
 
 
-def seen_gains(gains: Sequence[float], least: int = ReleaseConfig.least_gains) -> SeenGains | None:
-    """Return mean and spread of gains; None where there are fewer than `least`, or one is not positive."""
-    if len(gains) < least or min(gains) <= 0:
+def seen_gains(gains: Sequence[float]) -> SeenGains | None:
+    """Return mean and spread of gains; None where they are too few, or one is not positive."""
+    if len(gains) < ReleaseConfig.least_gains or min(gains) <= 0:
         return None
     logs = np.log(gains)
     return SeenGains(len(gains), float(np.exp(logs.mean())), float(np.std(logs, ddof=1)))

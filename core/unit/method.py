@@ -1,8 +1,7 @@
 """The method: every number that can change a map, an interval, a forecast or a verdict, each with its origin.
 
-A number that decides stands here or in `maps/config.py` and `unit/knowledge.py`, nowhere else. The whole is part of the
-identity of every calibration and is kept with it: another number gives another identity, and older results show as
-stale.
+A number that decides stands here or in `maps/config.py` and `unit/knowledge.py`, nowhere else. The whole is kept with
+every calibration and is part of its identity: results of other numbers show as stale.
 """
 
 from dataclasses import dataclass, field

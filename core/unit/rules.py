@@ -22,10 +22,8 @@ class RuleFacts:
 
     Args:
         recording: unlabelled recording of the unit.
-        source: the lot's source with its reference.
         estimate: (n windows,) what f reads through the unit's map, in the reference unit.
         forecast: the error that is expected, in the reference unit.
-        limit: tolerance limit of the lot.
         measured_rmse: error against an audit, in the reference unit; None where the unit was not measured.
     """
 
@@ -39,11 +37,9 @@ class RuleFacts:
 
 @dataclass(frozen=True)
 class Objection:
-    """Why a rule holds a unit back.
+    """Why a rule holds a unit back: a sentence for the operator, shown as it stands.
 
-    Args:
-        sentence: what is wrong and what to do, for the operator; it is shown as it stands.
-        press_again: whether another recording may answer it: the unit is a `retest`, else it fails.
+    Where another recording may answer it, the unit is to be pressed again and is a `retest`; else it fails.
     """
 
     sentence: str
@@ -52,12 +48,7 @@ class Objection:
 
 @runtime_checkable
 class Rule(Protocol):
-    """One rule.
-
-    Args:
-        name: what it is called in messages.
-        version: another text wherever it decides otherwise.
-    """
+    """One rule: what it is called in messages, and another version wherever it decides otherwise."""
 
     name: str
     version: str
@@ -93,10 +84,6 @@ def rules_in_force() -> tuple[str, ...]:
 
 def rule_findings(asked: Sequence[str], facts: RuleFacts) -> tuple[Finding, ...]:
     """Ask rules about a unit.
-
-    Args:
-        asked: identities of the rules that the calibration is made under.
-        facts: of the unit.
 
     Raises:
         InputError: a rule is not installed where the unit is calibrated.

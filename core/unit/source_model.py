@@ -18,10 +18,8 @@ from softcal.core.unit.uncertainty import DIRECTIONS, Interval, Support, WindowS
 
 @dataclass(frozen=True)
 class StageDifference:
-    """Difference between estimates and the source's reference at equal stage histories, in the reference unit.
-
-    Args:
-        slow_rms: of its means over a second or so (`StageCheckConfig.slow_s`).
+    """RMS of estimates less the source's reference at equal stage histories, and of its means over a second or so
+    (`StageCheckConfig.slow_s`), in the reference unit.
     """
 
     rms: float
@@ -40,12 +38,9 @@ class SourceModel:
     """The source of a lot as its units are compared with it.
 
     Args:
-        network: the shared network f trained on it.
         interval: 90 % interval that would hold for the source itself.
         rmse_table: (3, LEVELS) RMS error of f on the source, in the cells of the interval.
         held_out_rmse: error of f on the source's windows that never entered a gradient, in the reference unit.
-        shape: of the source's windows.
-        estimate: (n,) f on the source's windows.
         stage_floor: its own difference at equal stage histories, None where the stage position is unknown.
         method: the method all of this was computed with; the units of the lot are calibrated with it.
     """
@@ -69,9 +64,8 @@ def make_source_model(
 ) -> SourceModel:
     """Compare the source with itself once for the whole lot.
 
-    Args:
-        held_out: indices of the windows kept out of the training (`TrainedNetwork.validation_rows`); by default those
-            that the default training keeps out of this recording.
+    `held_out` are indices of the windows kept out of the training (`TrainedNetwork.validation_rows`); by default those
+    that the default training keeps out of this recording.
     """
     windows = source.windows
     # A network that was stored has no list of them; the default split of the same recording is the same again.

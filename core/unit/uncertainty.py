@@ -3,16 +3,14 @@
 The interval grows where a window lies outside the region of window shapes that the source has visited.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softcal.core.identity import Settings
 from softcal.core.network.network import CHUNK
-from softcal.core.recording import Array, Indices
+from softcal.core.recording import Array, Arrays, Indices
 from softcal.core.unit.method import LEVELS
 from softcal.core.windows import TAPS
 
@@ -42,7 +40,6 @@ class WindowShape:
     """What a window looks like, in standard deviations of the source's output (RMS over the taps).
 
     Args:
-        level: (n,) mean.
         slope: (n,) linear part, positive when the newest samples are the highest.
         bend: (n,) quadratic part.
         roughness: (n,) what neither explains: noise, steps, fast dynamics.
@@ -113,12 +110,10 @@ class Interval:
     """Half-width of the 90 % interval of an estimate, by direction and load level, and where it stops to hold.
 
     Args:
-        support: where the source's windows lie.
         half_width: (3, LEVELS) in the reference unit; rows as `DIRECTIONS`, columns over [low, high].
         low, high: range of the source's reference.
         slope_limit: signed; slope / slope_limit > 1 is loading, < -1 is unloading, between is hold.
         sensitivity: |dF| in the reference unit per unit of `Support.distance`; widens the interval off support.
-        familiar_distance: largest `Support.distance` of a familiar window.
     """
 
     support: Support
@@ -155,7 +150,7 @@ class Interval:
         """Return the interval with (3, LEVELS) variance of the map added in quadrature."""
         return replace(self, half_width=np.sqrt(self.half_width**2 + NORMAL_90**2 * variance))
 
-    def arrays(self) -> dict[str, NDArray[np.generic]]:
+    def arrays(self) -> Arrays:
         support = {f"support_{name}": getattr(self.support, name) for name in _SUPPORT_ARRAYS}
         return {"half_width": self.half_width, **support}
 
@@ -164,7 +159,7 @@ class Interval:
         return {name: float(getattr(self, name)) for name in _NUMBERS} | support
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> "Interval":
+    def from_arrays(cls, arrays: Arrays, settings: Settings) -> "Interval":
         """Read what `arrays` and `settings` gave."""
         support: dict[str, Any] = {name: float(str(settings[f"support_{name}"])) for name in _SUPPORT_NUMBERS}
         support |= {name: np.asarray(arrays[f"support_{name}"], np.float64) for name in _SUPPORT_ARRAYS}

@@ -28,13 +28,12 @@ class UnitProblem:
     Args:
         source: what `make_source_model` made of the lot's source with the method in force.
         limit: tolerance limit of the lot; None derives one from the source's own error and says so.
-        anchors: known loads of the unit, where someone took them.
         audit: labelled recording of the unit, which decides and fits nothing; None where there is none.
         own: how the unit's own calibration is trained on its audit, for comparison; None trains none.
         line: how differently the line presses units, where somebody stated it.
         reference: what the source was compared with; None where nobody said, and nothing is traced to it.
         bridge: the source unit pressed again in the sitting of this unit, where somebody did.
-        beside: networks of the lot's other sources, which the unit was compared with (`sources.py`).
+        beside: networks of the lot's other sources, which the unit was compared with (`nearest`).
         rules: identities of the rules of other packages that may hold the unit back; those installed here by default.
         unread_audit: why a file that was brought as its audit cannot be read; "" where none was or it can.
     """

@@ -6,6 +6,7 @@ A limit is agreed before measuring; the guard bands follow ILAC-G8:09/2019. What
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 
@@ -35,17 +36,12 @@ class Verdict(StrEnum):
     @property
     def conformity(self) -> str:
         """The statement on a certificate (ILAC-G8:09/2019, section 4.2.3); empty where none may be made."""
-        return _CONFORMITY[self]
+        if self is Verdict.RETEST:
+            return ""
+        return "conditional pass" if self is Verdict.CONDITIONAL else str(self)
 
 
 VERDICTS = tuple(Verdict)
-
-_CONFORMITY = {
-    Verdict.PASS: "pass",
-    Verdict.CONDITIONAL: "conditional pass",
-    Verdict.FAIL: "fail",
-    Verdict.RETEST: "",
-}
 
 
 def worst_of(verdicts: Iterable[str]) -> Verdict:
@@ -72,7 +68,6 @@ class Limit:
     """The largest error a unit may have: the tolerance limit TL of ILAC-G8.
 
     Args:
-        unit: physical unit of the reference.
         maximum_rmse: tolerance limit for the RMSE against the reference, in `unit`.
         origin: where the number comes from, said with every verdict.
         reference_expanded: U (k = 2) of the reference itself, in `unit`; 0 where nobody stated it.
@@ -109,10 +104,10 @@ class Limit:
         return told | ({"reference_expanded": self.reference_expanded} if self.reference_expanded else {})
 
     @classmethod
-    def of(cls, kept: Mapping[str, object]) -> "Limit":
+    def of(cls, kept: Mapping[str, Any]) -> "Limit":
         """Read what `to_json` wrote; older versions kept the origin as a sentence."""
-        expanded = float(str(kept.get("reference_expanded", 0.0)))
-        return cls(str(kept["unit"]), float(str(kept["maximum_rmse"])), Reason.of(kept["origin"]), expanded)
+        expanded = float(kept.get("reference_expanded", 0.0))
+        return cls(str(kept["unit"]), float(kept["maximum_rmse"]), Reason.of(kept["origin"]), expanded)
 
 
 def stated_limit(unit: str, rmse: float | None) -> Limit | None:
@@ -128,12 +123,7 @@ def default_limit(unit: str, source_rmse: float, config: DecisionConfig = Decisi
 
 @dataclass(frozen=True)
 class Finding:
-    """Something seen on a recording or a map that bears on the verdict.
-
-    Args:
-        reason: what was seen, in a sentence a line operator can act on.
-        best: the best verdict a unit with this finding can still get.
-    """
+    """Something seen, in a sentence a line operator can act on, and the best verdict a unit can still get with it."""
 
     reason: Reason
     best: Verdict = Verdict.CONDITIONAL
@@ -146,11 +136,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Judgement:
-    """What one error, forecast or measured, says together with what was found.
-
-    Args:
-        reasons: why, most important first.
-    """
+    """What one error, forecast or measured, says together with what was found."""
 
     verdict: Verdict
     reasons: tuple[Reason, ...]
@@ -159,10 +145,9 @@ class Judgement:
         return {"verdict": str(self.verdict), "reasons": [one.to_json() for one in self.reasons]}
 
     @classmethod
-    def of(cls, kept: Mapping[str, object]) -> "Judgement":
+    def of(cls, kept: Mapping[str, Any]) -> "Judgement":
         """Read what `to_json` wrote."""
-        reasons: Iterable[object] = kept["reasons"]  # type: ignore[assignment]
-        return cls(Verdict(str(kept["verdict"])), tuple(map(Reason.of, reasons)))
+        return cls(Verdict(kept["verdict"]), tuple(map(Reason.of, kept["reasons"])))
 
 
 @dataclass(frozen=True)
@@ -227,28 +212,21 @@ class Decision:
         return {"predicted": self.predicted.to_json(), **kept, **barred, **doubted}
 
     @classmethod
-    def of(cls, kept: Mapping[str, object]) -> "Decision":
+    def of(cls, kept: Mapping[str, Any]) -> "Decision":
         """Read what `to_json` wrote."""
         judged = {name: kept.get(name) for name in ("predicted", "measured", "sampled")}
-        found = {name: Judgement.of(one) for name, one in judged.items() if one is not None}  # type: ignore[arg-type]
-        bars: Iterable[object] = kept.get("bars", ())  # type: ignore[assignment]
-        doubt = kept.get("doubt")
-        return cls(**found, bars=tuple(map(Reason.of, bars)), doubt=None if doubt is None else Reason.of(doubt))
+        known = {name: Judgement.of(one) for name, one in judged.items() if one is not None}
+        doubt = None if kept.get("doubt") is None else Reason.of(kept["doubt"])
+        return cls(**known, bars=tuple(map(Reason.of, kept.get("bars", ()))), doubt=doubt)
 
 
-_RELATION = {
-    "pass": "part.within",
-    "conditional pass": "part.within_close",
-    "conditional fail": "part.above_close",
-    "fail": "part.above",
+_STATED = {
+    "pass": ("part.within", Verdict.PASS),
+    "conditional pass": ("part.within_close", Verdict.CONDITIONAL),
+    "conditional fail": ("part.above_close", Verdict.FAIL),
+    "fail": ("part.above", Verdict.FAIL),
 }
-
-_WORD = {
-    "pass": Verdict.PASS,
-    "conditional pass": Verdict.CONDITIONAL,
-    "conditional fail": Verdict.FAIL,
-    "fail": Verdict.FAIL,
-}
+"""How each statement is said, and the word it leaves."""
 
 
 def statement(error: ErrorForecast, limit: Limit) -> str:
@@ -268,14 +246,8 @@ def statement(error: ErrorForecast, limit: Limit) -> str:
 def decide(
     error: ErrorForecast, limit: Limit, findings: tuple[Finding, ...] = (), source: str = "predicted"
 ) -> Judgement:
-    """Combine an error with what was found; the worse of the words stands.
-
-    Args:
-        error: forecast or measured, in the limit's unit.
-        findings: each with the best word it still allows.
-        source: `predicted` or `measured`.
-    """
-    stated = statement(error, limit)
+    """Combine an error, `predicted` or `measured`, with what was found; the worse of the words stands."""
+    relation, stated = _STATED[statement(error, limit)]
     ordered = sorted(findings, key=lambda finding: -finding.best.severity)
     said = reason(
         "statement",
@@ -284,16 +256,16 @@ def decide(
         lower=error.lower,
         upper=error.upper,
         unit=limit.unit,
-        relation=Reason(_RELATION[stated]),
+        relation=Reason(relation),
         limit=limit.maximum_rmse,
         origin=limit.origin,
     )
-    word = worst_of([_WORD[stated], *(finding.best for finding in findings)])
+    word = worst_of([stated, *(finding.best for finding in findings)])
     # An error beyond the limit is the first thing to say; else what was found is.
     seen = [finding.reason for finding in ordered]
     if limit.acceptance_rmse < error.upper <= limit.maximum_rmse:
         seen.append(reason("reference_uncertain", expanded=limit.reference_expanded, unit=limit.unit))
-    return Judgement(word, (said, *seen) if _WORD[stated] is Verdict.FAIL and word is Verdict.FAIL else (*seen, said))
+    return Judgement(word, (said, *seen) if stated is Verdict.FAIL and word is Verdict.FAIL else (*seen, said))
 
 
 def decide_audited(
@@ -304,12 +276,7 @@ def decide_audited(
     config: DecisionConfig = DecisionConfig(),  # noqa: B008 - frozen
     held: tuple[Finding, ...] = (),
 ) -> Judgement:
-    """Decide on a unit whose error was measured against the reference.
-
-    Args:
-        before, after: RMSE of f on raw and on mapped windows of the audit, in the limit's unit.
-        windows: number of windows behind them.
-        config: how wide the guard band is.
+    """Decide on a unit by the RMSE of f `before` and `after` its map against the reference, in the limit's unit.
 
     The standard deviation of an RMSE from n independent errors is RMSE / sqrt(2 n); errors of neighbouring windows are
     alike, so n is the number of windows that do not overlap.

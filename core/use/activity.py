@@ -25,14 +25,12 @@ class Activity:
         shape, first_shape: (q,) standardised quantiles now, and when the activity was first seen.
         rest: level of the unloaded turning point.
         rest_scatter: its standard deviation.
-        has_rest: whether its cycles return to one unloaded level.
         features: (3, 3) covariance of one cycle's rest, level and scale about their trend.
         bias, noise: (2,) mean and (2, 2) covariance of the drift that `drift_of` finds in its own cycles.
         tolerance: (3,) largest differences in shape, log speed and log duration.
         doubt: (2, 2) covariance of the mean drift of its own cycles.
         is_imposed: whether a machine times its cycles: their durations are equal.
         pivots: (2, u) log gains that a change of its loads shows, rising, and the level each leaves where it was.
-        least_gain: smallest gain a cycle is read as.
     """
 
     level: float
@@ -92,7 +90,6 @@ class Lesson:
     """What cycles taught: an activity, or why there is none.
 
     Args:
-        activity: None where the cycles are no steady activity.
         trend, trend_sd: (2,) change of level and log scale over the cycles, and its standard deviation.
     """
 
@@ -104,12 +101,7 @@ class Lesson:
 
 @dataclass(frozen=True, eq=False)
 class RestCurve:
-    """The characteristic of a sensor at rest, as f∘γ₀ knows it.
-
-    Args:
-        output: (n,) levels, in scales of the calibrated use, rising.
-        load: (n,) what each is estimated as.
-    """
+    """The characteristic of a sensor at rest, as f∘γ₀ knows it: (n,) rising outputs, and what each is estimated as."""
 
     output: Array
     load: Array
@@ -130,14 +122,7 @@ def no_pivots() -> Array:
 def learn_activity(
     cycles: Sequence[Cycle], rest_is_low: bool, config: ActivityConfig, curve: RestCurve | None = None
 ) -> Lesson:
-    """Describe the activity of consecutive complete cycles.
-
-    Args:
-        cycles: in time order, in scales of the calibrated use.
-        rest_is_low: whether the unloaded turning point is the lower one.
-        config: what is steady enough.
-        curve: of the sensor; None where it is not known.
-    """
+    """Describe the activity of consecutive complete cycles, in scales of the calibrated use."""
     if len(cycles) < config.min_cycles:
         reason = f"{len(cycles)} cycles of use, {config.min_cycles} are needed to compare with"
         return Lesson(None, reason, np.zeros(2))
@@ -232,12 +217,7 @@ class CalibratedUse:
     Args:
         mean, scale: of the output over the cycles, in its unit; 0 and 1 of every other number here.
         low, high: where the output turned, in its unit.
-        duration_s: length of the recording.
-        usual, usual_s: samples and seconds of a cycle.
-        longest: most samples of a cycle.
-        rest_is_low: whether the unloaded output is the lower one.
         zero: output at zero load, in scales about the mean; None where it is not known.
-        lesson: the activity of the recording.
         curve: characteristic of the sensor; None where it is not known.
     """
 
@@ -264,12 +244,7 @@ def learn_use(
 ) -> CalibratedUse:
     """Learn from the recording a unit was calibrated with.
 
-    Args:
-        recording: the unit's output at calibration.
-        rest_is_low: whether the unloaded output is the lower one.
-        zero_output: output at zero load, in its unit; None where it is not known.
-        method: how cycles are cut, and what of them is an activity.
-        curve: characteristic of the sensor, in its unit; None where it is not known.
+    Its output at zero load and its characteristic, in its own unit, are None where they are not known.
     """
     low, high = (float(v) for v in np.quantile(recording.output, method.cycle.swing))
     longest = max(1, int(method.cycle.longest * len(recording)))

@@ -1,9 +1,4 @@
-"""Estimates of a unit in long use: f∘γ₀∘A_t with an affine correction A_t that follows the drift of the sensor.
-
-A stream is worked through in batches of fixed size, counted from its first row. Each row is estimated with the
-correction of its batch; what a batch shows changes the correction of the next one only. So a row depends on no later
-row (the estimate is causal), single samples and whole arrays give the same rows, and memory does not grow.
-"""
+"""Estimates of a unit in long use: f∘γ₀∘A_t with an affine correction A_t that follows the drift of the sensor."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -13,14 +8,14 @@ import numpy as np
 
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.network.network import Network
-from softcal.core.recording import Array, OutputRecording
+from softcal.core.recording import Array, Mask, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import Flags
 from softcal.core.use.activity import CalibratedUse
 from softcal.core.use.batches import START, UNSETTLED, Batches, MapUpdate
 from softcal.core.use.cycles import CycleCutter
 from softcal.core.use.doubt import Doubt, due
-from softcal.core.use.intake import RowMask, Taken
+from softcal.core.use.intake import Taken
 from softcal.core.use.kept import restored
 from softcal.core.use.method import UseMethod
 from softcal.core.use.observation import FOLLOWED, HELD, NOT_WATCHED, UNWATCHED, Observation
@@ -36,12 +31,7 @@ STATE_FORMAT = 9
 
 @dataclass(frozen=True)
 class Overdue:
-    """What has been in doubt for too long.
-
-    Args:
-        batches: so many in a row with too much in doubt.
-        why: and what to do; empty while nothing is overdue.
-    """
+    """What has been in doubt for too long."""
 
     batches: int = 0
     why: str = ""
@@ -75,10 +65,8 @@ class Adapter(Batches):
     """Estimates a stream and keeps the unit's map on its drift.
 
     Args:
-        network: the shared network f.
         calibration: of the unit, from the registry: f∘γ₀ and its interval.
         recording: the unit's own output at calibration; what the use is compared with.
-        config: mode and alarm.
 
     Raises:
         InputError: the calibration belongs to another network, or the recording has another physical unit.
@@ -102,7 +90,8 @@ class Adapter(Batches):
         self._of_use = Overdue()
         reason = "" if self._use.lesson.activity else self._use.lesson.reason
         self._last = replace(self._tracker.start(), verdict=START, reason=reason)
-        self._begin(self._start())
+        drift = (self._last.shift, self._last.log_gain, self._last.shift_sd, self._last.log_gain_sd)
+        self._begin(MapUpdate(0, None, 1.0, 0.0, *drift, self._predicted_rmse(0.0), START, reason, ""))
 
     def _parts(self) -> tuple[CycleCutter, DriftTracker]:
         use, method = self._use, self._method
@@ -128,7 +117,7 @@ class Adapter(Batches):
         # Nothing is watched where the map is left as it is.
         return flag if self._config.mode == "none" else super()._with_state(flag)
 
-    def _gather(self, t_s: Array, output: Array, taken: Taken, rows: slice, is_evidence: RowMask) -> None:
+    def _gather(self, t_s: Array, output: Array, taken: Taken, rows: slice, is_evidence: Mask) -> None:
         """Keep what this piece says about the use; None marks a break in it."""
         is_valid, is_restart = taken.is_valid[rows], taken.is_restart[rows]
         is_usable = is_valid & is_evidence
@@ -146,7 +135,8 @@ class Adapter(Batches):
         if self._intake.last_s is not None:
             self._tracker.expire(self._intake.last_s)
         # After the trial may have ended: its shift is part of the doubt.
-        found = self._drift_doubt(self._intake.last_s)
+        now_s = None if self._config.mode == "none" else self._intake.last_s
+        found = Doubt(0.0, 0.0, {}) if now_s is None else self._tracker.doubt_at(now_s)
         self._doubt = self._error_per_scale * found.widening
         self._put(self._proposed(last, found))
 
@@ -196,11 +186,6 @@ class Adapter(Batches):
             alarm=self._alarm() or self._tracker.alarm,
         )
 
-    def _drift_doubt(self, now_s: float | None) -> Doubt:
-        if self._config.mode == "none" or now_s is None:
-            return Doubt(0.0, 0.0, {})
-        return self._tracker.doubt_at(now_s)
-
     def _predicted_rmse(self, doubt: float) -> float:
         return float(np.hypot(self._calibrated_rmse, self._error_per_scale * doubt))
 
@@ -214,11 +199,6 @@ class Adapter(Batches):
         if not is_due and not (before.why and ratio > config.clear_ratio):
             return Overdue(batches)
         return Overdue(batches, before.why or due(max(squares, key=squares.__getitem__)))
-
-    def _start(self) -> MapUpdate:
-        start = self._last
-        drift = (start.shift, start.log_gain, start.shift_sd, start.log_gain_sd)
-        return MapUpdate(0, None, 1.0, 0.0, *drift, self._predicted_rmse(0.0), START, start.reason, "")
 
     def reconnect(self, row: int = 0) -> None:
         super().reconnect(row)

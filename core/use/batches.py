@@ -1,7 +1,7 @@
 """A stream worked through in batches of fixed size, counted from its first row: what all who follow a unit share.
 
 Each row is estimated with the map of its batch; what a batch shows changes the map of later ones only. So a row depends
-on no later row (the estimate is causal), and single samples and whole arrays give the same rows.
+on no later row (the estimate is causal), single samples and whole arrays give the same rows, and memory does not grow.
 """
 
 from abc import ABC, abstractmethod
@@ -14,11 +14,11 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.network.network import Network
-from softcal.core.recording import Array, OutputRecording
+from softcal.core.recording import Array, Mask, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import SATURATED, STUCK, Estimate, EstimateRow, Flags, check_fits, judge
 from softcal.core.unit.uncertainty import NORMAL_90
-from softcal.core.use.intake import WRONG_RATE, Intake, RowMask, Taken
+from softcal.core.use.intake import WRONG_RATE, Intake, Taken
 from softcal.core.use.kept import restored
 from softcal.core.use.method import UseMethod
 from softcal.core.use.observation import FOLLOWED, HELD, UNWATCHED
@@ -51,11 +51,7 @@ class MapUpdate:
 
     Args:
         row: first row it holds for, counted from 0.
-        t_s: time of the evidence.
         gain, offset: calibrated output = offset + gain * output now.
-        shift, log_gain: drift of the output in scales of the calibrated use.
-        shift_sd, log_gain_sd: their standard deviations.
-        predicted_rmse: predicted error of the estimates, in the reference unit.
         verdict: `start`, `followed`, `held`, `tried`, `jumped`, or `unwatched` while the first use is being learnt.
         reason: why it was held, or what was tried or jumped.
         alarm: why a calibration with a reference is due; empty while it is not.
@@ -84,10 +80,8 @@ class Batches(ABC):
     """Takes rows, cuts them into batches and keeps what changed; which map a batch has is the subclass's.
 
     Args:
-        network: the shared network f.
         calibration: of the unit, from the registry: f∘γ₀ and its interval.
         recording: the unit's own output at calibration.
-        method: every number that decides.
         state_format: of what `state` returns; another one whenever a state kept before could not be gone on from.
 
     Raises:
@@ -191,13 +185,8 @@ class Batches(ABC):
         return RECALIBRATE if self._current.alarm else ""
 
     @abstractmethod
-    def _gather(self, t_s: Array, output: Array, taken: Taken, rows: slice, is_evidence: RowMask) -> None:
-        """Keep what rows of a batch say about the use.
-
-        Args:
-            rows: places of these (n,) rows in what was taken.
-            is_evidence: (n,) whether no flag speaks against it.
-        """
+    def _gather(self, t_s: Array, output: Array, taken: Taken, rows: slice, is_evidence: Mask) -> None:
+        """Keep what rows of a batch say about the use."""
 
     def _alarm(self) -> str:
         """Return the alarm of a sensor that has been silent for long; empty where it is not."""
@@ -214,11 +203,7 @@ class Batches(ABC):
         """Learn from the batch that has ended."""
 
     def reconnect(self, row: int = 0) -> None:
-        """Go on after an interruption of unknown length: windows start anew, the map stays.
-
-        Args:
-            row: count rows from here at least.
-        """
+        """Go on after an interruption, from row `row` at least: windows start anew, the map stays."""
         self._row = max(self._row, row)
         # A batch never holds rows from before and after the interruption.
         self._row += -self._row % self._method.intake.batch

@@ -74,11 +74,9 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Doubt:
-    """How wrong the corrected output may be.
+    """How wrong the corrected output may be, for its interval and for the predicted error (`growth`).
 
-    Args:
-        growth: for the predicted error.
-        of_use: squares of what may be use as well as drift, by why: it holds the map.
+    The squares of what may be use as well as drift, by why, hold the map.
     """
 
     widening: float

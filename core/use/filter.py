@@ -16,12 +16,7 @@ from softcal.core.use.kept import array
 
 @dataclass(frozen=True, eq=False)
 class DriftFilter:
-    """Estimated drift and biases with their covariance.
-
-    Args:
-        mean: (2 + 2 K,) drift, then the bias of each of K activities.
-        covariance: (2 + 2 K, 2 + 2 K) of their errors.
-    """
+    """Estimated drift, then the biases of K activities, (2 + 2 K,), with the covariance of their errors."""
 
     mean: Array = field(metadata=array("n"))
     covariance: Array = field(metadata=array("n", "n"))

@@ -5,9 +5,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from softcal.core.recording import GAP_FACTOR, Array, Indices
+from softcal.core.recording import GAP_FACTOR, Array, Indices, Mask
 from softcal.core.unit.estimate import FLAG_TYPE, GAP, INVALID, WARM_UP, Flags
 from softcal.core.use.kept import restored, state_of
 from softcal.core.use.method import IntakeConfig
@@ -16,8 +15,6 @@ from softcal.core.windows import TAPS
 WRONG_RATE = "wrong rate"
 """Flag of rows whose samples come faster or slower than the network knows."""
 
-RowMask = NDArray[np.bool_]
-
 
 @dataclass(frozen=True, eq=False)
 class Taken:
@@ -25,17 +22,15 @@ class Taken:
 
     Args:
         windows: (batch, TAPS) newest sample last; blank where no full window ends.
-        is_full: (batch,) whether a full window ends in the row.
-        is_valid: (batch,) whether the row holds a sample.
         is_restart: (batch,) whether what came before it is too far away to belong to the same cycle.
         run: (batch,) how many samples, it included, have had exactly this value.
         flag: (batch,) why there is no estimate, or none to trust; else empty.
     """
 
     windows: Array
-    is_full: RowMask
-    is_valid: RowMask
-    is_restart: RowMask
+    is_full: Mask
+    is_valid: Mask
+    is_restart: Mask
     run: Indices
     flag: Flags
 
@@ -47,10 +42,8 @@ class IntakeState:
     Args:
         output, times_s: the last TAPS samples and their times, newest last.
         filled: how many of them belong to the window under way.
-        run: samples with exactly the newest value.
         waiting_for: flag of rows until a window is full.
         late_rows, late_s: rows in a row with increasing times before the last one taken, and the latest of these.
-        last_s: time of the last sample taken; None before the first.
     """
 
     output: list[float] = field(default_factory=list)
@@ -64,12 +57,7 @@ class IntakeState:
 
 
 class Intake:
-    """Keeps the last window of a stream.
-
-    Args:
-        blank: fills windows that are not full, in the unit of the output.
-        config: tolerances of rate, gaps and clock.
-    """
+    """Keeps the last window of a stream; windows that are not full are filled with `blank`."""
 
     def __init__(self, sample_rate_Hz: float, blank: float, config: IntakeConfig) -> None:
         self._period_s, self._blank, self._config = 1.0 / sample_rate_Hz, blank, config

@@ -47,7 +47,6 @@ def restored(kind: type[Value], state: Mapping[str, Any], **given: Any) -> Value
     """Return a value from what `state_of` wrote.
 
     Args:
-        state: from JSON.
         given: fields that are not kept.
 
     Raises:

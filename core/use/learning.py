@@ -9,16 +9,10 @@ from softcal.core.use.activity import Activity, CalibratedUse, Lesson, learn_act
 from softcal.core.use.cycles import Cycle
 from softcal.core.use.method import UseMethod
 from softcal.core.use.observation import TrackerState
-from softcal.core.use.reseating import RestBeyond, rest_beyond
 
 
 class UseLearner:
-    """Learns activities into the state of a tracker.
-
-    Args:
-        use: what the calibration recording taught.
-        method: every number that decides.
-    """
+    """Learns activities into the state of a tracker."""
 
     def __init__(self, use: CalibratedUse, method: UseMethod) -> None:
         self._use, self._method = use, method
@@ -90,23 +84,31 @@ class UseLearner:
         trust = self._method.trust
         if len(cycles) < self._method.activity.min_cycles:
             return 0.0
-        found = self._beyond(now, cycles)
-        now.away = abs(self._beyond(now, cycles[-self._method.activity.min_cycles :]).away)
-        sd = math.hypot(found.sd, math.sqrt(float(now.filter.doubt()[0, 0])))
-        sure = now.trust.sure_size(np.array([found.away]), np.array([sd]))
-        if found.away < 0:
+        away, sd, turning = self._beyond(now, cycles)
+        now.away = abs(self._beyond(now, cycles[-self._method.activity.min_cycles :])[0])
+        sd = math.hypot(sd, math.sqrt(float(now.filter.doubt()[0, 0])))
+        sure = now.trust.sure_size(np.array([away]), np.array([sd]))
+        if away < 0:
             return max(0.0, sure - trust.step)
         if not now.activities:
             return 0.0
-        return math.sqrt(1 - trust.use_share) * max(0.0, sure - max(found.turning, trust.step))
+        return math.sqrt(1 - trust.use_share) * max(0.0, sure - max(turning, trust.step))
 
-    def _beyond(self, now: TrackerState, cycles: list[Cycle]) -> RestBeyond:
-        """Return where cycles rest against zero load and wherever any known use rests, as the drift has it now."""
-        use = self._use
+    def _beyond(self, now: TrackerState, cycles: list[Cycle]) -> tuple[float, float, float]:
+        """Return where the rest of cycles lies against zero load and any known rest, in scales of the calibrated use.
+
+        Beyond the nearest one, positive on the loaded side, 0 between them; the standard deviation of the mean rest;
+        and how far the unloaded ends spread: a use that turns without resting stays off zero by it.
+        """
+        use, config = self._use, self._method.jump
         levels = [a.rest for a in now.activities if a.has_rest] + ([] if use.zero is None else [use.zero])
         levels.append(((use.low if use.rest_is_low else use.high) - use.mean) / use.scale)
         expected = float(now.filter.drift[0]) + float(np.exp(now.filter.drift[1])) * np.array(levels)
-        return rest_beyond(cycles, expected, use.rest_is_low, self._method.jump)
+        rests = np.array([cycle.rest(use.rest_is_low) for cycle in cycles])
+        away = min(float(rests.mean() - expected.min()), 0.0) + max(float(rests.mean() - expected.max()), 0.0)
+        end = slice(0, config.end_quantiles) if use.rest_is_low else slice(-config.end_quantiles, None)
+        turning = float(np.mean([cycle.scale * np.ptp(cycle.shape[end]) for cycle in cycles]))
+        return away if use.rest_is_low else -away, float(rests.std()) / len(rests) ** 0.5, turning
 
 
 def _mean_level(cycles: list[Cycle]) -> tuple[float, float]:

@@ -142,7 +142,7 @@ class DriftConfig:
 
 @dataclass(frozen=True)
 class JumpConfig:
-    """Change detection: a cycle too far from the prediction to be drift (`tracker.py`, `reseating.py`).
+    """Change detection: a cycle too far from the prediction to be drift (`jumps.py`).
 
     Args:
         sigmas, floor: rest or log gain of a jump differ from the prediction by more than so many standard deviations
@@ -169,7 +169,7 @@ class JumpConfig:
 
 @dataclass(frozen=True)
 class LearningConfig:
-    """Learning a new activity in use (`tracker.py`, improved mode).
+    """Learning a new activity in use (`learning.py`, improved mode).
 
     Args:
         cycles, joined_cycles: so many cycles at least; of cycles that are several taken together, so many. Where these

@@ -26,11 +26,9 @@ class Observation:
     """What one cycle said.
 
     Args:
-        t_s: end of the cycle.
         verdict: `followed`, `held`, `tried`, `jumped`, or `unwatched` while the first use is being learnt.
         reason: why, in words; empty where the drift was followed.
         shift, log_gain: drift after it, in scales of the calibrated use.
-        shift_sd, log_gain_sd: their standard deviations.
         activity: index of the activity it belongs to, -1 for none.
     """
 
@@ -49,28 +47,19 @@ class TrackerState:
     """What a restart needs besides the calibrated use.
 
     Args:
-        filter: drift and biases of the activities.
-        trust: what decides which part of the drift is applied.
         activities: known ones, the calibrated one first.
         to_settle: cycles left before the estimate is applied; `carried`, (2,), is applied until then.
         trend: (2, 2) exponential means of the innovations, a quick and a slow one.
-        latest: index of the activity of the latest cycle.
-        last_s: end of the latest cycle; None before the first.
-        strangers: cycles in a row of no known activity.
         jumps: like cycles since a jump that is not yet explained.
         trial: shift that is applied on trial until the next cycle.
-        was_known: whether the latest cycle belonged to a known activity.
         unseen_s: seconds of use since the drift was last measured.
-        alarm: why a calibration with a reference is due; else empty.
         unresolved: size of an unexplained jump, in scales; 0 where there is none.
         joined, single_s: usual cycles that are taken together as one, and the duration of a single one.
-        first_s: end of the first cycle; None before it.
         missed: how far level and scale moved while the first use was learnt, in scales; 0 where that may be chance.
         stray: how far the rest of the latest strange cycles, or of a use learnt from them, lies from all that were
             known; 0 where that may be chance.
         stray_before: the same when these cycles began.
         recent, recent_of: log gains of the last few cycles that were compared, and their activity.
-        timing: log durations of the latest complete cycles.
         away: how far the latest strange cycles rest from all that are known, be it chance or not.
         opening, opening_sd: level over the first cycles, in scales; 0 and 0 while single cycles are compared.
     """

@@ -21,14 +21,14 @@ from softcal.core.maps.interface import UnitMap
 from softcal.core.maps.plan import EXACT, TransportMap, exact_map
 from softcal.core.metrics import rms, rmse
 from softcal.core.network.network import Network
-from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.recording import Array, LabelledRecording, Mask, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import check_fits
 from softcal.core.unit.method import Method
 from softcal.core.use.adapter import QUEUES, AdaptConfig
 from softcal.core.use.batches import START, Batches, MapUpdate
 from softcal.core.use.doubt import QUEUE, due
-from softcal.core.use.intake import RowMask, Taken
+from softcal.core.use.intake import Taken
 from softcal.core.use.method import UseMethod
 from softcal.core.use.observation import FOLLOWED, QUEUE_DIFFERS, UNWATCHED
 from softcal.core.windows import TAPS
@@ -39,12 +39,7 @@ FORMAT = "queues 2"
 
 @dataclass(frozen=True, eq=False)
 class SourcePairs:
-    """What queues are mapped onto.
-
-    Args:
-        windows: (n, TAPS) as they came from a sensor, in the unit of the output.
-        placed: (n, TAPS) where they stand in the space that f reads; f of them are the labels.
-    """
+    """(n, TAPS) windows that queues are mapped onto, as a sensor gave them, and where they stand in the space of f."""
 
     windows: Array
     placed: Array
@@ -52,12 +47,7 @@ class SourcePairs:
 
 @dataclass(frozen=True, eq=False)
 class _Fitted:
-    """The map of a queue.
-
-    Args:
-        moved: by how much it moves the estimates of the queue from those of the calibration (RMS).
-        chance: by how much maps of queues without drift do so.
-    """
+    """The map of a queue, and by how much it moves the estimates (RMS), and maps of queues without drift by chance."""
 
     map: TransportMap
     moved: float
@@ -79,7 +69,6 @@ class QueuedTransport(Batches):
         calibration: of the unit, from the registry: f∘γ₀, which holds until the first swap, and its interval.
         recording: the unit's own output at calibration; what a drift is stated against.
         config: mode `ot` or `ot-improved`; improved, the source becomes each queue with its best estimates.
-        pool: solves plans while estimates go on; None solves each at its swap.
 
     Raises:
         InputError: the calibration belongs to another network, a recording has another physical unit, or the queue is
@@ -144,7 +133,7 @@ class QueuedTransport(Batches):
     def _mapped(self, windows: Array) -> Array:
         return self._map.apply(windows)
 
-    def _gather(self, t_s: Array, output: Array, taken: Taken, rows: slice, is_evidence: RowMask) -> None:
+    def _gather(self, t_s: Array, output: Array, taken: Taken, rows: slice, is_evidence: Mask) -> None:
         self._filling = np.concatenate([self._filling, taken.windows[rows][taken.is_full[rows] & is_evidence]])
 
     def _close_batch(self) -> None:
@@ -171,11 +160,11 @@ class QueuedTransport(Batches):
     def _mapped_onto(self, source: SourcePairs, queue: Array) -> TransportMap:
         return exact_map(queue, source.windows, source.placed, self._plan)
 
-    def _fitted(self, queue: Array, source: SourcePairs) -> "_Fitted":
+    def _fitted(self, queue: Array, source: SourcePairs) -> _Fitted:
         found = self._mapped_onto(source, queue)
         return _Fitted(found, self._moved_by(found, queue), self._chance)
 
-    def _swap(self, fitted: "_Fitted") -> None:
+    def _swap(self, fitted: _Fitted) -> None:
         """Put the map of the queue that waits in force."""
         self._use(fitted.map)
         now, then, doubt = self._waiting[:, -1], self._known[:, -1], self._method.doubt

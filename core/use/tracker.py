@@ -21,40 +21,34 @@ from typing import Any
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.core.use.activity import Activity, CalibratedUse, timing_scatter
+from softcal.core.use.activity import CalibratedUse, timing_scatter
 from softcal.core.use.cycles import Cycle
 from softcal.core.use.doubt import Doubt, Evidence, doubt
 from softcal.core.use.filter import DriftFilter
+from softcal.core.use.jumps import SuddenChanges
 from softcal.core.use.kept import restored, state_of
 from softcal.core.use.learning import UseLearner
 from softcal.core.use.method import UseMethod
 from softcal.core.use.observation import (
     FOLLOWED,
     HELD,
-    JUMPED,
     NOT_WATCHED,
-    PRELOAD_GONE,
     PRELOADED,
     REST_MOVED,
     TRIED,
     UNWATCHED,
-    USE_CHANGED,
     USE_OR_GAIN,
     Observation,
     TrackerState,
 )
-from softcal.core.use.reseating import is_like_but_for_shape, rest_step
 from softcal.core.use.trust import Trust
 
 
 class DriftTracker:
     """Follows the drift of one unit, cycle by cycle.
 
-    Args:
-        use: what the calibration recording taught.
-        is_improved: whether new activities are learnt from the best estimates so far, and shapes may move; otherwise
-            every cycle is compared with the calibration recording alone.
-        method: every number that decides.
+    Improved, it learns new activities from the best estimates so far, and shapes may move; otherwise every cycle is
+    compared with the calibration recording alone.
     """
 
     def __init__(
@@ -75,6 +69,7 @@ class DriftTracker:
         self._walk = np.diag(spread) / use.duration_s
         self._overdue_s = method.cycle.overdue * use.usual_s
         self._memory = max(drift.memory_cycles, drift.memory_samples / use.usual)
+        self._jumps = SuddenChanges(use, method, self._memory, self._learner if is_improved else None)
         self._settling = max(1, math.ceil(drift.settling_samples / use.usual))
         self._now = TrackerState(
             filter=state,
@@ -205,60 +200,22 @@ class DriftTracker:
         candidates = [k for k, activity in enumerate(now.activities) if activity.strangeness(cycle) <= 1]
         # Use goes on as it was more often than it changes: of two activities that fit, the latest.
         candidates.sort(key=lambda k: k != now.latest)
-        fitting = [k for k in candidates if not self._is_jump(cycle, k) and not self._is_programme(cycle, k)]
+        fitting = [k for k in candidates if not self._jumps.is_jump(now, cycle, k)]
         return (fitting or candidates or [-1])[0]
-
-    def _is_jump(self, cycle: Cycle, index: int) -> bool:
-        """Return whether the innovation of a cycle, at its rest or in its log gain, is too large for drift."""
-        now, config = self._now, self._method.jump
-        surprise, expected = self._surprise(cycle, index)
-        gain = np.exp(now.filter.drift[1])
-        # From (shift, log gain) to (movement of the rest, log gain): use moves the shift, but no rest.
-        sight = np.array([[1.0, gain * now.activities[index].rest], [0.0, 1.0]])
-        sigma = np.sqrt(np.diag(sight @ expected @ sight.T))
-        return bool(np.any(np.abs(sight @ surprise) > np.maximum(config.sigmas * sigma, config.floor)))
-
-    def _is_like_jumps(self, cycle: Cycle, index: int) -> bool:
-        """Return whether a cycle is nearer to those since a jump than to the prediction (Mahalanobis distance).
-
-        After a change of use some of its cycles lie within reach of the old use. Followed, they would drag the drift
-        after the use.
-        """
-        now = self._now
-        if len(now.jumps) < self._method.jump.cycles:
-            return False
-        activity, (surprise, _) = now.activities[index], self._surprise(cycle, index)
-        drifts = [activity.drift_of(c, self._use.rest_is_low) for c in (*now.jumps, cycle)]
-        apart = drifts[-1] - np.mean(drifts[:-1], axis=0)
-        near, far = (float(d @ np.linalg.solve(activity.noise, d)) for d in (apart, surprise))
-        return near < far
-
-    def _is_programme(self, cycle: Cycle, index: int) -> bool:
-        """Return whether the size of a cycle stepped from that of the ones before, in a use that a machine times.
-
-        A drift gets there little by little.
-        """
-        now, activity = self._now, self._now.activities[index]
-        if not activity.is_imposed or now.recent_of != index or not now.recent:
-            return False
-        step = activity.drift_of(cycle, self._use.rest_is_low)[1] - float(np.mean(now.recent))
-        sd = math.sqrt(float(activity.noise[1, 1]) * (1 + 1 / len(now.recent)))
-        return bool(abs(step) > self._method.jump.sigmas * sd)
-
-    def _surprise(self, cycle: Cycle, index: int) -> tuple[Array, Array]:
-        """Return the innovation: measured drift less the predicted one, and its covariance."""
-        activity = self._now.activities[index]
-        mean, covariance = self._now.filter.seen_by(index)
-        return activity.drift_of(cycle, self._use.rest_is_low) - mean, covariance + activity.noise
 
     def _compare(self, cycle: Cycle, index: int, walked: Array) -> Observation:
         now = self._now
         activity = now.activities[index]
-        if self._is_jump(cycle, index) or self._is_like_jumps(cycle, index) or self._is_programme(cycle, index):
-            return self._meet_jump(cycle, index)
+        if self._jumps.is_jump(now, cycle, index) or self._jumps.is_like_jumps(now, cycle, index):
+            met = self._jumps.meet(now, cycle, index)
+            if met.verdict == HELD:
+                return self._held(cycle, met.reason, index)
+            if met.measured is not None:
+                self._accept(met.measured, index)
+            return self._observation(cycle.end_s, met.verdict, met.reason, index)
         # One cycle within reach of the old use does not end another: after several the others are forgotten.
         jumps = now.jumps[: len(now.jumps) // 2]
-        surprise, expected = self._surprise(cycle, index)
+        surprise, expected = self._jumps.surprise(now, cycle, index)
         # Process noise R / n^2 makes the steady filter average over about n cycles.
         # Shift and log gain lag alike: where one lags more, a use that grows slowly reads as a sensor that drifts.
         share = self._pace(surprise, expected) / self._memory**2
@@ -273,20 +230,16 @@ class DriftTracker:
             now.activities[index] = activity.refreshed(cycle, self._method.learning.refresh)
         # A person who has just put the sensor on presses otherwise for a while.
         now.to_settle = max(0, now.to_settle - 1)
-        self._remember(cycle, index)
+        # The log gain of the last few cycles of one activity.
+        before = now.recent if now.recent_of == index else []
+        log_gain = float(now.activities[index].drift_of(cycle, self._use.rest_is_low)[1])
+        now.recent, now.recent_of = [*before[-self._method.jump.recent + 1 :], log_gain], index
         self._accept(measured, index)
         now.jumps = jumps
         if now.trust.is_use_as_likely(now.filter.drift, now.seen):
             return self._observation(cycle.end_s, HELD, USE_OR_GAIN, index)
         is_preload = now.trust.may_be_preload and np.any(now.applied)
         return self._observation(cycle.end_s, FOLLOWED, PRELOADED if is_preload else "", index)
-
-    def _remember(self, cycle: Cycle, index: int) -> None:
-        """Keep the log gain of the last few cycles of one activity."""
-        now = self._now
-        before = now.recent if now.recent_of == index else []
-        log_gain = float(now.activities[index].drift_of(cycle, self._use.rest_is_low)[1])
-        now.recent, now.recent_of = [*before[-self._method.jump.recent + 1 :], log_gain], index
 
     def _accept(self, measured: DriftFilter, index: int) -> None:
         now = self._now
@@ -318,77 +271,6 @@ class DriftTracker:
         distance = np.sum(now.trend.T * np.linalg.solve(expected, now.trend.T), axis=0) / chance
         return float(np.clip(distance.max() / config.pace, 1, config.fastest))
 
-    def _meet_jump(self, cycle: Cycle, index: int) -> Observation:
-        """Hold a sudden change until like cycles say what it was, then follow it or not."""
-        now, config = self._now, self._method.jump
-        activity = now.activities[index]
-        level = self._jump_level(cycle, activity)
-        step = level - now.filter.seen_by(index)[0]
-        now.unresolved = float(np.hypot(*step))
-        if len(now.jumps) < config.cycles:
-            if self._try(cycle, index):
-                return self._observation(cycle.end_s, TRIED, REST_MOVED, index)
-            return self._held(cycle, f"a sudden change; {config.cycles} like cycles decide what it is", index)
-        # Without a rest a jump of the sensor and one of the use are the same numbers.
-        if not activity.has_rest:
-            return self._held(cycle, "a sudden change of sensor or use, which no known rest can tell apart", index)
-        moved = now.trust.jumped(activity, now.filter.drift, step)
-        crept = now.trust.creep(activity.rest, float(step[1]))
-        stands = min(abs(moved), abs(moved - crept)) <= max(config.floor[0], config.rest_sigmas * activity.rest_scatter)
-        if stands or now.trust.is_lighter(activity, now.filter.drift, step):
-            now.unresolved = 0.0
-            if not stands:
-                now.stray = max(now.stray, math.sqrt(1 - self._method.trust.use_share) * abs(moved))
-            if self._is_improved and len(now.jumps) == config.most and self._learner.learn(now, now.jumps):
-                now.jumps.clear()
-            return self._held(cycle, USE_CHANGED if stands else PRELOAD_GONE, index)
-        before, after = now.filter.drift[0], now.filter.drift[0] + moved
-        is_far = abs(moved) > config.largest[0] and abs(after) >= abs(before)
-        if is_far or abs(after) > self._method.drift.largest[0]:
-            now.alarm = "a sudden change larger than is ever followed; check the sensor and its mounting"
-            return self._held(cycle, now.alarm, index)
-        return self._follow_jump(cycle, index, level, moved)
-
-    def _jump_level(self, cycle: Cycle, activity: Activity) -> Array:
-        """Add a cycle to the like ones since a jump; return the drift they show."""
-        now, config = self._now, self._method.jump
-        measured = activity.drift_of(cycle, self._use.rest_is_low)
-        before = [activity.drift_of(c, self._use.rest_is_low) for c in now.jumps[-config.most + 1 :]]
-        # The difference of two cycles has twice the variance of one.
-        apart = config.sigmas * np.sqrt(2 * np.diag(activity.noise))
-        # A cycle unlike the others starts the count anew: the change was not over yet.
-        if before and np.any(np.abs(measured - np.mean(before, axis=0)) > apart):
-            before = []
-        now.jumps = [*now.jumps[len(now.jumps) - len(before) :], cycle]
-        return np.asarray(np.mean([*before, measured], axis=0))
-
-    def _try(self, cycle: Cycle, index: int) -> bool:
-        """Follow the rest of one cycle until the next one, where it shows a re-seating."""
-        now = self._now
-        activity, zero = now.activities[index], now.trust.zero
-        # Harder use moves the turning point of a preloaded sensor, though not its output at zero load.
-        if zero is None or abs(activity.rest - zero) > self._method.activity.rest_scatter:
-            return False
-        step = rest_step(cycle, activity, now.filter.drift, self._use.rest_is_low, self._method.jump)
-        now.trial = step if abs(now.filter.drift[0] + step) <= self._method.drift.largest[0] else 0.0
-        return now.trial != 0
-
-    def _follow_jump(self, cycle: Cycle, index: int, level: Array, moved: float) -> Observation:
-        """Follow a re-seating; of one with more gain than its rest vouches for, the rest alone."""
-        now, config = self._now, self._method.jump
-        activity = now.activities[index]
-        seen = now.filter.seen_by(index)[0]
-        reason = "the rest and all levels moved at once: re-seated"
-        if abs(level[1] - seen[1]) > now.trust.gain_per_shift(activity.rest) * abs(moved):
-            level = seen + np.array([moved, 0.0])
-            reason = "the rest moved at once, and the use changed with it: re-seated"
-        # Wide process noise lets the filter go to the new place at once instead of averaging over old cycles.
-        free = now.filter.moved(np.diag((np.array(config.largest) / config.largest_sigmas) ** 2))
-        now.trust = now.trust.reseated(now.filter.drift, now.seen, moved, round(self._memory))
-        now.trend, now.to_settle, now.recent = np.zeros_like(now.trend), 0, []
-        self._accept(free.measured(index, level, activity.noise / config.cycles), index)
-        return self._observation(cycle.end_s, JUMPED, reason, index)
-
     def _meet_stranger(self, cycle: Cycle) -> Observation:
         now = self._now
         now.jumps.clear()
@@ -398,8 +280,8 @@ class DriftTracker:
         unseen = self._method.drift.unseen**2 * cycle.duration_s / self._use.duration_s
         now.filter = now.filter.moved(np.diag([unseen, 0.0]))
         # A sensor re-seated in the midst of a cycle gives it another shape.
-        if was_known and is_like_but_for_shape(cycle, now.activities[now.latest], now.filter.drift, self._method.jump):
-            if self._try(cycle, now.latest):
+        if was_known and self._jumps.is_like_but_for_shape(now, cycle, now.latest):
+            if self._jumps.try_rest(now, cycle, now.latest):
                 now.unresolved = abs(now.trial)
                 return self._observation(cycle.end_s, TRIED, REST_MOVED, -1)
         if not self._is_improved:

@@ -28,7 +28,6 @@ class Trimmed:
     """A map after a trim.
 
     Args:
-        unit_map: the map with the new gain and offset behind it.
         covariance: (2, 2) of zero and gain: of the straight line, in the reference unit and in its share, that the
             estimates may be off by.
         before_rmse, after_rmse: error of the estimates at the loads, without and with the trim, in the reference unit.
@@ -72,11 +71,8 @@ def trim(
     Not known of a load are the load itself, the error of the calibration at any reading, and what f misreads at rest.
 
     Args:
-        problem: source, network and recording of the unit the map was fitted with.
         unit_map: in use now; an earlier trim of it is trimmed further, not stacked.
-        interval: of the estimates before.
         loads: outputs at rest under known loads, at least two different ones.
-        config: which loads, and which gain, can be of this unit.
 
     Raises:
         InputError: the loads cannot be of this unit as they stand, or leave more open than they correct; the message
@@ -102,7 +98,8 @@ def trim(
             f"{load[last] - load[first]:.3g} {unit}, and each must be more than {open_:.3g} {unit}, which the readings "
             f"leave open; {NOTHING}; read loads further apart, each at rest"
         )
-    gain, offset = _line(read, wanted, error)
+    # The weighted straight line that carries what is read onto what is wanted.
+    gain, offset = (float(value) for value in np.polyfit(read, wanted, 1, w=1 / error))
     if abs(gain - 1) > config.most_change:
         raise InputError(
             f"the loads ask for {gain:.2g} x the gain of unit {problem.target.serial}, {1 - config.most_change:.2g} to "
@@ -134,7 +131,10 @@ def trim(
     # Loads that do not fit a straight line know neither number better than they fit.
     spread = max(1.0, rms(left))
     covariance = np.asarray(np.linalg.inv(design.T @ design) * spread**2, np.float64)
-    return Trimmed(_joined(found), covariance, before, after)
+    if isinstance(unit_map, AnchoredMap):
+        # One gain and offset in place of two behind one another.
+        found = AnchoredMap(unit_map.inner, gain * unit_map.gain, offset + gain * unit_map.offset)
+    return Trimmed(found, covariance, before, after)
 
 
 def as_given_now(recording: OutputRecording, before: UnitMap, after: UnitMap) -> OutputRecording:
@@ -156,17 +156,3 @@ def _errors(problem: FitProblem, interval: Interval, load: Array, wanted: Array)
     misread = problem.network.evaluate(resting(wanted)) - load
     known = problem.config.anchors.load_error * float(np.ptp(problem.source.reference))
     return np.asarray(np.hypot(np.hypot(band, misread) / NORMAL_90, known))
-
-
-def _line(read: Array, wanted: Array, error: Array) -> tuple[float, float]:
-    """Return gain and offset of the weighted straight line that carries `read` onto `wanted`."""
-    gain, offset = np.polyfit(read, wanted, 1, w=1 / error)
-    return float(gain), float(offset)
-
-
-def _joined(found: AnchoredMap) -> AnchoredMap:
-    """Return one gain and offset in place of two behind one another."""
-    if not isinstance(found.inner, AnchoredMap):
-        return found
-    earlier = found.inner
-    return AnchoredMap(earlier.inner, found.gain * earlier.gain, found.offset + found.gain * earlier.offset)

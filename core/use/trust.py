@@ -28,7 +28,6 @@ class Trust:
         moved: the way the rest has surely gone by then: how much this sensor is known to drift.
         proven: share of the gain that was sure when the sensor was last re-seated. A re-seating makes the value of the
             gain doubtful, not its existence.
-        seated: log gain that came with re-seatings.
         seen_before, applied_before: log gain estimated and applied before the latest re-seating.
         step, fresh: how far that moved the rest, and cycles left in which the gain that came with it is found.
     """
@@ -50,9 +49,7 @@ class Trust:
     def reseated(self, drift: Array, covariance: Array, step: float, cycles: int) -> "Trust":
         """Return what is known when the sensor is re-seated after a drift, (2,) with (2, 2) covariance.
 
-        Args:
-            step: how far the rest moved at once, in scales; it vouches for the gain that came with it alone.
-            cycles: over so many the gain that came with it is found.
+        The step of its rest, in scales, vouches for the gain that came with it alone, found over so many cycles.
         """
         share = self._sure_share(float(drift[1]), float(covariance[1, 1]))
         applied = float(self.applied(drift, covariance)[1])
@@ -76,9 +73,7 @@ class Trust:
     def after(self, activity: Activity, drift: Array, covariance: Array, weight: float) -> "Trust":
         """Return what is known after a cycle of an activity showed a drift, (2,) with (2, 2) covariance.
 
-        Args:
-            weight: of this cycle in the smoothed rest. A rest that moves for a few cycles only, as after a pause, does
-                not count as drift.
+        The rest is smoothed with the weight of a cycle: one that moves for a few only, as after a pause, is no drift.
         """
         known = self
         # Where a machine times the use, its cycles turn at one load, though they do not rest there.
@@ -153,7 +148,12 @@ class Trust:
         most = self.gain_per_shift(level) * self.moved
         vouched = float(np.clip(log_gain, self.seated - most, self.seated + most))
         if self.fresh:
-            vouched = self._reseated_gain(drift, covariance, self.gain_per_shift(level) * self.step)
+            # The log gain applied before the re-seating and what came with it, which its step vouches for.
+            came, most = (
+                self._sure(float(drift[1]) - self.seen_before, covariance),
+                self.gain_per_shift(level) * self.step,
+            )
+            vouched = self.applied_before + float(np.clip(came, -most, most))
         # Never more than is estimated: gain and use that cancel are less likely than neither.
         log_gain = float(np.clip(vouched, min(0.0, log_gain), max(0.0, log_gain)))
         shift = self._sure_movement(drift, covariance, level)
@@ -168,11 +168,6 @@ class Trust:
 
     def _sure(self, log_gain: float, covariance: Array) -> float:
         return log_gain * max(self.proven, self._sure_share(log_gain, float(covariance[1, 1])))
-
-    def _reseated_gain(self, drift: Array, covariance: Array, most: float) -> float:
-        """Return the log gain applied before a re-seating and what came with it, which its step vouches for."""
-        came = self._sure(float(drift[1]) - self.seen_before, covariance)
-        return self.applied_before + float(np.clip(came, -most, most))
 
     @property
     def may_be_preload(self) -> bool:

@@ -12,7 +12,7 @@ import pytest
 
 from softcal.app.texts.catalogue import LANGUAGES, catalogue, text
 from softcal.app.texts.reasons import PLAINLY, PREFIX, plainly, said
-from softcal.core.maps import affine, ends, monotone, paired, phase, synchronous
+from softcal.core.maps import affine_map, ends, monotone, paired
 from softcal.core.unit import findings, health, verdict
 from softcal.core.unit.evidence import DAY, LINE
 from softcal.core.unit.knowledge import KnowledgeConfig
@@ -23,7 +23,7 @@ from softcal.core.words.reason import ENGLISH, PLAIN, Reason, packed, plain, rea
 from softcal.core.words.rig_sentences import SENTENCES
 
 KOREAN, ENGLISH_WORDS = partial(text, "ko"), partial(text, "en")
-MODULES = [findings, health, verdict, affine, ends, monotone, paired, phase, synchronous]
+MODULES = [findings, health, verdict, affine_map, ends, monotone, paired]
 
 
 def example(code: str) -> Reason:

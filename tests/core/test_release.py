@@ -11,15 +11,17 @@ from softcal.core.quality.acceptance import (
     Promise,
     audits_by_count,
     failing_share,
+    least_risk,
+    least_units,
+    pooled_scale,
+    promise_rows,
+    share_beyond,
     tolerance_factor,
 )
-from softcal.core.quality.conformal import least_risk, least_units, pooled_scale, share_beyond
 from softcal.core.quality.lot_release import release_lot
-from softcal.core.quality.promises import promise_rows
 from softcal.core.quality.qualification import PastAudit, qualify, small_lot
 from softcal.core.quality.release import AuditedUnit, audited_ratios, least_passing, release
 from softcal.core.quality.widening import AuditedSamples, Widening, fit_widening
-from softcal.core.unit.method import ReleaseConfig
 from softcal.core.unit.verdict import Limit
 
 LIMIT = Limit("N", 1.0)
@@ -230,7 +232,7 @@ def test_a_failed_golden_unit_withdraws_what_was_audited_before_it():
 
 def test_audits_made_after_a_failure_qualify_again():
     past = _past(days=30, failed=True) + _past(days=5)
-    assert qualify([], past, NOW, "EG", "m1", rules=ReleaseConfig()).is_given
+    assert qualify([], past, NOW, "EG", "m1").is_given
 
 
 def _audited(residual, half=1.0):

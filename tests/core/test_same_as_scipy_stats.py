@@ -5,8 +5,7 @@ import pytest
 from scipy import stats
 
 from softcal.core.maps.synchrony import ranks
-from softcal.core.quality.acceptance import Promise, failing_share, tolerance_factor
-from softcal.core.quality.conformal import share_beyond
+from softcal.core.quality.acceptance import Promise, failing_share, share_beyond, tolerance_factor
 from softcal.core.quality.widening import _next_unit
 
 CLOSE = {"rel": 1e-12}

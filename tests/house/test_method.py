@@ -104,7 +104,7 @@ def test_explained_numbers_are_there() -> None:
         assert set(explained) <= {text for text, _ in literals(CORE.parent / place)}, place
 
 
-RELEASE = ("acceptance", "audit_check", "conformal", "lot_release", "qualification", "release")
+RELEASE = ("acceptance", "audit_check", "lot_release", "qualification", "release")
 """Modules of core/quality that decide which units pass on the audits of others."""
 
 
