@@ -12,9 +12,8 @@ from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
     from softcal.core.gap.diagnosis import Diagnosis
-    from softcal.core.gap.gap_diagnosis import GapDiagnosis
+    from softcal.core.gap.gap_diagnosis import GapDiagnosis, RankedCause
     from softcal.core.gap.identifiability import Identifiability
-    from softcal.core.gap.named_causes import RankedCause
     from softcal.core.gap.plausibility import DataMistake
     from softcal.core.twin.parameters import ReadoutMetadata
     from softcal.core.twin.simulate import Twin

@@ -116,6 +116,6 @@ def _bouc_wen(signal: Array, scale: float, sharpness: float) -> Array:  # pragma
     return out
 
 
-def bouc_wen(signal: Array, scale: float, sharpness: float = 1.6) -> Array:
-    """Solve the Bouc–Wen law dz = dx/scale − |z|ⁿ·(β·|dx|·sign z + γ·dx)/scale with β = 0.7, γ = 0.3."""
-    return np.asarray(_bouc_wen(np.ascontiguousarray(signal), scale, sharpness))
+def bouc_wen(signal: Array, scale: float) -> Array:
+    """Solve the Bouc–Wen law dz = dx/scale − |z|ⁿ·(β·|dx|·sign z + γ·dx)/scale with β = 0.7, γ = 0.3, n = 1.6."""
+    return np.asarray(_bouc_wen(np.ascontiguousarray(signal), scale, 1.6))

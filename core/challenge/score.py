@@ -224,12 +224,12 @@ def _bins(stated: NDArray[np.float64], present: NDArray[np.float64]) -> Iterable
             yield Bin(low, high, float(stated[here].mean()), int(present[here].sum()), int(here.sum()))
 
 
-def calibration_error(stated: NDArray[np.float64], happened: NDArray[np.float64], bins: int = 10) -> float:
-    """Return Σ (nᵦ/n)·|mean stated − mean happened| over bins of equal width."""
+def calibration_error(stated: NDArray[np.float64], happened: NDArray[np.float64]) -> float:
+    """Return Σ (nᵦ/n)·|mean stated − mean happened| over ten bins of equal width."""
     if len(stated) == 0:
         return float("nan")
-    bin_of = np.minimum((stated * bins).astype(int), bins - 1)
-    gaps = [abs(float(np.sum(stated[bin_of == b] - happened[bin_of == b]))) for b in range(bins)]
+    bin_of = np.minimum((stated * 10).astype(int), 9)
+    gaps = [abs(float(np.sum(stated[bin_of == b] - happened[bin_of == b]))) for b in range(10)]
     return sum(gaps) / len(stated)
 
 

@@ -30,8 +30,8 @@ def near(rng: Rng, centre: float, factor: float = 1.6) -> float:
     return float(centre * factor ** rng.uniform(-1.0, 1.0))
 
 
-def _signed(rng: Rng, centre: float, factor: float = 1.6) -> float:
-    return float(rng.choice([-1.0, 1.0])) * near(rng, centre, factor)
+def _signed(rng: Rng, centre: float) -> float:
+    return float(rng.choice([-1.0, 1.0])) * near(rng, centre)
 
 
 def _saturation(rng: Rng, scope: Scope, scale: float) -> dict[str, float]:

@@ -14,16 +14,18 @@ from softcal.core.gap.empirical import LearnedResidual, learned, terms_of_twin
 from softcal.core.gap.explained import explained_twin, in_catalogue_form, with_constants
 from softcal.core.gap.fit import Fit
 from softcal.core.gap.floor import is_noise
-from softcal.core.gap.gap_diagnosis import GapDiagnosis, partial_of, ranked_causes
-from softcal.core.gap.identifiability import Identifiability, identifiability, sentences
-from softcal.core.gap.named_causes import (
+from softcal.core.gap.gap_diagnosis import (
     DiagnosisVerdict,
+    GapDiagnosis,
     GapPlace,
     RankedCause,
     gap_of_base,
     judged,
+    partial_of,
+    ranked_causes,
     under_its_floor,
 )
+from softcal.core.gap.identifiability import Identifiability, identifiability, sentences
 from softcal.core.gap.next_experiment import NextExperiment, menu, propose
 from softcal.core.gap.odd_run import odd_run, odd_run_beside
 from softcal.core.gap.offsets import OFFSET_NAMES, Offsets, offsets

@@ -81,7 +81,7 @@ def _with_clock_to_place_by(found: Fit, effect: Effect) -> Fit:
         coordinates[at] = skew
         start = replace(found, coordinates=coordinates, predicted=problem.predict(found.hypothesis, coordinates))
         rows, _ = _lost_samples(start, effect.id)
-        placed = found.hypothesis.adding(effect, _merged(found, effect.id, rows))
+        placed = found.hypothesis.adding(effect, episodes=_merged(found, effect.id, rows))
         predicted = problem.predict(placed, np.append(coordinates, 0.0))
         left = energy(problem.whitened(problem.measured - predicted))
         cost = left + EPISODE_COST * float(np.log(problem.count)) * placed.episode_count
@@ -119,8 +119,7 @@ def _placed(found: Fit, effect: Effect, place: Place) -> Fit | None:
         rows, size = place(current, effect.id)
         if not any(len(r) for r in rows):
             break
-        episodes = _merged(found, effect.id, rows)
-        hypothesis = found.hypothesis.adding(effect, episodes)
+        hypothesis = found.hypothesis.adding(effect, episodes=_merged(found, effect.id, rows))
         kept = current.coordinates[: len(found.coordinates)]
         grown = fit(found.problem, hypothesis, np.concatenate([kept, start_coordinates([effect], [[size]])]))
         is_same = best is not None and grown.chi2 > best.chi2 - 1.0

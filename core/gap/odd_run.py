@@ -73,16 +73,10 @@ _Fitted = tuple[Fit, int, _Oddity, float]
 """A fit with a mistake, its run, what it is, and the share it explains."""
 
 
-def odd_run(base: Fit, least_share: float = SHARE) -> DataMistake | None:
-    """Return the mistake of one run that explains what a fit leaves, None where none does.
-
-    Args:
-        base: the fit, of the base alone or with causes.
-        least_share: of what it leaves that must be explained.
-    """
-    for fitted, run, oddity, share in nearest(base)[:1]:
-        return None if share < least_share else _finding(fitted, run, oddity, share)
-    return None
+def odd_run(base: Fit) -> DataMistake | None:
+    """Return the mistake of one run that explains what a fit leaves, None where none does."""
+    found = [one for one in nearest(base)[:1] if one[3] >= SHARE]
+    return _finding(*found[0]) if found else None
 
 
 def odd_run_beside(search: EffectSearch) -> DataMistake | None:
@@ -98,17 +92,13 @@ def odd_run_beside(search: EffectSearch) -> DataMistake | None:
             clean = [grown for grown in search.grown_from(fitted) if search.is_clean(grown)]
             tried += [(base, (grown, run, oddity, share)) for grown in clean]
     kept = []
-    for parent, found in tried:
-        fitted, run, oddity, share = found
+    for parent, (fitted, run, oddity, share) in tried:
         # The mistake counts as one number more; it belongs to no catalogue and has no prior odds of its own.
         price = parent.penalty if parent is not base or not singles else singles[0].penalty
         price += float(np.log(base.problem.count)) * len(oddity.hooks)
         if (share > SHARE_BESIDE or parent is base) and fitted.chi2 + price < best.bic - AHEAD:
-            kept.append((fitted.chi2 + price, fitted, run, oddity, share))
-    if not kept:
-        return None
-    _, fitted, run, oddity, share = min(kept, key=lambda k: k[0])
-    return _finding(fitted, run, oddity, share)
+            kept.append((fitted.chi2 + price, (fitted, run, oddity, share)))
+    return _finding(*min(kept, key=lambda one: one[0])[1]) if kept else None
 
 
 def nearest(base: Fit, promised_share: float = PROMISED) -> list[_Fitted]:
@@ -131,10 +121,9 @@ def nearest(base: Fit, promised_share: float = PROMISED) -> list[_Fitted]:
     for gain, run, oddity in promised[:3]:
         if gain < max(promised_share * excess, 0.5 * promised[0][0]):
             continue
-        hypothesis, effects = base.hypothesis, _effects(run, oddity, base)
-        for effect in effects:
-            hypothesis = hypothesis.adding(effect)
-        fitted = fit(base.problem, hypothesis, np.append(base.coordinates, np.zeros(len(effects))), steps=30)
+        effects = _effects(run, oddity, base)
+        start = np.append(base.coordinates, np.zeros(len(effects)))
+        fitted = fit(base.problem, base.hypothesis.adding(*effects), start, steps=30)
         found.append((fitted, run, oddity, (base.chi2 - fitted.chi2) / excess))
 
     def price(one: _Fitted) -> float:

@@ -1,6 +1,6 @@
 """What every rig has and no cause has to explain: a cell that was not tared, a unit that sits anew in every run."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, TypeAlias
@@ -15,7 +15,7 @@ from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.signals import compiled
 
 if TYPE_CHECKING:
-    from softcal.core.gap.problem import Problem
+    from softcal.core.gap.problem import Hypothesis, Problem
 
 TARE = 0.03
 """Largest force at rest that counts as a cell that was not tared, as a share of the range of the force."""
@@ -80,12 +80,6 @@ def offsets(problem: "Problem", base: BaseParameters, clean: Array) -> list[Offs
 Sizes: TypeAlias = Mapping[int, Array]
 """By run, (k,), the sizes of its offsets that are in a prediction."""
 
-Again: TypeAlias = Callable[[Sizes], Array]
-"""Predict once more, (samples,), with these offsets in it."""
-
-Along: TypeAlias = Callable[[Array, Sizes], Directions]
-"""How a prediction with these offsets in it changes with each of them."""
-
 
 @dataclass(frozen=True, eq=False)
 class Nearby:
@@ -113,17 +107,19 @@ class Nearby:
         return out
 
 
-def with_offsets(problem: "Problem", clean: Array, along: Along, again: Again) -> tuple[Array, Nearby]:
+def with_offsets(
+    problem: "Problem", hypothesis: "Hypothesis", coordinates: Array, clean: Array
+) -> tuple[Array, Nearby]:
     """Return a prediction, (samples,), with the offsets that bend it in it, and how all of them move nearby."""
-    near = Nearby(along(clean, {}))
+    near = Nearby(problem.directions(hypothesis, coordinates, clean, {}))
     for _ in range(PASSES - 1):
         sizes = near.sizes(problem, clean)
         if not _is_bent(problem, near.directions, sizes):
             break
         # A surface that lies lower moves the corner of first touch: a straight step along the slope would leave it.
         moved = {run: step + near.moved.get(run, 0.0) for run, step in sizes.items()}
-        clean = again(moved)
-        near = Nearby(along(clean, moved), moved)
+        clean = problem.clean(hypothesis, coordinates, moved)
+        near = Nearby(problem.directions(hypothesis, coordinates, clean, moved), moved)
     return clean, near
 
 
@@ -163,12 +159,10 @@ def own_rows(problem: "Problem", directions: Directions) -> tuple[list[Array], t
 def _is_bent(problem: "Problem", directions: Directions, sizes: Sizes) -> bool:
     """Whether an offset moves a channel by so much that its slope does not foretell it."""
     bending = np.flatnonzero(problem.are_bending)
-    if not len(bending):
-        return False
-    for block, rows in zip(problem.blocks, directions, strict=True):
-        if rows is not None and _moves(rows, sizes[block.run], bending, problem.noise[block.place]) > STRAIGHT_SIGMA:
-            return True
-    return False
+    return len(bending) > 0 and any(
+        rows is not None and _moves(rows, sizes[block.run], bending, problem.noise[block.place]) > STRAIGHT_SIGMA
+        for block, rows in zip(problem.blocks, directions, strict=True)
+    )
 
 
 @compiled

@@ -29,13 +29,14 @@ USUAL_RANGE = 3.0
 """Sizes that a rig may show, in usual ones: the width of the prior of a size."""
 
 
-def misfit(excess: float, modes: float = DISCREPANCY_MODES) -> float:
+def misfit(excess: float) -> float:
     """Return −2·ln of the likelihood of an excess of χ² when every equation may be a little wrong.
 
-    The difference between equation and rig is taken as `modes` normal coordinates of unknown common size, at the size
-    that fits best. An excess below `modes` counts as in white noise, one above it by its logarithm. What counts then is
-    by which factor a hypothesis lowers what the others leave, not how many σ that is.
+    The difference between equation and rig is taken as `DISCREPANCY_MODES` normal coordinates of unknown common size,
+    at the size that fits best. An excess below counts as in white noise, one above it by its logarithm: by which factor
+    a hypothesis lowers what the others leave, not how many σ that is.
     """
+    modes = DISCREPANCY_MODES
     return excess if excess < modes else modes * (1.0 + float(np.log(excess / modes)))
 
 

@@ -10,18 +10,16 @@ import numpy as np
 from softcal.core.gap.case import Case, Mask, Run, RunKind
 from softcal.core.gap.colour import Colour, ColourConfig, filter_of, filtered
 from softcal.core.gap.coordinates import from_fit
-from softcal.core.gap.forward import predict
+from softcal.core.gap.forward import dither_V, mean_code_V, predict
 from softcal.core.gap.offsets import (
     IS_RELATIVE,
     Directions,
-    Nearby,
     Sizes,
     bases_of,
     directions,
     largest_offsets,
     with_offsets,
 )
-from softcal.core.gap.rounding import dither_V, mean_code_V
 from softcal.core.gap.scale import RigScale
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Parameter
@@ -112,10 +110,10 @@ class Hypothesis:
         """Return the same effects on a run whose episodes nobody knows."""
         return replace(self, episodes=())
 
-    def adding(self, effect: Effect, episodes: Episodes | None = None) -> "Hypothesis":
-        """Return this hypothesis with one effect more, or with another realisation of one it has."""
-        kept = tuple(e for e in self.effects if e.id != effect.id)
-        return replace(self, effects=(*kept, effect), episodes=self.episodes if episodes is None else episodes)
+    def adding(self, *effects: Effect, episodes: Episodes | None = None) -> "Hypothesis":
+        """Return this hypothesis with effects more, or with other realisations of those it has."""
+        kept = [e for e in self.effects if e.id not in {added.id for added in effects}]
+        return replace(self, effects=(*kept, *effects), episodes=self.episodes if episodes is None else episodes)
 
 
 @dataclass(frozen=True)
@@ -306,7 +304,7 @@ class Problem:
         out = self.clean(hypothesis, coordinates, {})
         if not self.has_offsets or self.case.is_planned or not len(self.largest_offsets):
             return self._known(out), self.predict
-        out, nearby = self._with_offsets(hypothesis, coordinates, out)
+        out, nearby = with_offsets(self, hypothesis, coordinates, out)
         out = nearby.added(self, out)
 
         def around(other: Hypothesis, near: Array) -> Array:
@@ -314,17 +312,9 @@ class Problem:
 
         return self._known(out), around
 
-    def _with_offsets(self, hypothesis: Hypothesis, coordinates: Array, clean: Array) -> tuple[Array, Nearby]:
-        return with_offsets(
-            self,
-            clean,
-            lambda clean, sizes: self.directions(hypothesis, coordinates, clean, sizes),
-            lambda sizes: self.clean(hypothesis, coordinates, sizes),
-        )
-
     def offset_sizes(self, hypothesis: Hypothesis, coordinates: Array) -> dict[int, Array]:
         """Return by run, (k,), what it has of its own at these coordinates."""
-        clean, nearby = self._with_offsets(hypothesis, coordinates, self.clean(hypothesis, coordinates, {}))
+        clean, nearby = with_offsets(self, hypothesis, coordinates, self.clean(hypothesis, coordinates, {}))
         sizes = nearby.sizes(self, clean)
         return {run: size + nearby.moved.get(run, 0.0) for run, size in sizes.items()}
 
@@ -343,13 +333,13 @@ class Problem:
         base = BaseParameters(*given)
         own = bases_of(base, sizes)
         out = np.empty(len(self.measured))
-        last, prediction = -1, None
+        last, channels = -1, {}
         for block in self.blocks:
             # One pass of the chain gives all channels of a run.
             if block.run != last:
                 run, last, mine = self.case.runs[block.run], block.run, own.get(block.run, base)
-                prediction = predict(run, last, mine, hypothesis.chain, values, hypothesis.episodes_of(last))
-            channel = prediction.channel(block.channel) if prediction is not None else None
+                channels = predict(run, last, mine, hypothesis.chain, values, hypothesis.episodes_of(last))
+            channel = channels.get(block.channel)
             if block.channel == "output_V" and self.dither_V is not None and channel is not None:
                 channel = mean_code_V(channel, self.dither_V, self.case.readout.step_V)
             out[block.place] = self.measured[block.place] if channel is None else channel

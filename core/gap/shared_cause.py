@@ -10,7 +10,7 @@ from softcal.core.gap.ambiguity import ADDED_LOG_ODDS, MOST_RIVALS, NEGLIGIBLE_L
 from softcal.core.gap.case import Case
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
 from softcal.core.gap.fit import PRIOR_ODDS, Fit, fit
-from softcal.core.gap.named_causes import (
+from softcal.core.gap.gap_diagnosis import (
     IMITATED_TRUST,
     UNKNOWN_TRUST,
     DiagnosisVerdict,

@@ -96,9 +96,8 @@ class SimulatorSearch(EffectSearch):
 
     def _try(self, effects: tuple[Effect, ...]) -> None:
         """Fit causes from the likeliest of many places: by what each promises beside the others, and as they are."""
-        problem, hypothesis, fits = self.base.problem, self.base.hypothesis, []
+        problem, hypothesis, fits = self.base.problem, self.base.hypothesis.adding(*effects), []
         for effect in effects:
-            hypothesis = hypothesis.adding(effect)
             parent = self.fits.get(tuple(sorted(e.id for e in effects if e is not effect)))
             lead = None if parent is None else _best_lead(parent, effect)
             if parent is not None and lead is not None:

@@ -52,12 +52,12 @@ class StartConfig:
     steps: int = 60
 
 
-def scattered(parameters: Sequence[Parameter], count: int, seed: int = 1) -> Array:
+def scattered(parameters: Sequence[Parameter], count: int) -> Array:
     """Return (count, parameters) coordinates within bounds, the usual values first, then near and far from them.
 
     A value that may be far off in either direction is drawn by its order of magnitude.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(1)
     out = np.empty((count, len(parameters)))
     for k, p in enumerate(parameters):
         usual, scale = to_fit(p, p.usual), fit_scale(p)

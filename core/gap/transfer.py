@@ -12,7 +12,7 @@ from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import LotDesign
 from softcal.core.twin.simulate import Twin, simulate
-from softcal.core.twin.spread import LotSpread, draw_lot
+from softcal.core.twin.spread import draw_lot
 from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.source_model import make_source_model
@@ -112,12 +112,10 @@ def transfer(
     return Transfer(on_rig, by_base, lot_errors(simulated_like(rig, explained, seed)), units=len(rig.units))
 
 
-def simulated_like(rig: PressedLot, twin: Twin, seed: int, spread: LotSpread | None = None) -> PressedLot:
+def simulated_like(rig: PressedLot, twin: Twin, seed: int) -> PressedLot:
     """Return a simulated lot around a twin, every unit pressed along the stage positions of one of the rig's."""
     rng = np.random.default_rng(seed)
-    twins = draw_lot(
-        rng, len(rig.units) + 1, twin.parameters, twin.metadata, twin.effects, spread or LotDesign().spread
-    )
+    twins = draw_lot(rng, len(rig.units) + 1, twin.parameters, twin.metadata, twin.effects, LotDesign().spread)
     units = tuple(
         LotUnit(pressed(own, u.recording, rng).unlabelled, pressed(own, u.audit.unlabelled, rng))
         for own, u in zip(twins[1:], rig.units, strict=True)

@@ -65,7 +65,7 @@ def _fewest(rig: Sequence[float], error: float) -> int | None:
 
 
 def calibration_worth(
-    unit: str, case: Case, audit: Case, shared: Fit, seed: int = 0, say: Callable[[str], None] = lambda _: None
+    unit: str, case: Case, audit: Case, shared: Fit, say: Callable[[str], None] = lambda _: None
 ) -> CalibrationWorth:
     """Train f on the unit's nominal and explained twin and on its rig recordings, and test all on its audit.
 
@@ -74,7 +74,6 @@ def calibration_worth(
 
     Args:
         shared: a fit of the lot's causes to this unit: it gives the equations; its sizes are only where a fit begins.
-        seed: of the twins' noise.
 
     Raises:
         InputError: a run lacks stage position, force or output.
@@ -90,8 +89,8 @@ def calibration_worth(
     recorded = [_labelled(unit, run) for run in runs]
     return CalibrationWorth(
         unit,
-        _error(_simulated(unit, explained_twin(bare), runs, seed), test),
-        _error(_simulated(unit, explained_twin(full), runs, seed), test),
+        _error(_simulated(unit, explained_twin(bare), runs), test),
+        _error(_simulated(unit, explained_twin(full), runs), test),
         tuple(_error(_joined(unit, recorded[:k]), test) for k in range(1, len(recorded) + 1)),
     )
 
@@ -112,8 +111,8 @@ def _labelled(unit: str, run: Run) -> LabelledRecording:
     return LabelledRecording(output, run.force_N)
 
 
-def _simulated(unit: str, twin: Twin, runs: Sequence[Run], seed: int) -> LabelledRecording:
-    rng = np.random.default_rng(seed)
+def _simulated(unit: str, twin: Twin, runs: Sequence[Run]) -> LabelledRecording:
+    rng = np.random.default_rng(0)
     return _joined(unit, [pressed(twin, _labelled(unit, run).unlabelled, rng, run.temperature_C) for run in runs])
 
 
