@@ -1,4 +1,4 @@
-"""A sealed case: one rig, its causes and its runs; recording them, and how far the causes stand out of the noise."""
+"""A sealed case: a rig, its causes and runs, and how far the causes stand out of the noise."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -36,7 +36,7 @@ EQUATIONS: Mapping[tuple[str, str], Equation] = {
 """Every equation a sealed rig may hold, by (effect, form)."""
 
 RESISTORS_ohm = (4.7, 10.0, 15.0)
-"""Dummy resistors of the bench. Metadata print them: one made from the rig's own R0 would tell what is drawn."""
+"""Dummy resistors of the bench. Metadata print them: one made from R0 would tell what is drawn."""
 
 SPECIAL = (RIGID_BLOCK, DUMMY_RESISTOR, DEAD_WEIGHTS)
 TEMPERATURE_STEP = "temperature_step"
@@ -116,7 +116,7 @@ class SealedCase:
         return replace(measured, columns={k: v for k, v in measured.columns.items() if k not in self.withheld})
 
     def written(self, plans: Sequence[RunPlan]) -> list[RunOnFile]:
-        """Return runs as their files have them, with the mistake of the case; its runs stand first in `plans`."""
+        """Return runs as files have them, with the mistake of the case; its own stand first in `plans`."""
         runs, others = [self.measure(plan) for plan in plans], []
         if self.mistake and Mistake.of(self.mistake).what == "other_unit":
             unit = replace(self, rig=other_unit(self.rig, Mistake.of(self.mistake)))
@@ -180,7 +180,7 @@ def _still(name: str, duration_s: float) -> Path:
 
 
 def _temperature(rng: np.random.Generator, protocol: str, duration_s: float) -> Callable[[Array], Array]:
-    """Room temperature in °C during a run: warming to a level, a hump, or a slow wander of 1.5–8 K."""
+    """Room temperature in °C: warming to a level, a hump, or a slow wander of 1.5–8 K."""
     start_C, swing_K, shape = rng.uniform(20.0, 27.0), rng.uniform(1.5, 8.0), rng.integers(3)
     if protocol == TEMPERATURE_STEP:
         return lambda t_s: start_C + np.where((t_s > duration_s / 3.0) & (t_s < 2.0 * duration_s / 3.0), 10.0, 0.0)

@@ -1,4 +1,4 @@
-"""Memory operators on a fine, even time grid: low-passes, play, rate-independent loops. Independent of the twin's."""
+"""Memory operators on a fine, even time grid, independent of the twin's."""
 
 from collections.abc import Sequence
 
@@ -41,7 +41,7 @@ def low_passes(signal: Array, step_s: float, weights: Sequence[float], taus_s: S
 
 
 def power_law(signal: Array, step_s: float, slope: float, fastest_s: float, slowest_s: float) -> Array:
-    """Approximate a memory that grows with log t: branches two per octave from the fastest to the slowest time."""
+    """Approximate a memory that grows with log t: two branches per octave of time."""
     taus_s = np.geomspace(fastest_s, slowest_s, 2 * max(1, round(np.log2(slowest_s / fastest_s))) + 1)
     weights = np.full(len(taus_s), slope / len(taus_s))
     return low_passes(signal, step_s, weights.tolist(), taus_s.tolist())
@@ -61,7 +61,7 @@ def _play(signal: Array, width: float) -> Array:  # pragma: no cover - compiled
 
 
 def play(signal: Array, width: float) -> Array:
-    """Follow the input through a clearance of `width`: the output lags when rising and meets it when falling."""
+    """Follow the input through a clearance: the output lags when rising and meets it when falling."""
     return np.asarray(_play(np.ascontiguousarray(signal), width))
 
 
@@ -80,7 +80,7 @@ def _loop(signal: Array, scale: float) -> Array:  # pragma: no cover - compiled
 
 
 def loop(signal: Array, scale: float) -> Array:
-    """Solve dz/dt = (dx/dt)/scale · (1 − z·sign(dx/dt)) exactly on every monotone piece, z = 0 at the start."""
+    """Solve dz/dt = (dx/dt)/scale · (1 − z·sign(dx/dt)) exactly on monotone pieces, from z = 0."""
     return np.asarray(_loop(np.ascontiguousarray(signal), scale))
 
 
@@ -96,7 +96,7 @@ def _stop(signal: Array, limit: float) -> Array:  # pragma: no cover - compiled
 
 
 def prandtl_ishlinskii(signal: Array, scale: float) -> Array:
-    """Mean of five stop operators with limits around `scale`, each divided by its limit: between −1 and 1."""
+    """Mean of five stop operators with limits around `scale`, each over its limit."""
     limits = (scale * np.array([0.25, 0.5, 1.0, 2.0, 3.5])).tolist()
     return np.asarray(np.mean([_stop(np.ascontiguousarray(signal), limit) / limit for limit in limits], axis=0))
 

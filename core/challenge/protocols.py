@@ -1,4 +1,4 @@
-"""What the stage does in a run: ramps, steps with holds, random, rest, and the experiments that may be proposed."""
+"""What the stage does in a run: ramps, steps with holds, random, rest, and experiments."""
 
 from collections.abc import Callable
 from typing import TypeAlias
@@ -100,7 +100,7 @@ def one_rich_run(rng: Rng, depth_mm: float) -> Path:
 
 
 def kept_back(rng: Rng, depth_mm: float) -> Path:
-    """A protocol no fit has seen: growing ramps of medium speed, a hold at mid-depth, a broken descent."""
+    """A protocol no fit has seen: growing ramps, a hold at mid-depth, a broken descent."""
     pen = _Pen(1.0)
     for share in (0.45, 0.7, 0.95):
         pen.go(depth_mm * share, rng.uniform(0.8, 1.6))

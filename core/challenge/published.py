@@ -23,7 +23,7 @@ BRANCHES = 24
 
 
 def _as_branches(law: Callable[[Array], Array], tau_s: float) -> tuple[list[float], list[float]]:
-    """Return weights >= 0 and times of the exponentials 1 − exp(−t/τᵢ) that add up to a law that rises from 0."""
+    """Return weights >= 0 and times of exponentials 1 − exp(−t/τᵢ) that add up to a law."""
     taus_s = np.geomspace(1e-3 * tau_s, 1e3 * tau_s, BRANCHES)
     t_s = np.geomspace(1e-3 * tau_s, 1e2 * tau_s, 300)
     weights, _ = nnls(1.0 - np.exp(-t_s[:, None] / taus_s), law(t_s))
@@ -124,7 +124,7 @@ PUBLISHED_FORMS = in_other_forms(
         ("loadcell_creep", "andrade"): _andrade_creep,
     }
 )
-"""By (effect, form); each takes the parameters of the catalogue's equation and is of about the same size."""
+"""By (effect, form); each takes the parameters of the catalogue's and is about as large."""
 
 PUBLISHED_OUTSIDE = equations(
     OUTSIDE_FORM,
@@ -141,7 +141,7 @@ PUBLISHED_OUTSIDE = equations(
 
 
 def _tone_Hz(rng: Rng, at: Scope) -> float:
-    """A frequency between 1 Hz and 0.45 of the rate, at least 1.5 Hz from every alias of the mains."""
+    """A frequency from 1 Hz to 0.45 of the rate, 1.5 Hz from every alias of the mains."""
     rate_Hz = at.rig.sample_rate_Hz
     aliases = [abs(m - rate_Hz * round(m / rate_Hz)) for m in (50.0, 60.0)]
     while True:

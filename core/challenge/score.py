@@ -1,4 +1,4 @@
-"""Score diagnoses against the opened labels of a challenge: what was named, what was held back, how sure it was."""
+"""Score diagnoses against the opened labels of a challenge: what was named, and how sure it was."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -86,7 +86,7 @@ class Bin:
 
 @dataclass(frozen=True)
 class ShrinkScore:
-    """Forecast against realised shrink on a protocol that was in no fit; explained catalogue cases."""
+    """Forecast against realised shrink on a run that was in no fit; explained cases."""
 
     count: int
     median_realised: float
@@ -274,7 +274,7 @@ With a handful of cases a line, a sound diagnosis fails once in hundreds of time
 """
 
 CASES_OF_FLOOR = 4
-"""Cases that a mixed draw has of each of these lines, where it has as many: fewer could miss a floor by chance."""
+"""Cases that a large draw has of each of these lines: fewer could miss a floor by chance."""
 
 POOLED = 0.6
 """Least share over all these lines together."""

@@ -9,7 +9,7 @@ from softcal.core.challenge.cases import RunPlan, SealedCase
 from softcal.core.challenge.rig import Measured
 
 SPREAD = {"u0_mm": 0.005, "k1_N_mm": 0.003, "k3_N_mm3": 0.003, "r0_ohm": 0.08, "kappa_per_N": 0.06}
-"""From unit to unit, standard deviations: of the contact position in mm, of all else relative; pads from one mould."""
+"""Standard deviations from unit to unit: of the contact position in mm, of all else relative."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ def press_lot(case: SealedCase, units: int) -> Iterator[LotRun]:
 
 
 def sister(case: SealedCase, rng: np.random.Generator) -> SealedCase:
-    """Return another unit of the same make on the same rig: pads from one mould, with no channel withheld."""
+    """Return another unit of the same make on the same rig, with no channel withheld."""
     deviation = dict(zip(SPREAD, np.clip(rng.normal(size=len(SPREAD)), -2.0, 2.0).tolist(), strict=True))
     changed = {
         name: getattr(case.rig, name) + size * deviation[name] * (1.0 if name == "u0_mm" else getattr(case.rig, name))

@@ -1,4 +1,4 @@
-"""What cannot be told apart on these runs: rival hypotheses, and the share of an effect that the base swallows."""
+"""What cannot be told apart on these runs: rival hypotheses, and what of an effect the base swallows."""
 
 from collections.abc import Mapping
 
@@ -13,7 +13,7 @@ from softcal.core.recording import Array
 from softcal.core.twin.catalogue import FORMS
 
 RIVAL_LOG_ODDS = 5.0
-"""A hypothesis within this log evidence of the best (ΔBIC < 10) is a rival: weak to positive evidence only."""
+"""A hypothesis within this log evidence of the best (ΔBIC < 10) is a rival: the evidence is weak."""
 
 MOST_RIVALS = 3
 
@@ -28,10 +28,10 @@ EXACT_LOG_ODDS = 2.0
 cause or what the equation of another one leaves, and these runs cannot tell which."""
 
 NEGLIGIBLE_LOG_ODDS = 15.0
-"""So far behind the best hypothesis a cause more is ruled out, whatever it would be worth if every equation held."""
+"""So far behind the best hypothesis a cause more is ruled out, even if every equation held."""
 
 STRUCTURE_LEFT = 0.25
-"""Share of the structure left beside which a cause more only mops up what another equation would explain."""
+"""Share of the structure left beside which a cause more mops up what another equation explains."""
 
 
 def rivals(
@@ -65,7 +65,7 @@ def rivals(
 
 
 def _open_additions(fits: Fits, best: Fit, logs: Mapping[tuple[str, ...], float]) -> list[Fit]:
-    """Return hypotheses with one cause more that can neither be named nor left out, the likeliest first."""
+    """Return hypotheses with one cause more that can be neither named nor left out, likeliest first."""
     ids = set(best.hypothesis.ids)
     larger = [found for other, found in fits.items() if set(other) > ids and len(other) == len(ids) + 1]
     ahead = [exact_log_evidence(found) - exact_log_evidence(best) for found in larger]

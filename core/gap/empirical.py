@@ -171,7 +171,7 @@ def learned(base: Fit, parents: Sequence[Fit], known: Callable[[Fit], Iterable[T
 
 
 def terms_of_twin(base: Fit) -> Iterator[EmpiricalTerm]:
-    """Give the terms that the runs of a base fit can show; a load and a depth of 1 are the largest it has in them."""
+    """Give the terms that runs can show; a load and a depth of 1 are the largest of the base in them."""
     problem, case = base.problem, base.problem.case
     if case.has("stage_mm"):
         depth_mm = max(float(np.max(np.asarray(run.stage_mm))) for run in case.presses) - base.base.u0_mm
@@ -286,12 +286,12 @@ class _Choice(Generic[T]):
 
 
 def times_held(cells: frozenset[Cell]) -> int:
-    """Return how often a sample is held back: once with its quarter, and once with its run where there are several."""
+    """Return how often a sample is held back: with its quarter, and with its run where there are several."""
     return (len({run for run, _ in cells}) > 1) + (len({quarter for _, quarter in cells}) > 1)
 
 
 def parts_of(cells: frozenset[Cell]) -> list[frozenset[Cell]]:
-    """Return what is held back in turn: each run, where there are several, and the same quarter of every run."""
+    """Return what is held back in turn: each of several runs, and the same quarter of every run."""
     runs, quarters = sorted({run for run, _ in cells}), sorted({quarter for _, quarter in cells})
     by_run = [frozenset(c for c in cells if c[0] == run) for run in runs] if len(runs) > 1 else []
     by_quarter = [frozenset(c for c in cells if c[1] == quarter) for quarter in quarters] if len(quarters) > 1 else []
@@ -299,7 +299,7 @@ def parts_of(cells: frozenset[Cell]) -> list[frozenset[Cell]]:
 
 
 def _chosen(choices: Sequence[_Choice[T]], cells: frozenset[Cell]) -> tuple[Fit, list[T]]:
-    """Return parent and terms that lose least on parts held back, the simplest parent unless another is far better."""
+    """Return parent and terms that lose least on parts held back, the simplest unless one is far better."""
     first, *others = ((choice.parent, *choice.forward(cells)) for choice in choices)
     noise, best = choices[0].noise(cells), first
     for other in others:
@@ -310,7 +310,7 @@ def _chosen(choices: Sequence[_Choice[T]], cells: frozenset[Cell]) -> tuple[Fit,
 
 
 def _with_terms(parent: Fit, terms: Sequence[T], use: Array | None) -> tuple[Fit, list[T]]:
-    """Fit base, causes and terms together; a term that is then within its own error is left out again."""
+    """Fit base, causes and terms together; a term within its own error is left out again."""
     problem, kept = parent.problem if use is None else parent.problem.seeing(use), list(terms)
     while True:
         effects = [term.effect for term in kept]
@@ -323,7 +323,7 @@ def _with_terms(parent: Fit, terms: Sequence[T], use: Array | None) -> tuple[Fit
 
 
 def _error(found: Fit, effect_id: str) -> float:
-    """Standard error of a coefficient; what is left besides is no white noise, and the error grows with it."""
+    """Standard error of a coefficient; it grows with what is left besides, which is no white noise."""
     at = found.hypothesis.place_of(effect_id)
     worse = max(1.0, float(np.sqrt(found.chi2 / max(found.problem.count, 1))))
     return max(worse * float(np.sqrt(max(found.covariance[at, at], 0.0))), 1e-300)
@@ -331,7 +331,7 @@ def _error(found: Fit, effect_id: str) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Scores:
-    """Sums of squares on samples held back, by fold, channel and twin: before, without the terms, after."""
+    """Sums of squares on samples held back, by twin (before, without the terms, after), fold, channel."""
 
     squares: dict[str, Array]
     """(folds, channels) each."""
@@ -350,7 +350,7 @@ class _Scores:
         return 1.0 - gap(of) / before if before > 0.0 else 0.0
 
     def interval(self, of: str, over: str) -> tuple[float, float, float]:
-        """Return the shrink with its jackknife interval over the folds (Efron and Tibshirani 1993, ch. 11)."""
+        """The shrink with its jackknife interval over the folds (Efron and Tibshirani 1993, ch. 11)."""
         n, value = len(self.counts), self.shrink(of, over)
         each = np.array([self.shrink(of, over, k) for k in range(n)])
         error = float(np.sqrt((n - 1) / n * np.sum((each - each.mean()) ** 2))) if n > 1 else 1.0
@@ -360,7 +360,7 @@ class _Scores:
 
 
 def _held_out(base: Fit, choices: Sequence[_Choice[T]]) -> tuple[_Scores, list[list[T]]]:
-    """Score base, parent and terms on every part in turn, all of them chosen and fitted without it."""
+    """Score base, parent and terms on every part in turn, all chosen and fitted without it."""
     cells, problem = choices[0].all_cells, base.problem
     runs = sorted({run for run, _ in cells})
     folds = [frozenset(c for c in cells if c[0] == run) for run in runs]
@@ -393,7 +393,7 @@ def _held_out(base: Fit, choices: Sequence[_Choice[T]]) -> tuple[_Scores, list[l
 
 
 def _places_of(problem: Problem) -> Iterator[tuple[Cell, slice]]:
-    """Yield the samples of every quarter of every block, with the run and quarter they belong to."""
+    """Yield the samples of every quarter of every block, with its run and quarter."""
     for block in problem.blocks:
         ends = [part[0] for part in np.array_split(np.arange(block.place.start, block.place.stop), HELD_PARTS)]
         for quarter, (start, stop) in enumerate(pairwise([*ends, block.place.stop])):

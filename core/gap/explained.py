@@ -1,4 +1,4 @@
-"""The explained twin: the refitted base with the named causes, as the station and simulated lots take it."""
+"""The explained twin: the refitted base with the named causes, for the station and simulated lots."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -51,7 +51,7 @@ def _floor(found: Fit, channel: str) -> float:
 
 
 def in_catalogue_form(found: Fit) -> Fit:
-    """Return the fit with every cause by the catalogue's equation; the same fit where it already is."""
+    """Return the fit with every cause by the catalogue's equation; itself where it already is."""
     effects = tuple(EFFECTS[e.id] if form_of(e) else e for e in found.hypothesis.effects)
     if effects == found.hypothesis.effects:
         return found
@@ -64,7 +64,7 @@ def in_catalogue_form(found: Fit) -> Fit:
 
 
 def form_of(effect: Effect) -> str:
-    """Return the name of the form by which an effect acts, empty for the catalogue's own equation."""
+    """Return the form by which an effect acts, empty for the catalogue's own equation."""
     names = (form.effect.equation for form in FORMS.get(effect.id, ()))
     return effect.equation if effect.equation in names else ""
 

@@ -23,7 +23,7 @@ RETRACTED_mm = -1e3
 """Stage position that stands for a rest: far above the pad."""
 
 INVERSE_STEPS = 4
-"""Fixed-point steps that turn a reading back into a force; effects of a few per cent are undone to 1e-6."""
+"""Fixed-point steps from a reading back to a force: effects of a few per cent are undone to 1e-6."""
 
 TOUCHING_share = 0.05
 """A rigid block is taken as touched above this share of the largest force."""
@@ -66,7 +66,7 @@ def predict(
 
 
 def _read_output(flow: Flow) -> Array:
-    """Return the output as far as the run tells it; NaN after its end and at the first sample of a step."""
+    """Return the output; NaN after the end of the run and at the first sample of a step."""
     # Not np.clip, which takes three times as long.
     output_V = np.minimum(np.maximum(flow.output_V, 0.0), flow.vref_V)
     return output_V if flow.is_unforeseeable is None else np.where(flow.is_unforeseeable, np.nan, output_V)
@@ -85,7 +85,7 @@ def _from_force(run: Run, flow: Flow, base: BaseParameters, chain: Chain, values
 
 
 def _rigid_block(run: Run, flow: Flow, chain: Chain, values: Values) -> Prediction:
-    """A rigid block gives way only where the frame does: u − play = const + c_f·F while it is touched."""
+    """A rigid block gives way as the frame does: u − play = const + c_f·F while touched."""
     force_N = np.asarray(run.force_N)
     flow.pad_mm = flow.stage_mm
     memories = chain.fresh_memories()
@@ -110,7 +110,7 @@ HARMONICS = 12
 
 
 def dither_V(sigma_V: float, step_V: float) -> float | None:
-    """Return the noise before the ADC from that of its codes around their mean, None where the stairs are smooth."""
+    """Return the noise before the ADC from that of its codes, None where the stairs are smooth."""
     target = (sigma_V / step_V) ** 2
     if target >= _variance(SMOOTH):
         return None

@@ -1,9 +1,9 @@
-"""What the diagnosis of the twin and that of a simulator of somebody else judge, hold and report alike."""
+"""What the diagnosis of the twin and that of another simulator judge, hold and report alike."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, Self, TypeVar
 
 import numpy as np
 
@@ -20,16 +20,17 @@ from softcal.core.gap.next_experiment import NextExperiment
 from softcal.core.gap.plausibility import DataMistake
 from softcal.core.gap.posterior import exact_log_evidence, log_evidences, probabilities
 from softcal.core.gap.problem import Problem
+from softcal.core.gap.residual import Regime
 from softcal.core.gap.search import EffectSearch
 from softcal.core.gap.shrink import ChannelGap, Quantified, Shrink, quantify, unsupported
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Effect
-from softcal.core.words.reason import Reason, in_words
+from softcal.core.words.reason import Reason, in_words, reason, several
 
 DiagnosisVerdict = Literal["no_gap", "explained", "ambiguous", "unknown", "data"]
 
 UNKNOWN_TRUST = 0.3
-"""How far probabilities within the catalogue are trusted where the catalogue leaves a gap, for a share of 1."""
+"""How far probabilities are trusted where the catalogue leaves a gap, for a share of 1."""
 
 DOUBTED_CHANCE = 0.05
 """How likely noise leaves as much, below which what causes leave is no noise. Of a small gap much may go before the
@@ -94,14 +95,14 @@ class GapPlace:
 
 @dataclass(frozen=True)
 class Partial:
-    """The causes that come nearest where nothing explains the gap, and the share they take of it on these runs."""
+    """The causes that come nearest where nothing explains the gap, and the share they take of it."""
 
     effects: tuple[str, ...]
     share: float
 
 
 def let_go(search: EffectSearch) -> set[str]:
-    """Take out of the best hypothesis every cause that lowers nothing on samples held back; return those."""
+    """Take out of the best hypothesis, and return, causes that lower nothing on samples held back."""
     gone: set[str] = set()
     while len(search.best.hypothesis.ids) > 1:
         rest = search.one_less(search.best)
@@ -114,7 +115,7 @@ def let_go(search: EffectSearch) -> set[str]:
 
 
 def on_unseen(group: tuple[Fit, ...], gone: set[str]) -> tuple[tuple[Fit, ...], set[str]]:
-    """Return the rivals without those that merely add a cause which lowers nothing on samples held back, and these."""
+    """Return the rivals without those that add a cause which lowers nothing on unseen samples, and these."""
     best, kept, idle = group[0], [group[0]], set()
     for other in group[1:]:
         added = set(other.hypothesis.ids) - set(best.hypothesis.ids)
@@ -131,7 +132,7 @@ def on_unseen(group: tuple[Fit, ...], gone: set[str]) -> tuple[tuple[Fit, ...], 
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """What a search has come to: the best hypothesis with its rivals, how far the gap shrinks, verdict and chances."""
+    """What a search has come to: the best hypothesis and its rivals, the shrink, verdict and chances."""
 
     group: tuple[Fit, ...]
     quantified: Quantified
@@ -193,7 +194,7 @@ def under_its_floor(
 def _verdict(
     search: EffectSearch, group: tuple[Fit, ...], quantified: Quantified, is_uneven: Callable[[Fit], bool]
 ) -> DiagnosisVerdict:
-    """Return the verdict: what is left is noise, or hardly anything of the gap is, held out too, or it is unknown."""
+    """Return the verdict: what is left is noise, or hardly anything, held out too, or it is unknown."""
     best, base = search.best, search.base
     if search.stranger is not None:
         return "unknown"
@@ -207,7 +208,7 @@ def _verdict(
 
 
 def nearest(search: EffectSearch) -> Fit:
-    """Return the hypothesis that takes most of the gap away; of those within a little of it, the simplest."""
+    """Return the simplest hypothesis that takes nearly the most of the gap away."""
     most = max(search.share(found) for found in search.fits.values())
     near = [found for found in search.fits.values() if search.share(found) >= most - NEAR_SHARE]
     return min(near, key=lambda found: (len(found.hypothesis.ids), found.chi2))
@@ -238,7 +239,7 @@ def chances_of(
 
 
 def shares_of(search: EffectSearch, best: Fit) -> dict[str, float]:
-    """Split the explained χ² among the causes: the mean of adding each one first and adding it last."""
+    """Split the explained χ² among the causes: the mean of adding each first and last."""
     ids = best.hypothesis.ids
     if len(ids) < 2:
         return dict.fromkeys(ids, 1.0)
@@ -253,7 +254,7 @@ def shares_of(search: EffectSearch, best: Fit) -> dict[str, float]:
 
 
 def estimates_of(found: Fit, effect_id: str) -> dict[str, ParameterEstimate]:
-    """Return value and 90 % interval of every parameter of an effect, none where the fit does not have it."""
+    """Return value and 90 % interval of the parameters of an effect; none where the fit lacks it."""
     spread = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
     for effect in found.hypothesis.effects:
         if effect.id == effect_id:
@@ -309,6 +310,20 @@ class GapDiagnosis(ABC, Generic[T]):
     residual: LearnedResidual[T] | None = None
     told: Identifiability | None = None
 
+    @classmethod
+    def stopped(cls, base: Fit, effects: Iterable[Effect], mistakes: tuple[DataMistake, ...], **own: Any) -> Self:
+        """Return the diagnosis of mistaken recordings: nothing is named and nothing forecast."""
+        return cls(
+            verdict="data",
+            base=base,
+            best=base,
+            causes=tuple(RankedCause(effect.id, effect.stage, 0.0, 0.0, {}) for effect in effects),
+            gap=gap_of_base(base),
+            next_experiment=NextExperiment("none", several([one.repair for one in mistakes])),
+            mistakes=mistakes,
+            **own,
+        )
+
     @property
     def case(self) -> Case:
         """The recordings."""
@@ -349,6 +364,24 @@ class GapDiagnosis(ABC, Generic[T]):
     @abstractmethod
     def _own(self) -> dict[str, object]:
         """Return what the report of this kind of simulator has beside what all have."""
+
+
+def places_of(
+    causes: Sequence[RankedCause], channel: str, regime: Reason, detail: Callable[[str], Reason]
+) -> list[GapPlace]:
+    """Return the places of named causes, each with its part of what all of them take.
+
+    Args:
+        channel, regime: where the gap stands out most.
+        detail: what is said of a cause.
+    """
+    total = sum(c.shrink for c in causes) or 1.0
+    return [GapPlace(c.stage, channel, regime, c.shrink / total, detail(c.effect)) for c in causes]
+
+
+def regime_places(stage: str, seen: Sequence[Regime], code: str) -> list[GapPlace]:
+    """Return the first four regimes in which the gap stands out as places at a stage."""
+    return [GapPlace(stage, r.channel, r.name, r.share, reason(code, share=r.share, lift=r.lift)) for r in seen[:4]]
 
 
 def partial_of(search: EffectSearch) -> Partial | None:

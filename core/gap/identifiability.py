@@ -88,7 +88,7 @@ class ParameterTold:
 
 @dataclass(frozen=True)
 class Identifiability:
-    """What the runs tell: every parameter of the base, every cause, and causes that are one to them."""
+    """What the runs tell of every parameter of the base and every cause, and causes that are one to them."""
 
     every: tuple[ParameterTold, ...]
     alike: tuple[tuple[str, str], ...] = ()
@@ -143,7 +143,7 @@ def identifiability(
 
 
 def sentences(found: Identifiability) -> list[str]:
-    """Return one line for everything these runs do not tell, and why; nothing where they tell all."""
+    """Return one line for everything these runs do not tell, and why."""
     return [str(one) for one in reasons(found)]
 
 
@@ -260,7 +260,7 @@ class _Rows:
         return self.own_share(at) < CONFIG.own and self.left(at, held) >= CONFIG.sigma**2
 
     def sigma_of_base(self, k: int) -> float:
-        """Return the standard deviations by which a base parameter shows, 0 where others imitate it to rounding."""
+        """Return by how many σ a base parameter shows, 0 where others imitate it to rounding."""
         left = self.left(k, [*(i for i in self.of_base if i != k), *self.of_own()])
         return float(np.sqrt(left)) if left > CONFIG.lost * float(self.gram[k, k]) else 0.0
 
@@ -284,7 +284,7 @@ class _Rows:
 
 
 def _changes(bare: Fit, effect: Effect) -> tuple[Array, Array]:
-    """Return the whitened change by an effect of its usual size, and by one of a smaller size made as large."""
+    """Return the whitened change by an effect of its usual and of a smaller size."""
     sized = [bare.problem.scale.sized(p) for p in effect.parameters]
     usual = [p.usual for p in sized]
     smaller, neutral = usual[0], sized[0].neutral

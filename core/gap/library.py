@@ -1,4 +1,4 @@
-"""What a residual may follow: the variables that the chain itself knows, as columns over the samples of a channel."""
+"""What a residual may follow: variables that the chain knows, as columns over the samples."""
 
 from collections.abc import Iterator, Mapping
 
@@ -69,7 +69,7 @@ class _State:
         self.load = elastic_force(self.depth, base.k1_N_mm, base.k3_N_mm3)
 
     def columns(self, deepest: float, largest: float) -> Iterator[tuple[str, Array]]:
-        """Yield every variable of this run by name, depth and load relative to the largest of the case."""
+        """Yield every variable of this run; depth and load relative to the largest of the case."""
         run, t_s = self._run, self._run.elapsed_s
         depth, load = self.depth / deepest, self.load / largest
         rate = np.gradient(load, t_s)

@@ -1,4 +1,4 @@
-"""What to press next: the run that best tells the remaining rivals apart, per minute of bench time."""
+"""What to press next: the run that best tells the rivals apart, per minute of bench time."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from softcal.core.profiles import Profile
 from softcal.core.words.reason import Reason, in_words, reason, several
 
 ENOUGH_SIGMA = 10.0
-"""Rivals this far apart, in standard deviations over all samples, are told apart on a real, coloured floor."""
+"""Rivals this many standard deviations apart are told apart on a real, coloured floor."""
 
 SET_UP_min: Mapping[str, float] = {
     "press": 0.5,
@@ -66,7 +66,7 @@ class NextExperiment:
 
 
 def menu(case: Case, depth_mm: float, force_N: float) -> tuple[MenuEntry, ...]:
-    """Return what can be recorded on this rig: stage profiles to the depth already pressed, and special runs."""
+    """Return what can be recorded here: stage profiles to the depth already pressed, and special runs."""
     d = depth_mm
     rate_Hz = case.readout.sample_rate_Hz
     pressed: dict[str, Profile] = {}
@@ -121,7 +121,7 @@ def most_telling(entries: Sequence[MenuEntry], rivals: Sequence[Fit]) -> NextExp
 
 
 def causes_of(rivals: Sequence[Fit]) -> Reason:
-    """Return the causes of hypotheses in words: those of one together, the hypotheses one after the other."""
+    """Return the causes of hypotheses in words, those of one together."""
     return several([named(f.hypothesis.ids, "gap.together") for f in rivals], "gap.both")
 
 
@@ -131,7 +131,7 @@ def named(effects: Sequence[str], code: str) -> Reason:
 
 
 def _apart(one: Fit, other: Fit, run: Run) -> float:
-    """Return how far two rivals stay apart; one that holds the other's causes could always take its shape."""
+    """Return how far two rivals stay apart; a larger one could always take the shape of a smaller one."""
     mine, theirs = set(one.hypothesis.ids), set(other.hypothesis.ids)
     if mine < theirs:
         return _distance(one, other, run)
@@ -141,7 +141,7 @@ def _apart(one: Fit, other: Fit, run: Run) -> float:
 
 
 def _distance(mine: Fit, other: Fit, run: Run) -> float:
-    """Return how far `other` stays from `mine` on a new run after `mine` was refitted to the old runs and this one."""
+    """Return how far `other` stays from `mine` on a new run once `mine` is refitted to it too."""
     problem = mine.problem.of_run(run)
     hypothesis = mine.hypothesis.without_episodes()
     theirs = problem.predict(other.hypothesis.without_episodes(), other.coordinates)

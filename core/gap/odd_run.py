@@ -24,7 +24,7 @@ SHARE = 0.93
 """Share of what the twin leaves that one run's mistake must explain."""
 
 LEAST = {"gain": 0.02, "zero": 0.02}
-"""Smallest gain, and zero against the span, that is a mistake: a smaller one is the tare or the seating of a run."""
+"""Smallest gain, and zero against the span, that is a mistake and not tare or seating of a run."""
 
 SHARE_BESIDE = 0.85
 PARENTS = 3
@@ -33,7 +33,7 @@ AHEAD = 40.0
 catalogue's best: other equations of a cause leave much less to one run alone."""
 
 PROMISED, LEAST_PROMISED = 0.5, 0.15
-"""Share that a mistake must promise to be fitted: alone, and where a cause of the same size stands beside it."""
+"""Share that a mistake must promise to be fitted: alone, and beside a cause of the same size."""
 
 EACH, DEARER = 3.0, 2e-4
 """What a number costs, in ln n, and which share of the gap besides where structure is left."""
@@ -80,7 +80,7 @@ def odd_run(base: Fit) -> DataMistake | None:
 
 
 def odd_run_beside(search: EffectSearch) -> DataMistake | None:
-    """Return the mistake of one run that, with one cause or none, explains more than all causes that were found."""
+    """Return the mistake of one run that, with one cause or none, explains more than all causes found."""
     best, base = search.best, search.base
     if len(best.hypothesis.ids) < 2 and search.is_clean(best):
         return None
@@ -138,7 +138,7 @@ def _is_clean(found: Fit) -> bool:
 
 
 def _promised(base: Fit, runs: Sequence[int]) -> list[tuple[float, int, _Oddity]]:
-    """Return to first order by how much each oddity of each run would lower χ², everything else fitted again."""
+    """Return to first order by how much each oddity of each run would lower χ² after a refit."""
     tangent, problem = Tangent(base), base.problem
     promised = []
     slopes = base.jacobian[base.hypothesis.of_base]

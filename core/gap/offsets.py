@@ -1,4 +1,4 @@
-"""What every rig has and no cause has to explain: a cell that was not tared, a unit that sits anew in every run."""
+"""What every rig has and no cause has to explain: a cell not tared, a unit that sits anew in every run."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -18,19 +18,19 @@ if TYPE_CHECKING:
     from softcal.core.gap.problem import Hypothesis, Problem
 
 TARE = 0.03
-"""Largest force at rest that counts as a cell that was not tared, as a share of the range of the force."""
+"""Largest force at rest of a cell that was not tared, as a share of the range of the force."""
 
 RESISTANCE = 0.02
-"""Largest change of the unloaded resistance from run to run that counts as seating or room temperature."""
+"""Largest change of the unloaded resistance between runs that is seating or room temperature."""
 
 SEAT = 0.03
-"""Largest change of the height of the surface from run to run that counts as seating, as a share of the stroke."""
+"""Largest change of the height of the surface between runs that is seating, as a share of the stroke."""
 
 STRAIGHT_SIGMA = 0.5
-"""Noise of one sample up to which an offset may move it along the slope: where it bends, the error is far smaller."""
+"""Share of its noise that an offset may move a sample along the slope: bends err far less."""
 
 IS_RELATIVE = np.array([False, True, True])
-"""Whose common part is the base's own: its resistance and its surface; the zero of the force comes first."""
+"""Whose common part is the base's own: resistance and surface, not the zero of the force."""
 
 OFFSET_NAMES = ("zero of force_N", "unloaded resistance", "height of the surface")
 """What the twin's offsets are called, in their order."""
@@ -43,7 +43,7 @@ SEATED = ("press", "rest")
 
 
 Directions: TypeAlias = list[Array | None]
-"""Per block, (k, n), how a channel changes with each offset of its run; None where a run has none."""
+"""Per block, (k, n), how a channel changes with each offset; None where a run has none."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class Nearby:
 def with_offsets(
     problem: "Problem", hypothesis: "Hypothesis", coordinates: Array, clean: Array
 ) -> tuple[Array, Nearby]:
-    """Return a prediction, (samples,), with the offsets that bend it in it, and how all of them move nearby."""
+    """Return a (samples,) prediction with the offsets that bend it, and how all of them move nearby."""
     near = Nearby(problem.directions(hypothesis, coordinates, clean, {}))
     for _ in range(PASSES - 1):
         sizes = near.sizes(problem, clean)
@@ -132,7 +132,7 @@ def bases_of(base: BaseParameters, sizes: Sizes) -> dict[int, BaseParameters]:
 
 
 def rows_of_runs(problem: "Problem", directions: Directions) -> dict[int, Array]:
-    """Return by run, (k, samples), how a prediction changes with each of its offsets; 0 in other runs."""
+    """Return by run, (k, samples), how a prediction changes with its offsets; 0 in other runs."""
     out: dict[int, Array] = {}
     for block, rows in zip(problem.blocks, directions, strict=True):
         if rows is not None:
@@ -177,7 +177,7 @@ def _moves(rows: Array, sizes: Array, bending: NDArray[np.int64], noise: Array) 
 
 
 def _solved(problem: "Problem", directions: Directions, clean: Array, moved: Sizes) -> tuple[list[int], Array]:
-    """Return the runs with offsets and, (runs, k), what is to be added to theirs along the directions."""
+    """Return the runs with offsets and, (runs, k), what is to be added to these."""
     runs = list(dict.fromkeys(b.run for b, rows in zip(problem.blocks, directions, strict=True) if rows is not None))
     count = len(problem.largest_offsets)
     normal, slope = np.zeros((len(runs), count, count)), np.zeros((len(runs), count))
@@ -227,7 +227,7 @@ def _range(case: Case, channel: str) -> float:
 def directions(
     problem: "Problem", base: BaseParameters, clean: Array, sizes: Sizes = MappingProxyType({})
 ) -> Directions:
-    """Return per block, (3, n), how the channel changes with each offset; None where the unit is not in the run."""
+    """Return per block, (3, n), how the channel changes with each offset; None without the unit."""
     own = bases_of(base, sizes)
     out: Directions = []
     for block in problem.blocks:
@@ -247,7 +247,7 @@ def directions(
 def _rows(
     kinds: tuple[bool, bool], stage_mm: Array, clean: Array, vref_V: float, base: tuple[float, float, float, float]
 ) -> Array:
-    """(3, n) change of a channel per N of tare, per share of R0 and per mm of seat, by the base's own equations."""
+    """(3, n) change of a channel per N of tare, share of R0 and mm of seat, by the base's equations."""
     is_force, is_strain = kinds
     u0_mm, k1_N_mm, k3_N_mm3, kappa_per_N = base
     out = np.zeros((3, len(clean)))

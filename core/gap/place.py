@@ -22,7 +22,7 @@ CHANCE = 1e-6
 """How seldom white noise may show a tone in one run."""
 
 FAINTEST = 0.3
-"""Root mean square of a tone, in units of the noise, below which it is no matter: it hides nothing."""
+"""Root mean square of a tone, in units of the noise, below which it hides nothing."""
 
 FEWEST = 20
 """Ordinates below which nothing stands out of the others."""
@@ -103,10 +103,10 @@ SWINGS = 4
 """Changes of sign from which a static residual is taken as a ripple, not as a bend."""
 
 FAINT_Z = 30.0
-"""Structure of the maps below which uneven noise says more of the place than they do: it stirs them up a little."""
+"""Structure of the maps below which uneven noise says more of the place: it stirs them up a little."""
 
 BREATHES_Hz, MOST_OF_LINE = 0.5, 0.5
-"""A tone so close to a named line, and so much smaller, is what its equation leaves: a line swells within seconds."""
+"""A tone so close to a named line, and so much smaller, is what is left of it as it swells and fades."""
 
 MOST = 0.5
 """Share of the structured residual that a regularity must account for to count."""
@@ -136,7 +136,7 @@ def loose_noise(found: Fit) -> LooseNoise | None:
 
 
 def _is_beside_line(found: Fit, tone: Tone) -> bool:
-    """Whether a tone is what the equation of a named line leaves: its amplitude breathes, as that of mains does."""
+    """Whether a tone is what the equation of a named line leaves: that of mains breathes."""
     rows = zip(found.hypothesis.effects, found.effect_values, strict=True)
     lines = [values for effect, values in rows if effect.signs.placing == Placing.LINE]
     rms = tone.rms * found.problem.floor(tone.channel)
@@ -174,7 +174,7 @@ def _loose_output(found: Fit) -> LooseNoise | None:
 
 
 def _is_clipped(found: Fit, block: Block) -> Mask:
-    """(n,) where the output stands within its noise at a level that it was fitted to be clipped at."""
+    """(n,) where the output stands, within its noise, at a level it was fitted to be clipped at."""
     output_V, near_V = found.predicted[block.place], CLIPPED_SIGMA * found.problem.floor("output_V")
     out = np.zeros(len(output_V), dtype=np.bool_)
     for effect, values in zip(found.hypothesis.effects, found.effect_values, strict=True):
@@ -184,7 +184,7 @@ def _is_clipped(found: Fit, block: Block) -> Mask:
 
 
 def _quick(error: Array) -> Array:
-    """(n,) what a sample has beyond the mean of its neighbours, of variance 1 for white noise of variance 1."""
+    """(n,) what a sample has beyond the mean of its neighbours; white noise keeps its variance."""
     out = np.zeros(len(error))
     out[1:-1] = (error[1:-1] - 0.5 * (error[:-2] + error[2:])) / np.sqrt(1.5)
     return out
@@ -235,7 +235,7 @@ def _behind(base: Fit) -> ChainStage:
 
 
 def _static(error: Array, drive: Array, excess: float) -> tuple[float, int]:
-    """Return which share of the excess is a function of the drive alone, and how often it changes sign."""
+    """Return which share of the excess the drive alone determines, and how often it changes sign."""
     edges = np.linspace(drive.min(), drive.max() + 1e-12, BINS + 1)
     place = np.clip(np.digitize(drive, edges) - 1, 0, BINS - 1)
     count = np.bincount(place, minlength=BINS)
@@ -248,7 +248,7 @@ def _static(error: Array, drive: Array, excess: float) -> tuple[float, int]:
 
 
 def _is_motion(base: Fit) -> bool:
-    """Whether the force is off by what a wrong position would do: a ripple over the travel, or a jump in time."""
+    """Whether the force is off as by a wrong position: a ripple over the travel, or a jump in time."""
     blocks = base.problem.blocks_of("force_N", "press")
     if not blocks:
         return False
@@ -270,7 +270,7 @@ def _travel(run: Run) -> Array:
 
 
 def _displacement(base: Fit, block: Block, run: Run) -> Array:
-    """(n,) residual of the force, scaled so that a wrong position weighs alike at every depth; 0 without contact."""
+    """(n,) residual of the force in which a wrong position weighs alike at every depth of contact."""
     depth_mm = np.maximum(0.0, _travel(run) - base.base.u0_mm)
     slope = base.base.k1_N_mm + 3.0 * base.base.k3_N_mm3 * depth_mm**2
     scaled = base.residual[block.place] * float(np.median(slope)) / np.maximum(slope, 1e-9 * float(np.max(slope)))
@@ -293,7 +293,7 @@ def _trend(error: Array) -> float:
 
 
 def _by_deepest(error: Array, travel: Array) -> float:
-    """Return the energy that a function of the deepest position so far takes away, beyond its mean."""
+    """Return the energy that a function of the deepest position so far takes, beyond its mean."""
     deepest = np.maximum.accumulate(travel)
     edges = np.linspace(deepest.min(), deepest.max() + 1e-12, 9)
     place = np.digitize(deepest, edges)

@@ -48,7 +48,7 @@ UNITS_OF_RUN: Mapping[str, Mapping[str, float]] = {
 """The same for one run, where the others tell how large its values must be."""
 
 STIFFNESS_N_mm = (0.4, 25.0)
-"""Peak force over peak depth of a soft pad; beyond it a unit may be wrong, if one unit brings everything back to ..."""
+"""Peak force over depth of a soft pad; beyond it a unit may be wrong, if one brings all back to ..."""
 
 USUAL = {"stiffness_N_mm": 2.0, "depth_mm": 3.0, "force_N": 6.0}
 NEAR_USUAL = 5.0
@@ -62,13 +62,13 @@ FEW = 0.02
 """Share of samples up to which values out of range are a broken transmission, not a wrong unit."""
 
 FAR = 3.0
-"""A sample is off by a broken transmission when it lies this many spans beyond what nearly all others show."""
+"""A sample this many spans beyond what nearly all others show is off by a broken transmission."""
 
 OFF_STEP = 0.1
 """Distance from a step of the ADC, in steps, up to which a sample stands on it."""
 
 ON_GRID, OFF_GRID = 0.9, 0.5
-"""Share of samples on the steps of the ADC from which a column is an output, and below which it is none."""
+"""Share of samples on steps of the ADC from which a column is an output, and below which not."""
 
 SMOOTH = 0.1
 """A commanded position is this much smoother, against its span, than anything measured."""
@@ -83,13 +83,13 @@ FEWEST_RUNS = 3
 """With two runs nobody can tell which one is wrong."""
 
 APART = 2.0
-"""Ratio of one run to the others above which no effect but only a wrong unit or gain explains it."""
+"""Ratio of one run to the others that no effect but only a wrong unit or gain explains."""
 
 NEAR_FACTOR = 1.45
 """A stiffness this near beyond what the lot states, once a unit is turned, is that unit."""
 
 SAME_FACTOR = 1.1
-"""A ratio of one run to the others this near to a unit's factor, beyond what the others differ by, is that unit."""
+"""A ratio this near to a unit's factor, beyond what the other runs differ by, is that unit."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ def doubts(case: Case) -> tuple[DataMistake, ...]:
 
 
 def _in_runs(look: Callable[[Run], Iterable[DataMistake]]) -> Callable[[Case], Iterator[DataMistake]]:
-    """Look at every run of a case; one mistake in all runs that are pressed is one of the whole case."""
+    """Look at every run of a case; a mistake in all that are pressed is one of the whole case."""
 
     def in_case(case: Case) -> Iterator[DataMistake]:
         groups: dict[tuple[str, str, float | None], tuple[DataMistake, set[int]]] = {}
@@ -196,7 +196,7 @@ def _rates(run: Run) -> Iterator[DataMistake]:
 
 @_in_runs
 def _columns(run: Run) -> Iterator[DataMistake]:
-    """Which column is the output shows by the steps of the ADC, which is the stage by its smoothness."""
+    """The output shows by the steps of the ADC, the stage by its smoothness."""
     channels = _channels(run)
     if run.kind != "press" or len(channels) < 2:
         return
@@ -384,7 +384,7 @@ def _size(case: Case) -> _Size:
 
 
 def _contact_mm(stage_mm: Array, load: Array) -> float:
-    """Return where the load begins: the line through a twentieth and three twentieths of it, carried on to none."""
+    """Return where the load begins: where a line through 5 % and 15 % of it meets none."""
     low, high = np.quantile(load, (0.02, 0.995))
     part = (load - low) / max(float(high - low), 1e-12)
     twentieth, three = (stage_mm[np.abs(part - level) < 0.02] for level in (0.05, 0.15))
@@ -418,7 +418,7 @@ def _against_stated(case: Case) -> list[DataMistake]:
 
 
 def _runs_apart(case: Case) -> list[DataMistake]:
-    """One run whose values are larger or smaller than those of all others by a factor that no effect has."""
+    """One run that differs from all others by a factor that no effect has."""
     presses, number = _presses(case), numbers(case)
     if len(presses) < FEWEST_RUNS:
         return []

@@ -1,4 +1,4 @@
-"""How probable each effect is: evidence of all fitted hypotheses, none of which is trusted to the last sigma."""
+"""How probable each effect is, by the evidence of hypotheses that are not trusted to the last sigma."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ BOUND_COST = 60.0
 """What a cause pays whose size ends on its bound: it stands for something else."""
 
 EXACTNESS = 5e-5
-"""Share of the gap's energy below which no equation is taken at its word: 0.7 % of its amplitude."""
+"""Share of the gap's energy below which no equation is believed: 0.7 % of its amplitude."""
 
 USUAL_RANGE = 3.0
 """Sizes that a rig may show, in usual ones: the width of the prior of a size."""
@@ -89,7 +89,7 @@ def penalty(found: Fit) -> float:
 
 
 def _spared(found: Fit) -> float:
-    """Return what the sizes pay less than Schwarz's ln n: −2·ln of the posterior's share of the prior (Laplace)."""
+    """What sizes pay less than Schwarz's ln n: −2·ln of the posterior's share of the prior (Laplace)."""
     spared, most = 0.0, float(np.log(found.problem.count))
     for effect in found.hypothesis.effects:
         at = found.hypothesis.place_of(effect.id)
@@ -112,7 +112,7 @@ def sizes_on_bound(found: Fit) -> int:
 
 
 def log_evidences(fits: Fits) -> dict[tuple[str, ...], float]:
-    """Return the logarithm of prior times evidence of every hypothesis; all under one noise level."""
+    """Return the log of prior times evidence of every hypothesis, all under one noise level."""
     yardstick = Yardstick.of(fits.values())
     return {ids: yardstick.log_evidence(found) for ids, found in fits.items()}
 

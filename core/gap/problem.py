@@ -1,4 +1,4 @@
-"""What a fit is of: a hypothesis, the measured channels of a case as one vector with noise weights, a prediction."""
+"""What a fit is of: a hypothesis, and the measured channels of a case as one vector with weights."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -40,7 +40,7 @@ QUIETEST = 1e-6
 Episodes = tuple[Mapping[str, Array], ...]
 
 Around: TypeAlias = Callable[["Hypothesis", Array], Array]
-"""Predict, (samples,), at coordinates near to others, with an effect more or less where it is small."""
+"""Predict, (samples,), near to other coordinates, with a small effect more or less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ class Hypothesis:
 
     @cached_property
     def slices(self) -> dict[str, slice]:
-        """Where the parameters of every effect stand in the vector of parameters, the size first, by identifier."""
+        """Where the parameters of every effect stand among all, the size first, by identifier."""
         ends = np.cumsum([self.of_base.stop, *(len(effect.parameters) for effect in self.effects)])
         return {e.id: slice(int(ends[k]), int(ends[k + 1])) for k, e in enumerate(self.effects)}
 
@@ -100,7 +100,7 @@ class Hypothesis:
         return int(self.slices[effect_id].start)
 
     def without(self, effect_id: str) -> tuple["Hypothesis", Mask]:
-        """Return this hypothesis without one effect, and which of its coordinates are left: (parameters,) of bool."""
+        """Return this hypothesis without one effect, and which of its coordinates, (parameters,), are left."""
         left = np.ones(len(self.parameters), dtype=np.bool_)
         if effect_id in self.slices:
             left[self.slices[effect_id]] = False
@@ -140,9 +140,9 @@ class Problem:
     sigma: Mapping[str, float]
     use: Array | None = None
     extra_variance: Array | None = None
-    """(samples,) variance that comes with the noise of the driving channel, in the units of the samples squared."""
+    """(samples,) variance that comes with the noise of the driving channel."""
     has_offsets: bool = True
-    """Whether every run may have a zero of the force, an unloaded resistance and a seat of its own."""
+    """Whether every run may have a zero, an unloaded resistance and a seat of its own."""
     colour: Mapping[str, Colour] = field(default_factory=dict)
     of_rig: RigScale | None = None
     """The size of the rig; read off the runs where None."""
@@ -186,7 +186,7 @@ class Problem:
 
     @property
     def smooth_order(self) -> int:
-        """Which differences of a residual hold its noise alone: second ones where the rest of it may be quick."""
+        """Which differences of a residual hold noise alone: second ones where the rest may be quick."""
         return 1
 
     def least_noise(self, channel: str) -> float:
@@ -212,7 +212,7 @@ class Problem:
 
     @cached_property
     def slow_noise(self) -> Array:
-        """(samples,) standard deviation of white noise that is as strong as this one near zero frequency."""
+        """(samples,) standard deviation of white noise as strong as this one near zero frequency."""
         if not self.colour:
             return self.noise
         variance = self.noise**2
@@ -223,14 +223,14 @@ class Problem:
 
     @cached_property
     def whole_noise(self) -> Array:
-        """(samples,) standard deviation of the noise of every sample, the part that fades included."""
+        """(samples,) standard deviation of the noise, the part that fades included."""
         noise = self.noise.copy()
         for block in (b for b in self.blocks if b.channel in self.colour):
             noise[block.place] = np.hypot(noise[block.place], self.colour[block.channel].spread)
         return noise
 
     def floor(self, channel: str) -> float:
-        """Return the standard deviation of the noise of a channel in its unit, the part that fades included."""
+        """Return the standard deviation of the noise of a channel, the part that fades included."""
         fading = self.colour[channel].spread if channel in self.colour else 0.0
         return float(np.hypot(self.sigma[channel], fading))
 
@@ -240,7 +240,7 @@ class Problem:
         return 1.0 / self.noise if self.use is None else self.use / self.noise
 
     def whitened(self, values: Array) -> Array:
-        """Return (samples,) values as independent ones in units of their noise, 0 where a fit may not look."""
+        """Return (samples,) independent values in units of their noise, 0 where a fit may not look."""
         out = np.asarray(values * self.weights)
         for block, steps in self._filters:
             out[block.place] = filtered(values[block.place], steps)
@@ -265,7 +265,7 @@ class Problem:
 
     @cached_property
     def largest_offsets(self) -> Array:
-        """(k,) bounds of what every run has of its own: of the twin a zero, a resistance and a seat."""
+        """(k,) bounds of what every run has of its own: here a zero, a resistance and a seat."""
         return largest_offsets(self.case)
 
     @property
@@ -280,12 +280,12 @@ class Problem:
 
     @property
     def is_driven_by_force(self) -> bool:
-        """Whether a measured force, with its noise, drives the chain in place of a stage position."""
+        """Whether a measured force, with its noise, drives the chain in place of a stage."""
         return self.extra_variance is not None
 
     @cached_property
     def dither_V(self) -> float | None:
-        """Noise before an ADC that is coarse against it; None where the stairs of its codes do not show."""
+        """Noise before an ADC that is coarse against it; None where its stairs do not show."""
         if "output_V" not in self.sigma:
             return None
         return dither_V(self.floor("output_V"), self.case.readout.step_V)
@@ -300,7 +300,7 @@ class Problem:
         return self.predict_around(hypothesis, coordinates)[0]
 
     def predict_around(self, hypothesis: Hypothesis, coordinates: Array) -> tuple[Array, "Around"]:
-        """Return the clean prediction, (samples,), and what foretells it nearby in one pass of the chain."""
+        """Return the clean prediction, (samples,), and what foretells it nearby in one pass."""
         out = self.clean(hypothesis, coordinates, {})
         if not self.has_offsets or self.case.is_planned or not len(self.largest_offsets):
             return self._known(out), self.predict
@@ -328,7 +328,7 @@ class Problem:
         return directions(self, BaseParameters(*hypothesis.split(coordinates)[0]), clean, sizes)
 
     def clean(self, hypothesis: Hypothesis, coordinates: Array, sizes: Sizes) -> Array:
-        """Return the prediction, (samples,), with these offsets in it, NaN where nobody can know."""
+        """Return the (samples,) prediction with these offsets in it, NaN where nobody can know."""
         given, values = hypothesis.split(coordinates)
         base = BaseParameters(*given)
         own = bases_of(base, sizes)
@@ -357,7 +357,7 @@ class Problem:
         return replace(self, has_offsets=False)
 
     def with_noise(self, sigma: Mapping[str, float], colour: Mapping[str, Colour] | None = None) -> "Problem":
-        """Return the same problem under another noise level, and the same colour where none is given."""
+        """Return the same problem under other noise, of the same colour where none is given."""
         return replace(self, sigma=sigma, colour=self.colour if colour is None else colour)
 
 

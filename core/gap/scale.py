@@ -14,7 +14,7 @@ from softcal.core.gap.case import Case
 from softcal.core.twin.effects import Parameter
 
 COMMON = {"N": 8.0, "mm": 3.0, "ohm": 10.0, "V": 4.0}
-"""Range of the force, stroke, series resistor and supply of the rig that the catalogue's bounds are written for."""
+"""Force, stroke, series resistor and supply of the rig that the catalogue's bounds are written for."""
 
 FACTOR = re.compile(r"(N|mm|ohm|V|s|K|Hz|rad|1)([²³]?)")
 POWERS = {"": 1, "²": 2, "³": 3}
@@ -22,13 +22,13 @@ POWERS = {"": 1, "²": 2, "³": 3}
 
 @dataclass(frozen=True)
 class RigScale:
-    """How large a rig is against the common one, by unit; a unit that is not named here is not scaled."""
+    """How large a rig is against the common one, by unit; other units are not scaled."""
 
     sizes: tuple[tuple[str, float], ...] = ()
 
     @classmethod
     def of(cls, case: Case) -> "RigScale":
-        """Read force and stroke off the runs in which the sensor is pressed, the others off the metadata."""
+        """Read force and stroke off the runs that are pressed, the others off the metadata."""
         spans = {}
         for unit, channel in (("mm", "stage_mm"), ("N", "force_N")):
             values = [v for run in case.presses if (v := getattr(run, channel)) is not None]
@@ -42,7 +42,7 @@ class RigScale:
         return cls(tuple(sizes.items()))
 
     def factor(self, unit: str) -> float:
-        """Return by what a quantity of this unit, as `N/mm³` or `1/N²`, is larger than on the common rig."""
+        """Return by what a quantity of this unit, as `N/mm³`, is larger than on the common rig."""
         over, _, under = unit.partition("/")
         return self._product(over) / self._product(under)
 

@@ -1,4 +1,4 @@
-"""Which effects are worth a full fit: score tests of every probe against a fit, with the fitted parameters set free."""
+"""Which effects are worth a full fit: score tests of every probe, with the fitted parameters set free."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ GENTLER = (0.1, 0.003)
 """Shares of a promised size from which a fit begins once more."""
 
 KEPT = 0.1
-"""Share of the promised drop of χ² that a fit must bring, or it begins once more: a promise is first order."""
+"""Share of the promised drop of χ² that a fit must bring, or it begins once more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ def screen(found: Fit, candidates: Sequence[Probe]) -> list[Lead]:
 
 
 def hiding(found: Fit, candidates: Sequence[Probe], share: float) -> list[Probe]:
-    """Return the last probe of every effect whose signature the fitted parameters imitate to this share or more."""
+    """Return the last probe of every effect that the fitted parameters imitate to this share or more."""
     space = Tangent(found)
     last: dict[str, Probe] = {}
     for probe in candidates:
@@ -127,7 +127,7 @@ class Tangent:
         return self._found.problem.predict_around(self._found.hypothesis, self._found.coordinates)[1]
 
     def signature(self, probe: Probe) -> Array:
-        """(samples,) change of the whitened prediction when the probe is switched on at the fitted parameters."""
+        """(samples,) change of the whitened prediction when the probe is switched on."""
         found = self._found
         hypothesis = found.hypothesis.adding(probe.effect)
         x = np.concatenate([found.coordinates, start_coordinates([probe.effect], [probe.values])])

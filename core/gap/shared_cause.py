@@ -25,7 +25,7 @@ Ids = tuple[str, ...]
 SCHEMA = "softcal.gap_lot/1"
 
 STRAY_ODDS = 1e-3
-"""Prior odds that a unit does not share the lot's causes: its own evidence must be a thousandfold to say so."""
+"""Prior odds that a unit does not share the lot's causes: its evidence must be a thousandfold."""
 
 FEWEST_UNITS = 2
 
@@ -71,11 +71,11 @@ class Searched:
         return float(np.log(STRAY_ODDS)) + self.top
 
     def log_term(self, ids: Ids) -> float:
-        """Return what the unit adds to the log evidence of the lot: it shares these causes, or it strays."""
+        """Return what the unit adds to the lot's log evidence: it shares these causes, or strays."""
         return float(np.logaddexp(np.log1p(-STRAY_ODDS) + self.shared(ids), self.stray))
 
     def add(self, ids: Ids, donor: tuple[Hypothesis, Array]) -> None:
-        """Fit causes that this unit's search did not try, from the sizes of another unit and from those reversed."""
+        """Fit causes that this unit's search did not try, from another unit's sizes and those reversed."""
         hypothesis = donor[0].without_episodes()
         base = self.found[max(self.logs, key=lambda i: self.logs[i])][1][hypothesis.of_base]
         sizes = donor[1][hypothesis.of_base.stop :]
@@ -260,7 +260,7 @@ def _pooled(searched: Sequence[Searched], ids: Ids) -> float:
 
 
 def _best(logs: Mapping[Ids, float], held: Sequence[set[str]]) -> tuple[Ids, tuple[Ids, ...], set[str]]:
-    """Return the best shared hypothesis, it with its rivals, and causes that most units hold open beside it."""
+    """Return the best shared hypothesis, its rivals, and causes that most units hold open."""
     top = max(logs, key=lambda ids: logs[ids])
     near = sorted((ids for ids in logs if logs[ids] > logs[top] - RIVAL_LOG_ODDS), key=lambda ids: -logs[ids])
     kept: list[Ids] = [top]

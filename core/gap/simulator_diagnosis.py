@@ -22,10 +22,11 @@ from softcal.core.gap.gap_diagnosis import (
     GapPlace,
     Partial,
     RankedCause,
-    gap_of_base,
     judged,
     nearest,
+    places_of,
     ranked_causes,
+    regime_places,
     under_its_floor,
 )
 from softcal.core.gap.identifiability import Identifiability, identifiability, sentences
@@ -41,16 +42,16 @@ from softcal.core.gap.simulator_problem import Failures, SimulatorProblem, follo
 from softcal.core.gap.simulator_search import SimulatorSearch, base_fit
 from softcal.core.gap.simulator_terms import SimulatorTerm, terms_of
 from softcal.core.recording import Array
-from softcal.core.words.reason import Reason, reason, several
+from softcal.core.words.reason import Reason, reason
 
 STANDS_OUT = 1.5
 """Share of the gap over share of time from which a condition is listed."""
 
 
-def places_of(
+def _places(
     search: EffectSearch, best: Fit, causes: tuple[RankedCause, ...], verdict: DiagnosisVerdict
 ) -> tuple[GapPlace, ...]:
-    """Where the gap lies: parts of the mechanism where causes are named, then the conditions in which it stands out."""
+    """Where the gap lies: parts of the mechanism, then the conditions in which it stands out."""
     if verdict == "no_gap":
         return ()
     seen = regimes_of(search.base)
@@ -65,20 +66,12 @@ def places_of(
         places = [GapPlace("unknown", channel, regime, 1.0, nearest)]
     else:
         named = [c for c in causes if c.effect in best.hypothesis.ids]
-        total = sum(c.shrink for c in named) or 1.0
-        places = [
-            GapPlace(c.stage, channel, regime, c.shrink / total, reason("gap.effect", effect=c.effect)) for c in named
-        ]
-    at = places[0].stage
-    lines = [
-        GapPlace(at, r.channel, r.name, r.share, reason("gap.seen.energy_of_all", share=r.share, lift=r.lift))
-        for r in seen[:4]
-    ]
-    return (*places, *lines)
+        places = places_of(named, channel, regime, lambda effect_id: reason("gap.effect", effect=effect_id))
+    return (*places, *regime_places(places[0].stage, seen, "gap.seen.energy_of_all"))
 
 
 def regimes_of(found: Fit) -> list[Regime]:
-    """Return the conditions in which the residual of a channel stands out, by share and lift, strongest first."""
+    """Return the conditions in which the residual of a channel stands out, strongest first."""
     out = []
     for channel in found.problem.scored_channels:
         blocks = found.problem.blocks_of(channel)
@@ -169,7 +162,7 @@ def diagnose_simulator(
     case = Case(serial, tuple(runs))
     base, spoilt = _base_or_mistakes(simulator, case, say)
     if spoilt:
-        return _stopped(simulator, base, spoilt)
+        return SimulatorDiagnosis.stopped(base, simulator.candidates, spoilt, simulator=simulator)
     told = told_by(simulator, base)
     for line in sentences(told):
         say(line)
@@ -194,7 +187,7 @@ def diagnose_simulator(
         base=search.base,
         best=best,
         causes=causes,
-        places=places_of(search, best, causes, verdict),
+        places=_places(search, best, causes, verdict),
         gap=quantified.gap,
         shrink=quantified.shrink,
         protocol=quantified.protocol,
@@ -211,7 +204,7 @@ def diagnose_simulator(
 
 
 def _described(base: Fit, best: Fit, verdict: DiagnosisVerdict, say: Progress) -> LearnedResidual[SimulatorTerm] | None:
-    """Return the empirical terms that describe what the named causes leave; none where nothing is left."""
+    """Return the empirical terms that describe what the named causes leave."""
     if verdict == "no_gap":
         return None
     say("describing what is left")
@@ -246,22 +239,8 @@ def _base_or_mistakes(simulator: Simulator, case: Case, say: Progress) -> tuple[
     return base, spoilt or against_others(base)
 
 
-def _stopped(simulator: Simulator, base: Fit, found: tuple[DataMistake, ...]) -> SimulatorDiagnosis:
-    """Return the diagnosis of recordings that hold a mistake: nothing is named and nothing forecast."""
-    return SimulatorDiagnosis(
-        simulator=simulator,
-        verdict="data",
-        base=base,
-        best=base,
-        causes=tuple(RankedCause(c.id, c.stage, 0.0, 0.0, {}) for c in simulator.candidates),
-        gap=gap_of_base(base),
-        next_experiment=NextExperiment("none", several([one.repair for one in found])),
-        mistakes=found,
-    )
-
-
 def _searched(simulator: Simulator, base: Fit, told: Identifiability, say: Progress) -> "SimulatorSearch":
-    """Search, and once more where what is left may be noise that fades; keep that only where it is shown to be."""
+    """Search, and once more where what is left may be noise that fades."""
     # What every run may have of its own needs no cause: a slightly other equation of it would be named as one.
     candidates = tuple(c for c in simulator.candidates if not told[c.id].is_own)
     search = SimulatorSearch(candidates, base, say)
@@ -288,7 +267,7 @@ def _searched(simulator: Simulator, base: Fit, told: Identifiability, say: Progr
 
 
 def told_by(simulator: Simulator, base: Fit) -> Identifiability:
-    """Return what the runs of a base fit tell of a simulator, and which of its experiments would tell the rest."""
+    """Return what the runs of a base fit tell of a simulator, and which experiments tell the rest."""
     names = [f"{kind} of {channel}" for channel, kind in simulator.offsets]
     return identifiability(base, simulator.candidates, menu_of(simulator), names)
 

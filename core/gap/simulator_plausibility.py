@@ -63,7 +63,7 @@ FACTORS: Mapping[str, float] = {
 
 
 def shown(simulator: Simulator, case: Case) -> tuple[DataMistake, ...]:
-    """Return the mistakes that the columns of runs show by themselves: another unit of time, a channel that is dead."""
+    """Return the mistakes that columns show by themselves: another unit of time, a dead channel."""
     runs, number, found = _runs(case), numbers(case), []
     steps_s = np.array([float(np.median(np.diff(run.t_s))) for run in runs])
     for k, step_s in enumerate(steps_s) if len(runs) >= FEWEST_RUNS else ():
@@ -82,7 +82,7 @@ def shown(simulator: Simulator, case: Case) -> tuple[DataMistake, ...]:
 
 
 def cut_off(simulator: Simulator, case: Case) -> tuple[DataMistake, ...]:
-    """Return channels that may be cut off at their largest or smallest value: questions, for a mechanism may do so."""
+    """Return channels that may be cut off at an end: questions, for a mechanism may do so."""
     found = []
     for run, number in zip(_runs(case), numbers(case), strict=True):
         for channel in simulator.channels:
@@ -97,7 +97,7 @@ def cut_off(simulator: Simulator, case: Case) -> tuple[DataMistake, ...]:
 
 
 def against_others(base: Fit) -> tuple[DataMistake, ...]:
-    """Return what the simulator shows: one run in another unit or with another sign, columns that were exchanged."""
+    """Return what the simulator shows: one run in another unit or sign, columns that were exchanged."""
     problem = base.problem
     if not isinstance(problem, SimulatorProblem) or _agreement(base) > CONFIG.good:
         return ()

@@ -36,11 +36,11 @@ MOST_PAIRS = 8
 """Pairs of causes that are tried from several starts: all of four or fewer candidates."""
 
 SHOWN_SIGMA = 5.0
-"""Standard deviations that the base may leave of the largest offset, common to all runs, which it has as its own."""
+"""Standard deviations that the base may leave of the largest offset, the same in all runs."""
 
 
 class SimulatorSearch(EffectSearch):
-    """The search over the candidates of a simulator; nothing is placed first, and a cause has one realisation."""
+    """The search over a simulator's candidates: none is placed first, each has one realisation."""
 
     def __init__(self, candidates: Sequence[Effect], base: Fit, say: Progress) -> None:
         runs = base.problem.case.runs
@@ -76,7 +76,7 @@ class SimulatorSearch(EffectSearch):
         self._settle_noise(self._leader)
 
     def _likely_pairs(self) -> list[tuple[Effect, ...]]:
-        """Return the pairs that promise most together, to first order and over many places of each."""
+        """Return the pairs that promise most to first order, over many places of each."""
         space, rows, owner = Tangent(self.base), [], []
         for k, effect in enumerate(self._candidates):
             for row in _rows(effect):
@@ -95,7 +95,7 @@ class SimulatorSearch(EffectSearch):
         return sorted(gains, key=lambda pair: -gains[pair])[:MOST_PAIRS]
 
     def _try(self, effects: tuple[Effect, ...]) -> None:
-        """Fit causes from the likeliest of many places: by what each promises beside the others, and as they are."""
+        """Fit causes from the likeliest of many places, and by what each promises beside the others."""
         problem, hypothesis, fits = self.base.problem, self.base.hypothesis.adding(*effects), []
         for effect in effects:
             parent = self.fits.get(tuple(sorted(e.id for e in effects if e is not effect)))
@@ -154,7 +154,7 @@ def base_fit(simulator: Simulator, case: Case) -> Fit:
 
 
 def _shared_by_base(found: Fit) -> Problem:
-    """Return the problem with what all runs share of an offset left to the base where the base can take its shape."""
+    """Leave to the base what all runs share of an offset, where the base can take its shape."""
     problem = found.problem
     if not isinstance(problem, SimulatorProblem) or not len(problem.largest_offsets):
         return problem

@@ -29,7 +29,7 @@ BLUNT = 0.05
 TIME = "t"
 LEVEL, SQUARE, CUBE, RATE, WAY, REMEMBERED = "", "²", "³", "rate of ", "way of ", "memory of "
 SIZED_WAY, SIZED_TIME = "size·way of ", "t·"
-"""What of a signal a term may follow; a size of 1 is the farthest from the middle that was recorded."""
+"""What of a signal a term may follow; a size of 1 is the farthest recorded from the middle."""
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from softcal.core.recording import Array
 from softcal.core.twin.effects import Parameter
 
 TRIMMED = 0.02
-"""Share of the largest squared differences left out of a noise estimate: steps and drop-outs are not noise."""
+"""Share of squared differences, the largest, left out of a noise estimate: steps are not noise."""
 
 
 def unfitted(case: Case) -> Fit:
@@ -88,7 +88,7 @@ def best_start(problem: Problem, hypothesis: Hypothesis, config: StartConfig = S
 
 
 def likeliest(problem: Problem, hypothesis: Hypothesis, places: Sequence[Array]) -> list[Array]:
-    """Return places in the order of what a prediction at each leaves; last those where there is none."""
+    """Return places in the order of what a prediction at each leaves; those without one last."""
 
     def left(place: Array) -> float:
         found = energy(problem.whitened(problem.measured - problem.predict(hypothesis, place)))

@@ -104,7 +104,7 @@ STRANGERS = (
 """Generic departures."""
 
 WARM_DIVIDER = _stranger("gap.like.divider_when_warm", "electronics", Hook.REFERENCE, _divider, "1/K", 1e-3)
-"""Looks like a channel that follows the temperature, sign reversed, as long as the channel itself is read."""
+"""Looks like a channel that follows the temperature, sign reversed, while the channel is read."""
 
 
 def stranger(best: Fit, parents: Sequence[Fit], fits: Sequence[Fit]) -> Fit | None:
@@ -170,7 +170,7 @@ def imitated_causes(best: Fit, smaller: Mapping[str, Fit]) -> list[str]:
 
 
 def imitation(rest: Fit, best: Fit) -> float:
-    """Return which share of what a larger hypothesis takes away a free form of a smaller one takes away as well."""
+    """Return which share of a larger hypothesis's gain a free form of a smaller one has as well."""
     gain = rest.chi2 - best.chi2
     if gain <= 0.0 or not rest.hypothesis.ids:
         return 0.0
@@ -208,7 +208,7 @@ def _directions(found: Fit, effect: Effect) -> Iterator[Array]:
 
 
 def _courses(found: Fit) -> tuple[list[Array], list[Array]]:
-    """Return (samples,) load and its square, and time and its square, each relative to the largest."""
+    """Return (samples,) load and time, each with its square, relative to the largest."""
     problem = found.problem
     load, time = np.zeros(len(problem.measured)), np.zeros(len(problem.measured))
     for block in problem.blocks:

@@ -1,4 +1,4 @@
-"""How far calibration results on simulated lots predict those on the rig, before and after a cause is in the twin."""
+"""How well calibrations of simulated lots foretell those on the rig, without and with the causes."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -18,7 +18,7 @@ from softcal.core.unit.estimate import estimate
 from softcal.core.unit.source_model import make_source_model
 
 NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60, patience=10, batch=128)
-"""Smaller than the paper's and the same for rig and twins: what is compared is what the twin predicts."""
+"""Smaller than the paper's and the same for rig and twins, which alone are compared."""
 
 TRAIN_SHARE = 0.6
 """Share of an audit that a unit's own calibration trains on; all errors are on the rest."""
@@ -78,7 +78,7 @@ class Transfer:
     units: int
 
     def rows(self) -> list[tuple[str, float, float, float, float, float]]:
-        """Return per measure: rig, base twin, explained twin, relative error of the one and of the other."""
+        """Return per measure: rig, base twin, explained twin, and the relative errors of both."""
         out = []
         for name in ("before", "after", "own", "after_by_own"):
             rig, base, explained = (float(getattr(e, name)) for e in (self.rig, self.base, self.explained))
@@ -113,7 +113,7 @@ def transfer(
 
 
 def simulated_like(rig: PressedLot, twin: Twin, seed: int) -> PressedLot:
-    """Return a simulated lot around a twin, every unit pressed along the stage positions of one of the rig's."""
+    """Return a simulated lot around a twin, pressed along the stage positions of the rig's."""
     rng = np.random.default_rng(seed)
     twins = draw_lot(rng, len(rig.units) + 1, twin.parameters, twin.metadata, twin.effects, LotDesign().spread)
     units = tuple(
@@ -136,7 +136,7 @@ def pressed(
 
 
 def lot_errors(lot: PressedLot) -> LotErrors:
-    """Train the shared network on the source, map every unit, and return the medians of their errors."""
+    """Train the shared network on the source, map every unit, return the medians of errors."""
     trained = fit_network(lot.source, NETWORK)
     model = make_source_model(lot.source, trained.network, trained.validation_rows)
     rows: list[Sequence[float]] = []

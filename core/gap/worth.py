@@ -1,4 +1,4 @@
-"""What a cause explains of the calibration error: f trained on twins and on the rig, tested on the rig's audit."""
+"""What a cause explains of the calibration error: f trained on twins and on the rig."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -17,7 +17,7 @@ from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.twin.simulate import Twin
 
 FITTED_ON = 1
-"""Recordings of the rig that the twins of a unit are fitted to; the lot's other units have told the causes."""
+"""Recordings of the rig that the twins are fitted to; other units of the lot tell the causes."""
 
 ALIKE = 1.02
 """An f counts as not worse up to this ratio of errors; stated beforehand, chosen on no data."""
@@ -42,12 +42,12 @@ class CalibrationWorth:
 
     @property
     def worth(self) -> int | None:
-        """Fewest rig recordings whose f is not worse than that of the explained twin; None where all were too few."""
+        """Fewest rig recordings whose f is not worse than the explained twin's; None where all are too few."""
         return _fewest(self.rig, self.explained)
 
     @property
     def saves(self) -> int:
-        """Rig recordings that need not be made, at least; those that the twin was fitted to are taken off."""
+        """Rig recordings that need not be made, at least; those that the twin was fitted to are off."""
         return max((self.worth or len(self.rig)) - self.fitted_on, 0)
 
     @property
@@ -117,7 +117,7 @@ def _simulated(unit: str, twin: Twin, runs: Sequence[Run]) -> LabelledRecording:
 
 
 def _joined(unit: str, parts: Sequence[LabelledRecording]) -> LabelledRecording:
-    """Return recordings one after the other, a second apart: no window reaches from one into the next."""
+    """Return recordings one after the other, a second apart: no window spans two."""
     times, end_s = [], 0.0
     for part in parts:
         t_s = part.unlabelled.t_s

@@ -1,4 +1,4 @@
-"""Electronics: the resistance becomes a voltage, V = Vref·R/(R + Rs), with Gaussian noise and an ideal ADC."""
+"""Electronics: V = Vref·R/(R + Rs), with Gaussian noise and an ideal ADC."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -79,10 +79,10 @@ def _soft_clip(flow: Flow, v: Sequence[float], _: Memory) -> None:
 
 
 HUM_STEP_Hz = 0.05
-"""Scale on which the fit moves the frequency: a few hundredths of a hertz turn the phase once in a run."""
+"""Scale on which the fit moves the frequency: it turns the phase about once in a run."""
 
 PHASE_WEIGHT = 0.5
-"""What the phase of one run counts as: it is known to a fifth of a period at least, far less than ln n tells apart."""
+"""What the phase of one run counts as: known to a fifth of a period, far less than ln n stands for."""
 
 HUM = (
     Parameter("A", "V", 0.0, 0.5, 0.004, neutral=0.0),
@@ -92,7 +92,7 @@ HUM = (
 
 
 def _hum_of_runs(runs: int) -> Effect:
-    """Return the hum with a phase per run: where in the mains' period a run begins is no property of the rig."""
+    """Return the hum with a phase per run: when a run begins is no property of the rig."""
     phases = [Parameter(f"phi{k}", "rad", -20.0, 20.0, 1.0, weight=PHASE_WEIGHT) for k in range(runs)]
     parameters = (HUM[0], replace(HUM[1], usual=HUM_STEP_Hz), *phases)
     return replace(MAINS_HUM, parameters=parameters, step=_hum_with_phases)

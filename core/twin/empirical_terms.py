@@ -19,7 +19,7 @@ from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, mem
 from softcal.core.twin.signals import direction_state, low_pass
 
 Place = Literal["F", "force_N", "output_V"]
-"""What a term is added to: the force of the pad, which every later stage feels; the cell's reading; the output."""
+"""What a term is added to: the force, which every later stage feels; the reading; the output."""
 
 PLACES: tuple[Place, ...] = get_args(Place)
 HOOKS: Mapping[Place, Hook] = {"F": Hook.FORCE, "force_N": Hook.READING, "output_V": Hook.CLOCK}
@@ -27,7 +27,7 @@ STAGES: Mapping[Place, str] = {"F": "mechanics", "force_N": "load_cell", "output
 UNITS: Mapping[Place, str] = {"F": "N", "force_N": "N", "output_V": "V"}
 
 MEMORY_s = (0.1, 0.5, 2.0, 8.0, 30.0)
-"""Fading times of the memories: a few samples to the length of a run, a factor of four to five apart."""
+"""Fading times of the memories: a few samples to a whole run, a factor of four to five apart."""
 
 SHARP, BLUNT = 0.01, 0.1
 """Shares of the deepest press within which `direction` turns after a reversal."""
@@ -38,7 +38,7 @@ TOUCH = 0.05
 
 @dataclass(frozen=True)
 class Span:
-    """What a load of 1 and a depth of 1 stand for: the largest of the recordings a term was learned from."""
+    """What a load and a depth of 1 stand for: the largest of the recordings that were learned from."""
 
     load_N: float
     depth_mm: float
@@ -150,7 +150,7 @@ def _variables() -> Mapping[str, Variable]:
 
 
 VARIABLES: Mapping[str, Variable] = _variables()
-"""What a term may follow, by name. A load of 1 and a depth of 1 are the largest that were recorded."""
+"""What a term may follow, by name. A load and a depth of 1 are the largest recorded."""
 
 _INVERSE = {"": "", "s": "/s", "K": "/K", "1/s": "·s", "1/s²": "·s²"}
 

@@ -1,4 +1,4 @@
-"""Mechanics: the position of the pad becomes the force on the sensor, F = k1·δ + k3·δ³ with δ = max(0, u − u0)."""
+"""Mechanics: the pad's position becomes a force, F = k1·δ + k3·δ³ with δ = max(0, u − u0)."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ from softcal.core.twin.signals import compiled, completed_presses, direction_sta
 
 
 def press(flow: Flow, base: BaseParameters) -> None:
-    """Set deformation and force from the position of the pad, with a toe and a soft frame where effects set them."""
+    """Set deformation and force from the pad's position, with a toe and a soft frame where there are."""
     indentation = np.maximum(0.0, flow.pad_mm - flow.contact_mm)
     if flow.toe_mm or flow.compliance_mm_N:
         frame = (flow.toe_mm, flow.toe_tail, flow.compliance_mm_N)

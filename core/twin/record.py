@@ -10,14 +10,14 @@ from softcal.core.twin.simulate import EffectSetting, Twin
 
 SCHEMA = "softcal.twin/1"
 RICHER = "softcal.twin/2"
-"""Of a twin with other forms or empirical terms: a reader of the first schema would leave them out without a word."""
+"""Of a twin with other forms or empirical terms, which a reader of the first would leave out."""
 
 
 TERM = ("place", "variable", "coefficient", "load_N", "depth_mm")
 
 
 def twin_record(twin: Twin) -> dict[str, Any]:
-    """Return a twin as JSON values; the second schema where it holds other forms or empirical terms."""
+    """Return a twin as JSON values, by the second schema where the first does not do."""
     is_richer = bool(twin.empirical) or any(s.form for s in twin.effects)
     record: dict[str, Any] = {
         "schema": RICHER if is_richer else SCHEMA,

@@ -1,4 +1,4 @@
-"""The chain from stage position to recording: in one call, or as a stream that carries its state."""
+"""The chain from stage position to recording: in one call, or as a stream with a state."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -132,7 +132,7 @@ class Chain:
     def sense(
         self, flow: Flow, base: BaseParameters, readout: ReadoutMetadata, values: Values, memories: Sequence[Memory]
     ) -> None:
-        """Carry what the channel feels (deformation, for a strain sensor) to its resistance and on to the output."""
+        """Carry what the channel feels to its resistance and on to the output."""
         flow.drive = flow.deformation_mm if readout.sensor_type == "strain" else flow.force_N
         self.apply(Hook.CHANNEL, flow, values, memories)
         conduct(flow, base)

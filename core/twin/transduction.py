@@ -13,7 +13,7 @@ from softcal.core.twin.signals import compiled, direction_state, low_pass
 from softcal.core.words.reason import Reason
 
 COLLAPSED = 0.02
-"""Smallest 1 − κ·F that is computed: below it the channel is shut and the pressure form has no meaning."""
+"""Smallest 1 − κ·F that is computed: below, the channel is shut and the form has no meaning."""
 
 
 def conduct(flow: Flow, base: BaseParameters) -> None:
