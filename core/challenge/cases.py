@@ -59,11 +59,8 @@ class SealedCase:
 
     Args:
         line: the stratum it was drawn for.
-        rig: base parameters.
         peak_N: force at full depth.
         depth_mm: stage position at which the base model reaches the peak force.
-        causes: the effects at work; empty for none.
-        plans: the runs handed over.
         withheld: columns taken out of every run.
         kept_back: a run of a protocol that is not among `plans`.
         mistake: what went wrong when the runs were written down (`mistakes.Mistake` as text); empty for nothing.

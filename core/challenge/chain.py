@@ -118,9 +118,6 @@ def record(
     """Run one recording of a rig: `t_s, stage_mm, force_N, output_V, temperature_C` and what its kind adds or lacks.
 
     Args:
-        rig: base parameters and metadata.
-        rack: the equations at work.
-        temperature: °C at given times.
         rng: noise, and whatever an equation draws for this run.
         kind: a kind of TWIN.md; `rigid_block`, `dummy_resistor` and `dead_weights` change what is pressed.
         dummy_ohm: the resistor of a `dummy_resistor` run.

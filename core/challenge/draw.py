@@ -137,11 +137,7 @@ _WITHHELD = {"no_load_cell": ("force_N",), "no_stage": ("stage_mm",)}
 
 
 def draw_case(seed: int, name: str, line: str) -> SealedCase:
-    """Draw one case of a line; the same seed and line give the same case.
-
-    Args:
-        line: a key of `LINES`.
-    """
+    """Draw one case of a line; the same seed and line give the same case."""
     rng = np.random.default_rng([seed, list(LINES).index(line)])
     rig, peak_N = draw_rig(rng, adc_bits=10 if line == "ten_bit" else None)
     peak_ohm = rig.r0_ohm / (1.0 - rig.kappa_per_N * peak_N)

@@ -25,8 +25,6 @@ def low_pass(signal: Array, step_s: float, tau_s: float, start: float = 0.0) -> 
 
     Args:
         signal: (n,) x on the grid.
-        step_s: grid step in s.
-        tau_s: τ in s.
         start: y at the first point.
     """
     ratio = step_s / tau_s

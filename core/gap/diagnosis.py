@@ -146,7 +146,6 @@ def diagnose(
     """Diagnose the gap between the base twin and the recordings of a case.
 
     Args:
-        progress: called with one line at every step.
         on_fits: called with every hypothesis that was fitted, under one noise level; not where the verdict is `data`.
     """
     say = progress or (lambda _: None)

@@ -32,7 +32,6 @@ class LearnConfig:
     """When a term is taken.
 
     Args:
-        most: terms at most.
         least: share of what is left above the noise that a further term must take away on samples held back.
         chance: drop of χ² besides, for each time a sample is held back.
         simpler: share of the gap by which terms beside the causes must do better than terms on the bare base.
@@ -82,7 +81,6 @@ class LearnedTerm(Generic[T]):
     """A term with how well it is known.
 
     Args:
-        standard_error: of its coefficient, in the unit of the coefficient.
         chosen: share of the choices without a run (or quarter) that took the same variable at the same place.
     """
 
@@ -100,7 +98,6 @@ class LearnedResidual(Generic[T]):
         shrink: of the gap of the base, by causes and terms together, on runs that neither saw; the forecast of another
             run is what runs held back have shown.
         without: the same by the causes alone.
-        fit: base, causes and terms at their best.
     """
 
     terms: tuple[LearnedTerm[T], ...]

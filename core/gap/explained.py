@@ -19,9 +19,6 @@ def explained_twin(found: Fit, terms: Sequence[EmpiricalTerm] = ()) -> Twin:
 
     A cause enters by the equation it was fitted by, the catalogue's or another form. Episodes belong to the recording
     they were found in and are left out: losses of samples and bad contacts are repaired, not simulated.
-
-    Args:
-        terms: empirical terms that are part of the fit, with their coefficients.
     """
     found = with_constants(found)
     readout = found.problem.case.readout

@@ -33,8 +33,6 @@ class Fit:
     """A hypothesis at its best parameters.
 
     Args:
-        coordinates: (parameters,) in the coordinates of the fit.
-        predicted: (samples,) clean prediction.
         chi2: sum of squared residuals over σ², over the samples the fit saw.
         slopes: (parameters, samples) derivative of the prediction; rows that were held fixed are 0.
     """
@@ -108,8 +106,6 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20,
     """Minimise χ² from a start within the bounds of all parameters.
 
     Args:
-        start: (parameters,) coordinates to begin at.
-        steps: most Levenberg–Marquardt steps taken.
         tolerance: stop when a step gains less than this in χ².
     """
     space = _Space(problem, hypothesis)

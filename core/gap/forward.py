@@ -42,8 +42,6 @@ def predict(
     Args:
         run: its stage position drives the chain; where there is none, its force does.
         index: position of the run in its case, for effects with values of their own per run.
-        values: parameter values, one row per effect of the chain.
-        episodes: rows of episodic effects in this run.
     """
     stage_mm = run.elapsed_s if run.stage_mm is None else run.stage_mm
     flow = Flow(run.elapsed_s, run.step_s, stage_mm, run.temperature_rise_K, run.readout.vref_V, episodes, index)

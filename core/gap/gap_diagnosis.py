@@ -64,7 +64,6 @@ class RankedCause:
     """One effect of the catalogue and how it stands.
 
     Args:
-        probability: of being present.
         shrink: share of the gap that goes when it is added, of the explained whole.
         parameters: by the catalogue's equation; empty where the effect is not in the best hypothesis.
         form: the other equation that fits better and that the twin has, empty where the catalogue's does.
@@ -150,7 +149,6 @@ def judged(
     """Judge what a search has found, on samples held back from every cause.
 
     Args:
-        effects: those whose probability is asked for.
         as_told: the best hypothesis as it is handed on.
         is_uneven: whether noise that a hypothesis leaves is not the same everywhere.
     """
@@ -179,7 +177,6 @@ def under_its_floor(
 
     Args:
         searched: begins a search under the noise of a problem.
-        is_floor: whether what a fit leaves is noise.
     """
     closest = min(search.fits.values(), key=lambda found: found.chi2)
     problem = coloured(closest)
@@ -281,13 +278,10 @@ class GapDiagnosis(ABC, Generic[T]):
     """Everything a report or a page needs of one diagnosis. With the verdict `data` only what has no default is there.
 
     Args:
-        base, best: fits of the base alone and of the best hypothesis to all runs.
-        protocol: how samples were held back for the shrink.
         chosen: causes that are chosen where each part of the samples in turn is held back, those the shrink is of.
         explained_share: of the structured gap energy, 1 when nothing but noise is left.
         mistakes: what is wrong with the recordings; with the verdict `data` they stand in the way of everything else,
             beside another one they are questions.
-        partial: what comes nearest where nothing explains the gap.
         residual: empirical terms that describe what no named cause explains, where they hold on runs held back.
         told: what the runs tell of the base and of every effect; None where the recordings hold a mistake.
     """
@@ -369,12 +363,7 @@ class GapDiagnosis(ABC, Generic[T]):
 def places_of(
     causes: Sequence[RankedCause], channel: str, regime: Reason, detail: Callable[[str], Reason]
 ) -> list[GapPlace]:
-    """Return the places of named causes, each with its part of what all of them take.
-
-    Args:
-        channel, regime: where the gap stands out most.
-        detail: what is said of a cause.
-    """
+    """Return the places of named causes, each with its part of what all of them take."""
     total = sum(c.shrink for c in causes) or 1.0
     return [GapPlace(c.stage, channel, regime, c.shrink / total, detail(c.effect)) for c in causes]
 

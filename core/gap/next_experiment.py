@@ -31,7 +31,6 @@ class MenuEntry:
     """One experiment that may be proposed.
 
     Args:
-        name: what the operator is asked to do.
         run: the run as it would be recorded, its measured channels still empty (zeros).
         minutes: bench time, set-up included.
         stage_profile: what the station runs, None for a special run.
@@ -48,10 +47,7 @@ class NextExperiment:
     """The proposed run.
 
     Args:
-        profile: its name.
-        why: which rivals it separates, and how far.
         separation_sigma: distance of the refitted rivals over the run, in standard deviations of the noise.
-        stage_profile: segments the station can run, None for a special run.
     """
 
     profile: str

@@ -70,8 +70,6 @@ def offsets(problem: "Problem", base: BaseParameters, clean: Array) -> list[Offs
 
     Args:
         problem: its recordings and their noise; samples that a fit may not see count, an offset is no forecast.
-        base: where the directions are taken.
-        clean: (samples,) prediction of the twin.
     """
     runs, sizes = _solved(problem, directions(problem, base, clean), clean, {})
     return [Offsets(run, *map(float, row)) for run, row in zip(runs, sizes, strict=True)]
@@ -86,7 +84,6 @@ class Nearby:
     """The offsets of every run around one prediction: nearby they follow another one along the same directions.
 
     Args:
-        directions: how the prediction changes with each offset.
         moved: what is in the prediction; none where all are small.
     """
 

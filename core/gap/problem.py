@@ -48,7 +48,6 @@ class Hypothesis:
     """The base with these effects on top.
 
     Args:
-        effects: entries of the catalogue, or other realisations of the same causes.
         episodes: per run, the rows of its episodic effects.
         of_all: parameters of the base, which every hypothesis has; the twin's where nothing else is said.
     """
@@ -130,7 +129,6 @@ class Problem:
     """The measured channels of a case as one vector with noise weights.
 
     Args:
-        case: the runs.
         sigma: per channel, standard deviation of the white noise, (n,) or a number, in the channel's unit.
         use: (samples,) which samples a fit may see; all where None.
         colour: per channel whose noise is not white, the part that fades.

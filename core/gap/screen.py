@@ -28,7 +28,6 @@ class Lead:
 
     Args:
         gain: expected drop of χ² when the effect is added and everything is fitted again, to first order.
-        values: where a full fit should begin.
         hidden: share of its signature that the fitted parameters imitate.
         shift: (parameters of the fit,) how its coordinates would move along.
     """
@@ -100,11 +99,7 @@ def hiding(found: Fit, candidates: Sequence[Probe], share: float) -> list[Probe]
 
 
 class Tangent:
-    """The directions in which a fit can move, and how a signature stands to them.
-
-    Args:
-        base_only: let the base parameters alone move.
-    """
+    """The directions in which a fit can move, and how a signature stands to them."""
 
     def __init__(self, found: Fit, base_only: bool = False) -> None:
         self._found = found

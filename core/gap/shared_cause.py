@@ -134,7 +134,6 @@ class LotDiagnosis:
     """What the units of a lot share.
 
     Args:
-        verdict: in the words of a single diagnosis.
         causes: of the best shared hypothesis, empty for none.
         rivals: sets of causes that the lot cannot tell apart, the best first.
         probability: of every cause that any unit's search considered.
@@ -181,10 +180,6 @@ class LotDiagnosis:
 
 def diagnose_lot(cases: Mapping[str, Case], progress: Callable[[str], None] | None = None) -> LotDiagnosis:
     """Diagnose every unit, then what they share.
-
-    Args:
-        cases: one per unit, by the unit's name.
-        progress: called with one line at every step.
 
     Raises:
         InputError: fewer than two units.

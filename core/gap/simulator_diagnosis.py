@@ -150,8 +150,6 @@ def diagnose_simulator(
 
     Args:
         runs: made by `recorded`.
-        serial: of the unit, for the report.
-        progress: called with one line at every step.
 
     Raises:
         InputError: no run, or the simulator gives something else than finite channels.

@@ -37,12 +37,10 @@ class SimulatorTerm:
     """channel += coefficient · variable.
 
     Args:
-        place: the channel.
         kind: what of the signal it follows.
         signal: an input or a channel, empty for the time.
         middle, half: what a signal of 0 and of 1 stand for: from the middle to the farthest that was recorded.
         per_s: the usual rate of change of the signal so counted, 1/s.
-        tau_s: fading time of a memory.
         span: the range of the channel, for the size of a step.
     """
 

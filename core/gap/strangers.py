@@ -68,12 +68,7 @@ def _cell_lag(flow: Flow, values: Sequence[float], _: Memory) -> None:
 
 @dataclass(frozen=True)
 class Stranger:
-    """A generic departure.
-
-    Args:
-        like: what it is, in words.
-        is_warming: it follows the temperature.
-    """
+    """A generic departure."""
 
     like: Reason
     effect: Effect
@@ -111,9 +106,7 @@ def stranger(best: Fit, parents: Sequence[Fit], fits: Sequence[Fit]) -> Fit | No
     """Return the best hypothesis with a stranger in it, None where none beats the catalogue decisively.
 
     Args:
-        best: of the catalogue.
         parents: hypotheses a stranger may stand beside, fitted under the noise level of `best`.
-        fits: every hypothesis of the catalogue.
     """
     if best.problem.is_driven_by_force:
         return None

@@ -101,7 +101,6 @@ def transfer(
     """Calibrate the rig's lot and one simulated lot per twin, pressed along the same stage positions.
 
     Args:
-        base, explained: the refitted base alone, and the twin with its causes.
         seed: of the spread and the noise of the simulated units; both twins get the same.
     """
     say("calibrating the rig's lot")

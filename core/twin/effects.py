@@ -71,7 +71,6 @@ class Flow:
         step_s: (n,) time since the sample before, 0 at the start of a run.
         stage_mm: (n,) recorded stage position.
         temperature_rise_K: (n,) temperature above that of the run's first sample, None where it is not recorded.
-        vref_V: nominal reference.
         episodes: per effect id (m, 2), the rows of an episodic effect in this run.
         run: position of this run in its case, for effects with values of their own in every run.
     """
@@ -178,9 +177,7 @@ class Effect:
         equation: its equation on top of the base model.
         source: where the equation or its usual size comes from.
         parameters: in the order `step` takes them; the first one is the size of the effect.
-        step: the equation.
         is_episodic: it happens at a few instants of one run and does not carry over to another.
-        signs: how it shows.
         of_runs: the same effect with values of its own in every run, for a number of runs; None where one set of
             values holds for all.
         sides: the same effect acting from another side, told apart by the parameters that are given.
@@ -269,7 +266,6 @@ class Form:
     """Another realisation of a cause.
 
     Args:
-        effect: the realisation; its identifier is that of the cause.
         carry: value of every parameter from the catalogue's values, as (index of the value or None, factor or value).
     """
 

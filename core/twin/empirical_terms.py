@@ -160,9 +160,7 @@ class EmpiricalTerm:
     """place += coefficient · variable.
 
     Args:
-        place: what it is added to.
         variable: a name of `VARIABLES`.
-        coefficient: in `unit`.
         load_N, depth_mm: what a load of 1 and a depth of 1 stand for.
 
     Raises:

@@ -38,7 +38,6 @@ def in_form(
     """Return a maker of a form with parameters of its own.
 
     Args:
-        what: the realisation in words.
         carry: where its fit begins, see `Form`.
         constants: what it reads off the recording it is fitted to, see `Effect`.
     """
@@ -115,7 +114,6 @@ def stops(signal: Array, values: Sequence[float], state: Memory, name: str) -> A
     Args:
         values: a weight for each of `STOPS`, then the largest value of x, of which the strokes are shares; that of this
             run where it is not given.
-        name: of that constant.
     """
     out = np.zeros_like(signal)
     largest = constant(values, state, len(STOPS), name, lambda: float(np.max(np.abs(signal))) or 1.0)

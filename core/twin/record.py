@@ -37,9 +37,6 @@ def twin_record(twin: Twin) -> dict[str, Any]:
 def twin_from_record(record: Mapping[str, Any], place: str) -> Twin:
     """Return the twin of a record.
 
-    Args:
-        place: where the record comes from, for messages.
-
     Raises:
         InputError: it does not describe a twin.
     """

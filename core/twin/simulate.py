@@ -28,7 +28,6 @@ class EffectSetting:
     """One effect switched on.
 
     Args:
-        effect_id: identifier of the catalogue.
         values: parameter values by name; a parameter left out stands at its usual value. Constants of a form must stand
             here too.
         episodes: rows of an episodic effect, in s since the start of the run: (start, stop) of each bad contact,
@@ -159,8 +158,6 @@ class Chain:
 
         Args:
             flow: time, stage position and temperature; the rest is written.
-            values: parameter values, one row per effect.
-            memories: one per effect, empty at the start of a run.
         """
         self.press(flow, base, values, memories)
         self.sense(flow, base, readout, values, memories)
