@@ -167,9 +167,9 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _show_untold(told: "Identifiability") -> None:
-    from softcal.core.gap.identifiability import sentences
+    from softcal.core.gap.identifiability import reasons
 
-    for line in sentences(told):
+    for line in reasons(told):
         print(f"not told    {line}")
 
 

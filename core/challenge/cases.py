@@ -97,7 +97,11 @@ class SealedCase:
         rng = np.random.default_rng([plan.seed, 1])
         kind = plan.protocol if plan.protocol in (*SPECIAL, REST) else PRESS
         path, known_force = self._path(plan)
-        path = path if self.turns_between_samples else _as_recorded(path, self.rig.sample_rate_Hz)
+        if not self.turns_between_samples:
+            # The pad sees straight lines between the positions at the sampling instants.
+            sample_s: Array = np.arange(int(path.duration_s * self.rig.sample_rate_Hz) + 1, dtype=np.float64)
+            sample_s /= self.rig.sample_rate_Hz
+            path = Path(path.name, sample_s, path.position_mm(sample_s))
         temperature = _temperature(np.random.default_rng([plan.seed, 2]), plan.protocol, path.duration_s)
         dummy_ohm = RESISTORS_ohm[plan.seed % len(RESISTORS_ohm)] if kind == DUMMY_RESISTOR else None
         warmer, lower = np.random.default_rng([plan.seed, 3]).normal(size=2)
@@ -164,12 +168,6 @@ def full_depth_mm(rig: Rig, peak_N: float) -> float:
         too_deep = float(rig.pad_force_N(np.array(middle_mm))) > peak_N
         low_mm, high_mm = (low_mm, middle_mm) if too_deep else (middle_mm, high_mm)
     return rig.u0_mm + low_mm
-
-
-def _as_recorded(path: Path, sample_rate_Hz: float) -> Path:
-    """Return the straight lines between the positions at the sampling instants."""
-    sample_s: Array = np.arange(int(path.duration_s * sample_rate_Hz) + 1, dtype=np.float64) / sample_rate_Hz
-    return Path(path.name, sample_s, path.position_mm(sample_s))
 
 
 def _still(name: str, duration_s: float) -> Path:

@@ -15,7 +15,7 @@ def _three_times(signal: Array, at: Moment, tau_s: float) -> Array:
 
 def _power_law(signal: Array, at: Moment, tau_s: float) -> Array:
     """A memory by a power law: straight in log t over three decades around τ."""
-    return power_law(signal, at.step_s, 1.0, tau_s / 30.0, tau_s * 30.0)
+    return power_law(signal, at.step_s, tau_s / 30.0, tau_s * 30.0)
 
 
 def _relaxation(memory: Apply) -> Apply:

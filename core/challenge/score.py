@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from types import MappingProxyType
 from typing import Any
 
@@ -163,7 +164,11 @@ def score_reports(
         ece_first=calibration_error(np.array([p for p, _ in first]), np.array([float(y) for _, y in first])),
         brier=float(np.mean((stated - present) ** 2)) if len(stated) else float("nan"),
         on_truth=float(np.mean(singles)) if singles else float("nan"),
-        by_bin=tuple(_bins(stated, present)),
+        by_bin=tuple(
+            Bin(low, high, float(stated[here].mean()), int(present[here].sum()), int(here.sum()))
+            for low, high in pairwise(STATED_EDGES)
+            if (here := (stated >= low) & (stated < high if high < 1.0 else stated <= high)).any()
+        ),
     )
     return ScoreSheet(judged, tuple(_rows(judged)), tuple(_detection(judged)), probabilities, _shrink(judged))
 
@@ -210,18 +215,11 @@ def _row(line: str, measure: str, cases: Sequence[Judged], is_hit: Callable[[Jud
 def _detection(judged: Sequence[Judged]) -> Iterable[Detection]:
     singles = [j for j in judged if len(j.truth) == 1 and len(j.label.case.causes) == 1]
     for effect in sorted({next(iter(j.truth)) for j in singles}):
-        for low, high in zip(DISTANCE_EDGES[:-1], DISTANCE_EDGES[1:], strict=True):
+        for low, high in pairwise(DISTANCE_EDGES):
             here = [j for j in singles if effect in j.truth and low <= j.label.distance_sigma < high]
             if here:
                 named, honest = sum(j.is_first_right for j in here), sum(j.outcome in HONEST for j in here)
                 yield Detection(effect, low, high, named, honest, len(here))
-
-
-def _bins(stated: NDArray[np.float64], present: NDArray[np.float64]) -> Iterable[Bin]:
-    for low, high in zip(STATED_EDGES[:-1], STATED_EDGES[1:], strict=True):
-        here = (stated >= low) & (stated < high if high < 1.0 else stated <= high)
-        if here.any():
-            yield Bin(low, high, float(stated[here].mean()), int(present[here].sum()), int(here.sum()))
 
 
 def calibration_error(stated: NDArray[np.float64], happened: NDArray[np.float64]) -> float:

@@ -42,13 +42,13 @@ def extent_of(case: Case, deformation_mm: float, force_N: float) -> Extent:
 
 def visible_effects(case: Case) -> tuple[Effect, ...]:
     """Return the effects that the recorded channels can show at all."""
-    return tuple(e for e in EFFECTS.values() if e.stage not in case.unseen_stages and _has_what_it_needs(case, e))
 
+    def is_followed(channel: str) -> bool:
+        logs = [getattr(run, channel) for run in case.presses]
+        return any(log is not None and np.ptp(log) > 0 for log in logs)
 
-def _has_what_it_needs(case: Case, effect: Effect) -> bool:
-    """Whether every channel that the effect follows was recorded and changes in a run."""
-    logs = {channel: [getattr(run, channel) for run in case.presses] for channel in effect.signs.needs}
-    return all(any(log is not None and np.ptp(log) > 0 for log in runs) for runs in logs.values())
+    seen = [effect for effect in EFFECTS.values() if effect.stage not in case.unseen_stages]
+    return tuple(effect for effect in seen if all(map(is_followed, effect.signs.needs)))
 
 
 def probes(case: Case, extent: Extent) -> tuple[Probe, ...]:

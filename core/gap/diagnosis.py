@@ -26,7 +26,7 @@ from softcal.core.gap.gap_diagnosis import (
     regime_places,
     under_its_floor,
 )
-from softcal.core.gap.identifiability import Identifiability, identifiability, sentences
+from softcal.core.gap.identifiability import Identifiability, identifiability, reasons
 from softcal.core.gap.next_experiment import NextExperiment, menu, propose
 from softcal.core.gap.odd_run import odd_run, odd_run_beside
 from softcal.core.gap.offsets import OFFSET_NAMES, Offsets, offsets
@@ -154,8 +154,8 @@ def diagnose(
         return _stopped(unfitted(case), spoilt)
     search = EffectSearch(case, say)
     runs_tell = told_by(search.base, search.depth_mm, search.force_N)
-    for line in sentences(runs_tell):
-        say(line)
+    for untold in reasons(runs_tell):
+        say(str(untold))
     if (odd := odd_run(search.base)) is not None:
         return _stopped(search.base, (odd,))
     search.run()

@@ -26,10 +26,7 @@ def explained_twin(found: Fit, terms: Sequence[EmpiricalTerm] = ()) -> Twin:
     sigma_V = found.problem.dither_V
     if sigma_V is None:
         sigma_V = float(np.sqrt(max(_floor(found, "output_V") ** 2 - readout.step_V**2 / 12, 0.0)))
-    base = found.base.with_values(
-        sigma_output_V=sigma_V,
-        sigma_force_N=_floor(found, "force_N"),
-    )
+    base = found.base.with_values(sigma_output_V=sigma_V, sigma_force_N=_floor(found, "force_N"))
     settings = []
     for effect, values in zip(found.hypothesis.effects, found.effect_values, strict=True):
         if effect.id not in EFFECTS or EFFECTS[effect.id].is_episodic:

@@ -142,13 +142,8 @@ def identifiability(
     return Identifiability(tuple(every), tuple(alike))
 
 
-def sentences(found: Identifiability) -> list[str]:
-    """Return one line for everything these runs do not tell, and why."""
-    return [str(one) for one in reasons(found)]
-
-
 def reasons(found: Identifiability) -> list[Reason]:
-    """Return why runs do not tell what they do not tell."""
+    """Return why runs do not tell what they do not tell, a reason for each."""
     return [*map(why, found.untold), *(alike(*pair) for pair in found.alike)]
 
 
@@ -169,8 +164,7 @@ def why(one: ParameterTold) -> Reason:
 
 def alike(one: str, other: str) -> Reason:
     """Return that two causes are one to these runs."""
-    names = (reason("gap.effect", effect=effect) for effect in (one, other))
-    return reason("gap.told.alike", **dict(zip(("one", "other"), names, strict=True)))
+    return reason("gap.told.alike", one=reason("gap.effect", effect=one), other=reason("gap.effect", effect=other))
 
 
 @dataclass(frozen=True, eq=False)

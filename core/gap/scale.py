@@ -6,7 +6,7 @@ Time is not scaled: creep, mains and clocks have their own.
 
 import re
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 
@@ -43,16 +43,10 @@ class RigScale:
 
     def factor(self, unit: str) -> float:
         """Return by what a quantity of this unit, as `N/mm³`, is larger than on the common rig."""
-        over, _, under = unit.partition("/")
-        return self._product(over) / self._product(under)
-
-    def _product(self, part: str) -> float:
-        found = FACTOR.fullmatch(part.strip())
-        return self._of.get(found[1], 1.0) ** POWERS[found[2]] if found else 1.0
-
-    @cached_property
-    def _of(self) -> dict[str, float]:
-        return dict(self.sizes)
+        sizes, (over, _, under) = dict(self.sizes), unit.partition("/")
+        found = [FACTOR.fullmatch(part.strip()) for part in (over, under)]
+        times, per = (sizes.get(one[1], 1.0) ** POWERS[one[2]] if one else 1.0 for one in found)
+        return times / per
 
     def sized(self, parameter: Parameter) -> Parameter:
         """Return a parameter with the bounds and the usual size that it has on this rig."""

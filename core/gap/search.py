@@ -63,12 +63,7 @@ class SearchConfig:
 class EffectSearch:
     """All hypotheses fitted to one case, under one noise level."""
 
-    def __init__(
-        self,
-        case: Case,
-        say: Progress = lambda _: None,
-        problem: Problem | None = None,
-    ) -> None:
+    def __init__(self, case: Case, say: Progress = lambda _: None, problem: Problem | None = None) -> None:
         say("fitting the base twin to all runs")
         base = base_fit(case)
         # Under noise that is known already, as one that is not white.

@@ -77,7 +77,10 @@ class _Fold:
     def chosen(self, others: Iterable[Fit]) -> "_Fold":
         """Return the fold with the hypothesis that would be chosen without the samples held back."""
         problem, now = self.after.problem, (self.before, self.after)
-        foretold = [_refitted_to_first_order(f.under(problem)) for f in others]
+        foretold = [f.under(problem) for f in others]
+        # To first order: the χ² that one step from its slopes promises on the samples a fit sees.
+        pull = [(f, f.jacobian @ f.residual) for f in foretold]
+        foretold = [replace(f, chi2=f.chi2 - float(slope @ f.covariance @ slope)) for f, slope in pull]
         yardstick = Yardstick.of((*now, *foretold))
         least = max(map(yardstick.log_evidence, now)) - NEAR
         near = sorted((f for f in foretold if yardstick.log_evidence(f) > least), key=lambda f: f.bic)
@@ -114,12 +117,6 @@ def quantify(base: Fit, best: Fit, others: Iterable[Fit] = (), is_given: bool = 
     shrink = Shrink(*_forecast(seen, best), _shrink_of(gap.values()))
     ids = tuple(fold.after.hypothesis.ids for fold in chosen)
     return Quantified(gap, shrink, protocol, ids, *_held_out_gain(chosen, best.problem))
-
-
-def _refitted_to_first_order(found: Fit) -> Fit:
-    """Return the fit with the χ² that one step from its slopes promises on the samples it sees."""
-    gradient = found.jacobian @ found.residual
-    return replace(found, chi2=found.chi2 - float(gradient @ found.covariance @ gradient))
 
 
 def _folds(problem: Problem, hypothesis: Hypothesis) -> tuple[list[Mask], str]:

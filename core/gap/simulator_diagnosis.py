@@ -29,7 +29,7 @@ from softcal.core.gap.gap_diagnosis import (
     regime_places,
     under_its_floor,
 )
-from softcal.core.gap.identifiability import Identifiability, identifiability, sentences
+from softcal.core.gap.identifiability import Identifiability, identifiability, reasons
 from softcal.core.gap.next_experiment import MenuEntry, NextExperiment
 from softcal.core.gap.plausibility import DataMistake
 from softcal.core.gap.problem import Block, Problem
@@ -162,8 +162,8 @@ def diagnose_simulator(
     if spoilt:
         return SimulatorDiagnosis.stopped(base, simulator.candidates, spoilt, simulator=simulator)
     told = told_by(simulator, base)
-    for line in sentences(told):
-        say(line)
+    for untold in reasons(told):
+        say(str(untold))
     search = _searched(simulator, base, told, say)
     found = judged(search, [c.id for c in simulator.candidates], say)
     group, verdict, quantified, best = found.group, found.verdict, found.quantified, search.best

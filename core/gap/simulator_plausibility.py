@@ -88,7 +88,9 @@ def cut_off(simulator: Simulator, case: Case) -> tuple[DataMistake, ...]:
         for channel in simulator.channels:
             values = run.columns[channel]
             for end in (float(values.max()), float(values.min())):
-                if _is_cut_off(values, end):
+                # A channel that stands on the steps of an encoder repeats its values everywhere.
+                repeats = float(np.mean(np.diff(values[values != end]) == 0.0))
+                if repeats <= CONFIG.resting and float(np.mean(values == end)) > CONFIG.stuck:
                     count = int(np.sum(values == end))
                     evidence = reason("data.cut_off", channel=channel, level=end, count=count)
                     repair = reason("data.repair.range", channel=channel)
@@ -123,13 +125,6 @@ def against_others(base: Fit) -> tuple[DataMistake, ...]:
 
 def _runs(case: Case) -> list[SimulatorRun]:
     return [run for run in case.runs if isinstance(run, SimulatorRun)]
-
-
-def _is_cut_off(values: Array, end: float) -> bool:
-    # A channel that stands on the steps of an encoder repeats its values everywhere.
-    if float(np.mean(np.diff(values[values != end]) == 0.0)) > CONFIG.resting:
-        return False
-    return float(np.mean(values == end)) > CONFIG.stuck
 
 
 def _agreement(found: Fit, run: int | None = None) -> float:

@@ -16,7 +16,7 @@ from softcal.core.gap.floor import noise_chance
 from softcal.core.gap.linear import energy
 from softcal.core.gap.offsets import rows_of_runs
 from softcal.core.gap.problem import Hypothesis, Problem
-from softcal.core.gap.screen import Lead, Tangent
+from softcal.core.gap.screen import Tangent
 from softcal.core.gap.search import EffectSearch, Progress, SearchConfig
 from softcal.core.gap.simulator import Simulator
 from softcal.core.gap.simulator_problem import SimulatorProblem, followed
@@ -99,8 +99,12 @@ class SimulatorSearch(EffectSearch):
         problem, hypothesis, fits = self.base.problem, self.base.hypothesis.adding(*effects), []
         for effect in effects:
             parent = self.fits.get(tuple(sorted(e.id for e in effects if e is not effect)))
-            lead = None if parent is None else _best_lead(parent, effect)
-            if parent is not None and lead is not None:
+            if parent is None:
+                continue
+            space = Tangent(parent)
+            leads = [space.lead(Probe(effect, row, effect.is_one_sided)) for row in _rows(effect)]
+            lead = max((one for one in leads if one is not None), key=lambda one: one.gain, default=None)
+            if lead is not None:
                 fits.append(fit(problem, parent.hypothesis.adding(effect), lead.start(parent), steps=FIRST_STEPS))
         drawn = scattered([p for effect in hypothesis.effects for p in effect.parameters], DRAWS)
         places = [np.append(self.base.coordinates, place) for place in drawn]
@@ -119,13 +123,6 @@ class SimulatorSearch(EffectSearch):
 
     def _find_stranger(self) -> Fit | None:
         return None
-
-
-def _best_lead(parent: Fit, effect: Effect) -> Lead | None:
-    """Return the best promise of an effect from places all over its bounds."""
-    space = Tangent(parent)
-    leads = [space.lead(Probe(effect, row, effect.is_one_sided)) for row in _rows(effect)]
-    return max((lead for lead in leads if lead is not None), key=lambda lead: lead.gain, default=None)
 
 
 def _rows(effect: Effect) -> list[tuple[float, ...]]:

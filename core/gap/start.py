@@ -164,7 +164,10 @@ def _first_noise(case: Case) -> dict[str, float]:
 
 def rough_start(case: Case) -> Array:
     """Return base coordinates read off the recordings, (5,)."""
-    stage, force, output = (_joined(case, c) for c in ("stage_mm", "force_N", "output_V"))
+    stage, force, output = (
+        np.concatenate([getattr(run, c) for run in case.presses]) if case.has(c) else None
+        for c in ("stage_mm", "force_N", "output_V")
+    )
     u0, k1, k3, r0, kappa = (RigScale.of(case).sized(p).usual for p in BASE)
     loaded = force if force is not None else output
     if stage is not None and loaded is not None:
@@ -188,8 +191,3 @@ def rough_start(case: Case) -> Array:
         kappa = max((1.0 - r0 / float(np.median(resistance[top]))) / float(np.median(drive[top])), 1e-3 * kappa)
     values = (u0, k1, k3, max(r0, 1e-4 * case.readout.r_series_ohm), kappa)
     return np.array([to_fit(p, v) for p, v in zip(BASE, values, strict=True)])
-
-
-def _joined(case: Case, channel: str) -> Array | None:
-    parts = [getattr(run, channel) for run in case.presses]
-    return None if any(part is None for part in parts) else np.concatenate(parts)

@@ -12,6 +12,7 @@ not tell a second cause from another equation of the first.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -43,18 +44,15 @@ TIME, WARMTH, PLACE = "t_s", "warmed_K", "stage_mm"
 """What of the flow a departure may follow."""
 
 
-def _gain(signal: str, follows: str) -> Step:
+def _gain(signal: str, follows: str, is_offset: bool = False) -> Step:
     def step(flow: Flow, values: Sequence[float], _: Memory) -> None:
-        setattr(flow, signal, getattr(flow, signal) * (1.0 + values[0] * getattr(flow, follows)))
+        now, change = getattr(flow, signal), values[0] * getattr(flow, follows)
+        setattr(flow, signal, now + change if is_offset else now * (1.0 + change))
 
     return step
 
 
-def _offset(signal: str, follows: str) -> Step:
-    def step(flow: Flow, values: Sequence[float], _: Memory) -> None:
-        setattr(flow, signal, getattr(flow, signal) + values[0] * getattr(flow, follows))
-
-    return step
+_offset = partial(_gain, is_offset=True)
 
 
 def _divider(flow: Flow, values: Sequence[float], _: Memory) -> None:

@@ -115,10 +115,7 @@ MAINS_HUM = Effect(
     source="pick-up of the mains; 1–10 mV",
     parameters=HUM,
     step=_mains_hum,
-    signs=Signs(
-        placing=Placing.LINE,
-        shown_by=("rest",),
-    ),
+    signs=Signs(placing=Placing.LINE, shown_by=("rest",)),
     of_runs=_hum_of_runs,
 )
 

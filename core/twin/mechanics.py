@@ -134,13 +134,12 @@ def _force_stops(flow: Flow, v: Sequence[float], state: Memory) -> None:
 
 def _stroke_stops(flow: Flow, v: Sequence[float], state: Memory) -> None:
     # Stops act on lengths here; the mean stiffness of the run carries them to newtons.
-    stiffness = constant(v, state, len(STOPS) + 1, "stiffness_N_mm", lambda: _mean_stiffness(flow))
+    def read() -> float:
+        return float(np.max(flow.force_N)) / (float(np.max(flow.deformation_mm)) or 1.0)
+
+    stiffness = constant(v, state, len(STOPS) + 1, "stiffness_N_mm", read)
     bent_mm = stops(flow.deformation_mm, v, state, "reach_mm")
     flow.force_N = np.maximum(0.0, flow.force_N + _touching(flow) * stiffness * bent_mm)
-
-
-def _mean_stiffness(flow: Flow) -> float:
-    return float(np.max(flow.force_N)) / (float(np.max(flow.deformation_mm)) or 1.0)
 
 
 def _touching(flow: Flow) -> Array:
@@ -257,15 +256,10 @@ EFFECTS = (
         hook=Hook.FORCE,
         equation="F = Fe·(1 − m·(1 − exp(−N/N0))), N = completed compressions",
         source="Mullins 1969; 5–30 % in virgin silicone",
-        parameters=(
-            SOFTENING,
-            Parameter("N0", "", 0.2, 50.0, 3.0, scale="log"),
-        ),
+        parameters=(SOFTENING, Parameter("N0", "", 0.2, 50.0, 3.0, scale="log")),
         step=_mullins_softening,
         signs=Signs(
-            probes=Shapes(0.02, (0.5, 2.0, 8.0)),
-            hides_behind=("contact_shift",),
-            shown_by=("amplitude_ladder", "rest"),
+            probes=Shapes(0.02, (0.5, 2.0, 8.0)), hides_behind=("contact_shift",), shown_by=("amplitude_ladder", "rest")
         ),
     ).with_forms(
         plus(_mullins_power, "power of the presses", (POWER, 0.5)),

@@ -45,10 +45,7 @@ def twin_from_record(record: Mapping[str, Any], place: str) -> Twin:
             raise InputError(f"{place}: schema {record['schema']!r}; {SCHEMA} or {RICHER} was expected")
         effects = tuple(
             EffectSetting(
-                e["effect"],
-                e["values"],
-                tuple((float(a), float(b)) for a, b in e["episodes"]),
-                str(e.get("form", "")),
+                e["effect"], e["values"], tuple((float(a), float(b)) for a, b in e["episodes"]), str(e.get("form", ""))
             )
             for e in record["effects"]
         )

@@ -233,11 +233,7 @@ class TwinStream:
 
 
 def simulate(
-    twin: Twin,
-    t_s: Array,
-    stage_mm: Array,
-    rng: np.random.Generator | None = None,
-    temperature_C: Array | None = None,
+    twin: Twin, t_s: Array, stage_mm: Array, rng: np.random.Generator | None = None, temperature_C: Array | None = None
 ) -> tuple[Array, Array]:
     """Return force_N and output_V, (n,) each, of one run that starts from rest at t_s[0].
 

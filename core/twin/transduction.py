@@ -151,10 +151,7 @@ EFFECTS = (
         hook=Hook.RESISTANCE,
         equation="R = R0/(1 − κ·F)·(1 + β·max(0, F − Fc)²)",
         source="closing of a microchannel under pressure, Park and others 2010; above 60–80 % of the limit",
-        parameters=(
-            Parameter("beta", "1/N²", 0.0, 5.0, 0.03, neutral=0.0),
-            Parameter("Fc", "N", 0.2, 50.0, 4.0),
-        ),
+        parameters=(Parameter("beta", "1/N²", 0.0, 5.0, 0.03, neutral=0.0), Parameter("Fc", "N", 0.2, 50.0, 4.0)),
         step=_channel_collapse,
         signs=Signs(
             probes=Shapes(0.6, (0.1, 0.3, 0.5, 0.65, 0.8, 0.9), "force_N", "per_force2"),
@@ -214,9 +211,7 @@ EFFECTS = (
         step=_intermittent_contact,
         is_episodic=True,
         signs=Signs(
-            placing=Placing.INTERVALS,
-            hides_behind=("channel_creep", "dropped_samples"),
-            shown_by=("long_hold",),
+            placing=Placing.INTERVALS, hides_behind=("channel_creep", "dropped_samples"), shown_by=("long_hold",)
         ),
     ),
 )
