@@ -123,7 +123,11 @@ def record(
         dummy_ohm: the resistor of a `dummy_resistor` run.
         known_force: force of a `dead_weights` run at given times.
     """
-    moment, sample_s = _start(rig, path, temperature, rng)
+    sample_s: Array = np.arange(int(path.duration_s * rig.sample_rate_Hz) + 1, dtype=np.float64) / rig.sample_rate_Hz
+    step_s = 1.0 / (rig.sample_rate_Hz * SUBSTEPS)
+    t_s: Array = np.arange(int((sample_s[-1] + TAIL_S) / step_s) + 1, dtype=np.float64) * step_s
+    nothing = np.zeros_like(t_s)
+    moment = Moment(rig, t_s, step_s, path.position_mm(t_s), temperature(t_s), rng, nothing, nothing)
     moment = _press(rack, moment, kind, known_force)
     volts = _output(rack, moment, sample_s, dummy_ohm)
     cell_N = rack.pass_through("cell", moment.force_N, moment)
@@ -149,17 +153,6 @@ _ABSENT = {
     DEAD_WEIGHTS: ("stage_mm", "output_V"),
     REST: (),
 }
-
-
-def _start(
-    rig: Rig, path: Path, temperature: Callable[[Array], Array], rng: np.random.Generator
-) -> tuple[Moment, Array]:
-    samples = int(path.duration_s * rig.sample_rate_Hz) + 1
-    sample_s = np.asarray(np.arange(samples) / rig.sample_rate_Hz, dtype=np.float64)
-    step_s = 1.0 / (rig.sample_rate_Hz * SUBSTEPS)
-    t_s: Array = np.arange(int((sample_s[-1] + TAIL_S) / step_s) + 1, dtype=np.float64) * step_s
-    nothing = np.zeros_like(t_s)
-    return Moment(rig, t_s, step_s, path.position_mm(t_s), temperature(t_s), rng, nothing, nothing), sample_s
 
 
 def _press(rack: Rack, moment: Moment, kind: str, known_force: Callable[[Array], Array] | None) -> Moment:

@@ -72,10 +72,9 @@ def with_constants(found: Fit) -> Fit:
     effects = found.hypothesis.effects
     if not any(_is_open(effect) for effect in effects):
         return found
-    seen: dict[str, dict[str, float]] = {}
-    watched = tuple(_watched(e, seen.setdefault(e.id, {})) if _is_open(e) else e for e in effects)
-    hypothesis = replace(found.hypothesis, effects=watched)
-    found.problem.bare.predict(hypothesis, found.coordinates)
+    seen = {effect.id: dict.fromkeys((name for name, _ in effect.constants), 0.0) for effect in effects}
+    watched = tuple(_watched(e, seen[e.id]) if _is_open(e) else e for e in effects)
+    found.problem.bare.predict(replace(found.hypothesis, effects=watched), found.coordinates)
     fixed = tuple(_fixed(e, seen[e.id]) if _is_open(e) else e for e in effects)
     return fit(found.problem, replace(found.hypothesis, effects=fixed), found.coordinates, steps=40)
 
@@ -89,17 +88,13 @@ def _watched(effect: Effect, seen: dict[str, float]) -> Effect:
 
     def step(flow: Flow, values: Sequence[float], state: Memory) -> None:
         effect.step(flow, values, state)
-        for name, _ in effect.constants:
-            seen[name] = max(seen.get(name, 0.0), float(state[name][0]))
+        seen.update({name: max(most, float(state[name][0])) for name, most in seen.items()})
 
     return replace(effect, step=step)
 
 
 def _fixed(effect: Effect, values: dict[str, float]) -> Effect:
-    constants = tuple((name, values[name]) for name, _ in effect.constants)
-    behind = tuple(value for _, value in constants)
-
     def step(flow: Flow, own: Sequence[float], state: Memory) -> None:
-        effect.step(flow, (*own, *behind), state)
+        effect.step(flow, (*own, *values.values()), state)
 
-    return replace(effect, step=step, constants=constants)
+    return replace(effect, step=step, constants=tuple(values.items()))

@@ -83,18 +83,15 @@ class Fit:
         return replace(self, problem=problem, chi2=energy(residual))
 
     @property
-    def parameter_count(self) -> float:
-        """Free parameters; an episode counts as many, for it was searched for all over the runs."""
-        added = sum(p.weight for effect in self.hypothesis.effects for p in effect.parameters)
-        return int(self.problem.is_free.sum()) + added + EPISODE_COST * self.hypothesis.episode_count
-
-    @property
     def penalty(self) -> float:
         """p·ln(n) of Schwarz for the flexibility, and −2·ln of the prior odds of the causes."""
         # Twenty-five causes are tried: without prior odds the luckiest of them would often win by chance.
         each = -2.0 * float(np.log(PRIOR_ODDS))
         each += DRIVEN_COST if self.problem.is_driven_by_force else 0.0
-        return self.parameter_count * float(np.log(self.problem.count)) + each * len(self.hypothesis.ids)
+        # An episode counts as many parameters, for it was searched for all over the runs.
+        added = sum(p.weight for effect in self.hypothesis.effects for p in effect.parameters)
+        count = int(self.problem.is_free.sum()) + added + EPISODE_COST * self.hypothesis.episode_count
+        return count * float(np.log(self.problem.count)) + each * len(self.hypothesis.ids)
 
     @property
     def bic(self) -> float:

@@ -128,12 +128,8 @@ def named(effects: Sequence[str], code: str) -> Reason:
 
 def _apart(one: Fit, other: Fit, run: Run) -> float:
     """Return how far two rivals stay apart; a larger one could always take the shape of a smaller one."""
-    mine, theirs = set(one.hypothesis.ids), set(other.hypothesis.ids)
-    if mine < theirs:
-        return _distance(one, other, run)
-    if theirs < mine:
-        return _distance(other, one, run)
-    return min(_distance(one, other, run), _distance(other, one, run))
+    pairs = [(a, b) for a, b in ((one, other), (other, one)) if not set(a.hypothesis.ids) > set(b.hypothesis.ids)]
+    return min(_distance(a, b, run) for a, b in pairs)
 
 
 def _distance(mine: Fit, other: Fit, run: Run) -> float:

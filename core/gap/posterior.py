@@ -102,13 +102,13 @@ def _spared(found: Fit) -> float:
 
 def sizes_on_bound(found: Fit) -> int:
     """Return how many causes have ended at the largest size that a rig can show."""
-    count = 0
-    for effect, values in zip(found.hypothesis.effects, found.effect_values, strict=True):
-        size = found.problem.scale.sized(effect.parameters[0])
-        far = [end for end in (size.low, size.high) if end not in (0.0, size.neutral)]
-        if size.scale == "linear" and any(abs(values[0] - end) < 0.01 * abs(end) for end in far):
-            count += 1
-    return count
+    rows = zip(found.hypothesis.effects, found.effect_values, strict=True)
+    sizes = [(found.problem.scale.sized(effect.parameters[0]), values[0]) for effect, values in rows]
+    return sum(
+        size.scale == "linear"
+        and any(abs(value - end) < 0.01 * abs(end) for end in (size.low, size.high) if end not in (0.0, size.neutral))
+        for size, value in sizes
+    )
 
 
 def log_evidences(fits: Fits) -> dict[tuple[str, ...], float]:

@@ -235,17 +235,16 @@ class Effect:
         """
         if self.signs.placing in (Placing.LOSSES, Placing.INTERVALS, Placing.LINE):
             return []
-        rows = self._usual_probes(sized) if self.signs.probes is None else self.signs.probes(at)
-        shapes = [sized(p) for p in self.parameters[1:]]
+        first, *shapes = (sized(p) for p in self.parameters)
+        rows: Sequence[tuple[float, ...]] = [(0.2 * first.usual,)]
+        if self.signs.probes is not None:
+            rows = self.signs.probes(at)
+        elif shapes:
+            usual = [p.usual for p in shapes]
+            rows = [(0.2 * first.usual, factor * usual[0], *usual[1:]) for factor in (0.25, 1.0, 4.0)]
         return [
             (row[0], *(float(np.clip(v, p.low, p.high)) for p, v in zip(shapes, row[1:], strict=True))) for row in rows
         ]
-
-    def _usual_probes(self, sized: Callable[[Parameter], Parameter]) -> list[tuple[float, ...]]:
-        size, usual = 0.2 * sized(self.parameters[0]).usual, [sized(p).usual for p in self.parameters[1:]]
-        if not usual:
-            return [(size,)]
-        return [(size, factor * usual[0], *usual[1:]) for factor in (0.25, 1.0, 4.0)]
 
     @property
     def value_names(self) -> tuple[str, ...]:

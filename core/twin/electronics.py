@@ -14,12 +14,6 @@ from softcal.core.twin.signals import low_pass, read_at
 from softcal.core.twin.transduction import CLIMATE
 
 
-def divide(flow: Flow, readout: ReadoutMetadata) -> None:
-    """Set the output of the divider."""
-    resistance = flow.resistance_ohm + flow.wiring_ohm
-    flow.output_V = flow.reference_V * (resistance / (resistance + readout.r_series_ohm))
-
-
 def digitise(clean_V: Array, noise_V: Array, readout: ReadoutMetadata) -> Array:
     """Return the codes of an ideal ADC in V: rounded to q = Vref/(2ⁿ − 1), clipped to [0, Vref]."""
     step_V = readout.step_V

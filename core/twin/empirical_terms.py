@@ -70,10 +70,6 @@ def _depth(flow: Flow, span: Span) -> Array:
     return np.asarray(flow.deformation_mm / span.depth_mm)
 
 
-def _power(exponent: int) -> Column:
-    return lambda flow, state, span: _load(flow, state, span) ** exponent
-
-
 def _per_s(values: Array, flow: Flow, last: Array) -> Array:
     change = np.diff(values, prepend=last[0])
     last[0] = values[-1]
@@ -139,8 +135,8 @@ def _variables() -> Mapping[str, Variable]:
     loaded = {f"load·{name}": Variable(v.unit, _product(_load, v.column), v.needs) for name, v in plain.items()}
     others = {
         "load": Variable("", _load),
-        "load²": Variable("", _power(2)),
-        "load³": Variable("", _power(3)),
+        "load²": Variable("", lambda flow, state, span: _load(flow, state, span) ** 2),
+        "load³": Variable("", lambda flow, state, span: _load(flow, state, span) ** 3),
         "touch": Variable("", _touch),
         "touch·direction": Variable("", _product(_touch, _direction(SHARP))),
         "acceleration": Variable("1/s²", _acceleration, "stage_mm"),

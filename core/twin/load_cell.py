@@ -14,11 +14,6 @@ SPAN = Parameter("F_max", "N", 10.0, 10.0, 10.0, weight=0.0, is_fixed=True)
 the gain."""
 
 
-def read_force(flow: Flow) -> None:
-    """Set the reading of an ideal cell."""
-    flow.reading_N = flow.force_N
-
-
 def _saturation(flow: Flow, values: Sequence[float], _: Memory) -> None:
     if np.isfinite(values[0]):
         flow.reading_N = values[0] * np.tanh(flow.reading_N / values[0])

@@ -49,16 +49,14 @@ def twin_from_record(record: Mapping[str, Any], place: str) -> Twin:
             )
             for e in record["effects"]
         )
-        terms = tuple(_term(e) for e in record.get("empirical", ()))
-        return Twin(BaseParameters(**record["parameters"]), effects, ReadoutMetadata(**record["metadata"]), terms)
+        terms = []
+        for e in record.get("empirical", ()):
+            numbers = (float(e[name]) for name in ("coefficient", "load_N", "depth_mm"))
+            terms.append(term := EmpiricalTerm(e["place"], e["variable"], *numbers))
+            if e.get("unit", term.unit) != term.unit:
+                raise InputError(f"{term.formula}: its coefficient is in {term.unit}, not in {e['unit']}")
+        return Twin(
+            BaseParameters(**record["parameters"]), effects, ReadoutMetadata(**record["metadata"]), tuple(terms)
+        )
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{place}: does not describe a twin ({error}); write it with softcal gap apply") from error
-
-
-def _term(entry: Mapping[str, Any]) -> EmpiricalTerm:
-    term = EmpiricalTerm(
-        entry["place"], entry["variable"], *(float(entry[name]) for name in ("coefficient", "load_N", "depth_mm"))
-    )
-    if entry.get("unit", term.unit) != term.unit:
-        raise InputError(f"{term.formula}: its coefficient is in {term.unit}, not in {entry['unit']}")
-    return term

@@ -7,18 +7,12 @@ import numpy as np
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Alias, Effect, Flow, Hook, Memory, Parameter, Placing, Signs, memory
 from softcal.core.twin.forms import loops, plus, stop_form, stops, two, two_low_passes
-from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.probes import Shapes, Sizes, Times
 from softcal.core.twin.signals import compiled, direction_state, low_pass
 from softcal.core.words.reason import Reason
 
 COLLAPSED = 0.02
 """Smallest 1 − κ·F that is computed: below, the channel is shut and the form has no meaning."""
-
-
-def conduct(flow: Flow, base: BaseParameters) -> None:
-    """Set the resistance of the channel from what it feels."""
-    flow.resistance_ohm = channel_resistance(flow.drive, base.r0_ohm, base.kappa_per_N)
 
 
 @compiled
