@@ -32,7 +32,7 @@ BLOCK_COMPLIANCE_MM_PER_N = 2e-6
 FORCE_TOLERANCE_N = 1e-9
 ROUNDS = 400
 RELAXED = 0.6
-"""Share of each correction that is taken: more would swing for a frame nearly as soft as the pad."""
+"""Share of each correction that is taken: more swings for a frame as soft as the pad."""
 
 NARROWEST = 0.05
 """Smallest 1 − κ·F a rig may reach; beyond it the channel is shut and the model has no answer."""
@@ -45,7 +45,7 @@ HOOKS = {
     "instant": "acquisition",
     "cell": "load_cell",
 }
-"""Where an equation acts, with its stage in TWIN.md; it is given and gives that place's quantity."""
+"""Where an equation acts, with its stage in TWIN.md; it maps that place's quantity."""
 
 
 @dataclass(frozen=True, eq=False)

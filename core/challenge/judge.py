@@ -46,7 +46,7 @@ class Answer:
 
     @property
     def candidates(self) -> frozenset[str]:
-        """Effects the report keeps in play: the named, the first, and those it cannot tell from them."""
+        """Effects the report keeps in play: the named, the first, and those alike."""
         kept = self.named | ({self.first} if self.first and self.verdict == "ambiguous" else frozenset())
         return (
             kept.union(*(group for group in self.groups if group & kept)) if kept else frozenset().union(*self.groups)
@@ -118,7 +118,7 @@ class Judged:
 
     @property
     def outcome(self) -> str:
-        """One word: right, set (honestly ambiguous), below noise, missed, abstained, alarm, wrong."""
+        """right, set (honestly ambiguous), below noise, missed, abstained, alarm or wrong."""
         if self.answer is None:
             return "wrong" if self.unread else "no report"
         if self.label.case.mistake:

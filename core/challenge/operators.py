@@ -62,7 +62,7 @@ def power_law(signal: Array, step_s: float, fastest_s: float, slowest_s: float) 
 
 @recursion
 def play(signal: Array, width: float) -> Array:  # pragma: no cover - compiled
-    """Follow the input through a clearance: the output lags when rising and meets it when falling."""
+    """Follow the input through a clearance: it lags when rising and meets it when falling."""
     out = np.empty_like(signal)
     state = signal[0]
     for k in range(len(signal)):

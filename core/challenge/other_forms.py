@@ -1,4 +1,4 @@
-"""The catalogue's causes by other equations: a real rig does not know which one the catalogue chose."""
+"""The catalogue's causes by other equations: a rig does not know which one that chose."""
 
 import numpy as np
 

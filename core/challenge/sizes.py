@@ -1,4 +1,4 @@
-"""How large an effect usually is on a rig, drawn at random (orders of magnitude from the literature)."""
+"""How large an effect usually is on a rig, drawn at random (magnitudes from the literature)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

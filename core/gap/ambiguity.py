@@ -1,4 +1,4 @@
-"""What cannot be told apart on these runs: rival hypotheses, and what of an effect the base swallows."""
+"""What cannot be told apart on these runs: rivals, and what of an effect the base swallows."""
 
 from collections.abc import Mapping
 
@@ -13,7 +13,7 @@ from softcal.core.recording import Array
 from softcal.core.twin.catalogue import FORMS
 
 RIVAL_LOG_ODDS = 5.0
-"""A hypothesis within this log evidence of the best (ΔBIC < 10) is a rival: the evidence is weak."""
+"""A hypothesis within this log evidence of the best (ΔBIC < 10) is a rival: weak evidence."""
 
 MOST_RIVALS = 3
 
@@ -65,7 +65,7 @@ def rivals(
 
 
 def _open_additions(fits: Fits, best: Fit, logs: Mapping[tuple[str, ...], float]) -> list[Fit]:
-    """Return hypotheses with one cause more that can be neither named nor left out, likeliest first."""
+    """Return hypotheses with one cause more that can be neither named nor left out."""
     ids = set(best.hypothesis.ids)
     larger = [found for other, found in fits.items() if set(other) > ids and len(other) == len(ids) + 1]
     ahead = [exact_log_evidence(found) - exact_log_evidence(best) for found in larger]

@@ -1,4 +1,4 @@
-"""The diagnosis of a case: where the twin is wrong, why, by how much, how sure, what to press next."""
+"""The diagnosis of a case: where the twin is wrong, why, how sure that is, what to press next."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -95,7 +95,7 @@ class Diagnosis(GapDiagnosis[EmpiricalTerm]):
 
     @property
     def on_bound(self) -> dict[str, float]:
-        """Base parameters that the fit left on a bound, by value: most often the recordings are to blame."""
+        """Base parameters left on a bound, with values: often the recordings are to blame."""
         stuck = {}
         for p, is_free in zip(BASE, self.named.problem.is_free, strict=True):
             value, own = getattr(self.named.base, p.name), self.named.problem.scale.sized(p)

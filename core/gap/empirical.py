@@ -168,7 +168,7 @@ def learned(base: Fit, parents: Sequence[Fit], known: Callable[[Fit], Iterable[T
 
 
 def terms_of_twin(base: Fit) -> Iterator[EmpiricalTerm]:
-    """Give the terms that runs can show; a load and a depth of 1 are the largest of the base in them."""
+    """Give the terms that runs can show; a load and a depth of 1 are the base's largest."""
     problem, case = base.problem, base.problem.case
     if case.has("stage_mm"):
         depth_mm = max(float(np.max(np.asarray(run.stage_mm))) for run in case.presses) - base.base.u0_mm
@@ -320,7 +320,7 @@ def _with_terms(parent: Fit, terms: Sequence[T], use: Array | None) -> tuple[Fit
 
 
 def _error(found: Fit, effect_id: str) -> float:
-    """Standard error of a coefficient; it grows with what is left besides, which is no white noise."""
+    """Standard error of a coefficient; it grows with what is left, which is no white noise."""
     at = found.hypothesis.place_of(effect_id)
     worse = max(1.0, float(np.sqrt(found.chi2 / max(found.problem.count, 1))))
     return max(worse * float(np.sqrt(max(found.covariance[at, at], 0.0))), 1e-300)
@@ -328,7 +328,7 @@ def _error(found: Fit, effect_id: str) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Scores:
-    """Sums of squares on samples held back, by twin (before, without the terms, after), fold, channel."""
+    """Sums of squares on samples held back, by twin (before, without terms, after), fold and channel."""
 
     squares: dict[str, Array]
     """(folds, channels) each."""
@@ -347,7 +347,7 @@ class _Scores:
         return 1.0 - gap(of) / before if before > 0.0 else 0.0
 
     def interval(self, of: str, over: str) -> tuple[float, float, float]:
-        """The shrink with its jackknife interval over the folds (Efron and Tibshirani 1993, ch. 11)."""
+        """The shrink and its jackknife interval over folds (Efron and Tibshirani 1993, ch. 11)."""
         n, value = len(self.counts), self.shrink(of, over)
         each = np.array([self.shrink(of, over, k) for k in range(n)])
         error = float(np.sqrt((n - 1) / n * np.sum((each - each.mean()) ** 2))) if n > 1 else 1.0

@@ -1,4 +1,4 @@
-"""Effects that must be placed first: lost samples and bad contacts in time, hum, a clipped output."""
+"""Effects that must be placed first: lost samples, bad contacts, hum, a clipped output."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -46,7 +46,7 @@ EVENT_SHARE, EVENT_SIGMA = 0.7, 3.0
 that only mop up a smooth gap show none."""
 
 SKEW_STEPS = 8
-"""Skews tried on either side before losses are placed, each half a sample more in the longest run."""
+"""Skews tried on either side before losses are placed, each half a sample more in a run."""
 
 Place: TypeAlias = Callable[[Fit, str], tuple[list[Array], float]]
 """Find the rows of an episodic effect in every run, and its size."""
@@ -91,7 +91,7 @@ def _with_clock_to_place_by(found: Fit, effect: Effect) -> Fit:
 
 
 def with_intervals(found: Fit, effect: Effect, _: Extent) -> Fit | None:
-    """Add an effect that acts in a few intervals: place, fit, place again; None where nothing jumps."""
+    """Add an effect that acts in a few intervals: place, fit, again; None where nothing jumps."""
     grown = _placed(found, effect, _bad_contacts)
     return grown if grown is not None and _jumps(grown, effect.id) else None
 
@@ -272,7 +272,7 @@ def _bad_contacts(found: Fit, effect_id: str) -> tuple[list[Array], float]:
 
 @compiled
 def step_path(error: Array, sigma: Array, size: float, penalty: float) -> Mask:
-    """Return where the error stands at `size`, not at 0: two-state Viterbi, `penalty` for every change."""
+    """Return where the error stands at `size`, not at 0: two-state Viterbi, `penalty` a change."""
     n = len(error)
     back = np.zeros((n, 2), dtype=np.int8)
     low, high = 0.0, penalty

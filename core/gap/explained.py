@@ -1,4 +1,4 @@
-"""The explained twin: the refitted base with the named causes, for the station and simulated lots."""
+"""The explained twin: the refitted base with the named causes, for station and simulated lots."""
 
 from collections.abc import Sequence
 from dataclasses import replace

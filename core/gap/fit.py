@@ -12,7 +12,7 @@ from softcal.core.recording import Array
 from softcal.core.twin.parameters import BaseParameters
 
 DIFFERENCE = 2e-4
-"""Step of a numerical derivative, in usual sizes of the parameter: beyond corners of play and clipping."""
+"""Step of a derivative, in usual sizes of a parameter: beyond corners of play and clipping."""
 
 TRIES = 6
 """Steps tried from one place, each damped more than the one before."""
@@ -143,7 +143,7 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20,
 
 
 def _finite_energy(residual: Array) -> float:
-    """Return the sum of squares; infinite where the prediction is not finite: a fit goes elsewhere."""
+    """Return the sum of squares; infinite where it is not finite: a fit goes elsewhere."""
     found = energy(residual)
     return found if np.isfinite(found) else np.inf
 

@@ -49,7 +49,7 @@ WANDERS = 0.9
 
 
 def noise_of(found: Fit) -> tuple[dict[str, float], dict[str, Colour]]:
-    """Return the white noise of every channel and, where the problem has one, the fading part anew."""
+    """Return the white noise of every channel and, where there is one, the fading part."""
     levels = noise_levels(found)
     if not found.problem.colour:
         return levels, {}
@@ -57,7 +57,7 @@ def noise_of(found: Fit) -> tuple[dict[str, float], dict[str, Colour]]:
 
 
 def coloured(found: Fit) -> Problem | None:
-    """Return the problem with noise that fades, read from what a fit leaves; None where it is white."""
+    """Return the problem with noise that fades, read from what is left; None where it is white."""
     problem = found.problem
     # A measured force that drives the chain brings its own noise along; it cannot be told from the output's.
     if problem.is_driven_by_force:
@@ -87,7 +87,7 @@ Halves: TypeAlias = Callable[[Fit, Block], Mask | None]
 """Which samples of a block, (n,), lie in one of two conditions; None where nothing tells."""
 
 Variables: TypeAlias = Callable[[Fit, str], Iterable[Mapping[str, Array]]]
-"""What the residual of a channel may follow: groups of (samples,) columns by name, tested one by one."""
+"""What the residual of a channel may follow: groups of (samples,) columns by name."""
 
 
 def under_load(found: Fit, block: Block) -> Mask | None:
@@ -211,7 +211,7 @@ def projected(rows: Sequence[Array], held: Array) -> Array:
 
 
 def orthonormal(rows: Array) -> Array:
-    """Return (k, n) orthonormal rows that span rows, without those below a millionth of the strongest."""
+    """Return (k, n) orthonormal rows that span rows, but for those a millionth as strong."""
     if not len(rows):
         return np.zeros((0, 0))
     size = np.sqrt(np.sum(rows**2, axis=1))

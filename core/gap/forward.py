@@ -23,7 +23,7 @@ RETRACTED_mm = -1e3
 """Stage position that stands for a rest: far above the pad."""
 
 INVERSE_STEPS = 4
-"""Fixed-point steps from a reading back to a force: effects of a few per cent are undone to 1e-6."""
+"""Fixed-point steps from a reading back to a force: a few per cent are undone to 1e-6."""
 
 TOUCHING_share = 0.05
 """A rigid block is taken as touched above this share of the largest force."""

@@ -94,14 +94,14 @@ class GapPlace:
 
 @dataclass(frozen=True)
 class Partial:
-    """The causes that come nearest where nothing explains the gap, and the share they take of it."""
+    """The causes that come nearest where nothing explains the gap, and their share of it."""
 
     effects: tuple[str, ...]
     share: float
 
 
 def let_go(search: EffectSearch) -> set[str]:
-    """Take out of the best hypothesis, and return, causes that lower nothing on samples held back."""
+    """Take out of the best hypothesis, and return, causes that lower nothing on unseen samples."""
     gone: set[str] = set()
     while len(search.best.hypothesis.ids) > 1:
         rest = search.one_less(search.best)
@@ -131,7 +131,7 @@ def on_unseen(group: tuple[Fit, ...], gone: set[str]) -> tuple[tuple[Fit, ...], 
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """What a search has come to: the best hypothesis and its rivals, the shrink, verdict and chances."""
+    """What a search has come to: the best hypothesis, its rivals, shrink, verdict and chances."""
 
     group: tuple[Fit, ...]
     quantified: Quantified
@@ -191,7 +191,7 @@ def under_its_floor(
 def _verdict(
     search: EffectSearch, group: tuple[Fit, ...], quantified: Quantified, is_uneven: Callable[[Fit], bool]
 ) -> DiagnosisVerdict:
-    """Return the verdict: what is left is noise, or hardly anything, held out too, or it is unknown."""
+    """Return the verdict: what is left is noise, hardly anything, or unknown."""
     best, base = search.best, search.base
     if search.stranger is not None:
         return "unknown"
@@ -251,7 +251,7 @@ def shares_of(search: EffectSearch, best: Fit) -> dict[str, float]:
 
 
 def estimates_of(found: Fit, effect_id: str) -> dict[str, ParameterEstimate]:
-    """Return value and 90 % interval of the parameters of an effect; none where the fit lacks it."""
+    """Return value and 90 % interval of an effect's parameters; none where the fit lacks it."""
     spread = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
     for effect in found.hypothesis.effects:
         if effect.id == effect_id:

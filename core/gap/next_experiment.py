@@ -62,7 +62,7 @@ class NextExperiment:
 
 
 def menu(case: Case, depth_mm: float, force_N: float) -> tuple[MenuEntry, ...]:
-    """Return what can be recorded here: stage profiles to the depth already pressed, and special runs."""
+    """Return what can be recorded here: profiles to the depth already pressed, and special runs."""
     d = depth_mm
     rate_Hz = case.readout.sample_rate_Hz
     pressed: dict[str, Profile] = {}
@@ -127,7 +127,7 @@ def named(effects: Sequence[str], code: str) -> Reason:
 
 
 def _apart(one: Fit, other: Fit, run: Run) -> float:
-    """Return how far two rivals stay apart; a larger one could always take the shape of a smaller one."""
+    """Return how far two rivals stay apart; a larger one can take the shape of a smaller one."""
     pairs = [(a, b) for a, b in ((one, other), (other, one)) if not set(a.hypothesis.ids) > set(b.hypothesis.ids)]
     return min(_distance(a, b, run) for a, b in pairs)
 

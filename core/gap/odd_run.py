@@ -80,7 +80,7 @@ def odd_run(base: Fit) -> DataMistake | None:
 
 
 def odd_run_beside(search: EffectSearch) -> DataMistake | None:
-    """Return the mistake of one run that, with one cause or none, explains more than all causes found."""
+    """Return the mistake of one run that, with one cause or none, explains more than all causes."""
     best, base = search.best, search.base
     if len(best.hypothesis.ids) < 2 and search.is_clean(best):
         return None

@@ -24,7 +24,7 @@ RESISTANCE = 0.02
 """Largest change of the unloaded resistance between runs that is seating or room temperature."""
 
 SEAT = 0.03
-"""Largest change of the height of the surface between runs that is seating, as a share of the stroke."""
+"""Largest change of the surface's height between runs that is seating, over the stroke."""
 
 STRAIGHT_SIGMA = 0.5
 """Share of its noise that an offset may move a sample along the slope: bends err far less."""
@@ -107,7 +107,7 @@ class Nearby:
 def with_offsets(
     problem: "Problem", hypothesis: "Hypothesis", coordinates: Array, clean: Array
 ) -> tuple[Array, Nearby]:
-    """Return a (samples,) prediction with the offsets that bend it, and how all of them move nearby."""
+    """Return a (samples,) prediction with the offsets that bend it, and how all move nearby."""
     near = Nearby(problem.directions(hypothesis, coordinates, clean, {}))
     for _ in range(PASSES - 1):
         sizes = near.sizes(problem, clean)
@@ -244,7 +244,7 @@ def directions(
 def _rows(
     kinds: tuple[bool, bool], stage_mm: Array, clean: Array, vref_V: float, base: tuple[float, float, float, float]
 ) -> Array:
-    """(3, n) change of a channel per N of tare, share of R0 and mm of seat, by the base's equations."""
+    """(3, n) change of a channel per N of tare, share of R0 and mm of seat, by the base."""
     is_force, is_strain = kinds
     u0_mm, k1_N_mm, k3_N_mm3, kappa_per_N = base
     out = np.zeros((3, len(clean)))

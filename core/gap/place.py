@@ -103,10 +103,10 @@ SWINGS = 4
 """Changes of sign from which a static residual is taken as a ripple, not as a bend."""
 
 FAINT_Z = 30.0
-"""Structure of the maps below which uneven noise says more of the place: it stirs them up a little."""
+"""Structure of the maps below which uneven noise says more of the place: it stirs them a little."""
 
 BREATHES_Hz, MOST_OF_LINE = 0.5, 0.5
-"""A tone so close to a named line, and so much smaller, is what is left of it as it swells and fades."""
+"""A tone so close to a named line, and so much smaller, is what is left of it as it swells."""
 
 MOST = 0.5
 """Share of the structured residual that a regularity must account for to count."""
@@ -235,7 +235,7 @@ def _behind(base: Fit) -> ChainStage:
 
 
 def _static(error: Array, drive: Array, excess: float) -> tuple[float, int]:
-    """Return which share of the excess the drive alone determines, and how often it changes sign."""
+    """Return which share of the excess the drive determines, and how often it changes sign."""
     edges = np.linspace(drive.min(), drive.max() + 1e-12, BINS + 1)
     place = np.clip(np.digitize(drive, edges) - 1, 0, BINS - 1)
     count = np.bincount(place, minlength=BINS)
@@ -248,7 +248,7 @@ def _static(error: Array, drive: Array, excess: float) -> tuple[float, int]:
 
 
 def _is_motion(base: Fit) -> bool:
-    """Whether the force is off as by a wrong position: a ripple over the travel, or a jump in time."""
+    """Whether the force is off as by a wrong position: a ripple over the travel, or a jump."""
     blocks = base.problem.blocks_of("force_N", "press")
     if not blocks:
         return False
@@ -270,7 +270,7 @@ def _travel(run: Run) -> Array:
 
 
 def _displacement(base: Fit, block: Block, run: Run) -> Array:
-    """(n,) residual of the force in which a wrong position weighs alike at every depth of contact."""
+    """(n,) residual of the force in which a wrong position weighs alike at any depth."""
     depth_mm = np.maximum(0.0, _travel(run) - base.base.u0_mm)
     slope = base.base.k1_N_mm + 3.0 * base.base.k3_N_mm3 * depth_mm**2
     scaled = base.residual[block.place] * float(np.median(slope)) / np.maximum(slope, 1e-9 * float(np.max(slope)))

@@ -48,7 +48,7 @@ UNITS_OF_RUN: Mapping[str, Mapping[str, float]] = {
 """The same for one run, where the others tell how large its values must be."""
 
 STIFFNESS_N_mm = (0.4, 25.0)
-"""Peak force over depth of a soft pad; beyond it a unit may be wrong, if one brings all back to ..."""
+"""Peak force over depth of a soft pad; beyond, a unit may be wrong, if one brings all back to ..."""
 
 USUAL = {"stiffness_N_mm": 2.0, "depth_mm": 3.0, "force_N": 6.0}
 NEAR_USUAL = 5.0

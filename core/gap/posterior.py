@@ -1,4 +1,4 @@
-"""How probable each effect is, by the evidence of hypotheses that are not trusted to the last sigma."""
+"""How probable each effect is, by hypotheses that are not trusted to the last sigma."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -89,7 +89,7 @@ def penalty(found: Fit) -> float:
 
 
 def _spared(found: Fit) -> float:
-    """What sizes pay less than Schwarz's ln n: −2·ln of the posterior's share of the prior (Laplace)."""
+    """What sizes pay less than Schwarz's ln n: −2·ln of posterior over prior (Laplace)."""
     spared, most = 0.0, float(np.log(found.problem.count))
     for effect in found.hypothesis.effects:
         at = found.hypothesis.place_of(effect.id)

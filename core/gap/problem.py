@@ -1,4 +1,4 @@
-"""What a fit is of: a hypothesis, and the measured channels of a case as one vector with weights."""
+"""What a fit is of: a hypothesis, and measured channels as one vector with weights."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -176,7 +176,7 @@ class Problem:
 
     @property
     def smooth_order(self) -> int:
-        """Which differences of a residual hold noise alone: second ones where the rest may be quick."""
+        """Which differences of a residual hold noise alone: second ones where all is quick."""
         return 1
 
     def least_noise(self, channel: str) -> float:
@@ -202,7 +202,7 @@ class Problem:
 
     @cached_property
     def slow_noise(self) -> Array:
-        """(samples,) standard deviation of white noise as strong as this one near zero frequency."""
+        """(samples,) standard deviation of white noise as strong as this near zero frequency."""
         if not self.colour:
             return self.noise
         variance = self.noise**2
@@ -230,7 +230,7 @@ class Problem:
         return 1.0 / self.noise if self.use is None else self.use / self.noise
 
     def whitened(self, values: Array) -> Array:
-        """Return (samples,) independent values in units of their noise, 0 where a fit may not look."""
+        """Return (samples,) independent values over their noise, 0 where a fit may not look."""
         out = np.asarray(values * self.weights)
         for block, steps in self._filters:
             out[block.place] = filtered(values[block.place], steps)

@@ -1,4 +1,4 @@
-"""Where the gap lies: three maps refitted separately, and regimes in which the residual stands out."""
+"""Where the gap lies: three maps refitted separately, and where the residual stands out."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace

@@ -14,7 +14,7 @@ from softcal.core.gap.case import Case
 from softcal.core.twin.effects import Parameter
 
 COMMON = {"N": 8.0, "mm": 3.0, "ohm": 10.0, "V": 4.0}
-"""Force, stroke, series resistor and supply of the rig that the catalogue's bounds are written for."""
+"""Force, stroke, series resistor and supply of the rig of the catalogue's bounds."""
 
 FACTOR = re.compile(r"(N|mm|ohm|V|s|K|Hz|rad|1)([²³]?)")
 POWERS = {"": 1, "²": 2, "³": 3}

@@ -1,4 +1,4 @@
-"""Which effects are worth a full fit: score tests of every probe, with the fitted parameters set free."""
+"""Which effects are worth a full fit: score tests of every probe, fitted parameters set free."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -85,7 +85,7 @@ def screen(found: Fit, candidates: Sequence[Probe]) -> list[Lead]:
 
 
 def hiding(found: Fit, candidates: Sequence[Probe], share: float) -> list[Probe]:
-    """Return the last probe of every effect that the fitted parameters imitate to this share or more."""
+    """Return the last probe of every effect that the fitted parameters imitate to this share."""
     space = Tangent(found)
     last: dict[str, Probe] = {}
     for probe in candidates:

@@ -87,7 +87,7 @@ class EffectSearch:
         self.fits: dict[tuple[str, ...], Fit] = {(): base}
         self.stranger: Fit | None = None
         self.held_open: dict[str, Fit] = {}
-        """Causes that another equation of those beside them would explain as well, with a fit of each."""
+        """Causes that another equation of those beside them explains as well, with fits."""
 
     def run(self) -> None:
         """Grow the hypotheses until no effect promises anything more."""
@@ -133,7 +133,7 @@ class EffectSearch:
         return rough_start(self.base.problem.case)
 
     def _share_places(self) -> None:
-        """Give smaller hypotheses the episodes that the closest one has found: places are no cause."""
+        """Give smaller hypotheses the episodes that the closest one has: places are no cause."""
         donor = min(self.fits.values(), key=lambda f: f.chi2)
         placed = {e.id for e in donor.hypothesis.effects if e.is_episodic}
         if not donor.hypothesis.episode_count:
@@ -182,7 +182,7 @@ class EffectSearch:
         return {i: self.fits[rest] for k, i in enumerate(ids) if (rest := ids[:k] + ids[k + 1 :]) in self.fits}
 
     def _look_beside(self) -> None:
-        """Fit what may stand beside the best hypothesis: a small or hidden effect is found there alone."""
+        """Fit what may stand beside the best hypothesis: small or hidden effects."""
         for _ in range(3):
             parent = self.best
             if not parent.hypothesis.ids:
@@ -231,7 +231,7 @@ class EffectSearch:
         return noise_chance(found)
 
     def is_explained(self, found: Fit) -> bool:
-        """Whether what is left is nothing, or little enough to be another equation of the same causes."""
+        """Whether what is left is nothing, or as little as another equation of the causes leaves."""
         if self.is_clean(found):
             return True
         enough = self._config.enough
@@ -262,7 +262,7 @@ class EffectSearch:
         self._settle_noise(self._leader)
 
     def _try_forms_within(self, best: Fit) -> bool:
-        """Fit other realisations of each cause with one other left out; tell whether one of them won."""
+        """Fit other realisations of each cause with one other left out; tell whether one won."""
         for smaller in self.one_less(best).values():
             for cause in smaller.hypothesis.ids if len(smaller.hypothesis.ids) > 1 else ():
                 for form in FORMS.get(cause, ()):
@@ -285,7 +285,7 @@ class EffectSearch:
         return is_promised or any(child.bic < found.bic for child in self._placed(found))
 
     def keep(self, found: Fit) -> None:
-        """Keep a fit that is the best of its causes; one that ended where a simulator fails is none."""
+        """Keep the best fit of its causes; one where a simulator fails is none."""
         if found.chi2 == np.inf:
             return
         if (before := self.fits.get(found.hypothesis.ids)) is not None:
@@ -294,7 +294,7 @@ class EffectSearch:
         self.fits[found.hypothesis.ids] = found
 
     def grown_from(self, parent: Fit) -> list[Fit]:
-        """Return fits of another start than the base with each of its likeliest effects; none is kept."""
+        """Return fits of another start with each of its likeliest effects; none is kept."""
         leads = screen(parent, self._probes)[: self._config.leads[-1]]
         return [joined(parent, lead) for lead in leads] + self._placed(parent)
 

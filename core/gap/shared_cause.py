@@ -71,7 +71,7 @@ class Searched:
         return float(np.log(STRAY_ODDS)) + self.top
 
     def log_term(self, ids: Ids) -> float:
-        """Return what the unit adds to the lot's log evidence: it shares these causes, or strays."""
+        """Return what the unit adds to the lot's log evidence: it shares causes, or strays."""
         return float(np.logaddexp(np.log1p(-STRAY_ODDS) + self.shared(ids), self.stray))
 
     def add(self, ids: Ids, donor: tuple[Hypothesis, Array]) -> None:

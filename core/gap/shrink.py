@@ -40,7 +40,7 @@ class ChannelGap:
 
 @dataclass(frozen=True)
 class Shrink:
-    """1 − (after − floor)/(before − floor): forecast with a 90 % interval, and on samples held back."""
+    """1 − (after − floor)/(before − floor): forecast with 90 % interval, and on unseen samples."""
 
     predicted: float
     low: float
@@ -75,7 +75,7 @@ class _Fold:
     after: Fit
 
     def chosen(self, others: Iterable[Fit]) -> "_Fold":
-        """Return the fold with the hypothesis that would be chosen without the samples held back."""
+        """Return the fold with the hypothesis chosen without the samples held back."""
         problem, now = self.after.problem, (self.before, self.after)
         foretold = [f.under(problem) for f in others]
         # To first order: the χ² that one step from its slopes promises on the samples a fit sees.

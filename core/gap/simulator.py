@@ -107,7 +107,7 @@ class Simulator:
 
     @cached_property
     def offsets(self) -> tuple[tuple[str, str], ...]:
-        """Channel and kind of what each run may have of its own; a delay comes with its straightness."""
+        """Channel and kind of what each run may have of its own; delays have a straightness."""
         own = [(channel, kind) for channel, kinds in self.per_run.items() for kind in kinds]
         return (*own, *((channel, STRAIGHT) for channel, kind in own if kind == "delay"))
 

@@ -265,7 +265,7 @@ def _searched(simulator: Simulator, base: Fit, told: Identifiability, say: Progr
 
 
 def told_by(simulator: Simulator, base: Fit) -> Identifiability:
-    """Return what the runs of a base fit tell of a simulator, and which experiments tell the rest."""
+    """Return what the runs of a base fit tell, and which experiments tell the rest."""
     names = [f"{kind} of {channel}" for channel, kind in simulator.offsets]
     return identifiability(base, simulator.candidates, menu_of(simulator), names)
 

@@ -99,7 +99,7 @@ def cut_off(simulator: Simulator, case: Case) -> tuple[DataMistake, ...]:
 
 
 def against_others(base: Fit) -> tuple[DataMistake, ...]:
-    """Return what the simulator shows: one run in another unit or sign, columns that were exchanged."""
+    """Return what the simulator shows: one run in another unit or sign, exchanged columns."""
     problem = base.problem
     if not isinstance(problem, SimulatorProblem) or _agreement(base) > CONFIG.good:
         return ()

@@ -95,7 +95,7 @@ class SimulatorSearch(EffectSearch):
         return sorted(gains, key=lambda pair: -gains[pair])[:MOST_PAIRS]
 
     def _try(self, effects: tuple[Effect, ...]) -> None:
-        """Fit causes from the likeliest of many places, and by what each promises beside the others."""
+        """Fit causes from the likeliest of many places, and from what each promises."""
         problem, hypothesis, fits = self.base.problem, self.base.hypothesis.adding(*effects), []
         for effect in effects:
             parent = self.fits.get(tuple(sorted(e.id for e in effects if e is not effect)))

@@ -1,4 +1,4 @@
-"""How well calibrations of simulated lots foretell those on the rig, without and with the causes."""
+"""How well calibrations of simulated lots foretell those on the rig, without and with causes."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass

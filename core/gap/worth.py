@@ -47,7 +47,7 @@ class CalibrationWorth:
 
     @property
     def saves(self) -> int:
-        """Rig recordings that need not be made, at least; those that the twin was fitted to are off."""
+        """Rig recordings saved, at least; those that the twin was fitted to are off."""
         return max((self.worth or len(self.rig)) - self.fitted_on, 0)
 
     @property

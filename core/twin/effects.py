@@ -97,7 +97,7 @@ class Flow:
     output_V: Array = field(default_factory=_not_yet)
     reading_N: Array = field(default_factory=_not_yet)
     is_unforeseeable: NDArray[np.bool_] | None = None
-    """(n,) where nobody can foretell the output: after the end, or amid a step; None for nowhere."""
+    """(n,) where nobody can foretell the output: past the end, or amid a step; None: nowhere."""
 
     @property
     def warmed_K(self) -> Array:
@@ -211,7 +211,7 @@ class Effect:
 
     @property
     def is_one_sided(self) -> bool:
-        """Whether its size has one sign: it starts at 0, or is a level whose absence is infinity."""
+        """Whether its size has one sign: from 0, or a level whose absence is infinity."""
         size = self.parameters[0]
         return size.low == 0.0 or size.neutral == np.inf
 
@@ -221,7 +221,7 @@ class Effect:
         return self.is_episodic or self.of_runs is not None
 
     def side_with(self, names: Sequence[str]) -> "Effect":
-        """Return the side of this effect with parameters of these names; itself where none has all."""
+        """Return the side with parameters of these names; itself where none has all."""
         every = (self, *self.sides)
         return next((side for side in every if set(names) <= {p.name for p in side.parameters}), self)
 
@@ -252,7 +252,7 @@ class Effect:
         return (*(p.name for p in self.parameters), *(name for name, _ in self.constants))
 
     def form_called(self, name: str) -> "Effect | None":
-        """Return the realisation of this name, itself for an empty one; None without such a form."""
+        """Return the form of this name, itself for an empty one; None without such a form."""
         return next((f.effect for f in self.forms if f.effect.equation == name), None) if name else self
 
     def with_forms(self, *makers: "Callable[[Effect], Form]") -> "Effect":

@@ -76,7 +76,7 @@ HUM_STEP_Hz = 0.05
 """Scale on which the fit moves the frequency: it turns the phase about once in a run."""
 
 PHASE_WEIGHT = 0.5
-"""What the phase of one run counts as: known to a fifth of a period, far less than ln n stands for."""
+"""What the phase of one run counts as: known to a fifth of a period, far less than ln n."""
 
 HUM = (
     Parameter("A", "V", 0.0, 0.5, 0.004, neutral=0.0),

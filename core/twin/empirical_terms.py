@@ -38,7 +38,7 @@ TOUCH = 0.05
 
 @dataclass(frozen=True)
 class Span:
-    """What a load and a depth of 1 stand for: the largest of the recordings that were learned from."""
+    """What a load and a depth of 1 stand for: the largest that was learned from."""
 
     load_N: float
     depth_mm: float

@@ -14,7 +14,7 @@ from softcal.core.twin.signals import compiled, completed_presses, direction_sta
 
 
 def press(flow: Flow, base: BaseParameters) -> None:
-    """Set deformation and force from the pad's position, with a toe and a soft frame where there are."""
+    """Set deformation and force from the pad's position, with a toe and a soft frame."""
     indentation = np.maximum(0.0, flow.pad_mm - flow.contact_mm)
     if flow.toe_mm or flow.compliance_mm_N:
         frame = (flow.toe_mm, flow.toe_tail, flow.compliance_mm_N)

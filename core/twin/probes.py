@@ -1,4 +1,4 @@
-"""How far a recording reaches, and where the search for an effect on it begins, in its own units."""
+"""How far a recording reaches, and where a search for an effect begins on it."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
