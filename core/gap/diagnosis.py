@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction
-from softcal.core.gap.candidates import is_told, visible_effects
 from softcal.core.gap.case import Case
 from softcal.core.gap.empirical import LearnedResidual, learned, terms_of_twin
 from softcal.core.gap.explained import explained_twin, in_catalogue_form, with_constants
@@ -32,8 +30,10 @@ from softcal.core.gap.odd_run import odd_run, odd_run_beside
 from softcal.core.gap.offsets import OFFSET_NAMES, Offsets, offsets
 from softcal.core.gap.place import likely_stages, loose_noise
 from softcal.core.gap.plausibility import DataMistake, doubts, mistakes
+from softcal.core.gap.posterior import confused_pairs, hidden_fraction
 from softcal.core.gap.problem import BASE
 from softcal.core.gap.residual import Map, Regime, regimes, structure, three_maps
+from softcal.core.gap.screen import is_told, visible_effects
 from softcal.core.gap.search import EffectSearch
 from softcal.core.gap.start import unfitted
 from softcal.core.gap.strangers import stranger_of
@@ -153,7 +153,7 @@ def diagnose(
     if spoilt := mistakes(case):
         return _stopped(unfitted(case), spoilt)
     search = EffectSearch(case, say)
-    runs_tell = told_by(search.base, search.depth_mm, search.force_N)
+    runs_tell = told_by(search)
     for untold in reasons(runs_tell):
         say(str(untold))
     if (odd := odd_run(search.base)) is not None:
@@ -208,13 +208,13 @@ def checked(case: Case) -> tuple[tuple[DataMistake, ...], Identifiability | None
     if spoilt := mistakes(case):
         return spoilt, None
     search = EffectSearch(case)
-    return doubts(case), told_by(search.base, search.depth_mm, search.force_N)
+    return doubts(case), told_by(search)
 
 
-def told_by(base: Fit, depth_mm: float, force_N: float) -> Identifiability:
-    """Return what the runs of a base fit tell of the twin, and which experiments tell the rest."""
-    case = base.problem.case
-    return identifiability(base, visible_effects(case), menu(case, depth_mm, force_N), OFFSET_NAMES)
+def told_by(search: EffectSearch) -> Identifiability:
+    """Return what the runs of a search tell of the twin, and which experiments tell the rest."""
+    case = search.base.problem.case
+    return identifiability(search.base, visible_effects(case), menu(case, search.extent), OFFSET_NAMES)
 
 
 def _stopped(base: Fit, found: tuple[DataMistake, ...]) -> Diagnosis:
@@ -294,7 +294,7 @@ def _unknown_places(
 
 def _next(case: Case, search: EffectSearch, group: tuple[Fit, ...], verdict: DiagnosisVerdict) -> NextExperiment:
     # Where something is left besides, causes that look alike are told apart all the same, if a run can.
-    proposed = propose(case, group, search.depth_mm, search.force_N)
+    proposed = propose(case, group, search.extent)
     if proposed is not None and (verdict != "unknown" or proposed.profile != "none"):
         return proposed
     if verdict == "unknown":

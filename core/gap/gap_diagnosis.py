@@ -7,7 +7,6 @@ from typing import Any, Generic, Literal, Self, TypeVar
 
 import numpy as np
 
-from softcal.core.gap.ambiguity import rivals
 from softcal.core.gap.case import Case
 from softcal.core.gap.coordinates import from_fit
 from softcal.core.gap.empirical import LearnedResidual, T
@@ -18,7 +17,7 @@ from softcal.core.gap.floor import coloured
 from softcal.core.gap.identifiability import Identifiability
 from softcal.core.gap.next_experiment import NextExperiment
 from softcal.core.gap.plausibility import DataMistake
-from softcal.core.gap.posterior import exact_log_evidence, log_evidences, probabilities
+from softcal.core.gap.posterior import exact_log_evidence, log_evidences, probabilities, rivals
 from softcal.core.gap.problem import Problem
 from softcal.core.gap.residual import Regime
 from softcal.core.gap.search import EffectSearch

@@ -10,6 +10,7 @@ from softcal.core.gap.case import Case, Run
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import dots, energy, gram
 from softcal.core.profiles import Profile
+from softcal.core.twin.probes import Extent
 from softcal.core.words.reason import Reason, in_words, reason, several
 
 ENOUGH_SIGMA = 10.0
@@ -61,10 +62,9 @@ class NextExperiment:
         return in_words({name: value for name, value in vars(self).items() if name != "stage_profile"}, "why")
 
 
-def menu(case: Case, depth_mm: float, force_N: float) -> tuple[MenuEntry, ...]:
+def menu(case: Case, extent: Extent) -> tuple[MenuEntry, ...]:
     """Return what can be recorded here: profiles to the depth already pressed, and special runs."""
-    d = depth_mm
-    rate_Hz = case.readout.sample_rate_Hz
+    d, rate_Hz = extent.depth_mm, case.readout.sample_rate_Hz
     pressed: dict[str, Profile] = {}
     if case.has("stage_mm"):
         pressed = {
@@ -82,18 +82,16 @@ def menu(case: Case, depth_mm: float, force_N: float) -> tuple[MenuEntry, ...]:
         force, output = (np.zeros(len(t_s)) if case.has(name) else None for name in ("force_N", "output_V"))
         run = Run(profile.name, t_s, case.readout, stage_mm, force, output, is_planned=True)
         entries.append(MenuEntry(name, run, SET_UP_min["press"] + profile.duration_s / 60, profile))
-    return (*entries, *_special(case, force_N, rate_Hz))
+    return (*entries, *_special(case, extent.force_N, rate_Hz))
 
 
-def propose(case: Case, rivals: Sequence[Fit], depth_mm: float, force_N: float) -> NextExperiment | None:
+def propose(case: Case, rivals: Sequence[Fit], extent: Extent) -> NextExperiment | None:
     """Return the experiment that tells most rivals from the first, and does so best per minute; None without rivals.
 
     The distance of two rivals is what the second's prediction keeps from the first after the first has been refitted
     to the old runs and the new one together (T-optimality with refit, to first order).
     """
-    if len(rivals) < 2:
-        return None
-    return most_telling(menu(case, depth_mm, force_N), rivals)
+    return None if len(rivals) < 2 else most_telling(menu(case, extent), rivals)
 
 
 def most_telling(entries: Sequence[MenuEntry], rivals: Sequence[Fit]) -> NextExperiment:

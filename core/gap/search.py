@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from softcal.core.gap.candidates import Probe, extent_of, probes, visible_effects
 from softcal.core.gap.case import Case
 from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.episodes import PLACERS, placed_again
@@ -14,7 +13,7 @@ from softcal.core.gap.floor import noise_chance, noise_of
 from softcal.core.gap.posterior import Yardstick, log_evidences
 from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.gap.residual import structure
-from softcal.core.gap.screen import hiding, joined, screen
+from softcal.core.gap.screen import Probe, extent_of, hiding, joined, probes, screen, visible_effects
 from softcal.core.gap.start import base_fit, rough_start, with_driving_noise
 from softcal.core.gap.strangers import imitated_causes, stranger
 from softcal.core.recording import Array
@@ -68,7 +67,7 @@ class EffectSearch:
         base = base_fit(case)
         # Under noise that is known already, as one that is not white.
         base = base if problem is None else fit(problem, Hypothesis(), base.coordinates)
-        extent = _extent(base)
+        extent = extent_of(base)
         to_place = [e for e in visible_effects(case) if e.signs.placing is not None]
         self._begin(base, probes(case, extent), to_place, extent, SearchConfig(), say)
 
@@ -82,7 +81,7 @@ class EffectSearch:
         say: Progress,
     ) -> None:
         self._config, self._say = config, say
-        self._extent, self._probes, self._to_place = extent, candidates, to_place
+        self.extent, self._probes, self._to_place = extent, candidates, to_place
         self.base = self.best = base
         self.fits: dict[tuple[str, ...], Fit] = {(): base}
         self.stranger: Fit | None = None
@@ -238,16 +237,6 @@ class EffectSearch:
         return self.share(found) >= enough[min(len(found.hypothesis.ids), len(enough)) - 1]
 
     @property
-    def depth_mm(self) -> float:
-        """Deepest stage position beyond contact."""
-        return self._extent.depth_mm
-
-    @property
-    def force_N(self) -> float:
-        """Largest force of the runs."""
-        return self._extent.force_N
-
-    @property
     def _leader(self) -> Fit:
         """The hypothesis of best evidence in white noise: the one to grow further."""
         return min(self.fits.values(), key=lambda f: f.bic)
@@ -318,7 +307,7 @@ class EffectSearch:
             if (placing := side.signs.placing) is None:
                 size = side.parameters[0].name
                 raise ValueError(f"{side.id} ({size}) has a side that is placed and must be placed too")
-            found.append((placing, PLACERS[placing](parent, side, self._extent)))
+            found.append((placing, PLACERS[placing](parent, side, self.extent)))
         # Steps placed freely in time take a little off any structure; they must take a visible part of the gap.
         least = self._config.patch * max(self.base.chi2 - self.base.problem.count, 0.0)
         return [
@@ -337,12 +326,3 @@ class EffectSearch:
             for found in {id(f): f for f in (self.fits[()], *likely)}.values():
                 self.fits[found.hypothesis.ids] = fit(problem, found.hypothesis, found.coordinates, steps=6)
         self.base = self.fits[()]
-
-
-def _extent(base: Fit) -> Extent:
-    case = base.problem.case
-    depths = [float(run.stage_mm.max()) for run in case.presses if run.stage_mm is not None]
-    depth_mm = max(depths) - base.base.u0_mm if depths else 1.0
-    forces = [float(run.force_N.max()) for run in case.presses if run.force_N is not None]
-    force_N = max(forces) if forces else base.base.k1_N_mm * depth_mm + base.base.k3_N_mm3 * depth_mm**3
-    return extent_of(case, depth_mm, force_N)

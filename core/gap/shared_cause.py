@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.gap.ambiguity import ADDED_LOG_ODDS, MOST_RIVALS, NEGLIGIBLE_LOG_ODDS, RIVAL_LOG_ODDS
 from softcal.core.gap.case import Case
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
 from softcal.core.gap.fit import PRIOR_ODDS, Fit, fit
@@ -17,7 +16,18 @@ from softcal.core.gap.gap_diagnosis import (
     ParameterEstimate,
     estimates_of,
 )
-from softcal.core.gap.posterior import Fits, Yardstick, log_evidences, misfit, penalty, probabilities
+from softcal.core.gap.posterior import (
+    ADDED_LOG_ODDS,
+    MOST_RIVALS,
+    NEGLIGIBLE_LOG_ODDS,
+    RIVAL_LOG_ODDS,
+    Fits,
+    Yardstick,
+    log_evidences,
+    misfit,
+    penalty,
+    probabilities,
+)
 from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.recording import Array
 

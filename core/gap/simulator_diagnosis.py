@@ -11,7 +11,6 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.gap import next_experiment
-from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction
 from softcal.core.gap.case import Case
 from softcal.core.gap.empirical import LearnedResidual, learned
 from softcal.core.gap.fit import Fit, fit
@@ -32,6 +31,7 @@ from softcal.core.gap.gap_diagnosis import (
 from softcal.core.gap.identifiability import Identifiability, identifiability, reasons
 from softcal.core.gap.next_experiment import MenuEntry, NextExperiment
 from softcal.core.gap.plausibility import DataMistake
+from softcal.core.gap.posterior import confused_pairs, hidden_fraction
 from softcal.core.gap.problem import Block, Problem
 from softcal.core.gap.residual import Regime, shares_of_gap, structure
 from softcal.core.gap.search import EffectSearch, Progress

@@ -7,7 +7,6 @@ from itertools import combinations
 import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.gap.candidates import Probe
 from softcal.core.gap.case import Case
 from softcal.core.gap.coordinates import from_fit
 from softcal.core.gap.fit import Fit, fit
@@ -16,7 +15,7 @@ from softcal.core.gap.floor import noise_chance
 from softcal.core.gap.linear import energy
 from softcal.core.gap.offsets import rows_of_runs
 from softcal.core.gap.problem import Hypothesis, Problem
-from softcal.core.gap.screen import Tangent
+from softcal.core.gap.screen import Probe, Tangent
 from softcal.core.gap.search import EffectSearch, Progress, SearchConfig
 from softcal.core.gap.simulator import Simulator
 from softcal.core.gap.simulator_problem import SimulatorProblem, followed

@@ -16,15 +16,13 @@ from functools import partial
 
 import numpy as np
 
-from softcal.core.gap.ambiguity import RIVAL_LOG_ODDS
-from softcal.core.gap.candidates import Probe
 from softcal.core.gap.coordinates import from_fit, to_fit
 from softcal.core.gap.fit import Fit
 from softcal.core.gap.floor import projected
 from softcal.core.gap.linear import dots
-from softcal.core.gap.posterior import Yardstick
+from softcal.core.gap.posterior import RIVAL_LOG_ODDS, Yardstick
 from softcal.core.gap.residual import structure
-from softcal.core.gap.screen import joined, screen
+from softcal.core.gap.screen import Probe, joined, screen
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import ChainStage, Effect, Flow, Hook, Memory, Parameter, Step
