@@ -42,7 +42,8 @@ def draw_rig(rng: Rng, adc_bits: int | None = None) -> tuple[Rig, float]:
         noise_V=float(rng.uniform(0.8e-3, 1.8e-3)),
         noise_N=float(rng.uniform(8e-3, 2e-2)),
         vref_V=vref_V,
-        r_series_ohm=printed_ohm(r0_ohm * rng.uniform(1.2, 3.0)),
+        # The metadata have it as a data sheet prints it, with two digits.
+        r_series_ohm=float(f"{r0_ohm * rng.uniform(1.2, 3.0):.1e}"),
         adc_bits=adc_bits or int(rng.choice([12, 14, 16])),
         sample_rate_Hz=float(rng.choice([50.0, 50.0, 50.0, 50.0, 40.0, 80.0])),
     )
@@ -59,11 +60,6 @@ def _coloured(rng: Rng, rig: Rig, scope: Scope) -> Rig:
         coloured_N=share * scope.peak_N if channel != "output" else 0.0,
         coloured_s=fading_s,
     )
-
-
-def printed_ohm(resistance_ohm: float) -> float:
-    """Return a resistance as a data sheet prints it, two digits: the metadata have it."""
-    return float(f"{resistance_ohm:.1e}")
 
 
 Causes: TypeAlias = Callable[[Rng, Scope], tuple[Cause, ...]]

@@ -21,7 +21,7 @@ from softcal.core.gap.posterior import exact_log_evidence, log_evidences, probab
 from softcal.core.gap.problem import Problem
 from softcal.core.gap.residual import Regime
 from softcal.core.gap.search import EffectSearch
-from softcal.core.gap.shrink import ChannelGap, Quantified, Shrink, quantify, unsupported
+from softcal.core.gap.shrink import ChannelGap, Quantified, Shrink, gap_of_base, quantify, unsupported
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Effect
 from softcal.core.words.reason import Reason, in_words, reason, several
@@ -208,16 +208,6 @@ def nearest(search: EffectSearch) -> Fit:
     most = max(search.share(found) for found in search.fits.values())
     near = [found for found in search.fits.values() if search.share(found) >= most - NEAR_SHARE]
     return min(near, key=lambda found: (len(found.hypothesis.ids), found.chi2))
-
-
-def gap_of_base(base: Fit) -> dict[str, ChannelGap]:
-    """Return what a base leaves, where nothing else was fitted."""
-    problem, gap = base.problem, {}
-    for channel in problem.scored_channels:
-        parts = [(problem.measured - base.predicted)[b.place] for b in problem.blocks_of(channel)]
-        rms = float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
-        gap[channel] = ChannelGap(rms, rms, problem.floor(channel))
-    return gap
 
 
 def chances_of(

@@ -69,11 +69,6 @@ class Regime:
 def structure(found: Fit, channel: str | None = None) -> Structure:
     """Measure the structure left in the residual of a fit, of one channel or of all."""
     parts = [found.residual[b.place] for b in found.problem.blocks if channel in (None, b.channel)]
-    return structure_of(parts)
-
-
-def structure_of(parts: list[Array]) -> Structure:
-    """Measure the structure of residuals in units of their noise; one array per run and channel."""
     largest = -np.inf
     for length in BLOCK_SAMPLES:
         # Sums over blocks of white noise keep variance 1 at any length; structure adds up in them, noise does not.

@@ -184,6 +184,16 @@ def _channel_gap(folds: list[_Fold], problem: Problem, channel: str) -> ChannelG
     return ChannelGap(before, after, problem.floor(channel))
 
 
+def gap_of_base(base: Fit) -> dict[str, ChannelGap]:
+    """Return what a base leaves, where nothing else was fitted."""
+    problem, gap = base.problem, {}
+    for channel in problem.scored_channels:
+        parts = [(problem.measured - base.predicted)[b.place] for b in problem.blocks_of(channel)]
+        rms = float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+        gap[channel] = ChannelGap(rms, rms, problem.floor(channel))
+    return gap
+
+
 def _shrink_of(channels: Iterable[ChannelGap]) -> float:
     """Return the shrink over channels, each in units of its noise."""
     gap = left = 0.0
