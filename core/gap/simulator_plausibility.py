@@ -15,7 +15,7 @@ from softcal.core.gap.fit import Fit
 from softcal.core.gap.plausibility import FEWEST_RUNS, SAME_FACTOR, DataMistake, apart, numbers, of_sign, unit_of
 from softcal.core.gap.problem import Hypothesis
 from softcal.core.gap.simulator import Simulator, SimulatorRun
-from softcal.core.gap.simulator_problem import SimulatorProblem
+from softcal.core.gap.simulator_problem import SimulatorProblem, rough_problem, runs_of
 from softcal.core.gap.start import StartConfig, best_start
 from softcal.core.recording import Array
 from softcal.core.words.reason import Reason, reason
@@ -64,7 +64,7 @@ FACTORS: Mapping[str, float] = {
 
 def shown(simulator: Simulator, case: Case) -> tuple[DataMistake, ...]:
     """Return the mistakes that columns show by themselves: another unit of time, a dead channel."""
-    runs, number, found = _runs(case), numbers(case), []
+    runs, number, found = runs_of(case), numbers(case), []
     steps_s = np.array([float(np.median(np.diff(run.t_s))) for run in runs])
     for k, step_s in enumerate(steps_s) if len(runs) >= FEWEST_RUNS else ():
         others = np.delete(steps_s, k)
@@ -84,7 +84,7 @@ def shown(simulator: Simulator, case: Case) -> tuple[DataMistake, ...]:
 def cut_off(simulator: Simulator, case: Case) -> tuple[DataMistake, ...]:
     """Return channels that may be cut off at an end: questions, for a mechanism may do so."""
     found = []
-    for run, number in zip(_runs(case), numbers(case), strict=True):
+    for run, number in zip(runs_of(case), numbers(case), strict=True):
         for channel in simulator.channels:
             values = run.columns[channel]
             for end in (float(values.max()), float(values.min())):
@@ -107,13 +107,13 @@ def against_others(base: Fit) -> tuple[DataMistake, ...]:
         one, other = pair
         runs = [
             replace(run, columns={**run.columns, one: run.columns[other], other: run.columns[one]})
-            for run in _runs(problem.case)
+            for run in runs_of(problem.case)
         ]
         if _agreement(_fitted(problem, runs)) > CONFIG.good:
             evidence = reason("data.swapped", one=one, other=other)
             repair = reason("data.repair.swap", one=one, other=other)
             return (DataMistake("swapped_columns", "+".join(pair), (), None, evidence, repair),)
-    runs, number = _runs(problem.case), numbers(problem.case)
+    runs, number = runs_of(problem.case), numbers(problem.case)
     for k, run in enumerate(runs) if len(runs) >= FEWEST_RUNS else ():
         others = _fitted(problem, runs[:k] + runs[k + 1 :])
         if _agreement(others) >= CONFIG.good:
@@ -123,17 +123,10 @@ def against_others(base: Fit) -> tuple[DataMistake, ...]:
     return ()
 
 
-def _runs(case: Case) -> list[SimulatorRun]:
-    return [run for run in case.runs if isinstance(run, SimulatorRun)]
-
-
-def _agreement(found: Fit, run: int | None = None) -> float:
-    """Return the least share of a channel that a fit takes up; of one run where it is given."""
-    return min(
-        _share(found.problem.measured[block.place], found.predicted[block.place])
-        for block in found.problem.blocks
-        if run is None or block.run == run
-    )
+def _agreement(found: Fit) -> float:
+    """Return the least share of a channel of a run that a fit takes up."""
+    problem, predicted = found.problem, found.predicted
+    return min(_share(problem.measured[b.place], predicted[b.place]) for b in problem.blocks)
 
 
 def _share(measured: Array, predicted: Array) -> float:
@@ -143,10 +136,7 @@ def _share(measured: Array, predicted: Array) -> float:
 
 
 def _fitted(problem: SimulatorProblem, runs: Sequence[SimulatorRun]) -> Fit:
-    case = Case(problem.case.serial, tuple(runs))
-    spreads = {c: float(np.std(np.concatenate([r.columns[c] for r in runs]))) for c in problem.of.channels}
-    rough = {c: 0.02 * max(spread, 1e-12) for c, spread in spreads.items()}
-    again = SimulatorProblem(case, rough, simulator=problem.of)
+    again = rough_problem(problem.of, Case(problem.case.serial, tuple(runs)))
     return best_start(again, Hypothesis(of_all=problem.of.base), CONFIG.starts)
 
 

@@ -206,7 +206,19 @@ class SimulatorProblem(Problem):
 
     @cached_property
     def _runs(self) -> list[SimulatorRun]:
-        return [run for run in self.case.runs if isinstance(run, SimulatorRun)]
+        return runs_of(self.case)
+
+
+def runs_of(case: Case) -> list[SimulatorRun]:
+    """Return the runs of a case of a mechanism."""
+    return [run for run in case.runs if isinstance(run, SimulatorRun)]
+
+
+def rough_problem(simulator: Simulator, case: Case) -> SimulatorProblem:
+    """Return recordings with a fiftieth of the spread of a channel as its noise."""
+    columns = {c: np.concatenate([run.columns[c] for run in runs_of(case)]) for c in simulator.channels}
+    rough = {c: 0.02 * max(float(np.std(values)), 1e-12) for c, values in columns.items()}
+    return SimulatorProblem(case, rough, simulator=simulator)
 
 
 def shifted(values: Array, t_s: Array, delay_s: float, straight: float) -> Array:

@@ -18,7 +18,7 @@ from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.gap.screen import Probe, Tangent
 from softcal.core.gap.search import EffectSearch, Progress, SearchConfig
 from softcal.core.gap.simulator import Simulator
-from softcal.core.gap.simulator_problem import SimulatorProblem, followed
+from softcal.core.gap.simulator_problem import SimulatorProblem, followed, rough_problem
 from softcal.core.gap.start import best_start, likeliest, noise_levels, scattered
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
@@ -136,11 +136,8 @@ def base_fit(simulator: Simulator, case: Case) -> Fit:
     Raises:
         InputError: the simulator fails wherever it is tried.
     """
-    problem = SimulatorProblem(case, dict.fromkeys(simulator.channels, 1.0), simulator=simulator)
-    spans = {c: [problem.measured[b.place] for b in problem.blocks_of(c)] for c in simulator.channels}
-    rough = {c: 0.02 * max(float(np.std(np.concatenate(parts))), 1e-12) for c, parts in spans.items()}
-    hypothesis = Hypothesis(of_all=simulator.base)
-    best = best_start(problem.with_noise(rough), hypothesis)
+    problem, hypothesis = rough_problem(simulator, case), Hypothesis(of_all=simulator.base)
+    best = best_start(problem, hypothesis)
     if best.chi2 == np.inf:
         raise InputError(f"{problem.failures.first}; it fails at all {problem.failures.of} places that were tried")
     for _ in range(3):
