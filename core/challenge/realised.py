@@ -104,8 +104,7 @@ def _finite(value: Any) -> float:
 
 def with_base(rig: Rig, base: Mapping[str, float]) -> Rig:
     """Return the rig with other base parameters, by the names of `BASE`."""
-    u0_mm, k1_N_mm, k3_N_mm3, r0_ohm, kappa_per_N = (_finite(base[name]) for name in BASE)
-    return replace(rig, u0_mm=u0_mm, k1_N_mm=k1_N_mm, k3_N_mm3=k3_N_mm3, r0_ohm=r0_ohm, kappa_per_N=kappa_per_N)
+    return replace(rig, **{name: _finite(base[name]) for name in BASE})
 
 
 def _gap(case: SealedCase, measured: Measured, rig: Rig, causes: tuple[Cause, ...]) -> float:

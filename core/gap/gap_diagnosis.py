@@ -87,7 +87,6 @@ class GapPlace:
     detail: Reason
 
     def record(self) -> dict[str, object]:
-        """Return it as a report has it."""
         return in_words(vars(self), "regime", "detail")
 
 

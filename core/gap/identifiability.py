@@ -81,7 +81,6 @@ class ParameterTold:
         return self.sigma >= CONFIG.sigma and not self.is_own
 
     def record(self) -> dict[str, object]:
-        """Return it as a report has it."""
         lists = {"beside": list(self.beside), "by": list(self.by)}
         return vars(self) | lists | {"is_told": self.is_told}
 
@@ -102,7 +101,6 @@ class Identifiability:
         return tuple(one for one in self.every if not one.is_told)
 
     def record(self) -> dict[str, object]:
-        """Return it as a report has it."""
         return {
             "base": {one.name: one.record() for one in self.every if one.is_base},
             "causes": {one.name: one.record() for one in self.every if not one.is_base},

@@ -58,7 +58,6 @@ class NextExperiment:
     stage_profile: Profile | None = None
 
     def record(self) -> dict[str, object]:
-        """Return it as a report has it."""
         return in_words({name: value for name, value in vars(self).items() if name != "stage_profile"}, "why")
 
 

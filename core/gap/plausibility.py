@@ -110,7 +110,6 @@ class DataMistake:
     repair: Reason
 
     def record(self) -> dict[str, object]:
-        """Return it as a report has it."""
         return in_words(vars(self) | {"runs": list(self.runs) or "all"}, "evidence", "repair")
 
 

@@ -126,7 +126,6 @@ class LotMember:
         return self.diagnosis.verdict == "data"
 
     def record(self) -> dict[str, object]:
-        """Return it as a report has it."""
         return {
             "unit": self.name,
             "serial": self.diagnosis.case.serial,

@@ -48,7 +48,6 @@ class SimulatorProblem(Problem):
 
     @property
     def of(self) -> Simulator:
-        """The simulator."""
         if self.simulator is None:
             raise ValueError("a problem of a simulator needs one")
         return self.simulator

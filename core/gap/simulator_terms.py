@@ -103,7 +103,6 @@ class SimulatorTerm:
         return np.asarray({RATE: rate, WAY: way, SIZED_WAY: x * way}[self.kind])
 
     def record(self) -> dict[str, object]:
-        """Return it as a file has it."""
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
 

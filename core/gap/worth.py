@@ -56,7 +56,6 @@ class CalibrationWorth:
         return max((_fewest(self.rig, self.nominal) or len(self.rig)) - self.fitted_on, 0)
 
     def record(self) -> dict[str, object]:
-        """Return JSON values."""
         return asdict(self) | {"worth": self.worth, "saves": self.saves, "nominal_saves": self.nominal_saves}
 
 
