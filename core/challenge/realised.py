@@ -104,7 +104,8 @@ def _finite(value: Any) -> float:
 
 def with_base(rig: Rig, base: Mapping[str, float]) -> Rig:
     """Return the rig with other base parameters, by the names of `BASE`."""
-    return replace(rig, **{name: _finite(base[name]) for name in BASE})
+    own: dict[str, Any] = {name: _finite(base[name]) for name in BASE}
+    return replace(rig, **own)
 
 
 def _gap(case: SealedCase, measured: Measured, rig: Rig, causes: tuple[Cause, ...]) -> float:
