@@ -51,11 +51,11 @@ def log_uniform(rng: Rng, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
-def _ramps(name: str, rng: Rng, depth_mm: float, speed: Callable[[Rng], float]) -> Path:
+def _ramps(name: str, rng: Rng, depth_mm: float, drawn_mm_s: Callable[[Rng], float]) -> Path:
     """Press and release, each ramp at a speed of its own, in mm/s."""
     pen = _Pen(rng.uniform(0.6, 2.0))
     while pen.now_s < RUN_S:
-        speed_mm_s = speed(rng)
+        speed_mm_s = drawn_mm_s(rng)
         pen.press(depth_mm * rng.uniform(0.75, 1.0), speed_mm_s, rng.uniform(0.2, 1.0))
     return pen.path(name, RUN_S)
 
