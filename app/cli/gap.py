@@ -11,10 +11,10 @@ from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
+    from softcal.core.gap.data_mistake import DataMistake
     from softcal.core.gap.diagnosis import Diagnosis
     from softcal.core.gap.gap_diagnosis import GapDiagnosis, RankedCause
     from softcal.core.gap.identifiability import Identifiability
-    from softcal.core.gap.plausibility import DataMistake
     from softcal.core.twin.parameters import ReadoutMetadata
     from softcal.core.twin.simulate import Twin
 

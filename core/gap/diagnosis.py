@@ -8,6 +8,7 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case
+from softcal.core.gap.data_mistake import DataMistake
 from softcal.core.gap.empirical import LearnedResidual, learned, terms_of_twin
 from softcal.core.gap.explained import explained_twin, in_catalogue_form, with_constants
 from softcal.core.gap.fit import Fit
@@ -29,7 +30,7 @@ from softcal.core.gap.next_experiment import NextExperiment, menu, propose
 from softcal.core.gap.odd_run import odd_run, odd_run_beside
 from softcal.core.gap.offsets import OFFSET_NAMES, Offsets, offsets
 from softcal.core.gap.place import likely_stages, loose_noise
-from softcal.core.gap.plausibility import DataMistake, doubts, mistakes
+from softcal.core.gap.plausibility import doubts, mistakes
 from softcal.core.gap.posterior import confused_pairs, hidden_fraction
 from softcal.core.gap.problem import BASE
 from softcal.core.gap.residual import Map, Regime, regimes, structure, three_maps

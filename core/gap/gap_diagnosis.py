@@ -9,6 +9,7 @@ import numpy as np
 
 from softcal.core.gap.case import Case
 from softcal.core.gap.coordinates import from_fit
+from softcal.core.gap.data_mistake import DataMistake
 from softcal.core.gap.empirical import LearnedResidual, T
 from softcal.core.gap.explained import form_of
 from softcal.core.gap.fit import Fit
@@ -16,7 +17,6 @@ from softcal.core.gap.floor import CONFIG as FLOOR
 from softcal.core.gap.floor import coloured
 from softcal.core.gap.identifiability import Identifiability
 from softcal.core.gap.next_experiment import NextExperiment
-from softcal.core.gap.plausibility import DataMistake
 from softcal.core.gap.posterior import exact_log_evidence, log_evidences, probabilities, rivals
 from softcal.core.gap.problem import Problem
 from softcal.core.gap.residual import Regime

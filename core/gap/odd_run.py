@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.gap.case import Case
+from softcal.core.gap.data_mistake import FEWEST_RUNS, DataMistake, numbers, of_gain
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import dots, energy, gram
-from softcal.core.gap.plausibility import FEWEST_RUNS, DataMistake, numbers, of_gain
 from softcal.core.gap.residual import structure
 from softcal.core.gap.screen import Tangent
 from softcal.core.gap.search import EffectSearch

@@ -12,6 +12,7 @@ import numpy as np
 from softcal.core.errors import InputError
 from softcal.core.gap import next_experiment
 from softcal.core.gap.case import Case
+from softcal.core.gap.data_mistake import DataMistake
 from softcal.core.gap.empirical import LearnedResidual, learned
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.floor import coloured, is_noise
@@ -30,7 +31,6 @@ from softcal.core.gap.gap_diagnosis import (
 )
 from softcal.core.gap.identifiability import Identifiability, identifiability, reasons
 from softcal.core.gap.next_experiment import MenuEntry, NextExperiment
-from softcal.core.gap.plausibility import DataMistake
 from softcal.core.gap.posterior import confused_pairs, hidden_fraction
 from softcal.core.gap.problem import Block, Problem
 from softcal.core.gap.residual import Regime, shares_of_gap, structure

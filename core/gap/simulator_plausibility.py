@@ -11,8 +11,8 @@ from itertools import combinations
 import numpy as np
 
 from softcal.core.gap.case import Case
+from softcal.core.gap.data_mistake import FEWEST_RUNS, SAME_FACTOR, DataMistake, apart, numbers, of_sign, unit_of
 from softcal.core.gap.fit import Fit
-from softcal.core.gap.plausibility import FEWEST_RUNS, SAME_FACTOR, DataMistake, apart, numbers, of_sign, unit_of
 from softcal.core.gap.problem import Hypothesis
 from softcal.core.gap.simulator import Simulator, SimulatorRun
 from softcal.core.gap.simulator_problem import SimulatorProblem, rough_problem, runs_of
