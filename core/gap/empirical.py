@@ -6,10 +6,10 @@ the result, terms are chosen anew without it (nested cross-validation; Varma and
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise, product
-from typing import Generic, Protocol, Self, TypeAlias, TypeVar
+from typing import Generic, TypeAlias, TypeVar
 
 import numpy as np
 from scipy.stats import t as student
@@ -21,8 +21,8 @@ from softcal.core.gap.offsets import rows_of_runs
 from softcal.core.gap.problem import Problem
 from softcal.core.gap.residual import structure
 from softcal.core.gap.shrink import HELD_PARTS, Shrink
+from softcal.core.gap.simulator_terms import SimulatorTerm
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect
 from softcal.core.twin.empirical_terms import PLACES, VARIABLES, EmpiricalTerm
 from softcal.core.twin.mechanics import elastic_force
 
@@ -52,25 +52,8 @@ class LearnConfig:
 CONFIG = LearnConfig()
 
 
-class ResidualTerm(Protocol):
-    """A term of the twin or of a simulator: place += coefficient · variable."""
-
-    @property
-    def place(self) -> str: ...
-    @property
-    def variable(self) -> str: ...
-    @property
-    def coefficient(self) -> float: ...
-    @property
-    def unit(self) -> str: ...
-    @property
-    def formula(self) -> str: ...
-    @property
-    def effect(self) -> Effect: ...
-    def sized(self: Self, coefficient: float) -> Self: ...
-
-
-T = TypeVar("T", bound=ResidualTerm)
+T = TypeVar("T", bound=EmpiricalTerm | SimulatorTerm)
+"""A term of the twin or of a simulator: place += coefficient · variable."""
 
 Cell: TypeAlias = tuple[int, int]
 """A run, and a quarter of it."""
@@ -161,7 +144,7 @@ def learned(base: Fit, parents: Sequence[Fit], known: Callable[[Fit], Iterable[T
     for term in terms:
         at = found.hypothesis.place_of(term.effect.id)
         chosen = np.mean([any((t.place, t.variable) == (term.place, term.variable) for t in fold) for fold in per_fold])
-        fitted = term.sized(float(found.coordinates[at]))
+        fitted = replace(term, coefficient=float(found.coordinates[at]))
         ranked.append(LearnedTerm(fitted, _error(found, term.effect.id), float(chosen)))
     without, *_ = scores.interval("without", "before")
     return LearnedResidual(tuple(ranked), Shrink(total, low, high, total), without, found)

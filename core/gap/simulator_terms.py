@@ -63,10 +63,6 @@ class SimulatorTerm:
             return f"{self.signal}{self.kind}"
         return f"{self.kind}{self.signal}" + (f" over {self.tau_s:.2g} s" if self.kind == REMEMBERED else "")
 
-    def sized(self, coefficient: float) -> "SimulatorTerm":
-        """Return the same term with another coefficient."""
-        return replace(self, coefficient=coefficient)
-
     @property
     def unit(self) -> str:
         """Unit of the coefficient."""

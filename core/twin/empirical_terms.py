@@ -6,7 +6,7 @@ and carries its state from chunk to chunk.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 from types import MappingProxyType
 from typing import Literal, TypeAlias, get_args
@@ -178,9 +178,6 @@ class EmpiricalTerm:
             raise InputError(f"{self.place} += … {self.variable}: the coefficient is {self.coefficient}")
         if not (0.0 < self.load_N < np.inf and 0.0 < self.depth_mm < np.inf):
             raise InputError(f"{self.place} += … {self.variable}: load_N and depth_mm must be above 0")
-
-    def sized(self, coefficient: float) -> "EmpiricalTerm":
-        return replace(self, coefficient=coefficient)
 
     @property
     def unit(self) -> str:
