@@ -166,15 +166,16 @@ def diagnose(
         return _stopped(search.base, (odd,))
     if search.stranger is None:
         search.hold_open()
-    found = judged(search, EFFECTS, say, with_constants, lambda fitted: loose_noise(fitted) is not None)
-    group, verdict, quantified, best = found.group, found.verdict, found.quantified, search.best
-    told = with_constants(best)
+    group, quantified, verdict, chances = judged(
+        search, EFFECTS, say, with_constants, lambda fitted: loose_noise(fitted) is not None
+    )
+    best, told = search.best, with_constants(search.best)
     if on_fits is not None:
         on_fits(search.fits)
     say("refitting the three maps separately")
     maps = three_maps(case)
     named = tuple(in_catalogue_form(found) for found in group)
-    causes = ranked_causes(search, best, EFFECTS.values(), named, found.chances, quantified.shrink.held_out)
+    causes = ranked_causes(search, best, EFFECTS.values(), named, chances, quantified.shrink.held_out)
     found_regimes = tuple(replace(r, channel=r.channel.split("_")[0]) for r in regimes(search.base))
     partial = partial_of(search) if verdict == "unknown" else None
     say("describing what is left")

@@ -127,24 +127,14 @@ def on_unseen(group: tuple[Fit, ...], gone: set[str]) -> tuple[tuple[Fit, ...], 
     return tuple(kept), idle
 
 
-@dataclass(frozen=True, eq=False)
-class SearchResult:
-    """What a search has come to: the best hypothesis, its rivals, shrink, verdict and chances."""
-
-    group: tuple[Fit, ...]
-    quantified: Quantified
-    verdict: DiagnosisVerdict
-    chances: dict[str, float]
-
-
 def judged(
     search: EffectSearch,
     effects: Iterable[str],
     say: Callable[[str], None],
     as_told: Callable[[Fit], Fit] = lambda found: found,
     is_uneven: Callable[[Fit], bool] = lambda _: False,
-) -> SearchResult:
-    """Judge what a search has found, on samples held back from every cause.
+) -> tuple[tuple[Fit, ...], Quantified, DiagnosisVerdict, dict[str, float]]:
+    """Return best hypothesis and rivals of a search, the shrink on samples held back, the verdict, chances of effects.
 
     Args:
         as_told: the best hypothesis as it is handed on.
@@ -162,7 +152,7 @@ def judged(
     trust = UNKNOWN_TRUST * float(np.clip(search.share(best), 0.0, 1.0)) if verdict == "unknown" else trust
     every = chances_of(logs, group, effects)
     chances = {i: p * trust * (IMITATED_TRUST if i in doubted else 1.0) for i, p in every.items()}
-    return SearchResult(group, quantified, verdict, chances)
+    return group, quantified, verdict, chances
 
 
 S = TypeVar("S", bound=EffectSearch)

@@ -165,8 +165,8 @@ def diagnose_simulator(
     for untold in reasons(told):
         say(str(untold))
     search = _searched(simulator, base, told, say)
-    found = judged(search, [c.id for c in simulator.candidates], say)
-    group, verdict, quantified, best = found.group, found.verdict, found.quantified, search.best
+    group, quantified, verdict, chances = judged(search, [c.id for c in simulator.candidates], say)
+    best = search.best
     if verdict == "unknown":
         best = nearest(search)
         quantified = quantify(search.base, best, is_given=True)
@@ -178,7 +178,7 @@ def diagnose_simulator(
         quantified = quantify(search.base, best)
     share = float(np.clip(search.share(best), 0.0, 1.0))
     ids, held_out = best.hypothesis.ids, quantified.shrink.held_out
-    causes = ranked_causes(search, best, simulator.candidates, (best, *group), found.chances, held_out)
+    causes = ranked_causes(search, best, simulator.candidates, (best, *group), chances, held_out)
     return SimulatorDiagnosis(
         simulator=simulator,
         verdict=verdict,
