@@ -13,9 +13,8 @@ from collections.abc import Iterable
 import numpy as np
 from gap import as_case
 
-from softcal.core.challenge.cases import SealedCase
+from softcal.core.challenge.cases import LotRun, SealedCase, press_lot
 from softcal.core.challenge.draw import draw_case
-from softcal.core.challenge.sealed_lot import LotRun, press_lot
 from softcal.core.errors import InputError
 from softcal.core.gap.diagnosis import diagnose
 from softcal.core.gap.explained import explained_twin

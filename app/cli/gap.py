@@ -13,10 +13,9 @@ from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
+    from softcal.core.gap.data_mistake import DataMistake
     from softcal.core.gap.diagnosis import Diagnosis
-    from softcal.core.gap.gap_diagnosis import GapDiagnosis
-    from softcal.core.gap.named_causes import RankedCause
-    from softcal.core.gap.plausibility import DataMistake
+    from softcal.core.gap.gap_diagnosis import GapDiagnosis, RankedCause
     from softcal.core.twin.parameters import ReadoutMetadata
     from softcal.core.twin.simulate import Twin
 
@@ -121,7 +120,7 @@ def _check(options: argparse.Namespace) -> None:
     """
     from softcal.app.gap.diagnose import check_case
     from softcal.app.gap.simulator import check_with, load_simulator
-    from softcal.core.gap.identifiability import sentences
+    from softcal.core.gap.identifiability import reasons
 
     if options.simulator:
         _refuse_electronics(options)
@@ -138,7 +137,7 @@ def _check(options: argparse.Namespace) -> None:
     for kind, is_base in (("base parameters", True), ("causes", False)):
         every = [one for one in told.every if one.is_base == is_base]
         print(f"told        {sum(one.is_told for one in every)} of {len(every)} {kind}")
-    for line in sentences(told):
+    for line in reasons(told):
         print(f"not told    {line}")
 
 
@@ -275,7 +274,6 @@ def _show_twin(diagnosis: "Diagnosis", target: str | None) -> None:
 
 
 def _show_result(diagnosis: "GapDiagnosis[Any]") -> None:
-    from softcal.core.gap.identifiability import sentences
 
     shrink = diagnosis.shrink
     print(f"verdict     {diagnosis.verdict}")

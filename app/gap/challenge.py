@@ -14,14 +14,13 @@ import numpy as np
 from softcal.app.files.atomic import whole_folder, write_text
 from softcal.app.files.lot_folder import write_lot_toml
 from softcal.app.files.recording_file import write_columns
-from softcal.core.challenge.cases import EXPERIMENTS, RunPlan, SealedCase
+from softcal.core.challenge.cases import EXPERIMENTS, RunPlan, SealedCase, press_lot
 from softcal.core.challenge.draw import LINES, SEED_BITS, draw_case, draw_challenge, drawn_seed
 from softcal.core.challenge.mistakes import RunOnFile
 from softcal.core.challenge.realised import realised_shrink
 from softcal.core.challenge.rig import Measured
 from softcal.core.challenge.score import ScoreSheet, score_reports
 from softcal.core.challenge.seal import Label, open_seal, seal_labels
-from softcal.core.challenge.sealed_lot import press_lot
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 

@@ -11,10 +11,10 @@ from softcal.app.files.case_folder import open_case, open_table
 from softcal.app.texts.catalogue import text
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case
+from softcal.core.gap.data_mistake import DataMistake
 from softcal.core.gap.diagnosis import Diagnosis, checked, diagnose
 from softcal.core.gap.gap_diagnosis import GapDiagnosis
 from softcal.core.gap.identifiability import Identifiability
-from softcal.core.gap.plausibility import DataMistake
 from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.twin.record import twin_from_record, twin_record
 from softcal.core.twin.simulate import Twin

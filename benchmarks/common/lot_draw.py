@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from softcal.core.challenge.cases import RunPlan, SealedCase
+from softcal.core.challenge.cases import RunPlan, SealedCase, sister
 from softcal.core.challenge.draw import draw_case, drawn_seed
 from softcal.core.challenge.rig import Cause
-from softcal.core.challenge.sealed_lot import sister
 
 SIZE_SPREAD = 0.3
 """Standard deviation of the logarithm of a cause's size from unit to unit."""

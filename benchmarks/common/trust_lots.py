@@ -13,9 +13,9 @@ from common.planted import LineEffects, planted
 from common.simulated_cases import NETWORK
 from numpy.typing import NDArray
 
+from softcal.core.challenge.cases import press_lot
 from softcal.core.challenge.draw import draw_case
 from softcal.core.challenge.rig import Measured
-from softcal.core.challenge.sealed_lot import press_lot
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.maps.interface import Anchors
 from softcal.core.metrics import rmse

@@ -1,6 +1,6 @@
-"""A sealed case: one rig, its causes and its runs; recording them, and how far the causes stand out of the noise."""
+"""A sealed case: a rig, its causes and runs, and how far the causes stand out of the noise."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -36,7 +36,7 @@ EQUATIONS: Mapping[tuple[str, str], Equation] = {
 """Every equation a sealed rig may hold, by (effect, form)."""
 
 RESISTORS_ohm = (4.7, 10.0, 15.0)
-"""Dummy resistors of the bench. Metadata print them: one made from the rig's own R0 would tell what is drawn."""
+"""Dummy resistors of the bench. Metadata print them: one made from R0 would tell what is drawn."""
 
 SPECIAL = (RIGID_BLOCK, DUMMY_RESISTOR, DEAD_WEIGHTS)
 TEMPERATURE_STEP = "temperature_step"
@@ -59,11 +59,8 @@ class SealedCase:
 
     Args:
         line: the stratum it was drawn for.
-        rig: base parameters.
         peak_N: force at full depth.
         depth_mm: stage position at which the base model reaches the peak force.
-        causes: the effects at work; empty for none.
-        plans: the runs handed over.
         withheld: columns taken out of every run.
         kept_back: a run of a protocol that is not among `plans`.
         mistake: what went wrong when the runs were written down (`mistakes.Mistake` as text); empty for nothing.
@@ -100,7 +97,11 @@ class SealedCase:
         rng = np.random.default_rng([plan.seed, 1])
         kind = plan.protocol if plan.protocol in (*SPECIAL, REST) else PRESS
         path, known_force = self._path(plan)
-        path = path if self.turns_between_samples else _as_recorded(path, self.rig.sample_rate_Hz)
+        if not self.turns_between_samples:
+            # The pad sees straight lines between the positions at the sampling instants.
+            sample_s: Array = np.arange(int(path.duration_s * self.rig.sample_rate_Hz) + 1, dtype=np.float64)
+            sample_s /= self.rig.sample_rate_Hz
+            path = Path(path.name, sample_s, path.position_mm(sample_s))
         temperature = _temperature(np.random.default_rng([plan.seed, 2]), plan.protocol, path.duration_s)
         dummy_ohm = RESISTORS_ohm[plan.seed % len(RESISTORS_ohm)] if kind == DUMMY_RESISTOR else None
         warmer, lower = np.random.default_rng([plan.seed, 3]).normal(size=2)
@@ -116,7 +117,7 @@ class SealedCase:
         return replace(measured, columns={k: v for k, v in measured.columns.items() if k not in self.withheld})
 
     def written(self, plans: Sequence[RunPlan]) -> list[RunOnFile]:
-        """Return runs as their files have them, with the mistake of the case; its runs stand first in `plans`."""
+        """Return runs as files have them, with the mistake of the case; its own stand first in `plans`."""
         runs, others = [self.measure(plan) for plan in plans], []
         if self.mistake and Mistake.of(self.mistake).what == "other_unit":
             unit = replace(self, rig=other_unit(self.rig, Mistake.of(self.mistake)))
@@ -169,18 +170,12 @@ def full_depth_mm(rig: Rig, peak_N: float) -> float:
     return rig.u0_mm + low_mm
 
 
-def _as_recorded(path: Path, sample_rate_Hz: float) -> Path:
-    """Return the straight lines between the positions at the sampling instants."""
-    sample_s: Array = np.arange(int(path.duration_s * sample_rate_Hz) + 1, dtype=np.float64) / sample_rate_Hz
-    return Path(path.name, sample_s, path.position_mm(sample_s))
-
-
 def _still(name: str, duration_s: float) -> Path:
     return Path(name, np.array([0.0, duration_s]), np.zeros(2))
 
 
 def _temperature(rng: np.random.Generator, protocol: str, duration_s: float) -> Callable[[Array], Array]:
-    """Room temperature in °C during a run: warming to a level, a hump, or a slow wander of 1.5–8 K."""
+    """Room temperature in °C: warming to a level, a hump, or a slow wander of 1.5–8 K."""
     start_C, swing_K, shape = rng.uniform(20.0, 27.0), rng.uniform(1.5, 8.0), rng.integers(3)
     if protocol == TEMPERATURE_STEP:
         return lambda t_s: start_C + np.where((t_s > duration_s / 3.0) & (t_s < 2.0 * duration_s / 3.0), 10.0, 0.0)
@@ -273,3 +268,39 @@ def _divider(rig: Rig, force_N: Array, moved: str) -> Array:
 def _left(gap: Array, slopes: Array) -> float:
     weights_, *_ = np.linalg.lstsq(slopes, gap, rcond=None)
     return float(np.linalg.norm(gap - slopes @ weights_))
+
+
+SPREAD = {"u0_mm": 0.005, "k1_N_mm": 0.003, "k3_N_mm3": 0.003, "r0_ohm": 0.08, "kappa_per_N": 0.06}
+"""Standard deviations from unit to unit: of the contact position in mm, of all else relative."""
+
+
+@dataclass(frozen=True, eq=False)
+class LotRun:
+    """One recording of a lot: `source`, `units` or `audit`, and whose it is."""
+
+    place: str
+    serial: str
+    measured: Measured
+
+
+def press_lot(case: SealedCase, units: int) -> Iterator[LotRun]:
+    """Press a source unit and target units, each with an audit, on the rig of a sealed case."""
+    rng = np.random.default_rng([case.kept_back.seed, 40_009])
+    for number in range(units + 1):
+        unit, serial = sister(case, rng), f"R{number:02d}"
+        seeds = [int(seed) for seed in rng.integers(2**31, size=2)]
+        if number == 0:
+            yield LotRun("source", serial, unit.measure(RunPlan("lot_source", seeds[0])))
+        else:
+            yield LotRun("units", serial, unit.measure(RunPlan("lot_unit", seeds[0])))
+            yield LotRun("audit", serial, unit.measure(RunPlan("lot_unit", seeds[1])))
+
+
+def sister(case: SealedCase, rng: np.random.Generator) -> SealedCase:
+    """Return another unit of the same make on the same rig, with no channel withheld."""
+    deviation = dict(zip(SPREAD, np.clip(rng.normal(size=len(SPREAD)), -2.0, 2.0).tolist(), strict=True))
+    changed = {
+        name: getattr(case.rig, name) + size * deviation[name] * (1.0 if name == "u0_mm" else getattr(case.rig, name))
+        for name, size in SPREAD.items()
+    }
+    return replace(case, rig=replace(case.rig, **changed), withheld=())

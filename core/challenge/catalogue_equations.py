@@ -1,4 +1,4 @@
-"""The 25 effects of TWIN.md's catalogue in the page's own equations, each on a hook of the chain."""
+"""The 25 effects of TWIN.md's catalogue in its own equations, each on a hook of the chain."""
 
 from collections.abc import Mapping
 from dataclasses import replace

@@ -24,7 +24,7 @@ SUBSTEPS = 10
 """Grid points per sample: the integration step is a tenth of the sample period."""
 
 TAIL_S = 3.0
-"""The rig goes on at rest after the last sample, so that a late or gapped channel has something to read."""
+"""The rig goes on at rest after the last sample: a late or gapped channel has something to read."""
 
 BLOCK_COMPLIANCE_MM_PER_N = 2e-6
 """Compliance of the rigid block and its seat: next to nothing, so that what yields is the frame."""
@@ -32,7 +32,7 @@ BLOCK_COMPLIANCE_MM_PER_N = 2e-6
 FORCE_TOLERANCE_N = 1e-9
 ROUNDS = 400
 RELAXED = 0.6
-"""Share of each correction that is taken; the plain iteration would swing for a frame nearly as soft as the pad."""
+"""Share of each correction that is taken: more swings for a frame as soft as the pad."""
 
 NARROWEST = 0.05
 """Smallest 1 − κ·F a rig may reach; beyond it the channel is shut and the model has no answer."""
@@ -45,7 +45,7 @@ HOOKS = {
     "instant": "acquisition",
     "cell": "load_cell",
 }
-"""Where an equation acts, with its stage in TWIN.md; it is given and gives back the quantity of that place."""
+"""Where an equation acts, with its stage in TWIN.md; it maps that place's quantity."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,15 +118,16 @@ def record(
     """Run one recording of a rig: `t_s, stage_mm, force_N, output_V, temperature_C` and what its kind adds or lacks.
 
     Args:
-        rig: base parameters and metadata.
-        rack: the equations at work.
-        temperature: °C at given times.
         rng: noise, and whatever an equation draws for this run.
         kind: a kind of TWIN.md; `rigid_block`, `dummy_resistor` and `dead_weights` change what is pressed.
         dummy_ohm: the resistor of a `dummy_resistor` run.
         known_force: force of a `dead_weights` run at given times.
     """
-    moment, sample_s = _start(rig, path, temperature, rng)
+    sample_s: Array = np.arange(int(path.duration_s * rig.sample_rate_Hz) + 1, dtype=np.float64) / rig.sample_rate_Hz
+    step_s = 1.0 / (rig.sample_rate_Hz * SUBSTEPS)
+    t_s: Array = np.arange(int((sample_s[-1] + TAIL_S) / step_s) + 1, dtype=np.float64) * step_s
+    nothing = np.zeros_like(t_s)
+    moment = Moment(rig, t_s, step_s, path.position_mm(t_s), temperature(t_s), rng, nothing, nothing)
     moment = _press(rack, moment, kind, known_force)
     volts = _output(rack, moment, sample_s, dummy_ohm)
     cell_N = rack.pass_through("cell", moment.force_N, moment)
@@ -152,17 +153,6 @@ _ABSENT = {
     DEAD_WEIGHTS: ("stage_mm", "output_V"),
     REST: (),
 }
-
-
-def _start(
-    rig: Rig, path: Path, temperature: Callable[[Array], Array], rng: np.random.Generator
-) -> tuple[Moment, Array]:
-    samples = int(path.duration_s * rig.sample_rate_Hz) + 1
-    sample_s = np.asarray(np.arange(samples) / rig.sample_rate_Hz, dtype=np.float64)
-    step_s = 1.0 / (rig.sample_rate_Hz * SUBSTEPS)
-    t_s: Array = np.arange(int((sample_s[-1] + TAIL_S) / step_s) + 1, dtype=np.float64) * step_s
-    nothing = np.zeros_like(t_s)
-    return Moment(rig, t_s, step_s, path.position_mm(t_s), temperature(t_s), rng, nothing, nothing), sample_s
 
 
 def _press(rack: Rack, moment: Moment, kind: str, known_force: Callable[[Array], Array] | None) -> Moment:

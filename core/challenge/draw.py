@@ -1,4 +1,4 @@
-"""Draw sealed cases: the lines of the benchmark, each a stratum with its own kind of rig, causes and runs."""
+"""Draw sealed cases: each line is a stratum with its own kind of rig, causes and runs."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -20,7 +20,7 @@ Rng = np.random.Generator
 
 FOUR_RUNS = ("slow_ramps", "fast_ramps", "steps_with_holds", "random")
 SEED_BITS = 128
-"""Bits of every seed that is drawn: nobody can try them all against a path, a noise or a printed resistance."""
+"""Bits of every seed: nobody can try them all against a path, a noise or a printed resistance."""
 
 
 def drawn_seed(rng: Rng) -> int:
@@ -42,7 +42,8 @@ def draw_rig(rng: Rng, adc_bits: int | None = None) -> tuple[Rig, float]:
         noise_V=float(rng.uniform(0.8e-3, 1.8e-3)),
         noise_N=float(rng.uniform(8e-3, 2e-2)),
         vref_V=vref_V,
-        r_series_ohm=printed_ohm(r0_ohm * rng.uniform(1.2, 3.0)),
+        # The metadata have it as a data sheet prints it, with two digits.
+        r_series_ohm=float(f"{r0_ohm * rng.uniform(1.2, 3.0):.1e}"),
         adc_bits=adc_bits or int(rng.choice([12, 14, 16])),
         sample_rate_Hz=float(rng.choice([50.0, 50.0, 50.0, 50.0, 40.0, 80.0])),
     )
@@ -50,7 +51,7 @@ def draw_rig(rng: Rng, adc_bits: int | None = None) -> tuple[Rig, float]:
 
 
 def _coloured(rng: Rng, rig: Rig, scope: Scope) -> Rig:
-    """Give the output, the force or both noise of 0.1–1 % of the range used that fades within 0.1–2 s."""
+    """Give output, force or both noise of 0.1–1 % of the range used that fades within 0.1–2 s."""
     channel = rng.choice(["output", "force", "both"])
     share, fading_s = (float(np.exp(rng.uniform(*np.log(ends)))) for ends in ((0.001, 0.01), (0.1, 2.0)))
     return replace(
@@ -61,16 +62,11 @@ def _coloured(rng: Rng, rig: Rig, scope: Scope) -> Rig:
     )
 
 
-def printed_ohm(resistance_ohm: float) -> float:
-    """Return a resistance as a data sheet prints it, two digits: the series resistor stands in the metadata."""
-    return float(f"{resistance_ohm:.1e}")
-
-
 Causes: TypeAlias = Callable[[Rng, Scope], tuple[Cause, ...]]
 
 
 def _some(count: int = 1, scale: float = 1.0, stages: Sequence[str] | None = None) -> Causes:
-    """Return what draws causes of the catalogue, of these stages, at this share of their usual size."""
+    """Return what draws causes of the catalogue at this share of their usual size."""
     pool = [effect for effect, equation in CATALOGUE.items() if stages is None or equation.stage in stages]
 
     def draw(rng: Rng, scope: Scope) -> tuple[Cause, ...]:
@@ -137,11 +133,7 @@ _WITHHELD = {"no_load_cell": ("force_N",), "no_stage": ("stage_mm",)}
 
 
 def draw_case(seed: int, name: str, line: str) -> SealedCase:
-    """Draw one case of a line; the same seed and line give the same case.
-
-    Args:
-        line: a key of `LINES`.
-    """
+    """Draw one case of a line; the same seed and line give the same case."""
     rng = np.random.default_rng([seed, list(LINES).index(line)])
     rig, peak_N = draw_rig(rng, adc_bits=10 if line == "ten_bit" else None)
     peak_ohm = rig.r0_ohm / (1.0 - rig.kappa_per_N * peak_N)

@@ -13,7 +13,7 @@ from softcal.core.errors import InputError
 VERDICTS = ("no_gap", "explained", "ambiguous", "unknown", "data")
 
 VISIBLE_SIGMA = 5.0
-"""A cause that stands out by less than this after the base is refitted counts as below the noise."""
+"""A cause that stands out by less after the base is refitted counts as below the noise."""
 
 NAMED = 0.5
 """A cause is named when its stated probability is at least this."""
@@ -46,7 +46,7 @@ class Answer:
 
     @property
     def candidates(self) -> frozenset[str]:
-        """Every effect the report keeps in play: the named ones, the first, and those it cannot tell from them."""
+        """Effects the report keeps in play: the named, the first, and those alike."""
         kept = self.named | ({self.first} if self.first and self.verdict == "ambiguous" else frozenset())
         return (
             kept.union(*(group for group in self.groups if group & kept)) if kept else frozenset().union(*self.groups)
@@ -118,7 +118,7 @@ class Judged:
 
     @property
     def outcome(self) -> str:
-        """One word: right, set (an honest ambiguity set), below noise, missed, abstained, alarm or wrong."""
+        """right, set (honestly ambiguous), below noise, missed, abstained, alarm or wrong."""
         if self.answer is None:
             return "wrong" if self.unread else "no report"
         if self.label.case.mistake:
@@ -165,6 +165,6 @@ class Judged:
 
     @property
     def is_stage_held_open(self) -> bool:
-        """Whether the report leaves the place open between two stages, one of which is that of a true cause."""
+        """Whether the report holds the place open between two stages, one that of a true cause."""
         stages = set(self.answer.stages) if self.answer else set()
         return len(stages) == 2 and not stages.isdisjoint(self.label.case.stages)

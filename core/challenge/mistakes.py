@@ -1,4 +1,4 @@
-"""Mistakes that people make when they record: drawn for a sealed case, and put on what was measured."""
+"""Mistakes that people make when they record: drawn for a case, and put on what was measured."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -23,7 +23,7 @@ UNITS_OF_RUN: Mapping[str, Mapping[str, float]] = {
     "stage": {**UNITS["stage"], "cm": 10.0, "2.54 mm": 2.54, "degree as rad": float(np.pi / 180.0)},
     "output": UNITS["output"],
 }
-"""The same where the other runs are right. A whole case in cm or lbf is as stiff as other pads are."""
+"""The same where the other runs are right. A whole case in cm or lbf is as stiff as other pads."""
 
 FEW = 12
 """Most samples that a broken transmission spoils in a run."""

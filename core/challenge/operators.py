@@ -1,14 +1,29 @@
-"""Memory operators on a fine, even time grid: low-passes, play, rate-independent loops. Independent of the twin's."""
+"""Memory operators on a fine, even time grid, independent of the twin's."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import wraps
+from typing import Concatenate, ParamSpec
 
 import numpy as np
 from numba import njit
 
 from softcal.core.recording import Array
 
+P = ParamSpec("P")
 
-@njit(cache=True)
+
+def recursion(function: Callable[Concatenate[Array, P], Array]) -> Callable[Concatenate[Array, P], Array]:
+    """Compile a function that goes through a signal sample by sample."""
+    compiled = njit(cache=True)(function)
+
+    @wraps(function)
+    def on_signal(signal: Array, /, *args: P.args, **kwargs: P.kwargs) -> Array:
+        return np.asarray(compiled(np.ascontiguousarray(signal), *args, **kwargs))
+
+    return on_signal
+
+
+@recursion
 def _low_pass(signal: Array, decay: float, gain: float, start: float) -> Array:  # pragma: no cover - compiled
     out = np.empty_like(signal)
     state = start
@@ -25,13 +40,11 @@ def low_pass(signal: Array, step_s: float, tau_s: float, start: float = 0.0) -> 
 
     Args:
         signal: (n,) x on the grid.
-        step_s: grid step in s.
-        tau_s: τ in s.
         start: y at the first point.
     """
     ratio = step_s / tau_s
     decay = float(np.exp(-ratio))
-    return np.asarray(_low_pass(np.ascontiguousarray(signal), decay, 1.0 - (1.0 - decay) / ratio, start))
+    return _low_pass(signal, decay, 1.0 - (1.0 - decay) / ratio, start)
 
 
 def low_passes(signal: Array, step_s: float, weights: Sequence[float], taus_s: Sequence[float]) -> Array:
@@ -40,15 +53,16 @@ def low_passes(signal: Array, step_s: float, weights: Sequence[float], taus_s: S
     return np.asarray(np.sum(parts, axis=0))
 
 
-def power_law(signal: Array, step_s: float, slope: float, fastest_s: float, slowest_s: float) -> Array:
-    """Approximate a memory that grows with log t: branches two per octave from the fastest to the slowest time."""
+def power_law(signal: Array, step_s: float, fastest_s: float, slowest_s: float) -> Array:
+    """Approximate a memory that grows with log t: two branches per octave of time."""
     taus_s = np.geomspace(fastest_s, slowest_s, 2 * max(1, round(np.log2(slowest_s / fastest_s))) + 1)
-    weights = np.full(len(taus_s), slope / len(taus_s))
+    weights = np.full(len(taus_s), 1.0 / len(taus_s))
     return low_passes(signal, step_s, weights.tolist(), taus_s.tolist())
 
 
-@njit(cache=True)
-def _play(signal: Array, width: float) -> Array:  # pragma: no cover - compiled
+@recursion
+def play(signal: Array, width: float) -> Array:  # pragma: no cover - compiled
+    """Follow the input through a clearance: it lags when rising and meets it when falling."""
     out = np.empty_like(signal)
     state = signal[0]
     for k in range(len(signal)):
@@ -60,13 +74,9 @@ def _play(signal: Array, width: float) -> Array:  # pragma: no cover - compiled
     return out
 
 
-def play(signal: Array, width: float) -> Array:
-    """Follow the input through a clearance of `width`: the output lags when rising and meets it when falling."""
-    return np.asarray(_play(np.ascontiguousarray(signal), width))
-
-
-@njit(cache=True)
-def _loop(signal: Array, scale: float) -> Array:  # pragma: no cover - compiled
+@recursion
+def loop(signal: Array, scale: float) -> Array:  # pragma: no cover - compiled
+    """Solve dz/dt = (dx/dt)/scale · (1 − z·sign(dx/dt)) exactly on monotone pieces, from z = 0."""
     out = np.empty_like(signal)
     state = 0.0
     out[0] = state
@@ -79,12 +89,7 @@ def _loop(signal: Array, scale: float) -> Array:  # pragma: no cover - compiled
     return out
 
 
-def loop(signal: Array, scale: float) -> Array:
-    """Solve dz/dt = (dx/dt)/scale · (1 − z·sign(dx/dt)) exactly on every monotone piece, z = 0 at the start."""
-    return np.asarray(_loop(np.ascontiguousarray(signal), scale))
-
-
-@njit(cache=True)
+@recursion
 def _stop(signal: Array, limit: float) -> Array:  # pragma: no cover - compiled
     out = np.empty_like(signal)
     state = 0.0
@@ -96,13 +101,14 @@ def _stop(signal: Array, limit: float) -> Array:  # pragma: no cover - compiled
 
 
 def prandtl_ishlinskii(signal: Array, scale: float) -> Array:
-    """Mean of five stop operators with limits around `scale`, each divided by its limit: between −1 and 1."""
+    """Mean of five stop operators with limits around `scale`, each over its limit."""
     limits = (scale * np.array([0.25, 0.5, 1.0, 2.0, 3.5])).tolist()
-    return np.asarray(np.mean([_stop(np.ascontiguousarray(signal), limit) / limit for limit in limits], axis=0))
+    return np.asarray(np.mean([_stop(signal, limit) / limit for limit in limits], axis=0))
 
 
-@njit(cache=True)
-def _bouc_wen(signal: Array, scale: float, sharpness: float) -> Array:  # pragma: no cover - compiled
+@recursion
+def bouc_wen(signal: Array, scale: float) -> Array:  # pragma: no cover - compiled
+    """Solve the Bouc–Wen law dz = dx/scale − |z|ⁿ·(β·|dx|·sign z + γ·dx)/scale with β = 0.7, γ = 0.3, n = 1.6."""
     out = np.empty_like(signal)
     state = 0.0
     out[0] = state
@@ -111,11 +117,6 @@ def _bouc_wen(signal: Array, scale: float, sharpness: float) -> Array:  # pragma
         pieces = 1 + int(abs(step) / (0.02 * scale))
         for _ in range(pieces):
             part = step / pieces / scale
-            state += part - abs(state) ** sharpness * (0.7 * abs(part) * np.sign(state) + 0.3 * part)
+            state += part - abs(state) ** 1.6 * (0.7 * abs(part) * np.sign(state) + 0.3 * part)
         out[k] = state
     return out
-
-
-def bouc_wen(signal: Array, scale: float, sharpness: float = 1.6) -> Array:
-    """Solve the Bouc–Wen law dz = dx/scale − |z|ⁿ·(β·|dx|·sign z + γ·dx)/scale with β = 0.7, γ = 0.3."""
-    return np.asarray(_bouc_wen(np.ascontiguousarray(signal), scale, sharpness))

@@ -1,4 +1,4 @@
-"""The catalogue's causes realised by other equations: a real rig does not know which operator the catalogue chose."""
+"""The catalogue's causes by other equations: a rig does not know which one that chose."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ def _three_times(signal: Array, at: Moment, tau_s: float) -> Array:
 
 def _power_law(signal: Array, at: Moment, tau_s: float) -> Array:
     """A memory by a power law: straight in log t over three decades around τ."""
-    return power_law(signal, at.step_s, 1.0, tau_s / 30.0, tau_s * 30.0)
+    return power_law(signal, at.step_s, tau_s / 30.0, tau_s * 30.0)
 
 
 def _relaxation(memory: Apply) -> Apply:
@@ -72,7 +72,7 @@ def _second_order_lag(volts: Array, at: Moment, tau_s: float) -> Array:
 
 
 def _settling_reference(reference_V: Array, at: Moment, rate_per_s: float) -> Array:
-    """A reference that settles within about a minute; the catalogue's rate is its mean over 40 s."""
+    """A reference that settles within a minute; the catalogue's rate is its mean over 40 s."""
     drift = rate_per_s * 40.0 * (1.0 - np.exp(-at.t_s / 60.0)) / (1.0 - np.exp(-40.0 / 60.0))
     return np.asarray(reference_V * (1.0 + drift))
 
@@ -151,4 +151,4 @@ OTHER_FORMS = in_other_forms(
         ("clock_skew", "warming"): _bent_clock,
     }
 )
-"""By (effect, form); each takes the parameters of the catalogue's equation and is of about the same size."""
+"""By (effect, form); each takes the parameters of the catalogue's and is about as large."""

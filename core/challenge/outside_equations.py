@@ -84,4 +84,4 @@ OUTSIDE = equations(
 """Every effect outside the catalogue by its name."""
 
 ALIASES = {"divider_temperature": "thermal_drift"}
-"""Outside effects that a catalogue effect imitates exactly on ordinary runs: only R/Rs enters the divider."""
+"""Effects that one of the catalogue imitates on ordinary runs: only R/Rs enters the divider."""

@@ -1,4 +1,4 @@
-"""What the stage does in a run: ramps, steps with holds, random, rest, and the experiments that may be proposed."""
+"""What the stage does in a run: ramps, steps with holds, random, rest, and experiments."""
 
 from collections.abc import Callable
 from typing import TypeAlias
@@ -51,11 +51,11 @@ def log_uniform(rng: Rng, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
-def _ramps(name: str, rng: Rng, depth_mm: float, speed: Callable[[Rng], float]) -> Path:
+def _ramps(name: str, rng: Rng, depth_mm: float, drawn_mm_s: Callable[[Rng], float]) -> Path:
     """Press and release, each ramp at a speed of its own, in mm/s."""
     pen = _Pen(rng.uniform(0.6, 2.0))
     while pen.now_s < RUN_S:
-        speed_mm_s = speed(rng)
+        speed_mm_s = drawn_mm_s(rng)
         pen.press(depth_mm * rng.uniform(0.75, 1.0), speed_mm_s, rng.uniform(0.2, 1.0))
     return pen.path(name, RUN_S)
 
@@ -100,7 +100,7 @@ def one_rich_run(rng: Rng, depth_mm: float) -> Path:
 
 
 def kept_back(rng: Rng, depth_mm: float) -> Path:
-    """A protocol no fit has seen: growing ramps of medium speed, a hold at mid-depth, a broken descent."""
+    """A protocol no fit has seen: growing ramps, a hold at mid-depth, a broken descent."""
     pen = _Pen(1.0)
     for share in (0.45, 0.7, 0.95):
         pen.go(depth_mm * share, rng.uniform(0.8, 1.6))

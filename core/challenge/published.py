@@ -6,14 +6,13 @@ Each docstring cites the published model. None of them was chosen by looking at 
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 from scipy.optimize import nnls
 from scipy.signal import butter, lfilter
 from scipy.special import erf
 
 from softcal.core.challenge.catalogue_equations import hum, in_other_forms
 from softcal.core.challenge.chain import Moment, equations
-from softcal.core.challenge.operators import low_passes
+from softcal.core.challenge.operators import low_passes, recursion
 from softcal.core.challenge.outside_equations import OUTSIDE_FORM
 from softcal.core.challenge.sizes import Draw, Rng, Scope, near
 from softcal.core.recording import Array
@@ -23,7 +22,7 @@ BRANCHES = 24
 
 
 def _as_branches(law: Callable[[Array], Array], tau_s: float) -> tuple[list[float], list[float]]:
-    """Return weights >= 0 and times of the exponentials 1 − exp(−t/τᵢ) that add up to a law that rises from 0."""
+    """Return weights >= 0 and times of exponentials 1 − exp(−t/τᵢ) that add up to a law."""
     taus_s = np.geomspace(1e-3 * tau_s, 1e3 * tau_s, BRANCHES)
     t_s = np.geomspace(1e-3 * tau_s, 1e2 * tau_s, 300)
     weights, _ = nnls(1.0 - np.exp(-t_s[:, None] / taus_s), law(t_s))
@@ -48,7 +47,7 @@ def _ogden_roxburgh(force_N: Array, at: Moment, size: float, cycles: float) -> A
     return np.asarray(force_N * (1.0 - size * erf((most - energy) / scale)))
 
 
-@njit(cache=True)
+@recursion
 def _dahl_state(signal: Array, scale: float) -> Array:  # pragma: no cover - compiled
     out = np.empty_like(signal)
     state = 0.0
@@ -65,7 +64,7 @@ def _dahl_state(signal: Array, scale: float) -> Array:  # pragma: no cover - com
 
 def _dahl_channel(load: Array, at: Moment, size: float, scale_N: float) -> Array:
     """Solid friction, dz/dx = (1 − z·sign ẋ)²/scale: Dahl, Aerospace Corporation TOR-0158(3107-18)-1 (1968)."""
-    return load * (1.0 + size * _dahl_state(np.ascontiguousarray(load), scale_N))
+    return load * (1.0 + size * _dahl_state(load, scale_N))
 
 
 def _butterworth_lag(volts: Array, at: Moment, tau_s: float) -> Array:
@@ -99,7 +98,7 @@ def _film_contact(ohm: Array, at: Moment, film_ohm: float, load_N: float) -> Arr
     return np.asarray(ohm + film_ohm / np.sqrt(1.0 + np.maximum(0.0, at.force_N) / load_N))
 
 
-@njit(cache=True)
+@recursion
 def _ringing(signal: Array, step_s: float, omega: float, damping: float) -> Array:  # pragma: no cover - compiled
     out = np.empty_like(signal)
     place, speed = signal[0], 0.0
@@ -112,7 +111,7 @@ def _ringing(signal: Array, step_s: float, omega: float, damping: float) -> Arra
 
 def _cell_ringing(force_N: Array, at: Moment, frequency_Hz: float, damping: float) -> Array:
     """A cell and its platen that swing, second order: Boschetti and others, Mech. Syst. Signal Process. 34 (2013)."""
-    return _ringing(np.ascontiguousarray(force_N), at.step_s, 2.0 * np.pi * frequency_Hz, damping)
+    return _ringing(force_N, at.step_s, 2.0 * np.pi * frequency_Hz, damping)
 
 
 PUBLISHED_FORMS = in_other_forms(
@@ -124,7 +123,7 @@ PUBLISHED_FORMS = in_other_forms(
         ("loadcell_creep", "andrade"): _andrade_creep,
     }
 )
-"""By (effect, form); each takes the parameters of the catalogue's equation and is of about the same size."""
+"""By (effect, form); each takes the parameters of the catalogue's and is about as large."""
 
 PUBLISHED_OUTSIDE = equations(
     OUTSIDE_FORM,
@@ -141,7 +140,7 @@ PUBLISHED_OUTSIDE = equations(
 
 
 def _tone_Hz(rng: Rng, at: Scope) -> float:
-    """A frequency between 1 Hz and 0.45 of the rate, at least 1.5 Hz from every alias of the mains."""
+    """A frequency from 1 Hz to 0.45 of the rate, 1.5 Hz from every alias of the mains."""
     rate_Hz = at.rig.sample_rate_Hz
     aliases = [abs(m - rate_Hz * round(m / rate_Hz)) for m in (50.0, 60.0)]
     while True:

@@ -18,10 +18,10 @@ from softcal.core.challenge.rig import Cause, Measured, Rig
 from softcal.core.recording import Array
 
 PER_RUN = ("intermittent_contact", "dropped_samples", "mains_hum")
-"""Effects whose places or phases belong to one recording: nothing about another one follows from them."""
+"""Effects whose places or phases belong to one recording and tell nothing of another."""
 
 LEAST_GAP = 0.05
-"""Below this, in units of the noise, the bare base leaves no gap whose shrink could be told from the noise."""
+"""Least gap, in units of the noise, whose shrink can be told from the noise."""
 
 BASE = ("u0_mm", "k1_N_mm", "k3_N_mm3", "r0_ohm", "kappa_per_N")
 
@@ -104,12 +104,12 @@ def _finite(value: Any) -> float:
 
 def with_base(rig: Rig, base: Mapping[str, float]) -> Rig:
     """Return the rig with other base parameters, by the names of `BASE`."""
-    u0_mm, k1_N_mm, k3_N_mm3, r0_ohm, kappa_per_N = (_finite(base[name]) for name in BASE)
-    return replace(rig, u0_mm=u0_mm, k1_N_mm=k1_N_mm, k3_N_mm3=k3_N_mm3, r0_ohm=r0_ohm, kappa_per_N=kappa_per_N)
+    own: dict[str, Any] = {name: _finite(base[name]) for name in BASE}
+    return replace(rig, **own)
 
 
 def _gap(case: SealedCase, measured: Measured, rig: Rig, causes: tuple[Cause, ...]) -> float:
-    """Sum over channels of (RMS residual − floor)/noise; the floor is what the true rig itself leaves on this run."""
+    """Sum over channels of (RMS residual − floor)/noise; the floor is what the true rig leaves."""
     left = left_over(case, measured, rig, causes)
     floor = left_over(case, measured, case.rig, case.causes)
     return sum(max(0.0, after - least) for after, least in zip(left, floor, strict=True))
@@ -128,7 +128,7 @@ def _residuals(rig: Rig, measured: Mapping[str, Array], predicted: Mapping[str, 
 
 
 def refitted_base(case: SealedCase) -> Rig:
-    """Fit the bare base model to the runs that were handed over, by SciPy's trust-region least squares."""
+    """Fit the bare base model to the runs handed over, by SciPy's trust-region least squares."""
     recordings = [(plan, case.measure(plan).columns) for plan in case.plans]
     start = np.array([getattr(case.rig, name) for name in BASE])
 

@@ -1,4 +1,4 @@
-"""What a sealed rig is: its base parameters and the causes that make it differ from the base model."""
+"""What a sealed rig is: base parameters, and the causes that make it differ from the base model."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
@@ -85,7 +85,7 @@ class Cause:
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """A stage path: straight lines between corners; before the first and after the last corner it stands still."""
+    """A stage path: straight lines between corners; before and after them it stands still."""
 
     name: str
     corner_s: Array
@@ -103,7 +103,7 @@ class Path:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What one run of a sealed rig recorded; a channel the run does not have is absent from `columns`."""
+    """What one run of a sealed rig recorded; `columns` lack what the run does not have."""
 
     kind: str
     profile: str

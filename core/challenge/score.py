@@ -1,7 +1,8 @@
-"""Score diagnoses against the opened labels of a challenge: what was named, what was held back, how sure it was."""
+"""Score diagnoses against the opened labels of a challenge: what was named, and how sure it was."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from types import MappingProxyType
 from typing import Any
 
@@ -86,7 +87,7 @@ class Bin:
 
 @dataclass(frozen=True)
 class ShrinkScore:
-    """Forecast against realised shrink on a protocol that was in no fit; explained catalogue cases."""
+    """Forecast against realised shrink on a run that was in no fit; explained cases."""
 
     count: int
     median_realised: float
@@ -163,7 +164,11 @@ def score_reports(
         ece_first=calibration_error(np.array([p for p, _ in first]), np.array([float(y) for _, y in first])),
         brier=float(np.mean((stated - present) ** 2)) if len(stated) else float("nan"),
         on_truth=float(np.mean(singles)) if singles else float("nan"),
-        by_bin=tuple(_bins(stated, present)),
+        by_bin=tuple(
+            Bin(low, high, float(stated[here].mean()), int(present[here].sum()), int(here.sum()))
+            for low, high in pairwise(STATED_EDGES)
+            if (here := (stated >= low) & (stated < high if high < 1.0 else stated <= high)).any()
+        ),
     )
     return ScoreSheet(judged, tuple(_rows(judged)), tuple(_detection(judged)), probabilities, _shrink(judged))
 
@@ -210,26 +215,19 @@ def _row(line: str, measure: str, cases: Sequence[Judged], is_hit: Callable[[Jud
 def _detection(judged: Sequence[Judged]) -> Iterable[Detection]:
     singles = [j for j in judged if len(j.truth) == 1 and len(j.label.case.causes) == 1]
     for effect in sorted({next(iter(j.truth)) for j in singles}):
-        for low, high in zip(DISTANCE_EDGES[:-1], DISTANCE_EDGES[1:], strict=True):
+        for low, high in pairwise(DISTANCE_EDGES):
             here = [j for j in singles if effect in j.truth and low <= j.label.distance_sigma < high]
             if here:
                 named, honest = sum(j.is_first_right for j in here), sum(j.outcome in HONEST for j in here)
                 yield Detection(effect, low, high, named, honest, len(here))
 
 
-def _bins(stated: NDArray[np.float64], present: NDArray[np.float64]) -> Iterable[Bin]:
-    for low, high in zip(STATED_EDGES[:-1], STATED_EDGES[1:], strict=True):
-        here = (stated >= low) & (stated < high if high < 1.0 else stated <= high)
-        if here.any():
-            yield Bin(low, high, float(stated[here].mean()), int(present[here].sum()), int(here.sum()))
-
-
-def calibration_error(stated: NDArray[np.float64], happened: NDArray[np.float64], bins: int = 10) -> float:
-    """Return Σ (nᵦ/n)·|mean stated − mean happened| over bins of equal width."""
+def calibration_error(stated: NDArray[np.float64], happened: NDArray[np.float64]) -> float:
+    """Return Σ (nᵦ/n)·|mean stated − mean happened| over ten bins of equal width."""
     if len(stated) == 0:
         return float("nan")
-    bin_of = np.minimum((stated * bins).astype(int), bins - 1)
-    gaps = [abs(float(np.sum(stated[bin_of == b] - happened[bin_of == b]))) for b in range(bins)]
+    bin_of = np.minimum((stated * 10).astype(int), 9)
+    gaps = [abs(float(np.sum(stated[bin_of == b] - happened[bin_of == b]))) for b in range(10)]
     return sum(gaps) / len(stated)
 
 
@@ -274,7 +272,7 @@ With a handful of cases a line, a sound diagnosis fails once in hundreds of time
 """
 
 CASES_OF_FLOOR = 4
-"""Cases that a mixed draw has of each of these lines, where it has as many: fewer could miss a floor by chance."""
+"""Cases that a large draw has of each of these lines: fewer could miss a floor by chance."""
 
 POOLED = 0.6
 """Least share over all these lines together."""

@@ -20,7 +20,6 @@ class Label:
     """What the seal says of one case.
 
     Args:
-        case: the rig, its causes and its runs.
         sha256: content hash of the case as it was handed out.
         distance_sigma: how far its causes stand out of the noise after a refit of the base.
     """
@@ -46,7 +45,6 @@ def seal_labels(cases: Sequence[SealedCase], contents: Mapping[str, str], seed: 
     """Write the labels of a challenge as sealed text.
 
     Args:
-        contents: content hash of every case by its name.
         nonce: random text of at least 128 bits.
     """
     labels = [

@@ -1,4 +1,4 @@
-"""How large an effect usually is on a rig, and random draws of it (orders of magnitude from the literature)."""
+"""How large an effect usually is on a rig, drawn at random (magnitudes from the literature)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -30,8 +30,8 @@ def near(rng: Rng, centre: float, factor: float = 1.6) -> float:
     return float(centre * factor ** rng.uniform(-1.0, 1.0))
 
 
-def _signed(rng: Rng, centre: float, factor: float = 1.6) -> float:
-    return float(rng.choice([-1.0, 1.0])) * near(rng, centre, factor)
+def _signed(rng: Rng, centre: float) -> float:
+    return float(rng.choice([-1.0, 1.0])) * near(rng, centre)
 
 
 def _saturation(rng: Rng, scope: Scope, scale: float) -> dict[str, float]:
@@ -43,7 +43,7 @@ def _saturation(rng: Rng, scope: Scope, scale: float) -> dict[str, float]:
 
 
 def _hum_Hz(rng: Rng, rate_Hz: float) -> float:
-    """Alias of 50 or 60 Hz mains at the sample rate, away from 0 and from half the rate, where it has no sine left."""
+    """Alias of 50 or 60 Hz mains, away from 0 and from half the rate, where no sine is left."""
     mains = [m for m in (50.0, 60.0) if 0.5 < abs(m - rate_Hz * round(m / rate_Hz)) < rate_Hz / 2.0 - 0.5]
     mains_Hz = float(rng.choice(mains)) + rng.normal(0.0, 0.03)
     return float(abs(mains_Hz - rate_Hz * round(mains_Hz / rate_Hz)))

@@ -48,14 +48,11 @@ class Run:
     """One run of a case; a channel that was not recorded is None.
 
     Args:
-        name: how the caller knows it, for messages.
         t_s: (n,) time stamps, strictly increasing; the run starts from rest at the first.
-        readout: what the metadata declare of the electronics.
         stage_mm, force_N, output_V, temperature_C: (n,) recorded channels.
         known_force_N: (n,) weights laid on, of a run with dead weights.
         dummy_ohm: the resistor in place of the sensor, of a run with a dummy resistor.
         kind: `press`, or one of the special runs.
-        profile: what was pressed, in words.
         is_planned: not recorded yet; its measured channels hold zeros and are not looked at.
 
     Raises:

@@ -84,13 +84,13 @@ class ColourConfig:
     gain: float = 12.0
 
     def slower(self, times: float) -> "ColourConfig":
-        """Return the same for a rig that is sampled, and fades, so many times more slowly than a common one."""
+        """Return the same for a rig that is so many times slower than a common one."""
         fading_s = tuple(times * tau_s for tau_s in self.fading_s)
         return replace(self, shortest_s=times * self.shortest_s, longest_s=times * self.longest_s, fading_s=fading_s)
 
 
 def read_noise(stretches: Sequence[Stretch], config: ColourConfig) -> Noise:
-    """Return the noise of greatest likelihood; the white part alone sets the scale, so two numbers are searched for."""
+    """Return the likeliest noise; the white part sets the scale: two numbers are searched for."""
     error, step_s, use = (np.concatenate([getattr(s, name) for s in stretches]) for name in ("error", "step_s", "use"))
     begins = np.zeros(len(error))
     begins[np.cumsum([0, *(len(s.error) for s in stretches)])[:-1]] = 1.0
@@ -135,7 +135,7 @@ def log_likelihood(stretches: Sequence[Stretch], white: float, colour: Colour) -
 def _likelihood(
     error: Array, step_s: Array, use: Array, begins: Array, ratio: float, fading_s: float
 ) -> tuple[float, float]:
-    """Return Σ e²/S and Σ ln S of the innovations, for white noise of variance 1 beside a spread of `ratio`."""
+    """Return Σ e²/S and Σ ln S of innovations; white noise has variance 1, the other `ratio`²."""
     squares, log_det = 0.0, 0.0
     level = ratio * ratio
     mean, variance = 0.0, level
@@ -157,7 +157,7 @@ def _likelihood(
 
 @compiled
 def filter_of(noise: Array, use: Array, step_s: Array, spread: float, fading_s: float) -> Array:
-    """Return (3, n) what the filter keeps of its state, takes of an innovation, and divides it by; one run."""
+    """Return (3, n): what the filter keeps of its state, takes of an innovation, divides it by."""
     out = np.zeros((3, len(noise)))
     variance = spread * spread
     for k in range(len(noise)):
@@ -174,7 +174,7 @@ def filter_of(noise: Array, use: Array, step_s: Array, spread: float, fading_s: 
 
 @compiled
 def filtered(values: Array, steps: Array) -> Array:
-    """Return the innovations of (n,) values over their standard deviation; 0 where a sample is left out."""
+    """Return (n,) innovations over their standard deviation; 0 where a sample is left out."""
     out = np.empty(len(values))
     mean = 0.0
     for k in range(len(values)):

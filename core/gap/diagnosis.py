@@ -1,4 +1,4 @@
-"""The diagnosis of a case: where the twin is wrong, why, how much it gains, how sure that is, what to press next."""
+"""The diagnosis of a case: where the twin is wrong, why, how sure that is, what to press next."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -7,31 +7,35 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction
-from softcal.core.gap.candidates import is_told, visible_effects
 from softcal.core.gap.case import Case
+from softcal.core.gap.data_mistake import DataMistake
 from softcal.core.gap.empirical import LearnedResidual, learned, terms_of_twin
 from softcal.core.gap.explained import explained_twin, in_catalogue_form, with_constants
 from softcal.core.gap.fit import Fit
 from softcal.core.gap.floor import is_noise
-from softcal.core.gap.gap_diagnosis import GapDiagnosis, partial_of, ranked_causes
-from softcal.core.gap.identifiability import Identifiability, identifiability, sentences
-from softcal.core.gap.named_causes import (
+from softcal.core.gap.gap_diagnosis import (
     DiagnosisVerdict,
+    GapDiagnosis,
     GapPlace,
     RankedCause,
-    gap_of_base,
     judged,
+    partial_of,
+    places_of,
+    ranked_causes,
+    regime_places,
     under_its_floor,
 )
+from softcal.core.gap.identifiability import Identifiability, identifiability, reasons
 from softcal.core.gap.next_experiment import NextExperiment, menu, propose
 from softcal.core.gap.odd_run import odd_run, odd_run_beside
 from softcal.core.gap.offsets import OFFSET_NAMES, Offsets, offsets
 from softcal.core.gap.place import likely_stages, loose_noise
-from softcal.core.gap.plausibility import DataMistake, doubts, mistakes
+from softcal.core.gap.plausibility import doubts, mistakes
+from softcal.core.gap.posterior import confused_pairs, hidden_fraction
 from softcal.core.gap.problem import BASE
 from softcal.core.gap.residual import Map, Regime, regimes, structure, three_maps
-from softcal.core.gap.search import EffectSearch, SearchConfig
+from softcal.core.gap.screen import is_told, visible_effects
+from softcal.core.gap.search import EffectSearch
 from softcal.core.gap.start import unfitted
 from softcal.core.gap.strangers import stranger_of
 from softcal.core.recording import Array
@@ -62,7 +66,7 @@ class Diagnosis(GapDiagnosis[EmpiricalTerm]):
     regimes: tuple[Regime, ...] = ()
 
     def elastic_force_N(self, run: int) -> Array:
-        """Return the force the fitted base gives for one run with a stage position, for bands of load."""
+        """Return the force that the fitted base gives for one run with a stage position."""
         stage_mm = self.case.runs[run].stage_mm
         if stage_mm is None:
             raise ValueError(f"run {run} has no stage position")
@@ -92,7 +96,7 @@ class Diagnosis(GapDiagnosis[EmpiricalTerm]):
 
     @property
     def on_bound(self) -> dict[str, float]:
-        """Base parameters that the fit left on a bound, with their value: most often the recordings are to blame."""
+        """Base parameters left on a bound, with values: often the recordings are to blame."""
         stuck = {}
         for p, is_free in zip(BASE, self.named.problem.is_free, strict=True):
             value, own = getattr(self.named.base, p.name), self.named.problem.scale.sized(p)
@@ -103,7 +107,7 @@ class Diagnosis(GapDiagnosis[EmpiricalTerm]):
 
     @property
     def offsets(self) -> list[Offsets]:
-        """What every run has of its own and no cause has to explain; it is taken off before anything is compared."""
+        """What every run has of its own and no cause has to explain; taken off before anything is compared."""
         found = self.named
         return offsets(found.problem, found.base, found.problem.bare.predict(found.hypothesis, found.coordinates))
 
@@ -138,43 +142,41 @@ class Diagnosis(GapDiagnosis[EmpiricalTerm]):
 def diagnose(
     case: Case,
     progress: Callable[[str], None] | None = None,
-    config: SearchConfig | None = None,
     on_fits: Callable[[Mapping[tuple[str, ...], Fit]], None] | None = None,
 ) -> Diagnosis:
     """Diagnose the gap between the base twin and the recordings of a case.
 
     Args:
-        progress: called with one line at every step.
-        config: how wide the search goes.
         on_fits: called with every hypothesis that was fitted, under one noise level; not where the verdict is `data`.
     """
     say = progress or (lambda _: None)
     say("looking for mistakes in the recordings")
     if spoilt := mistakes(case):
         return _stopped(unfitted(case), spoilt)
-    search = EffectSearch(case, config, say)
-    runs_tell = told_by(search.base, search.depth_mm, search.force_N)
-    for line in sentences(runs_tell):
-        say(line)
+    search = EffectSearch(case, say)
+    runs_tell = told_by(search)
+    for untold in reasons(runs_tell):
+        say(str(untold))
     if (odd := odd_run(search.base)) is not None:
         return _stopped(search.base, (odd,))
     search.run()
     if not search.is_clean(search.best) or loose_noise(search.best) is not None:
-        search = under_its_floor(search, lambda problem: EffectSearch(case, config, say, problem), is_noise, say)
+        search = under_its_floor(search, lambda problem: EffectSearch(case, say, problem), is_noise, say)
     if (odd := odd_run_beside(search)) is not None:
         return _stopped(search.base, (odd,))
     if search.stranger is None:
         search.hold_open()
-    found = judged(search, EFFECTS, say, with_constants, lambda fitted: loose_noise(fitted) is not None)
-    group, verdict, quantified = found.group, found.verdict, found.quantified
+    group, quantified, verdict, chances = judged(
+        search, EFFECTS, say, with_constants, lambda fitted: loose_noise(fitted) is not None
+    )
     best, told = search.best, with_constants(search.best)
     if on_fits is not None:
         on_fits(search.fits)
     say("refitting the three maps separately")
     maps = three_maps(case)
     named = tuple(in_catalogue_form(found) for found in group)
-    causes = ranked_causes(search, best, EFFECTS.values(), named, found.chances, quantified.shrink.held_out)
-    found_regimes = regimes(search.base)
+    causes = ranked_causes(search, best, EFFECTS.values(), named, chances, quantified.shrink.held_out)
+    found_regimes = tuple(replace(r, channel=r.channel.split("_")[0]) for r in regimes(search.base))
     partial = partial_of(search) if verdict == "unknown" else None
     say("describing what is left")
     beside = {"unknown": (search.base, told), "explained": (told,), "ambiguous": (told,)}
@@ -204,32 +206,21 @@ def diagnose(
 
 
 def checked(case: Case) -> tuple[tuple[DataMistake, ...], Identifiability | None]:
-    """Return the mistakes in the recordings and, where there is none, what the runs tell: all before any cause."""
+    """Return the mistakes in the recordings and, where there is none, what the runs tell."""
     if spoilt := mistakes(case):
         return spoilt, None
     search = EffectSearch(case)
-    return doubts(case), told_by(search.base, search.depth_mm, search.force_N)
+    return doubts(case), told_by(search)
 
 
-def told_by(base: Fit, depth_mm: float, force_N: float) -> Identifiability:
-    """Return what the runs of a base fit tell of the twin and its effects, and which experiment tells the rest."""
-    case = base.problem.case
-    return identifiability(base, visible_effects(case), menu(case, depth_mm, force_N), OFFSET_NAMES)
+def told_by(search: EffectSearch) -> Identifiability:
+    """Return what the runs of a search tell of the twin, and which experiments tell the rest."""
+    case = search.base.problem.case
+    return identifiability(search.base, visible_effects(case), menu(case, search.extent), OFFSET_NAMES)
 
 
 def _stopped(base: Fit, found: tuple[DataMistake, ...]) -> Diagnosis:
-    """Return the diagnosis of recordings that hold a mistake: nothing is named and nothing forecast."""
-    return Diagnosis(
-        verdict="data",
-        base=base,
-        best=base,
-        named=base,
-        rivals=(base,),
-        causes=tuple(RankedCause(effect.id, effect.stage, 0.0, 0.0, {}) for effect in EFFECTS.values()),
-        gap=gap_of_base(base),
-        next_experiment=NextExperiment("none", several([one.repair for one in found])),
-        mistakes=found,
-    )
+    return Diagnosis.stopped(base, EFFECTS.values(), found, named=base, rivals=(base,))
 
 
 def _places(
@@ -248,29 +239,21 @@ def _places(
         places = _unknown_places(search, maps, found, detail)
     else:
         named = [c for c in causes if c.effect in search.best.hypothesis.ids]
-        total = sum(c.shrink for c in named) or 1.0
-        places = []
-        for c in named:
-            place = GapPlace(
-                c.stage, channel, regime, c.shrink / total, reason("gap.seen.effect", effect=c.effect, seen=detail)
-            )
-            alias = _open_aliases(search.best).get(c.effect)
-            places += [place] if alias is None else _held_open(place, alias)
+        of_causes = places_of(named, channel, regime, lambda i: reason("gap.seen.effect", effect=i, seen=detail))
+        aliases, places = _open_aliases(search.best), []
+        for c, place in zip(named, of_causes, strict=True):
+            places += _held_open(place, aliases[c.effect]) if c.effect in aliases else [place]
     at = max(places, key=lambda p: p.share).stage
-    for r in found[:4]:
-        places.append(
-            GapPlace(at, r.channel_name, r.name, r.share, reason("gap.seen.energy", share=r.share, lift=r.lift))
-        )
-    return tuple(places)
+    return (*places, *regime_places(at, found, "gap.seen.energy"))
 
 
 def _loudest(found: tuple[Regime, ...]) -> tuple[str, Reason]:
     """Return the channel and the regime in which a gap stands out most."""
-    return (found[0].channel_name, found[0].name) if found else ("output", Reason("gap.regime.everywhere"))
+    return (found[0].channel, found[0].name) if found else ("output", Reason("gap.regime.everywhere"))
 
 
 def _open_aliases(best: Fit) -> dict[str, Alias]:
-    """What else, outside the catalogue, a named cause may be, where no run of the case tells; by cause."""
+    """What a named cause may be outside the catalogue, where no run tells; by cause."""
     aliases = {i: EFFECTS[i].signs.alias for i in best.hypothesis.ids}
     return {i: alias for i, alias in aliases.items() if alias is not None and not is_told(best.problem.case, alias)}
 
@@ -313,7 +296,7 @@ def _unknown_places(
 
 def _next(case: Case, search: EffectSearch, group: tuple[Fit, ...], verdict: DiagnosisVerdict) -> NextExperiment:
     # Where something is left besides, causes that look alike are told apart all the same, if a run can.
-    proposed = propose(case, group, search.depth_mm, search.force_N)
+    proposed = propose(case, group, search.extent)
     if proposed is not None and (verdict != "unknown" or proposed.profile != "none"):
         return proposed
     if verdict == "unknown":

@@ -29,7 +29,7 @@ class DrivingForce:
 
 
 def driving_force(measured_N: Array) -> DrivingForce:
-    """Smooth a measured force by straight lines: centred where one fits, else from the side where one fits."""
+    """Smooth a measured force by straight lines: centred where one fits, else from one side."""
     sigma_N = force_noise(measured_N)
     smooth_N, share = straightened(measured_N, sigma_N, HALF_WIDTH)
     return DrivingForce(smooth_N, sigma_N * np.sqrt(share))

@@ -6,10 +6,10 @@ the result, terms are chosen anew without it (nested cross-validation; Varma and
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise, product
-from typing import Generic, Protocol, Self, TypeVar
+from typing import Generic, TypeAlias, TypeVar
 
 import numpy as np
 from scipy.stats import t as student
@@ -21,9 +21,9 @@ from softcal.core.gap.offsets import rows_of_runs
 from softcal.core.gap.problem import Problem
 from softcal.core.gap.residual import structure
 from softcal.core.gap.shrink import HELD_PARTS, Shrink
+from softcal.core.gap.simulator_terms import SimulatorTerm
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect
-from softcal.core.twin.empirical_terms import PLACES, VARIABLES, EmpiricalTerm, Span
+from softcal.core.twin.empirical_terms import PLACES, VARIABLES, EmpiricalTerm
 from softcal.core.twin.mechanics import elastic_force
 
 
@@ -32,7 +32,6 @@ class LearnConfig:
     """When a term is taken.
 
     Args:
-        most: terms at most.
         least: share of what is left above the noise that a further term must take away on samples held back.
         chance: drop of χ² besides, for each time a sample is held back.
         simpler: share of the gap by which terms beside the causes must do better than terms on the bare base.
@@ -53,25 +52,11 @@ class LearnConfig:
 CONFIG = LearnConfig()
 
 
-class ResidualTerm(Protocol):
-    """A term of the twin or of a simulator: place += coefficient · variable."""
+T = TypeVar("T", bound=EmpiricalTerm | SimulatorTerm)
+"""A term of the twin or of a simulator: place += coefficient · variable."""
 
-    @property
-    def place(self) -> str: ...
-    @property
-    def variable(self) -> str: ...
-    @property
-    def coefficient(self) -> float: ...
-    @property
-    def unit(self) -> str: ...
-    @property
-    def formula(self) -> str: ...
-    @property
-    def effect(self) -> Effect: ...
-    def sized(self: Self, coefficient: float) -> Self: ...
-
-
-T = TypeVar("T", bound=ResidualTerm)
+Cell: TypeAlias = tuple[int, int]
+"""A run, and a quarter of it."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +64,6 @@ class LearnedTerm(Generic[T]):
     """A term with how well it is known.
 
     Args:
-        standard_error: of its coefficient, in the unit of the coefficient.
         chosen: share of the choices without a run (or quarter) that took the same variable at the same place.
     """
 
@@ -97,7 +81,6 @@ class LearnedResidual(Generic[T]):
         shrink: of the gap of the base, by causes and terms together, on runs that neither saw; the forecast of another
             run is what runs held back have shown.
         without: the same by the causes alone.
-        fit: base, causes and terms at their best.
     """
 
     terms: tuple[LearnedTerm[T], ...]
@@ -133,9 +116,7 @@ class LearnedResidual(Generic[T]):
         return tuple(i for i in self.fit.hypothesis.ids if i not in own)
 
 
-def learned(
-    base: Fit, parents: Sequence[Fit], known: Callable[[Fit], Iterable[T]], config: LearnConfig = CONFIG
-) -> LearnedResidual[T] | None:
+def learned(base: Fit, parents: Sequence[Fit], known: Callable[[Fit], Iterable[T]]) -> LearnedResidual[T] | None:
     """Return the terms that describe what the parents leave; None where none holds on samples that were held back.
 
     Args:
@@ -149,47 +130,39 @@ def learned(
     if not parents or not any(structure(p).is_significant for p in parents):
         return None
     tried = list(known(base))
-    choices = [_Choice(parent, tried, config) for parent in parents]
-    everything = choices[0].all_cells
-    parent, terms = _chosen(choices, everything, config)
+    choices = [_Choice(parent, tried) for parent in parents]
+    parent, terms = _chosen(choices, choices[0].all_cells)
+    found, terms = _with_terms(parent, terms, None) if terms else (parent, terms)
     if not terms:
         return None
-    found, terms = _with_terms(parent, terms, None, config)
-    if not terms:
-        return None
-    scores, per_fold = _held_out(base, choices, config)
-    total, low, high = scores.interval("after", "before", config.coverage)
-    of_rest = scores.interval("after", "without", config.coverage)
+    scores, per_fold = _held_out(base, choices)
+    total, low, high = scores.interval("after", "before")
+    of_rest = scores.interval("after", "without")
     if min(total, low, of_rest[1]) <= 0.0:
         return None
-    shrink = Shrink(total, low, high, total)
     ranked = []
     for term in terms:
         at = found.hypothesis.place_of(term.effect.id)
         chosen = np.mean([any((t.place, t.variable) == (term.place, term.variable) for t in fold) for fold in per_fold])
-        fitted = term.sized(float(found.coordinates[at]))
+        fitted = replace(term, coefficient=float(found.coordinates[at]))
         ranked.append(LearnedTerm(fitted, _error(found, term.effect.id), float(chosen)))
-    return LearnedResidual(tuple(ranked), shrink, scores.interval("without", "before", config.coverage)[0], found)
-
-
-def _span(base: Fit) -> Span:
-    """Return the largest load and depth of the runs, as the fitted base has them."""
-    case = base.problem.case
-    if not case.has("stage_mm"):
-        largest = max(float(np.max(run.driving_force.force_N)) for run in case.presses)
-        return Span(largest, largest)
-    depth_mm = max(float(np.max(np.asarray(run.stage_mm))) for run in case.presses) - base.base.u0_mm
-    depth_mm = max(depth_mm, 1e-9)
-    return Span(float(elastic_force(np.array(depth_mm), base.base.k1_N_mm, base.base.k3_N_mm3)), depth_mm)
+    without, *_ = scores.interval("without", "before")
+    return LearnedResidual(tuple(ranked), Shrink(total, low, high, total), without, found)
 
 
 def terms_of_twin(base: Fit) -> Iterator[EmpiricalTerm]:
-    """Give the terms that the runs of a base fit can show."""
-    span, problem = _span(base), base.problem
+    """Give the terms that runs can show; a load and a depth of 1 are the base's largest."""
+    problem, case = base.problem, base.problem.case
+    if case.has("stage_mm"):
+        depth_mm = max(float(np.max(np.asarray(run.stage_mm))) for run in case.presses) - base.base.u0_mm
+        depth_mm = max(depth_mm, 1e-9)
+        load_N = float(elastic_force(np.array(depth_mm), base.base.k1_N_mm, base.base.k3_N_mm3))
+    else:
+        load_N = depth_mm = max(float(np.max(run.driving_force.force_N)) for run in case.presses)
     for place, name in product(PLACES, VARIABLES):
-        is_seen = problem.case.has("stage_mm") if place == "F" else place in problem.scored_channels
-        if is_seen and (not VARIABLES[name].needs or problem.case.has(VARIABLES[name].needs)):
-            yield EmpiricalTerm(place, name, 0.0, span.load_N, span.depth_mm)
+        is_seen = case.has("stage_mm") if place == "F" else place in problem.scored_channels
+        if is_seen and (not VARIABLES[name].needs or case.has(VARIABLES[name].needs)):
+            yield EmpiricalTerm(place, name, 0.0, load_N, depth_mm)
 
 
 class _Choice(Generic[T]):
@@ -198,8 +171,8 @@ class _Choice(Generic[T]):
     To first order, base and causes are refitted with every term: their derivatives are columns like the candidates'.
     """
 
-    def __init__(self, parent: Fit, tried: Sequence[T], config: LearnConfig) -> None:
-        self.parent, self._config = parent, config
+    def __init__(self, parent: Fit, tried: Sequence[T]) -> None:
+        self.parent = parent
         # What each run has of its own is fitted anew by every prediction; its jumps would drown a small derivative.
         self._bare = fit(parent.problem.bare, parent.hypothesis, parent.coordinates, steps=0)
         # Per run, which samples it has and, (directions, samples), orthonormal directions of its own offsets.
@@ -207,9 +180,7 @@ class _Choice(Generic[T]):
         along = problem.directions(bare.hypothesis, bare.coordinates, bare.predicted, {})
         rows, self._nuisance = rows_of_runs(problem, along), []
         for run in sorted({block.run for block in problem.blocks}):
-            at = np.concatenate(
-                [np.arange(b.place.start, b.place.stop) for b in problem.blocks if b.run == run],
-            )
+            at = np.concatenate([np.arange(b.place.start, b.place.stop) for b in problem.blocks if b.run == run])
             own = np.array([problem.whitened(row)[at] for row in rows[run]]) if run in rows else np.zeros((0, len(at)))
             left, size, _ = np.linalg.svd(own.T, full_matrices=False)
             self._nuisance.append((at, left[:, size > 1e-6 * max(float(size.max(initial=0.0)), 1e-300)].T))
@@ -235,49 +206,47 @@ class _Choice(Generic[T]):
             moved = bare.problem.predict(bare.hypothesis.adding(effect), np.append(bare.coordinates, step))
             column = self._cleared(problem.whitened(np.asarray((moved - bare.predicted) / step))[np.newaxis])[0]
             rest = column - orthogonal @ (orthogonal.T @ column)
-            if energy(rest) > self._config.distinct * max(energy(column), 1e-12):
+            if energy(rest) > CONFIG.distinct * max(energy(column), 1e-12):
                 terms.append(term)
                 columns.append(column[np.newaxis])
         return terms, np.vstack(columns)
 
     @cached_property
-    def all_cells(self) -> frozenset[tuple[int, int]]:
+    def all_cells(self) -> frozenset[Cell]:
         """Every run and quarter of it in which the sensor is pressed."""
         runs = self.parent.problem.case.runs
         return frozenset((k, q) for k, run in enumerate(runs) if run.kind == "press" for q in range(HELD_PARTS))
 
     @cached_property
-    def _products(self) -> dict[tuple[int, int], Array]:
-        out: dict[tuple[int, int], Array] = {}
+    def _products(self) -> dict[Cell, Array]:
+        out: dict[Cell, Array] = {}
         for cell, place in _places_of(self.parent.problem):
             rows = self._rows[:, place]
             out[cell] = out.get(cell, 0.0) + rows @ rows.T
         return out
 
-    def _added(self, cells: Iterable[tuple[int, int]]) -> Array:
+    def _added(self, cells: Iterable[Cell]) -> Array:
         return np.asarray(np.sum([self._products[cell] for cell in cells], axis=0))
 
-    def noise(self, cells: frozenset[tuple[int, int]]) -> float:
+    def noise(self, cells: frozenset[Cell]) -> float:
         """Return χ² of noise alone on the cells, each sample as often as it is held back."""
         problem, runs = self.parent.problem, self.parent.problem.case.runs
         held = {k: sum(1 for cell in cells if cell[0] == k) / HELD_PARTS for k in range(len(runs))}
         return times_held(cells) * sum(len(runs[b.run]) * held[b.run] for b in problem.blocks)
 
-    def forward(self, cells: frozenset[tuple[int, int]]) -> tuple[list[T], float]:
+    def forward(self, cells: frozenset[Cell]) -> tuple[list[T], float]:
         """Choose terms on these cells; return them and χ² on parts held back in turn."""
         # Special runs always count for the fit: they calibrate, and are never held back.
         special = [cell for cell in self._products if cell not in self.all_cells]
         folds = [(self._added((*(cells - held), *special)), self._added(held)) for held in parts_of(cells)]
         taken: list[int] = []
         lost, noise = self._lost(folds, taken), self.noise(cells)
-        while folds and len(taken) < self._config.most:
+        while folds and len(taken) < CONFIG.most:
             tried = {k: self._lost(folds, [*taken, k]) for k in range(len(self.candidates)) if k not in taken}
             if not tried:
                 break
             best = min(tried, key=lambda k: tried[k])
-            if lost - tried[best] <= self._config.least * max(lost - noise, 0.0) + self._config.chance * times_held(
-                cells
-            ):
+            if lost - tried[best] <= CONFIG.least * max(lost - noise, 0.0) + CONFIG.chance * times_held(cells):
                 break
             taken, lost = [*taken, best], tried[best]
         return [self.candidates[k] for k in taken], lost
@@ -296,50 +265,45 @@ class _Choice(Generic[T]):
         return total
 
 
-def times_held(cells: frozenset[tuple[int, int]]) -> int:
-    """Return how often a sample is held back: once with its quarter, and once with its run where there are several."""
+def times_held(cells: frozenset[Cell]) -> int:
+    """Return how often a sample is held back: with its quarter, and with its run where there are several."""
     return (len({run for run, _ in cells}) > 1) + (len({quarter for _, quarter in cells}) > 1)
 
 
-def parts_of(cells: frozenset[tuple[int, int]]) -> list[frozenset[tuple[int, int]]]:
-    """Return what is held back in turn: each run, where there are several, and the same quarter of every run."""
+def parts_of(cells: frozenset[Cell]) -> list[frozenset[Cell]]:
+    """Return what is held back in turn: each of several runs, and the same quarter of every run."""
     runs, quarters = sorted({run for run, _ in cells}), sorted({quarter for _, quarter in cells})
     by_run = [frozenset(c for c in cells if c[0] == run) for run in runs] if len(runs) > 1 else []
     by_quarter = [frozenset(c for c in cells if c[1] == quarter) for quarter in quarters] if len(quarters) > 1 else []
     return by_run + by_quarter
 
 
-def _chosen(
-    choices: Sequence[_Choice[T]], cells: frozenset[tuple[int, int]], config: LearnConfig
-) -> tuple[Fit, list[T]]:
-    """Return parent and terms that lose least on parts held back, the simplest parent unless another is far better."""
+def _chosen(choices: Sequence[_Choice[T]], cells: frozenset[Cell]) -> tuple[Fit, list[T]]:
+    """Return parent and terms that lose least on parts held back, the simplest unless one is far better."""
     first, *others = ((choice.parent, *choice.forward(cells)) for choice in choices)
     noise, best = choices[0].noise(cells), first
     for other in others:
-        is_far_better = first[2] - other[2] > config.simpler * max(first[2] - noise, 0.0)
+        is_far_better = first[2] - other[2] > CONFIG.simpler * max(first[2] - noise, 0.0)
         if is_far_better and other[2] < best[2]:
             best = other
     return best[0], best[1]
 
 
-def _with_terms(parent: Fit, terms: Sequence[T], use: Array | None, config: LearnConfig) -> tuple[Fit, list[T]]:
-    """Fit base, causes and terms together; a term that is then within its own error is left out again."""
+def _with_terms(parent: Fit, terms: Sequence[T], use: Array | None) -> tuple[Fit, list[T]]:
+    """Fit base, causes and terms together; a term within its own error is left out again."""
     problem, kept = parent.problem if use is None else parent.problem.seeing(use), list(terms)
     while True:
-        hypothesis = parent.hypothesis
-        for term in kept:
-            hypothesis = hypothesis.adding(term.effect)
         effects = [term.effect for term in kept]
         start = np.append(parent.coordinates, start_coordinates(effects, [[0.0]] * len(kept)))
-        found = fit(problem, hypothesis, start, steps=12)
+        found = fit(problem, parent.hypothesis.adding(*effects), start, steps=12)
         sizes = [abs(found.coordinates[found.hypothesis.place_of(e.id)]) / _error(found, e.id) for e in effects]
-        if not sizes or min(sizes) >= config.errors:
+        if not sizes or min(sizes) >= CONFIG.errors:
             return found, kept
         kept.pop(int(np.argmin(sizes)))
 
 
 def _error(found: Fit, effect_id: str) -> float:
-    """Standard error of a coefficient; what is left besides is no white noise, and the error grows with it."""
+    """Standard error of a coefficient; it grows with what is left, which is no white noise."""
     at = found.hypothesis.place_of(effect_id)
     worse = max(1.0, float(np.sqrt(found.chi2 / max(found.problem.count, 1))))
     return max(worse * float(np.sqrt(max(found.covariance[at, at], 0.0))), 1e-300)
@@ -347,7 +311,7 @@ def _error(found: Fit, effect_id: str) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Scores:
-    """Sums of squares on samples held back, by fold, channel and twin: before, without the terms, after."""
+    """Sums of squares on samples held back, by twin (before, without terms, after), fold and channel."""
 
     squares: dict[str, Array]
     """(folds, channels) each."""
@@ -365,18 +329,18 @@ class _Scores:
         before = gap(over)
         return 1.0 - gap(of) / before if before > 0.0 else 0.0
 
-    def interval(self, of: str, over: str, coverage: float) -> tuple[float, float, float]:
-        """Return the shrink with its jackknife interval over the folds (Efron and Tibshirani 1993, ch. 11)."""
+    def interval(self, of: str, over: str) -> tuple[float, float, float]:
+        """The shrink and its jackknife interval over folds (Efron and Tibshirani 1993, ch. 11)."""
         n, value = len(self.counts), self.shrink(of, over)
         each = np.array([self.shrink(of, over, k) for k in range(n)])
         error = float(np.sqrt((n - 1) / n * np.sum((each - each.mean()) ** 2))) if n > 1 else 1.0
         # One recording does not know its own forecast better than to 0.02.
-        margin = max(0.02, float(student.ppf(0.5 + 0.5 * coverage, max(n - 1, 1))) * error)
+        margin = max(0.02, float(student.ppf(0.5 + 0.5 * CONFIG.coverage, max(n - 1, 1))) * error)
         return value, value - margin, min(1.0, value + margin)
 
 
-def _held_out(base: Fit, choices: Sequence[_Choice[T]], config: LearnConfig) -> tuple[_Scores, list[list[T]]]:
-    """Score base, parent and terms on every part in turn, all of them chosen and fitted without it."""
+def _held_out(base: Fit, choices: Sequence[_Choice[T]]) -> tuple[_Scores, list[list[T]]]:
+    """Score base, parent and terms on every part in turn, all chosen and fitted without it."""
     cells, problem = choices[0].all_cells, base.problem
     runs = sorted({run for run, _ in cells})
     folds = [frozenset(c for c in cells if c[0] == run) for run in runs]
@@ -390,12 +354,12 @@ def _held_out(base: Fit, choices: Sequence[_Choice[T]], config: LearnConfig) -> 
         for cell, place in _places_of(base.problem):
             unseen[place] = cell in held
         seen = (~unseen).astype(np.float64)
-        parent, terms = _chosen(choices, cells - held, config)
+        parent, terms = _chosen(choices, cells - held)
         before = fit(problem.seeing(seen), base.hypothesis, base.coordinates, steps=6)
         without = before
         if parent.hypothesis.ids:
             without = fit(parent.problem.seeing(seen), parent.hypothesis, parent.coordinates, steps=6)
-        after, terms = _with_terms(without, terms, seen, config) if terms else (without, terms)
+        after, terms = _with_terms(without, terms, seen) if terms else (without, terms)
         taken.append(terms)
         for what, found in (("before", before), ("without", without), ("after", after)):
             error = problem.measured - found.predicted
@@ -408,8 +372,8 @@ def _held_out(base: Fit, choices: Sequence[_Choice[T]], config: LearnConfig) -> 
     return _Scores(squares, counts, np.array([problem.floor(c) for c in channels])), taken
 
 
-def _places_of(problem: Problem) -> Iterator[tuple[tuple[int, int], slice]]:
-    """Yield the samples of every quarter of every block, with the run and quarter they belong to."""
+def _places_of(problem: Problem) -> Iterator[tuple[Cell, slice]]:
+    """Yield the samples of every quarter of every block, with its run and quarter."""
     for block in problem.blocks:
         ends = [part[0] for part in np.array_split(np.arange(block.place.start, block.place.stop), HELD_PARTS)]
         for quarter, (start, stop) in enumerate(pairwise([*ends, block.place.stop])):

@@ -1,4 +1,4 @@
-"""Effects that a search must first place: lost samples and bad contacts in time, hum in frequency, a clipped output."""
+"""Effects that must be placed first: lost samples, bad contacts, hum, a clipped output."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -27,7 +27,7 @@ JUDGED = 20
 """Samples that must follow a loss to judge it by."""
 
 PLACEMENTS = 4
-"""How often episodes are placed again after the parameters have moved; they hardly move after the third time."""
+"""How often episodes are placed again; they hardly move after the third time."""
 
 MAINS_Hz = (50.0, 60.0)
 MAINS_TOLERANCE_Hz = 0.5
@@ -39,14 +39,14 @@ FLAT_SAMPLES = 8
 """Samples that must lie clearly beyond a level before the output is taken as clipped there."""
 
 ACROSS = np.array([1.0, 1.0, 0.0, -1.0, -1.0]) / 2.0
-"""Mean after an instant less mean before it; the sample between, which placed the instant, is left out."""
+"""Mean after an instant less mean before it; the sample that placed the instant is left out."""
 
 EVENT_SHARE, EVENT_SIGMA = 0.7, 3.0
 """A contact is bad where the output jumps: share of the fitted jumps that it must show, and standard errors. Intervals
 that only mop up a smooth gap show none."""
 
 SKEW_STEPS = 8
-"""Skews tried on either side before losses are placed, each half a sample more by the end of the longest run."""
+"""Skews tried on either side before losses are placed, each half a sample more in a run."""
 
 Place: TypeAlias = Callable[[Fit, str], tuple[list[Array], float]]
 """Find the rows of an episodic effect in every run, and its size."""
@@ -81,7 +81,7 @@ def _with_clock_to_place_by(found: Fit, effect: Effect) -> Fit:
         coordinates[at] = skew
         start = replace(found, coordinates=coordinates, predicted=problem.predict(found.hypothesis, coordinates))
         rows, _ = _lost_samples(start, effect.id)
-        placed = found.hypothesis.adding(effect, _merged(found, effect.id, rows))
+        placed = found.hypothesis.adding(effect, episodes=_merged(found, effect.id, rows))
         predicted = problem.predict(placed, np.append(coordinates, 0.0))
         left = energy(problem.whitened(problem.measured - predicted))
         cost = left + EPISODE_COST * float(np.log(problem.count)) * placed.episode_count
@@ -91,7 +91,7 @@ def _with_clock_to_place_by(found: Fit, effect: Effect) -> Fit:
 
 
 def with_intervals(found: Fit, effect: Effect, _: Extent) -> Fit | None:
-    """Add an effect that acts in a few intervals: place the intervals, fit, place again; None where nothing jumps."""
+    """Add an effect that acts in a few intervals: place, fit, again; None where nothing jumps."""
     grown = _placed(found, effect, _bad_contacts)
     return grown if grown is not None and _jumps(grown, effect.id) else None
 
@@ -119,8 +119,7 @@ def _placed(found: Fit, effect: Effect, place: Place) -> Fit | None:
         rows, size = place(current, effect.id)
         if not any(len(r) for r in rows):
             break
-        episodes = _merged(found, effect.id, rows)
-        hypothesis = found.hypothesis.adding(effect, episodes)
+        hypothesis = found.hypothesis.adding(effect, episodes=_merged(found, effect.id, rows))
         kept = current.coordinates[: len(found.coordinates)]
         grown = fit(found.problem, hypothesis, np.concatenate([kept, start_coordinates([effect], [[size]])]))
         is_same = best is not None and grown.chi2 > best.chi2 - 1.0
@@ -133,7 +132,7 @@ def _placed(found: Fit, effect: Effect, place: Place) -> Fit | None:
 
 
 def placed_again(found: Fit) -> Fit:
-    """Place the episodes of a hypothesis once more: what was added since may have blurred their places."""
+    """Place the episodes of a hypothesis once more: what was added since may have blurred them."""
     best = found
     episodic = sorted((e for e in found.hypothesis.effects if e.is_episodic), key=lambda e: list(ROWS).index(_how(e)))
     for effect in episodic:
@@ -273,7 +272,7 @@ def _bad_contacts(found: Fit, effect_id: str) -> tuple[list[Array], float]:
 
 @compiled
 def step_path(error: Array, sigma: Array, size: float, penalty: float) -> Mask:
-    """Return where the error stands at `size` instead of 0: two-state Viterbi, `penalty` for every change of state."""
+    """Return where the error stands at `size`, not at 0: two-state Viterbi, `penalty` a change."""
     n = len(error)
     back = np.zeros((n, 2), dtype=np.int8)
     low, high = 0.0, penalty
@@ -296,7 +295,7 @@ def step_path(error: Array, sigma: Array, size: float, penalty: float) -> Mask:
 
 
 def with_line(found: Fit, effect: Effect, _: Extent) -> Fit | None:
-    """Add an effect that is a line of the output: the strongest near an alias of the mains, its phase free by run."""
+    """Add the strongest line of the output near an alias of the mains, its phase free by run."""
     case, problem = found.problem.case, found.problem
     blocks = problem.blocks_of("output_V")
     longest_s = max(float(case.runs[b.run].elapsed_s[-1]) for b in blocks)
@@ -322,7 +321,7 @@ def with_line(found: Fit, effect: Effect, _: Extent) -> Fit | None:
 
 
 def _taken_s(found: Fit, run: int) -> Array:
-    """(n,) when the samples of the output were taken: later than their place says by those lost before."""
+    """(n,) when the samples of the output were taken: later by those lost before."""
     recorded = found.problem.case.runs[run]
     taken_s = recorded.elapsed_s.copy()
     episodes = found.hypothesis.episodes_of(run)
@@ -333,7 +332,7 @@ def _taken_s(found: Fit, run: int) -> Array:
 
 
 def _alias_grid(rate_Hz: float, longest_s: float) -> Array:
-    """Return where mains may stand in the spectrum; nowhere where they stand still, or at half the rate."""
+    """Return where mains may stand in the spectrum; nowhere at 0 and at half the rate."""
     parts = [np.empty(0)]
     for mains_Hz in MAINS_Hz:
         alias_Hz = abs(mains_Hz - rate_Hz * round(mains_Hz / rate_Hz))
@@ -343,7 +342,7 @@ def _alias_grid(rate_Hz: float, longest_s: float) -> Array:
 
 
 def with_level(found: Fit, effect: Effect, extent: Extent) -> Fit | None:
-    """Add an effect that clips the output: fit the rest without the flat tops first, then set the level there."""
+    """Add an effect that clips the output: fit without the flat tops, then set the level there."""
     side = 1 if effect.signs.placing == Placing.CEILING else -1
     problem = found.problem
     blocks = problem.blocks_of("output_V", "press")

@@ -1,4 +1,4 @@
-"""The explained twin: the refitted base with the named causes, as the station and simulated lots take it."""
+"""The explained twin: the refitted base with the named causes, for station and simulated lots."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,9 +19,6 @@ def explained_twin(found: Fit, terms: Sequence[EmpiricalTerm] = ()) -> Twin:
 
     A cause enters by the equation it was fitted by, the catalogue's or another form. Episodes belong to the recording
     they were found in and are left out: losses of samples and bad contacts are repaired, not simulated.
-
-    Args:
-        terms: empirical terms that are part of the fit, with their coefficients.
     """
     found = with_constants(found)
     readout = found.problem.case.readout
@@ -29,10 +26,7 @@ def explained_twin(found: Fit, terms: Sequence[EmpiricalTerm] = ()) -> Twin:
     sigma_V = found.problem.dither_V
     if sigma_V is None:
         sigma_V = float(np.sqrt(max(_floor(found, "output_V") ** 2 - readout.step_V**2 / 12, 0.0)))
-    base = found.base.with_values(
-        sigma_output_V=sigma_V,
-        sigma_force_N=_floor(found, "force_N"),
-    )
+    base = found.base.with_values(sigma_output_V=sigma_V, sigma_force_N=_floor(found, "force_N"))
     settings = []
     for effect, values in zip(found.hypothesis.effects, found.effect_values, strict=True):
         if effect.id not in EFFECTS or EFFECTS[effect.id].is_episodic:
@@ -51,7 +45,7 @@ def _floor(found: Fit, channel: str) -> float:
 
 
 def in_catalogue_form(found: Fit) -> Fit:
-    """Return the fit with every cause by the catalogue's equation; the same fit where it already is."""
+    """Return the fit with every cause by the catalogue's equation; itself where it already is."""
     effects = tuple(EFFECTS[e.id] if form_of(e) else e for e in found.hypothesis.effects)
     if effects == found.hypothesis.effects:
         return found
@@ -64,7 +58,7 @@ def in_catalogue_form(found: Fit) -> Fit:
 
 
 def form_of(effect: Effect) -> str:
-    """Return the name of the form by which an effect acts, empty for the catalogue's own equation."""
+    """Return the form by which an effect acts, empty for the catalogue's own equation."""
     names = (form.effect.equation for form in FORMS.get(effect.id, ()))
     return effect.equation if effect.equation in names else ""
 
@@ -78,10 +72,9 @@ def with_constants(found: Fit) -> Fit:
     effects = found.hypothesis.effects
     if not any(_is_open(effect) for effect in effects):
         return found
-    seen: dict[str, dict[str, float]] = {}
-    watched = tuple(_watched(e, seen.setdefault(e.id, {})) if _is_open(e) else e for e in effects)
-    hypothesis = replace(found.hypothesis, effects=watched)
-    found.problem.bare.predict(hypothesis, found.coordinates)
+    seen = {effect.id: dict.fromkeys((name for name, _ in effect.constants), 0.0) for effect in effects}
+    watched = tuple(_watched(e, seen[e.id]) if _is_open(e) else e for e in effects)
+    found.problem.bare.predict(replace(found.hypothesis, effects=watched), found.coordinates)
     fixed = tuple(_fixed(e, seen[e.id]) if _is_open(e) else e for e in effects)
     return fit(found.problem, replace(found.hypothesis, effects=fixed), found.coordinates, steps=40)
 
@@ -95,17 +88,13 @@ def _watched(effect: Effect, seen: dict[str, float]) -> Effect:
 
     def step(flow: Flow, values: Sequence[float], state: Memory) -> None:
         effect.step(flow, values, state)
-        for name, _ in effect.constants:
-            seen[name] = max(seen.get(name, 0.0), float(state[name][0]))
+        seen.update({name: max(most, float(state[name][0])) for name, most in seen.items()})
 
     return replace(effect, step=step)
 
 
 def _fixed(effect: Effect, values: dict[str, float]) -> Effect:
-    constants = tuple((name, values[name]) for name, _ in effect.constants)
-    behind = tuple(value for _, value in constants)
-
     def step(flow: Flow, own: Sequence[float], state: Memory) -> None:
-        effect.step(flow, (*own, *behind), state)
+        effect.step(flow, (*own, *values.values()), state)
 
-    return replace(effect, step=step, constants=constants)
+    return replace(effect, step=step, constants=tuple(values.items()))

@@ -1,4 +1,4 @@
-"""Fit base parameters and effects jointly to all runs: Levenberg–Marquardt within bounds, channels weighted."""
+"""Fit base parameters and effects jointly to all runs: Levenberg–Marquardt within bounds."""
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -12,7 +12,7 @@ from softcal.core.recording import Array
 from softcal.core.twin.parameters import BaseParameters
 
 DIFFERENCE = 2e-4
-"""Step of a numerical derivative, in units of the parameter's usual size: above the corners of play and clipping."""
+"""Step of a derivative, in usual sizes of a parameter: beyond corners of play and clipping."""
 
 TRIES = 6
 """Steps tried from one place, each damped more than the one before."""
@@ -25,7 +25,7 @@ DRIVEN_COST = 120.0
 smoothing rounds off feigns gains of up to 90 on recordings without any gap."""
 
 EPISODE_COST = 5
-"""Parameters an episode counts as in Schwarz's criterion: two times, a size, and the places it was not found in."""
+"""Parameters that an episode counts as: two times, a size, and the places it was not found in."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +33,6 @@ class Fit:
     """A hypothesis at its best parameters.
 
     Args:
-        coordinates: (parameters,) in the coordinates of the fit.
-        predicted: (samples,) clean prediction.
         chi2: sum of squared residuals over σ², over the samples the fit saw.
         slopes: (parameters, samples) derivative of the prediction; rows that were held fixed are 0.
     """
@@ -48,7 +46,7 @@ class Fit:
 
     @cached_property
     def jacobian(self) -> Array:
-        """(parameters, samples) derivative of the whitened prediction; rows that were held fixed are 0."""
+        """(parameters, samples) derivative of the whitened prediction; rows held fixed are 0."""
         return np.array([self.problem.whitened(row) for row in self.slopes])
 
     @cached_property
@@ -85,22 +83,19 @@ class Fit:
         return replace(self, problem=problem, chi2=energy(residual))
 
     @property
-    def parameter_count(self) -> float:
-        """Free parameters; an episode counts as many, for it was searched for all over the runs."""
-        added = sum(p.weight for effect in self.hypothesis.effects for p in effect.parameters)
-        return int(self.problem.is_free.sum()) + added + EPISODE_COST * self.hypothesis.episode_count
-
-    @property
     def penalty(self) -> float:
-        """What the hypothesis pays: p·ln(n) of Schwarz for its flexibility, −2·ln of the prior odds of its causes."""
+        """p·ln(n) of Schwarz for the flexibility, and −2·ln of the prior odds of the causes."""
         # Twenty-five causes are tried: without prior odds the luckiest of them would often win by chance.
         each = -2.0 * float(np.log(PRIOR_ODDS))
         each += DRIVEN_COST if self.problem.is_driven_by_force else 0.0
-        return self.parameter_count * float(np.log(self.problem.count)) + each * len(self.hypothesis.ids)
+        # An episode counts as many parameters, for it was searched for all over the runs.
+        added = sum(p.weight for effect in self.hypothesis.effects for p in effect.parameters)
+        count = int(self.problem.is_free.sum()) + added + EPISODE_COST * self.hypothesis.episode_count
+        return count * float(np.log(self.problem.count)) + each * len(self.hypothesis.ids)
 
     @property
     def bic(self) -> float:
-        """χ² + penalty: −2 times the log evidence in white noise of known size; smaller is better."""
+        """χ² + penalty, −2 times the log evidence in white noise of known size."""
         return self.chi2 + self.penalty
 
 
@@ -108,8 +103,6 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20,
     """Minimise χ² from a start within the bounds of all parameters.
 
     Args:
-        start: (parameters,) coordinates to begin at.
-        steps: most Levenberg–Marquardt steps taken.
         tolerance: stop when a step gains less than this in χ².
     """
     space = _Space(problem, hypothesis)
@@ -150,7 +143,7 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20,
 
 
 def _finite_energy(residual: Array) -> float:
-    """Return the sum of squares; infinity where the prediction is not finite, so that a fit goes elsewhere."""
+    """Return the sum of squares; infinite where it is not finite: a fit goes elsewhere."""
     found = energy(residual)
     return found if np.isfinite(found) else np.inf
 
@@ -191,7 +184,7 @@ class _Space:
         return out
 
     def step(self, x: Array, normal: Array, slope: Array, damping: float) -> Array:
-        """Return the damped Gauss–Newton step; parameters pushed out of their bounds are held there."""
+        """Return the damped Gauss–Newton step; parameters pushed out of bounds are held there."""
         free = self.is_free & (np.diag(normal) > 0)
         candidate = x.copy()
         for _ in range(3):

@@ -49,7 +49,7 @@ WANDERS = 0.9
 
 
 def noise_of(found: Fit) -> tuple[dict[str, float], dict[str, Colour]]:
-    """Return the white noise of every channel and, where the problem has some that fades, that part anew."""
+    """Return the white noise of every channel and, where there is one, the fading part."""
     levels = noise_levels(found)
     if not found.problem.colour:
         return levels, {}
@@ -57,7 +57,7 @@ def noise_of(found: Fit) -> tuple[dict[str, float], dict[str, Colour]]:
 
 
 def coloured(found: Fit) -> Problem | None:
-    """Return the problem of a fit with noise that fades, read from what the fit leaves; None where it is white."""
+    """Return the problem with noise that fades, read from what is left; None where it is white."""
     problem = found.problem
     # A measured force that drives the chain brings its own noise along; it cannot be told from the output's.
     if problem.is_driven_by_force:
@@ -84,10 +84,10 @@ def _stretch(found: Fit, block: Block, use: Array | None = None) -> Stretch:
 
 
 Halves: TypeAlias = Callable[[Fit, Block], Mask | None]
-"""Which samples of a channel of a run, (n,), lie in one of two conditions; None where nothing tells."""
+"""Which samples of a block, (n,), lie in one of two conditions; None where nothing tells."""
 
 Variables: TypeAlias = Callable[[Fit, str], Iterable[Mapping[str, Array]]]
-"""What the residual of a channel may follow: (samples,) columns by name, in groups that are tested one by one."""
+"""What the residual of a channel may follow: groups of (samples,) columns by name."""
 
 
 def under_load(found: Fit, block: Block) -> Mask | None:
@@ -102,7 +102,7 @@ def of_chain(found: Fit, channel: str) -> list[Mapping[str, Array]]:
 
 
 def is_noise(found: Fit, halves: Sequence[Halves] = (under_load,), follows: Variables = of_chain) -> bool:
-    """Whether what a fit leaves in its channels of coloured noise fades alike everywhere, and all passes for noise."""
+    """Whether what a fit leaves in channels of fading noise fades alike everywhere and passes for noise."""
     # What has not faded by the longest time that is tried is no noise but a wander: an R0 that walks, a drift.
     longest_s = found.problem.colour_config.longest_s
     if any(colour.fading_s > WANDERS * longest_s for colour in found.problem.colour.values()):
@@ -141,7 +141,7 @@ def _strays(found: Fit, channel: str) -> float:
 
 
 def _is_even(found: Fit, channel: str, half: Halves) -> bool:
-    """Whether one fading noise fits both conditions, as rest and load, alike; white noise may grow with the load."""
+    """Whether one fading noise fits both conditions alike; white noise may grow with the load."""
     problem = found.problem
     parts: dict[bool, list[Stretch]] = {False: [], True: []}
     for block in found.problem.blocks_of(channel):
@@ -160,7 +160,7 @@ def _is_even(found: Fit, channel: str, half: Halves) -> bool:
 
 
 def _with_own_white(part: Sequence[Stretch], white: float, colour: Colour) -> float:
-    """Return the largest log likelihood of a part with this fading noise, whatever its white noise."""
+    """Return the largest log likelihood of a part with this fading noise and any white one."""
     found = minimize_scalar(
         lambda x: -log_likelihood(part, white * float(np.exp(x)), colour), bounds=(-2.0, 2.0), method="bounded"
     )
@@ -168,7 +168,7 @@ def _with_own_white(part: Sequence[Stretch], white: float, colour: Colour) -> fl
 
 
 def _remembers(found: Fit, channel: str) -> float:
-    """Return by how many standard errors more than by chance a residual follows its own past (Box and Pierce 1970)."""
+    """Return by how many standard errors a residual follows its own past (Box and Pierce 1970)."""
     parts = [found.residual[b.place] for b in found.problem.blocks_of(channel)]
     products, count = np.zeros(CONFIG.lags), 0
     for part in parts:
@@ -179,20 +179,20 @@ def _remembers(found: Fit, channel: str) -> float:
 
 
 def _follows(found: Fit, columns: Sequence[Array]) -> float:
-    """Return by how many standard errors more than by chance a residual lies along columns, (samples,) each."""
+    """Return by how many standard errors a residual lies along (samples,) columns."""
     seen = projected([found.problem.whitened(column) for column in columns], found.jacobian)
     # A direction takes 1 off χ² by chance.
     return _standard(float(np.sum(dots(seen, found.residual) ** 2)), len(seen)) if len(seen) else 0.0
 
 
 def _standard(chi2: float, freedom: int) -> float:
-    """Return χ² as a standard normal value; good for few degrees of freedom too (Wilson and Hilferty 1931)."""
+    """Return χ² as a standard normal value (Wilson and Hilferty 1931)."""
     wide = 2.0 / (9.0 * freedom)
     return float((np.cbrt(chi2 / freedom) - 1.0 + wide) / np.sqrt(wide))
 
 
 def _elsewhere(found: Fit, channel: str) -> list[Array]:
-    """Return what the channel before this one leaves of the same runs: noise of two channels has nothing in common."""
+    """Return what another channel leaves of the same runs: their noises have nothing in common."""
     problem, out = found.problem, np.zeros(len(found.problem.measured))
     others = {b.run: b for name in problem.scored_channels if name != channel for b in found.problem.blocks_of(name)}
     for block in found.problem.blocks_of(channel):
@@ -211,7 +211,7 @@ def projected(rows: Sequence[Array], held: Array) -> Array:
 
 
 def orthonormal(rows: Array) -> Array:
-    """Return (k, n) orthonormal rows that span (m, n) rows; directions below a millionth of the strongest are left."""
+    """Return (k, n) orthonormal rows that span rows, but for those a millionth as strong."""
     if not len(rows):
         return np.zeros((0, 0))
     size = np.sqrt(np.sum(rows**2, axis=1))

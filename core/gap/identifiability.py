@@ -81,14 +81,13 @@ class ParameterTold:
         return self.sigma >= CONFIG.sigma and not self.is_own
 
     def record(self) -> dict[str, object]:
-        """Return it as a report has it."""
         lists = {"beside": list(self.beside), "by": list(self.by)}
         return vars(self) | lists | {"is_told": self.is_told}
 
 
 @dataclass(frozen=True)
 class Identifiability:
-    """What the runs tell: every parameter of the base, every cause, and causes that are one to them."""
+    """What the runs tell of every parameter of the base and every cause, and causes that are one to them."""
 
     every: tuple[ParameterTold, ...]
     alike: tuple[tuple[str, str], ...] = ()
@@ -102,7 +101,6 @@ class Identifiability:
         return tuple(one for one in self.every if not one.is_told)
 
     def record(self) -> dict[str, object]:
-        """Return it as a report has it."""
         return {
             "base": {one.name: one.record() for one in self.every if one.is_base},
             "causes": {one.name: one.record() for one in self.every if not one.is_base},
@@ -142,13 +140,8 @@ def identifiability(
     return Identifiability(tuple(every), tuple(alike))
 
 
-def sentences(found: Identifiability) -> list[str]:
-    """Return one line for everything these runs do not tell, and why; nothing where they tell all."""
-    return [str(one) for one in reasons(found)]
-
-
 def reasons(found: Identifiability) -> list[Reason]:
-    """Return why runs do not tell what they do not tell."""
+    """Return why runs do not tell what they do not tell, a reason for each."""
     return [*map(why, found.untold), *(alike(*pair) for pair in found.alike)]
 
 
@@ -169,8 +162,7 @@ def why(one: ParameterTold) -> Reason:
 
 def alike(one: str, other: str) -> Reason:
     """Return that two causes are one to these runs."""
-    names = (reason("gap.effect", effect=effect) for effect in (one, other))
-    return reason("gap.told.alike", **dict(zip(("one", "other"), names, strict=True)))
+    return reason("gap.told.alike", one=reason("gap.effect", effect=one), other=reason("gap.effect", effect=other))
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,7 +252,7 @@ class _Rows:
         return self.own_share(at) < CONFIG.own and self.left(at, held) >= CONFIG.sigma**2
 
     def sigma_of_base(self, k: int) -> float:
-        """Return the standard deviations by which a base parameter shows, 0 where others imitate it to rounding."""
+        """Return by how many σ a base parameter shows, 0 where others imitate it to rounding."""
         left = self.left(k, [*(i for i in self.of_base if i != k), *self.of_own()])
         return float(np.sqrt(left)) if left > CONFIG.lost * float(self.gram[k, k]) else 0.0
 
@@ -284,7 +276,7 @@ class _Rows:
 
 
 def _changes(bare: Fit, effect: Effect) -> tuple[Array, Array]:
-    """Return the whitened change by an effect of its usual size, and by one of a smaller size made as large."""
+    """Return the whitened change by an effect of its usual and of a smaller size."""
     sized = [bare.problem.scale.sized(p) for p in effect.parameters]
     usual = [p.usual for p in sized]
     smaller, neutral = usual[0], sized[0].neutral

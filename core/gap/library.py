@@ -1,4 +1,4 @@
-"""What a residual may follow: the variables that the chain itself knows, as columns over the samples of a channel."""
+"""What a residual may follow: variables that the chain knows, as columns over the samples."""
 
 from collections.abc import Iterator, Mapping
 
@@ -24,17 +24,15 @@ def variables(found: Fit, channel: str) -> Mapping[str, Array]:
     """
     problem = found.problem
     out: dict[str, Array] = {}
-    blocks = problem.blocks_of(channel)
-    blocks = [
-        b for b in blocks if problem.case.runs[b.run].kind == "press" and problem.case.runs[b.run].stage_mm is not None
-    ]
+    blocks = [b for b in problem.blocks_of(channel, "press") if problem.case.runs[b.run].stage_mm is not None]
     if not blocks:
         return {}
-    states = [_State(found, problem.case.runs[b.run]) for b in blocks]
-    deepest = max(float(s.depth.max()) for s in states) or 1.0
-    largest = max(float(s.load.max()) for s in states) or 1.0
-    for block, state in zip(blocks, states, strict=True):
-        for name, column in state.columns(deepest, largest):
+    runs = [problem.case.runs[b.run] for b in blocks]
+    depths = [np.maximum(np.asarray(run.stage_mm) - found.base.u0_mm, 0.0) for run in runs]
+    loads = [elastic_force(depth, found.base.k1_N_mm, found.base.k3_N_mm3) for depth in depths]
+    deepest, largest = (max(float(part.max()) for part in parts) or 1.0 for parts in (depths, loads))
+    for block, run, depth, load in zip(blocks, runs, depths, loads, strict=True):
+        for name, column in _columns(run, depth / deepest, load / largest):
             out.setdefault(name, np.zeros(len(problem.measured)))[block.place] = column
     return out
 
@@ -59,39 +57,29 @@ def columns_of(signal: Array, run: Run, times: float) -> dict[str, list[Array]]:
     }
 
 
-class _State:
-    """Depth, load and time of one run, as the fitted base has them."""
-
-    def __init__(self, found: Fit, run: Run) -> None:
-        base, stage_mm = found.base, np.asarray(run.stage_mm)
-        self._run = run
-        self.depth = np.maximum(stage_mm - base.u0_mm, 0.0)
-        self.load = elastic_force(self.depth, base.k1_N_mm, base.k3_N_mm3)
-
-    def columns(self, deepest: float, largest: float) -> Iterator[tuple[str, Array]]:
-        """Yield every variable of this run by name, depth and load relative to the largest of the case."""
-        run, t_s = self._run, self._run.elapsed_s
-        depth, load = self.depth / deepest, self.load / largest
-        rate = np.gradient(load, t_s)
-        for k in range(HATS):
-            place = (k + 1) / HATS
-            yield f"depth near {place:.2f}", np.maximum(0.0, 1.0 - HATS * np.abs(depth - place)) * (depth > 0.0)
-        direction = np.sign(rate)
-        yield "time", t_s
-        yield "load × time", load * t_s
-        yield "direction", direction
-        yield "load × direction", load * direction
-        yield "load² × direction", load**2 * direction
-        yield "load rate", rate
-        yield "load × load rate", load * rate
-        yield "acceleration", np.gradient(np.gradient(depth, t_s), t_s)
-        yield "position", np.asarray(run.stage_mm)
-        yield "deepest so far", np.maximum.accumulate(depth)
-        yield "load × deepest so far", load * np.maximum.accumulate(depth)
-        if run.temperature_rise_K is not None:
-            yield "temperature", run.temperature_rise_K
-            yield "load × temperature", load * run.temperature_rise_K
-        for tau_s in MEMORY_s:
-            remembered = low_pass(load, run.step_s, tau_s, np.zeros(2))
-            yield f"load over the last {tau_s:g} s", remembered
-            yield f"load × load over the last {tau_s:g} s", load * remembered
+def _columns(run: Run, depth: Array, load: Array) -> Iterator[tuple[str, Array]]:
+    """Yield every variable of a run; depth and load are relative to the largest of the case."""
+    t_s = run.elapsed_s
+    rate = np.gradient(load, t_s)
+    for k in range(HATS):
+        place = (k + 1) / HATS
+        yield f"depth near {place:.2f}", np.maximum(0.0, 1.0 - HATS * np.abs(depth - place)) * (depth > 0.0)
+    direction = np.sign(rate)
+    yield "time", t_s
+    yield "load × time", load * t_s
+    yield "direction", direction
+    yield "load × direction", load * direction
+    yield "load² × direction", load**2 * direction
+    yield "load rate", rate
+    yield "load × load rate", load * rate
+    yield "acceleration", np.gradient(np.gradient(depth, t_s), t_s)
+    yield "position", np.asarray(run.stage_mm)
+    yield "deepest so far", np.maximum.accumulate(depth)
+    yield "load × deepest so far", load * np.maximum.accumulate(depth)
+    if run.temperature_rise_K is not None:
+        yield "temperature", run.temperature_rise_K
+        yield "load × temperature", load * run.temperature_rise_K
+    for tau_s in MEMORY_s:
+        remembered = low_pass(load, run.step_s, tau_s, np.zeros(2))
+        yield f"load over the last {tau_s:g} s", remembered
+        yield f"load × load over the last {tau_s:g} s", load * remembered

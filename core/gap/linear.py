@@ -1,4 +1,4 @@
-"""Small products over long vectors, compiled: a few rows of many samples are too thin for a threaded BLAS."""
+"""Small products over long vectors, compiled: a few rows are too thin for a threaded BLAS."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +56,7 @@ def combine(coefficients: Array, rows: Array) -> Array:
 
 @compiled
 def wave_sums(grid_Hz: Array, t_s: Array, values: Array) -> NDArray[np.complex128]:
-    """Return Σ vₖ·exp(−2πi·f·tₖ), (m,) complex, of (n,) values at (n,) times, for every of (m,) frequencies."""
+    """Return Σ vₖ·exp(−2πi·f·tₖ), (m,), of (n,) values at (n,) times, for (m,) frequencies."""
     out = np.empty(len(grid_Hz), dtype=np.complex128)
     for i in range(len(grid_Hz)):
         turn = 2.0 * np.pi * grid_Hz[i]

@@ -1,4 +1,4 @@
-"""What to press next: the run that best tells the remaining rivals apart, per minute of bench time."""
+"""What to press next: the run that best tells the rivals apart, per minute of bench time."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,10 +10,11 @@ from softcal.core.gap.case import Case, Run
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import dots, energy, gram
 from softcal.core.profiles import Profile
+from softcal.core.twin.probes import Extent
 from softcal.core.words.reason import Reason, in_words, reason, several
 
 ENOUGH_SIGMA = 10.0
-"""Rivals this far apart, in standard deviations over all samples, are told apart on a real, coloured floor."""
+"""Rivals this many standard deviations apart are told apart on a real, coloured floor."""
 
 SET_UP_min: Mapping[str, float] = {
     "press": 0.5,
@@ -31,7 +32,6 @@ class MenuEntry:
     """One experiment that may be proposed.
 
     Args:
-        name: what the operator is asked to do.
         run: the run as it would be recorded, its measured channels still empty (zeros).
         minutes: bench time, set-up included.
         stage_profile: what the station runs, None for a special run.
@@ -48,10 +48,7 @@ class NextExperiment:
     """The proposed run.
 
     Args:
-        profile: its name.
-        why: which rivals it separates, and how far.
         separation_sigma: distance of the refitted rivals over the run, in standard deviations of the noise.
-        stage_profile: segments the station can run, None for a special run.
     """
 
     profile: str
@@ -61,14 +58,12 @@ class NextExperiment:
     stage_profile: Profile | None = None
 
     def record(self) -> dict[str, object]:
-        """Return it as a report has it."""
         return in_words({name: value for name, value in vars(self).items() if name != "stage_profile"}, "why")
 
 
-def menu(case: Case, depth_mm: float, force_N: float) -> tuple[MenuEntry, ...]:
-    """Return what can be recorded on this rig: stage profiles to the depth already pressed, and special runs."""
-    d = depth_mm
-    rate_Hz = case.readout.sample_rate_Hz
+def menu(case: Case, extent: Extent) -> tuple[MenuEntry, ...]:
+    """Return what can be recorded here: profiles to the depth already pressed, and special runs."""
+    d, rate_Hz = extent.depth_mm, case.readout.sample_rate_Hz
     pressed: dict[str, Profile] = {}
     if case.has("stage_mm"):
         pressed = {
@@ -86,18 +81,16 @@ def menu(case: Case, depth_mm: float, force_N: float) -> tuple[MenuEntry, ...]:
         force, output = (np.zeros(len(t_s)) if case.has(name) else None for name in ("force_N", "output_V"))
         run = Run(profile.name, t_s, case.readout, stage_mm, force, output, is_planned=True)
         entries.append(MenuEntry(name, run, SET_UP_min["press"] + profile.duration_s / 60, profile))
-    return (*entries, *_special(case, force_N, rate_Hz))
+    return (*entries, *_special(case, extent.force_N, rate_Hz))
 
 
-def propose(case: Case, rivals: Sequence[Fit], depth_mm: float, force_N: float) -> NextExperiment | None:
+def propose(case: Case, rivals: Sequence[Fit], extent: Extent) -> NextExperiment | None:
     """Return the experiment that tells most rivals from the first, and does so best per minute; None without rivals.
 
     The distance of two rivals is what the second's prediction keeps from the first after the first has been refitted
     to the old runs and the new one together (T-optimality with refit, to first order).
     """
-    if len(rivals) < 2:
-        return None
-    return most_telling(menu(case, depth_mm, force_N), rivals)
+    return None if len(rivals) < 2 else most_telling(menu(case, extent), rivals)
 
 
 def most_telling(entries: Sequence[MenuEntry], rivals: Sequence[Fit]) -> NextExperiment:
@@ -121,7 +114,7 @@ def most_telling(entries: Sequence[MenuEntry], rivals: Sequence[Fit]) -> NextExp
 
 
 def causes_of(rivals: Sequence[Fit]) -> Reason:
-    """Return the causes of hypotheses in words: those of one together, the hypotheses one after the other."""
+    """Return the causes of hypotheses in words, those of one together."""
     return several([named(f.hypothesis.ids, "gap.together") for f in rivals], "gap.both")
 
 
@@ -131,17 +124,13 @@ def named(effects: Sequence[str], code: str) -> Reason:
 
 
 def _apart(one: Fit, other: Fit, run: Run) -> float:
-    """Return how far two rivals stay apart; one that holds the other's causes could always take its shape."""
-    mine, theirs = set(one.hypothesis.ids), set(other.hypothesis.ids)
-    if mine < theirs:
-        return _distance(one, other, run)
-    if theirs < mine:
-        return _distance(other, one, run)
-    return min(_distance(one, other, run), _distance(other, one, run))
+    """Return how far two rivals stay apart; a larger one can take the shape of a smaller one."""
+    pairs = [(a, b) for a, b in ((one, other), (other, one)) if not set(a.hypothesis.ids) > set(b.hypothesis.ids)]
+    return min(_distance(a, b, run) for a, b in pairs)
 
 
 def _distance(mine: Fit, other: Fit, run: Run) -> float:
-    """Return how far `other` stays from `mine` on a new run after `mine` was refitted to the old runs and this one."""
+    """Return how far `other` stays from `mine` on a new run once `mine` is refitted to it too."""
     problem = mine.problem.of_run(run)
     hypothesis = mine.hypothesis.without_episodes()
     theirs = problem.predict(other.hypothesis.without_episodes(), other.coordinates)

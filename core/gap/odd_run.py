@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.gap.case import Case
+from softcal.core.gap.data_mistake import FEWEST_RUNS, DataMistake, numbers, of_gain
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import dots, energy, gram
-from softcal.core.gap.plausibility import FEWEST_RUNS, DataMistake, numbers, of_gain
 from softcal.core.gap.residual import structure
 from softcal.core.gap.screen import Tangent
 from softcal.core.gap.search import EffectSearch
@@ -24,7 +24,7 @@ SHARE = 0.93
 """Share of what the twin leaves that one run's mistake must explain."""
 
 LEAST = {"gain": 0.02, "zero": 0.02}
-"""Smallest gain, and zero against the span, that is a mistake: a smaller one is the tare or the seating of a run."""
+"""Smallest gain, and zero against the span, that is a mistake and not tare or seating of a run."""
 
 SHARE_BESIDE = 0.85
 PARENTS = 3
@@ -33,7 +33,7 @@ AHEAD = 40.0
 catalogue's best: other equations of a cause leave much less to one run alone."""
 
 PROMISED, LEAST_PROMISED = 0.5, 0.15
-"""Share that a mistake must promise to be fitted: alone, and where a cause of the same size stands beside it."""
+"""Share that a mistake must promise to be fitted: alone, and beside a cause of the same size."""
 
 EACH, DEARER = 3.0, 2e-4
 """What a number costs, in ln n, and which share of the gap besides where structure is left."""
@@ -73,20 +73,14 @@ _Fitted = tuple[Fit, int, _Oddity, float]
 """A fit with a mistake, its run, what it is, and the share it explains."""
 
 
-def odd_run(base: Fit, least_share: float = SHARE) -> DataMistake | None:
-    """Return the mistake of one run that explains what a fit leaves, None where none does.
-
-    Args:
-        base: the fit, of the base alone or with causes.
-        least_share: of what it leaves that must be explained.
-    """
-    for fitted, run, oddity, share in nearest(base)[:1]:
-        return None if share < least_share else _finding(fitted, run, oddity, share)
-    return None
+def odd_run(base: Fit) -> DataMistake | None:
+    """Return the mistake of one run that explains what a fit leaves, None where none does."""
+    found = [one for one in nearest(base)[:1] if one[3] >= SHARE]
+    return _finding(*found[0]) if found else None
 
 
 def odd_run_beside(search: EffectSearch) -> DataMistake | None:
-    """Return the mistake of one run that, with one cause or none, explains more than all causes that were found."""
+    """Return the mistake of one run that, with one cause or none, explains more than all causes."""
     best, base = search.best, search.base
     if len(best.hypothesis.ids) < 2 and search.is_clean(best):
         return None
@@ -98,17 +92,13 @@ def odd_run_beside(search: EffectSearch) -> DataMistake | None:
             clean = [grown for grown in search.grown_from(fitted) if search.is_clean(grown)]
             tried += [(base, (grown, run, oddity, share)) for grown in clean]
     kept = []
-    for parent, found in tried:
-        fitted, run, oddity, share = found
+    for parent, (fitted, run, oddity, share) in tried:
         # The mistake counts as one number more; it belongs to no catalogue and has no prior odds of its own.
         price = parent.penalty if parent is not base or not singles else singles[0].penalty
         price += float(np.log(base.problem.count)) * len(oddity.hooks)
         if (share > SHARE_BESIDE or parent is base) and fitted.chi2 + price < best.bic - AHEAD:
-            kept.append((fitted.chi2 + price, fitted, run, oddity, share))
-    if not kept:
-        return None
-    _, fitted, run, oddity, share = min(kept, key=lambda k: k[0])
-    return _finding(fitted, run, oddity, share)
+            kept.append((fitted.chi2 + price, (fitted, run, oddity, share)))
+    return _finding(*min(kept, key=lambda one: one[0])[1]) if kept else None
 
 
 def nearest(base: Fit, promised_share: float = PROMISED) -> list[_Fitted]:
@@ -131,10 +121,9 @@ def nearest(base: Fit, promised_share: float = PROMISED) -> list[_Fitted]:
     for gain, run, oddity in promised[:3]:
         if gain < max(promised_share * excess, 0.5 * promised[0][0]):
             continue
-        hypothesis, effects = base.hypothesis, _effects(run, oddity, base)
-        for effect in effects:
-            hypothesis = hypothesis.adding(effect)
-        fitted = fit(base.problem, hypothesis, np.append(base.coordinates, np.zeros(len(effects))), steps=30)
+        effects = _effects(run, oddity, base)
+        start = np.append(base.coordinates, np.zeros(len(effects)))
+        fitted = fit(base.problem, base.hypothesis.adding(*effects), start, steps=30)
         found.append((fitted, run, oddity, (base.chi2 - fitted.chi2) / excess))
 
     def price(one: _Fitted) -> float:
@@ -149,7 +138,7 @@ def _is_clean(found: Fit) -> bool:
 
 
 def _promised(base: Fit, runs: Sequence[int]) -> list[tuple[float, int, _Oddity]]:
-    """Return to first order by how much each oddity of each run would lower χ², everything else fitted again."""
+    """Return to first order by how much each oddity of each run would lower χ² after a refit."""
     tangent, problem = Tangent(base), base.problem
     promised = []
     slopes = base.jacobian[base.hypothesis.of_base]

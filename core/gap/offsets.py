@@ -1,6 +1,6 @@
-"""What every rig has and no cause has to explain: a cell that was not tared, a unit that sits anew in every run."""
+"""What every rig has and no cause has to explain: a cell not tared, a unit that sits anew in every run."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, TypeAlias
@@ -15,22 +15,22 @@ from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.signals import compiled
 
 if TYPE_CHECKING:
-    from softcal.core.gap.problem import Problem
+    from softcal.core.gap.problem import Hypothesis, Problem
 
 TARE = 0.03
-"""Largest force at rest that counts as a cell that was not tared, as a share of the range of the force."""
+"""Largest force at rest of a cell that was not tared, as a share of the range of the force."""
 
 RESISTANCE = 0.02
-"""Largest change of the unloaded resistance from run to run that counts as seating or room temperature."""
+"""Largest change of the unloaded resistance between runs that is seating or room temperature."""
 
 SEAT = 0.03
-"""Largest change of the height of the surface from run to run that counts as seating, as a share of the stroke."""
+"""Largest change of the surface's height between runs that is seating, over the stroke."""
 
 STRAIGHT_SIGMA = 0.5
-"""Noise of one sample up to which an offset may move it along the slope: where it bends, the error is far smaller."""
+"""Share of its noise that an offset may move a sample along the slope: bends err far less."""
 
 IS_RELATIVE = np.array([False, True, True])
-"""Whose common part is the base's own: its resistance and its surface; the zero of the force comes first."""
+"""Whose common part is the base's own: resistance and surface, not the zero of the force."""
 
 OFFSET_NAMES = ("zero of force_N", "unloaded resistance", "height of the surface")
 """What the twin's offsets are called, in their order."""
@@ -43,7 +43,7 @@ SEATED = ("press", "rest")
 
 
 Directions: TypeAlias = list[Array | None]
-"""Per block, (k, n), how a channel changes with each offset of its run; None where a run has none."""
+"""Per block, (k, n), how a channel changes with each offset; None where a run has none."""
 
 
 @dataclass(frozen=True)
@@ -70,8 +70,6 @@ def offsets(problem: "Problem", base: BaseParameters, clean: Array) -> list[Offs
 
     Args:
         problem: its recordings and their noise; samples that a fit may not see count, an offset is no forecast.
-        base: where the directions are taken.
-        clean: (samples,) prediction of the twin.
     """
     runs, sizes = _solved(problem, directions(problem, base, clean), clean, {})
     return [Offsets(run, *map(float, row)) for run, row in zip(runs, sizes, strict=True)]
@@ -80,19 +78,12 @@ def offsets(problem: "Problem", base: BaseParameters, clean: Array) -> list[Offs
 Sizes: TypeAlias = Mapping[int, Array]
 """By run, (k,), the sizes of its offsets that are in a prediction."""
 
-Again: TypeAlias = Callable[[Sizes], Array]
-"""Predict once more, (samples,), with these offsets in it."""
-
-Along: TypeAlias = Callable[[Array, Sizes], Directions]
-"""How a prediction with these offsets in it changes with each of them."""
-
 
 @dataclass(frozen=True, eq=False)
 class Nearby:
     """The offsets of every run around one prediction: nearby they follow another one along the same directions.
 
     Args:
-        directions: how the prediction changes with each offset.
         moved: what is in the prediction; none where all are small.
     """
 
@@ -113,17 +104,19 @@ class Nearby:
         return out
 
 
-def with_offsets(problem: "Problem", clean: Array, along: Along, again: Again) -> tuple[Array, Nearby]:
-    """Return a prediction, (samples,), with the offsets that bend it in it, and how all of them move nearby."""
-    near = Nearby(along(clean, {}))
+def with_offsets(
+    problem: "Problem", hypothesis: "Hypothesis", coordinates: Array, clean: Array
+) -> tuple[Array, Nearby]:
+    """Return a (samples,) prediction with the offsets that bend it, and how all move nearby."""
+    near = Nearby(problem.directions(hypothesis, coordinates, clean, {}))
     for _ in range(PASSES - 1):
         sizes = near.sizes(problem, clean)
         if not _is_bent(problem, near.directions, sizes):
             break
         # A surface that lies lower moves the corner of first touch: a straight step along the slope would leave it.
         moved = {run: step + near.moved.get(run, 0.0) for run, step in sizes.items()}
-        clean = again(moved)
-        near = Nearby(along(clean, moved), moved)
+        clean = problem.clean(hypothesis, coordinates, moved)
+        near = Nearby(problem.directions(hypothesis, coordinates, clean, moved), moved)
     return clean, near
 
 
@@ -136,7 +129,7 @@ def bases_of(base: BaseParameters, sizes: Sizes) -> dict[int, BaseParameters]:
 
 
 def rows_of_runs(problem: "Problem", directions: Directions) -> dict[int, Array]:
-    """Return by run, (k, samples), how a prediction changes with each of its offsets; 0 in other runs."""
+    """Return by run, (k, samples), how a prediction changes with its offsets; 0 in other runs."""
     out: dict[int, Array] = {}
     for block, rows in zip(problem.blocks, directions, strict=True):
         if rows is not None:
@@ -163,12 +156,10 @@ def own_rows(problem: "Problem", directions: Directions) -> tuple[list[Array], t
 def _is_bent(problem: "Problem", directions: Directions, sizes: Sizes) -> bool:
     """Whether an offset moves a channel by so much that its slope does not foretell it."""
     bending = np.flatnonzero(problem.are_bending)
-    if not len(bending):
-        return False
-    for block, rows in zip(problem.blocks, directions, strict=True):
-        if rows is not None and _moves(rows, sizes[block.run], bending, problem.noise[block.place]) > STRAIGHT_SIGMA:
-            return True
-    return False
+    return len(bending) > 0 and any(
+        rows is not None and _moves(rows, sizes[block.run], bending, problem.noise[block.place]) > STRAIGHT_SIGMA
+        for block, rows in zip(problem.blocks, directions, strict=True)
+    )
 
 
 @compiled
@@ -183,7 +174,7 @@ def _moves(rows: Array, sizes: Array, bending: NDArray[np.int64], noise: Array) 
 
 
 def _solved(problem: "Problem", directions: Directions, clean: Array, moved: Sizes) -> tuple[list[int], Array]:
-    """Return the runs with offsets and, (runs, k), what is to be added to theirs along the directions."""
+    """Return the runs with offsets and, (runs, k), what is to be added to these."""
     runs = list(dict.fromkeys(b.run for b, rows in zip(problem.blocks, directions, strict=True) if rows is not None))
     count = len(problem.largest_offsets)
     normal, slope = np.zeros((len(runs), count, count)), np.zeros((len(runs), count))
@@ -233,7 +224,7 @@ def _range(case: Case, channel: str) -> float:
 def directions(
     problem: "Problem", base: BaseParameters, clean: Array, sizes: Sizes = MappingProxyType({})
 ) -> Directions:
-    """Return per block, (3, n), how the channel changes with each offset; None where the unit is not in the run."""
+    """Return per block, (3, n), how the channel changes with each offset; None without the unit."""
     own = bases_of(base, sizes)
     out: Directions = []
     for block in problem.blocks:
@@ -253,7 +244,7 @@ def directions(
 def _rows(
     kinds: tuple[bool, bool], stage_mm: Array, clean: Array, vref_V: float, base: tuple[float, float, float, float]
 ) -> Array:
-    """(3, n) change of a channel per N of tare, per share of R0 and per mm of seat, by the base's own equations."""
+    """(3, n) change of a channel per N of tare, share of R0 and mm of seat, by the base."""
     is_force, is_strain = kinds
     u0_mm, k1_N_mm, k3_N_mm3, kappa_per_N = base
     out = np.zeros((3, len(clean)))

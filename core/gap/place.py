@@ -5,6 +5,7 @@ swings to and fro, or a jump in time, is motion. What lasts at rest or swings wi
 follows the slope of the output is acquisition. What is left acts only under load.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,10 +14,78 @@ from softcal.core.gap.case import Mask, Run
 from softcal.core.gap.fit import Fit
 from softcal.core.gap.problem import Block
 from softcal.core.gap.residual import Map, suspects
-from softcal.core.gap.tone import Tone, strongest_tone
 from softcal.core.recording import Array
 from softcal.core.twin.effects import ChainStage, Placing
 from softcal.core.words.reason import Reason, reason
+
+CHANCE = 1e-6
+"""How seldom white noise may show a tone in one run."""
+
+FAINTEST = 0.3
+"""Root mean square of a tone, in units of the noise, below which it hides nothing."""
+
+FEWEST = 20
+"""Ordinates below which nothing stands out of the others."""
+
+SLOWEST_HZ = 2.0
+"""Below, block sums see it; and what is slow is a shape more often than a tone."""
+
+
+@dataclass(frozen=True)
+class Tone:
+    """The strongest tone of a channel.
+
+    Args:
+        rms: in units of the noise.
+        width_Hz: distance of two ordinates of its periodogram.
+    """
+
+    channel: str
+    frequency_Hz: float
+    rms: float
+    width_Hz: float
+
+    def is_same(self, other: "Tone") -> bool:
+        """Whether another tone, of another run for example, is this one."""
+        distance_Hz = abs(self.frequency_Hz - other.frequency_Hz)
+        return self.channel == other.channel and distance_Hz < self.width_Hz + other.width_Hz
+
+
+def strongest_tone(found: Fit) -> Tone | None:
+    """Return the strongest tone of one frequency in the residuals of a channel; None where there is none.
+
+    A ripple over the travel has another frequency at every speed: of several runs two must show the same one.
+    """
+    tones = [t for block in found.problem.blocks if (t := _tone(found, block)) is not None]
+    alone = len(found.problem.case.presses) == 1
+    kept = [t for t in tones if alone or sum(t.is_same(other) for other in tones) > 1]
+    return max(kept, key=lambda tone: tone.rms, default=None)
+
+
+def _tone(found: Fit, block: Block) -> Tone | None:
+    """Return the strongest tone of one channel of one run.
+
+    The largest of m ordinates of a periodogram of white noise exceeds g times their mean with a chance of about
+    m·exp(−g) (R. A. Fisher, Proc. R. Soc. A 125, 54, 1929).
+    """
+    run = found.problem.case.runs[block.run]
+    residual = found.residual[block.place]
+    if run.kind != "press":
+        return None
+    step_s = float(np.median(run.step_s))
+    frequency_Hz = np.fft.rfftfreq(len(residual), step_s)
+    is_fast = frequency_Hz > SLOWEST_HZ
+    power = (np.abs(np.fft.rfft(residual - residual.mean())) ** 2 / len(residual))[is_fast]
+    if len(power) < FEWEST:
+        return None
+    at = int(np.argmax(power))
+    # The median of exponential ordinates is ln 2 of their mean; a strong tone would raise the mean itself.
+    level = float(np.median(power)) / math.log(2.0)
+    rms = math.sqrt(2.0 * max(power[at] - level, 0.0) / len(residual))
+    if rms < FAINTEST or power[at] < level * math.log(len(power) / CHANCE):
+        return None
+    return Tone(block.channel, float(frequency_Hz[is_fast][at]), rms, 1.0 / (step_s * len(residual)))
+
 
 UNEVEN_Z = 8.0
 UNEVEN_RATIO = 4.0
@@ -34,10 +103,10 @@ SWINGS = 4
 """Changes of sign from which a static residual is taken as a ripple, not as a bend."""
 
 FAINT_Z = 30.0
-"""Structure of the maps below which uneven noise says more of the place than they do: it stirs them up a little."""
+"""Structure of the maps below which uneven noise says more of the place: it stirs them a little."""
 
 BREATHES_Hz, MOST_OF_LINE = 0.5, 0.5
-"""A tone so close to a named line, and so much smaller, is what its equation leaves: a line swells within seconds."""
+"""A tone so close to a named line, and so much smaller, is what is left of it as it swells."""
 
 MOST = 0.5
 """Share of the structured residual that a regularity must account for to count."""
@@ -67,7 +136,7 @@ def loose_noise(found: Fit) -> LooseNoise | None:
 
 
 def _is_beside_line(found: Fit, tone: Tone) -> bool:
-    """Whether a tone is what the equation of a named line leaves: its amplitude breathes, as that of mains does."""
+    """Whether a tone is what the equation of a named line leaves: that of mains breathes."""
     rows = zip(found.hypothesis.effects, found.effect_values, strict=True)
     lines = [values for effect, values in rows if effect.signs.placing == Placing.LINE]
     rms = tone.rms * found.problem.floor(tone.channel)
@@ -105,7 +174,7 @@ def _loose_output(found: Fit) -> LooseNoise | None:
 
 
 def _is_clipped(found: Fit, block: Block) -> Mask:
-    """(n,) where the output stands within its noise at a level that it was fitted to be clipped at."""
+    """(n,) where the output stands, within its noise, at a level it was fitted to be clipped at."""
     output_V, near_V = found.predicted[block.place], CLIPPED_SIGMA * found.problem.floor("output_V")
     out = np.zeros(len(output_V), dtype=np.bool_)
     for effect, values in zip(found.hypothesis.effects, found.effect_values, strict=True):
@@ -115,7 +184,7 @@ def _is_clipped(found: Fit, block: Block) -> Mask:
 
 
 def _quick(error: Array) -> Array:
-    """(n,) what a sample has beyond the mean of its neighbours, of variance 1 for white noise of variance 1."""
+    """(n,) what a sample has beyond the mean of its neighbours; white noise keeps its variance."""
     out = np.zeros(len(error))
     out[1:-1] = (error[1:-1] - 0.5 * (error[:-2] + error[2:])) / np.sqrt(1.5)
     return out
@@ -166,7 +235,7 @@ def _behind(base: Fit) -> ChainStage:
 
 
 def _static(error: Array, drive: Array, excess: float) -> tuple[float, int]:
-    """Return which share of the excess is a function of the drive alone, and how often it changes sign."""
+    """Return which share of the excess the drive determines, and how often it changes sign."""
     edges = np.linspace(drive.min(), drive.max() + 1e-12, BINS + 1)
     place = np.clip(np.digitize(drive, edges) - 1, 0, BINS - 1)
     count = np.bincount(place, minlength=BINS)
@@ -179,7 +248,7 @@ def _static(error: Array, drive: Array, excess: float) -> tuple[float, int]:
 
 
 def _is_motion(base: Fit) -> bool:
-    """Whether the force is off by what a wrong position would do: a ripple over the travel, or a jump in time."""
+    """Whether the force is off as by a wrong position: a ripple over the travel, or a jump."""
     blocks = base.problem.blocks_of("force_N", "press")
     if not blocks:
         return False
@@ -201,7 +270,7 @@ def _travel(run: Run) -> Array:
 
 
 def _displacement(base: Fit, block: Block, run: Run) -> Array:
-    """(n,) residual of the force, scaled so that a wrong position weighs alike at every depth; 0 without contact."""
+    """(n,) residual of the force in which a wrong position weighs alike at any depth."""
     depth_mm = np.maximum(0.0, _travel(run) - base.base.u0_mm)
     slope = base.base.k1_N_mm + 3.0 * base.base.k3_N_mm3 * depth_mm**2
     scaled = base.residual[block.place] * float(np.median(slope)) / np.maximum(slope, 1e-9 * float(np.max(slope)))
@@ -224,7 +293,7 @@ def _trend(error: Array) -> float:
 
 
 def _by_deepest(error: Array, travel: Array) -> float:
-    """Return the energy that a function of the deepest position so far takes away, beyond its mean."""
+    """Return the energy that a function of the deepest position so far takes, beyond its mean."""
     deepest = np.maximum.accumulate(travel)
     edges = np.linspace(deepest.min(), deepest.max() + 1e-12, 9)
     place = np.digitize(deepest, edges)

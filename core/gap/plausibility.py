@@ -7,28 +7,15 @@ effect of the catalogue is fitted before this has found nothing.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from softcal.core.gap.case import Case, Run
+from softcal.core.gap.data_mistake import FEWEST_RUNS, DataMistake, apart, numbers, of_gain, of_sign, of_unit
 from softcal.core.recording import RATE_TOLERANCE, Array
 from softcal.core.twin.parameters import ReadoutMetadata
-from softcal.core.words.reason import Reason, in_words, reason
+from softcal.core.words.reason import Reason, reason
 
-Kind = Literal[
-    "unit_factor",
-    "gain",
-    "zero",
-    "sign",
-    "swapped_columns",
-    "swapped_divider",
-    "other_unit",
-    "swapped_runs",
-    "rate",
-    "out_of_range",
-    "constant",
-]
 COLUMNS = {"stage": "stage_mm", "force": "force_N", "output": "output_V"}
 
 TIME_UNITS = {"ms": 1e-3, "us": 1e-6, "min": 60.0}
@@ -48,7 +35,7 @@ UNITS_OF_RUN: Mapping[str, Mapping[str, float]] = {
 """The same for one run, where the others tell how large its values must be."""
 
 STIFFNESS_N_mm = (0.4, 25.0)
-"""Peak force over peak depth of a soft pad; beyond it a unit may be wrong, if one unit brings everything back to ..."""
+"""Peak force over depth of a soft pad; beyond, a unit may be wrong, if one brings all back to ..."""
 
 USUAL = {"stiffness_N_mm": 2.0, "depth_mm": 3.0, "force_N": 6.0}
 NEAR_USUAL = 5.0
@@ -62,13 +49,13 @@ FEW = 0.02
 """Share of samples up to which values out of range are a broken transmission, not a wrong unit."""
 
 FAR = 3.0
-"""A sample is off by a broken transmission when it lies this many spans beyond what nearly all others show."""
+"""A sample this many spans beyond what nearly all others show is off by a broken transmission."""
 
 OFF_STEP = 0.1
 """Distance from a step of the ADC, in steps, up to which a sample stands on it."""
 
 ON_GRID, OFF_GRID = 0.9, 0.5
-"""Share of samples on the steps of the ADC from which a column is an output, and below which it is none."""
+"""Share of samples on steps of the ADC from which a column is an output, and below which not."""
 
 SMOOTH = 0.1
 """A commanded position is this much smoother, against its span, than anything measured."""
@@ -79,45 +66,12 @@ OPPOSED = -0.5
 PAIRED, UNPAIRED = 0.75, 0.6
 """Correlation above which two columns belong to one run, and below which they do not."""
 
-FEWEST_RUNS = 3
-"""With two runs nobody can tell which one is wrong."""
 
 APART = 2.0
-"""Ratio of one run to the others above which no effect but only a wrong unit or gain explains it."""
+"""Ratio of one run to the others that no effect but only a wrong unit or gain explains."""
 
 NEAR_FACTOR = 1.45
 """A stiffness this near beyond what the lot states, once a unit is turned, is that unit."""
-
-SAME_FACTOR = 1.1
-"""A ratio of one run to the others this near to a unit's factor, beyond what the others differ by, is that unit."""
-
-
-@dataclass(frozen=True)
-class DataMistake:
-    """One mistake: what it is, where it shows, and what would repair it.
-
-    Args:
-        channel: `stage`, `force`, `output`, `temperature` or `time`; two with a plus where columns are swapped.
-        runs: numbers of the runs; empty for all.
-        factor: repaired values over recorded ones; None where there is no such number.
-    """
-
-    what: Kind
-    channel: str
-    runs: tuple[int, ...]
-    factor: float | None
-    evidence: Reason
-    repair: Reason
-
-    def record(self) -> dict[str, object]:
-        """Return it as a report has it."""
-        return in_words(vars(self) | {"runs": list(self.runs) or "all"}, "evidence", "repair")
-
-
-def numbers(case: Case) -> list[int]:
-    """Return the numbers of the runs of a case: those of their folders, or their places from 1."""
-    names = [run.name for run in case.runs]
-    return [int(n) for n in names] if all(n.isdigit() for n in names) else list(range(1, len(names) + 1))
 
 
 def mistakes(case: Case) -> tuple[DataMistake, ...]:
@@ -133,10 +87,7 @@ def mistakes(case: Case) -> tuple[DataMistake, ...]:
 
 
 def doubts(case: Case) -> tuple[DataMistake, ...]:
-    """Return units of a whole case that would make an unusual pad a usual one: questions, for nothing in it tells.
-
-    What is diagnosed does not depend on them.
-    """
+    """Return units of a whole case that would make an unusual pad a usual one: questions, no findings."""
     size = _size(case)
     if case.stiffness_N_mm is not None or not size.is_odd:
         return ()
@@ -155,7 +106,7 @@ def doubts(case: Case) -> tuple[DataMistake, ...]:
 
 
 def _in_runs(look: Callable[[Run], Iterable[DataMistake]]) -> Callable[[Case], Iterator[DataMistake]]:
-    """Look at every run of a case; one mistake in all runs that are pressed is one of the whole case."""
+    """Look at every run of a case; a mistake in all that are pressed is one of the whole case."""
 
     def in_case(case: Case) -> Iterator[DataMistake]:
         groups: dict[tuple[str, str, float | None], tuple[DataMistake, set[int]]] = {}
@@ -196,7 +147,7 @@ def _rates(run: Run) -> Iterator[DataMistake]:
 
 @_in_runs
 def _columns(run: Run) -> Iterator[DataMistake]:
-    """Which column is the output shows by the steps of the ADC, which is the stage by its smoothness."""
+    """The output shows by the steps of the ADC, the stage by its smoothness."""
     channels = _channels(run)
     if run.kind != "press" or len(channels) < 2:
         return
@@ -384,7 +335,7 @@ def _size(case: Case) -> _Size:
 
 
 def _contact_mm(stage_mm: Array, load: Array) -> float:
-    """Return where the load begins: the line through a twentieth and three twentieths of it, carried on to none."""
+    """Return where the load begins: where a line through 5 % and 15 % of it meets none."""
     low, high = np.quantile(load, (0.02, 0.995))
     part = (load - low) / max(float(high - low), 1e-12)
     twentieth, three = (stage_mm[np.abs(part - level) < 0.02] for level in (0.05, 0.15))
@@ -418,7 +369,7 @@ def _against_stated(case: Case) -> list[DataMistake]:
 
 
 def _runs_apart(case: Case) -> list[DataMistake]:
-    """One run whose values are larger or smaller than those of all others by a factor that no effect has."""
+    """One run that differs from all others by a factor that no effect has."""
     presses, number = _presses(case), numbers(case)
     if len(presses) < FEWEST_RUNS:
         return []
@@ -446,44 +397,3 @@ def _spread_at(reference: Array, values: Array) -> float:
     top = values[reference >= low + 0.6 * (high - low)]
     bottom = values[reference <= low + 0.1 * (high - low)]
     return max(abs(float(np.median(top) - np.median(bottom))) / max(float(high - low), 1e-12), 1e-12)
-
-
-def apart(channel: str, run: int, factor: float, units: Mapping[str, float], others: float = 0.0) -> DataMistake:
-    """Return what is wrong with one run against the others: its unit, else its gain.
-
-    Args:
-        factor: what brings its values to those of the others.
-        units: what values in each must be multiplied by.
-        others: logarithm of the factor by which the others differ among themselves.
-    """
-    evidence = reason("data.run.apart", channel=channel, ratio=1.0 / factor)
-    if unit := unit_of(factor, units, others):
-        return of_unit(channel, (run,), unit, units[unit], evidence)
-    return of_gain(channel, (run,), factor, evidence)
-
-
-def unit_of(factor: float, units: Mapping[str, float], others: float = 0.0) -> str:
-    """Return the unit whose factor this is, empty where it is none."""
-    if factor <= 0.0:
-        return ""
-    near = min(units, key=lambda unit: abs(np.log(units[unit] / factor)))
-    return near if abs(np.log(units[near] / factor)) < np.log(SAME_FACTOR) + others else ""
-
-
-def of_unit(
-    channel: str, runs: tuple[int, ...], unit: str, factor: float, evidence: Reason, repair: str = "data.repair.unit"
-) -> DataMistake:
-    """Return the mistake of a channel that is in another unit."""
-    mended = reason(repair, channel=channel, factor=factor, unit=unit)
-    return DataMistake("unit_factor", channel, runs, factor, evidence, mended)
-
-
-def of_gain(channel: str, runs: tuple[int, ...], factor: float, evidence: Reason) -> DataMistake:
-    """Return the mistake of a channel with a wrong gain."""
-    repair = reason("data.repair.gain", channel=channel, factor=factor)
-    return DataMistake("gain", channel, runs, factor, evidence, repair)
-
-
-def of_sign(channel: str, runs: tuple[int, ...], evidence: Reason) -> DataMistake:
-    """Return the mistake of a channel with the other sign."""
-    return DataMistake("sign", channel, runs, -1.0, evidence, reason("data.repair.sign", channel=channel))

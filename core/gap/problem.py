@@ -1,4 +1,4 @@
-"""What a fit is of: a hypothesis, the measured channels of a case as one vector with noise weights, a prediction."""
+"""What a fit is of: a hypothesis, and measured channels as one vector with weights."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -10,18 +10,8 @@ import numpy as np
 from softcal.core.gap.case import Case, Mask, Run, RunKind
 from softcal.core.gap.colour import Colour, ColourConfig, filter_of, filtered
 from softcal.core.gap.coordinates import from_fit
-from softcal.core.gap.forward import predict
-from softcal.core.gap.offsets import (
-    IS_RELATIVE,
-    Directions,
-    Nearby,
-    Sizes,
-    bases_of,
-    directions,
-    largest_offsets,
-    with_offsets,
-)
-from softcal.core.gap.rounding import dither_V, mean_code_V
+from softcal.core.gap.forward import dither_V, mean_code_V, predict
+from softcal.core.gap.offsets import IS_RELATIVE, Directions, Sizes, bases_of, directions, largest_offsets, with_offsets
 from softcal.core.gap.scale import RigScale
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Parameter
@@ -42,7 +32,7 @@ QUIETEST = 1e-6
 Episodes = tuple[Mapping[str, Array], ...]
 
 Around: TypeAlias = Callable[["Hypothesis", Array], Array]
-"""Predict, (samples,), at coordinates near to others, with an effect more or less where it is small."""
+"""Predict, (samples,), near to other coordinates, with a small effect more or less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +40,6 @@ class Hypothesis:
     """The base with these effects on top.
 
     Args:
-        effects: entries of the catalogue, or other realisations of the same causes.
         episodes: per run, the rows of its episodic effects.
         of_all: parameters of the base, which every hypothesis has; the twin's where nothing else is said.
     """
@@ -88,7 +77,7 @@ class Hypothesis:
 
     @cached_property
     def slices(self) -> dict[str, slice]:
-        """Where the parameters of every effect stand in the vector of parameters, the size first, by identifier."""
+        """Where the parameters of every effect stand among all, the size first, by identifier."""
         ends = np.cumsum([self.of_base.stop, *(len(effect.parameters) for effect in self.effects)])
         return {e.id: slice(int(ends[k]), int(ends[k + 1])) for k, e in enumerate(self.effects)}
 
@@ -102,7 +91,7 @@ class Hypothesis:
         return int(self.slices[effect_id].start)
 
     def without(self, effect_id: str) -> tuple["Hypothesis", Mask]:
-        """Return this hypothesis without one effect, and which of its coordinates are left: (parameters,) of bool."""
+        """Return this hypothesis without one effect, and which of its coordinates, (parameters,), are left."""
         left = np.ones(len(self.parameters), dtype=np.bool_)
         if effect_id in self.slices:
             left[self.slices[effect_id]] = False
@@ -112,10 +101,10 @@ class Hypothesis:
         """Return the same effects on a run whose episodes nobody knows."""
         return replace(self, episodes=())
 
-    def adding(self, effect: Effect, episodes: Episodes | None = None) -> "Hypothesis":
-        """Return this hypothesis with one effect more, or with another realisation of one it has."""
-        kept = tuple(e for e in self.effects if e.id != effect.id)
-        return replace(self, effects=(*kept, effect), episodes=self.episodes if episodes is None else episodes)
+    def adding(self, *effects: Effect, episodes: Episodes | None = None) -> "Hypothesis":
+        """Return this hypothesis with effects more, or with other realisations of those it has."""
+        kept = [e for e in self.effects if e.id not in {added.id for added in effects}]
+        return replace(self, effects=(*kept, *effects), episodes=self.episodes if episodes is None else episodes)
 
 
 @dataclass(frozen=True)
@@ -132,7 +121,6 @@ class Problem:
     """The measured channels of a case as one vector with noise weights.
 
     Args:
-        case: the runs.
         sigma: per channel, standard deviation of the white noise, (n,) or a number, in the channel's unit.
         use: (samples,) which samples a fit may see; all where None.
         colour: per channel whose noise is not white, the part that fades.
@@ -142,9 +130,9 @@ class Problem:
     sigma: Mapping[str, float]
     use: Array | None = None
     extra_variance: Array | None = None
-    """(samples,) variance that comes with the noise of the driving channel, in the units of the samples squared."""
+    """(samples,) variance that comes with the noise of the driving channel."""
     has_offsets: bool = True
-    """Whether every run may have a zero of the force, an unloaded resistance and a seat of its own."""
+    """Whether every run may have a zero, an unloaded resistance and a seat of its own."""
     colour: Mapping[str, Colour] = field(default_factory=dict)
     of_rig: RigScale | None = None
     """The size of the rig; read off the runs where None."""
@@ -188,7 +176,7 @@ class Problem:
 
     @property
     def smooth_order(self) -> int:
-        """Which differences of a residual hold its noise alone: second ones where the rest of it may be quick."""
+        """Which differences of a residual hold noise alone: second ones where all is quick."""
         return 1
 
     def least_noise(self, channel: str) -> float:
@@ -214,7 +202,7 @@ class Problem:
 
     @cached_property
     def slow_noise(self) -> Array:
-        """(samples,) standard deviation of white noise that is as strong as this one near zero frequency."""
+        """(samples,) standard deviation of white noise as strong as this near zero frequency."""
         if not self.colour:
             return self.noise
         variance = self.noise**2
@@ -225,14 +213,14 @@ class Problem:
 
     @cached_property
     def whole_noise(self) -> Array:
-        """(samples,) standard deviation of the noise of every sample, the part that fades included."""
+        """(samples,) standard deviation of the noise, the part that fades included."""
         noise = self.noise.copy()
         for block in (b for b in self.blocks if b.channel in self.colour):
             noise[block.place] = np.hypot(noise[block.place], self.colour[block.channel].spread)
         return noise
 
     def floor(self, channel: str) -> float:
-        """Return the standard deviation of the noise of a channel in its unit, the part that fades included."""
+        """Return the standard deviation of the noise of a channel, the part that fades included."""
         fading = self.colour[channel].spread if channel in self.colour else 0.0
         return float(np.hypot(self.sigma[channel], fading))
 
@@ -242,7 +230,7 @@ class Problem:
         return 1.0 / self.noise if self.use is None else self.use / self.noise
 
     def whitened(self, values: Array) -> Array:
-        """Return (samples,) values as independent ones in units of their noise, 0 where a fit may not look."""
+        """Return (samples,) independent values over their noise, 0 where a fit may not look."""
         out = np.asarray(values * self.weights)
         for block, steps in self._filters:
             out[block.place] = filtered(values[block.place], steps)
@@ -267,7 +255,7 @@ class Problem:
 
     @cached_property
     def largest_offsets(self) -> Array:
-        """(k,) bounds of what every run has of its own: of the twin a zero, a resistance and a seat."""
+        """(k,) bounds of what every run has of its own: here a zero, a resistance and a seat."""
         return largest_offsets(self.case)
 
     @property
@@ -282,12 +270,12 @@ class Problem:
 
     @property
     def is_driven_by_force(self) -> bool:
-        """Whether a measured force, with its noise, drives the chain in place of a stage position."""
+        """Whether a measured force, with its noise, drives the chain in place of a stage."""
         return self.extra_variance is not None
 
     @cached_property
     def dither_V(self) -> float | None:
-        """Noise before an ADC that is coarse against it; None where the stairs of its codes do not show."""
+        """Noise before an ADC that is coarse against it; None where its stairs do not show."""
         if "output_V" not in self.sigma:
             return None
         return dither_V(self.floor("output_V"), self.case.readout.step_V)
@@ -302,11 +290,11 @@ class Problem:
         return self.predict_around(hypothesis, coordinates)[0]
 
     def predict_around(self, hypothesis: Hypothesis, coordinates: Array) -> tuple[Array, "Around"]:
-        """Return the clean prediction, (samples,), and what foretells it nearby in one pass of the chain."""
+        """Return the clean prediction, (samples,), and what foretells it nearby in one pass."""
         out = self.clean(hypothesis, coordinates, {})
         if not self.has_offsets or self.case.is_planned or not len(self.largest_offsets):
             return self._known(out), self.predict
-        out, nearby = self._with_offsets(hypothesis, coordinates, out)
+        out, nearby = with_offsets(self, hypothesis, coordinates, out)
         out = nearby.added(self, out)
 
         def around(other: Hypothesis, near: Array) -> Array:
@@ -314,17 +302,9 @@ class Problem:
 
         return self._known(out), around
 
-    def _with_offsets(self, hypothesis: Hypothesis, coordinates: Array, clean: Array) -> tuple[Array, Nearby]:
-        return with_offsets(
-            self,
-            clean,
-            lambda clean, sizes: self.directions(hypothesis, coordinates, clean, sizes),
-            lambda sizes: self.clean(hypothesis, coordinates, sizes),
-        )
-
     def offset_sizes(self, hypothesis: Hypothesis, coordinates: Array) -> dict[int, Array]:
         """Return by run, (k,), what it has of its own at these coordinates."""
-        clean, nearby = self._with_offsets(hypothesis, coordinates, self.clean(hypothesis, coordinates, {}))
+        clean, nearby = with_offsets(self, hypothesis, coordinates, self.clean(hypothesis, coordinates, {}))
         sizes = nearby.sizes(self, clean)
         return {run: size + nearby.moved.get(run, 0.0) for run, size in sizes.items()}
 
@@ -338,18 +318,18 @@ class Problem:
         return directions(self, BaseParameters(*hypothesis.split(coordinates)[0]), clean, sizes)
 
     def clean(self, hypothesis: Hypothesis, coordinates: Array, sizes: Sizes) -> Array:
-        """Return the prediction, (samples,), with these offsets in it, NaN where nobody can know."""
+        """Return the (samples,) prediction with these offsets in it, NaN where nobody can know."""
         given, values = hypothesis.split(coordinates)
         base = BaseParameters(*given)
         own = bases_of(base, sizes)
         out = np.empty(len(self.measured))
-        last, prediction = -1, None
+        last, channels = -1, {}
         for block in self.blocks:
             # One pass of the chain gives all channels of a run.
             if block.run != last:
                 run, last, mine = self.case.runs[block.run], block.run, own.get(block.run, base)
-                prediction = predict(run, last, mine, hypothesis.chain, values, hypothesis.episodes_of(last))
-            channel = prediction.channel(block.channel) if prediction is not None else None
+                channels = predict(run, last, mine, hypothesis.chain, values, hypothesis.episodes_of(last))
+            channel = channels.get(block.channel)
             if block.channel == "output_V" and self.dither_V is not None and channel is not None:
                 channel = mean_code_V(channel, self.dither_V, self.case.readout.step_V)
             out[block.place] = self.measured[block.place] if channel is None else channel
@@ -367,7 +347,7 @@ class Problem:
         return replace(self, has_offsets=False)
 
     def with_noise(self, sigma: Mapping[str, float], colour: Mapping[str, Colour] | None = None) -> "Problem":
-        """Return the same problem under another noise level, and the same colour where none is given."""
+        """Return the same problem under other noise, of the same colour where none is given."""
         return replace(self, sigma=sigma, colour=self.colour if colour is None else colour)
 
 

@@ -1,4 +1,4 @@
-"""Where the gap lies: three maps refitted separately, and the regimes in which the residual stands out."""
+"""Where the gap lies: three maps refitted separately, and where the residual stands out."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -16,10 +16,10 @@ from softcal.core.twin.parameters import SensorType
 from softcal.core.words.reason import Reason, reason
 
 BLOCK_SAMPLES = (8, 40)
-"""Lengths over which a residual is summed to see structure: a fifth of a second and a second at 50 Hz."""
+"""Lengths over which a residual is summed to see structure: 0.16 s and 0.8 s at 50 Hz."""
 
 DIRTY_Z = 6.0
-"""A map or a residual has structure when its block sums are this many standard errors above white noise."""
+"""A residual has structure when its block sums are this many standard errors above white noise."""
 
 
 TIED = 1e-6
@@ -65,20 +65,10 @@ class Regime:
     share: float
     lift: float
 
-    @property
-    def channel_name(self) -> str:
-        """The channel without its unit."""
-        return self.channel.split("_")[0]
-
 
 def structure(found: Fit, channel: str | None = None) -> Structure:
     """Measure the structure left in the residual of a fit, of one channel or of all."""
     parts = [found.residual[b.place] for b in found.problem.blocks if channel in (None, b.channel)]
-    return structure_of(parts)
-
-
-def structure_of(parts: list[Array]) -> Structure:
-    """Measure the structure of residuals in units of their noise; one array per run and channel."""
     largest = -np.inf
     for length in BLOCK_SAMPLES:
         # Sums over blocks of white noise keep variance 1 at any length; structure adds up in them, noise does not.
@@ -97,7 +87,7 @@ def _block_sums(values: Array, length: int) -> Array:
 
 
 def three_maps(case: Case) -> tuple[Map, ...]:
-    """Fit each chain relation of the base alone and measure what it leaves; no effect of the catalogue enters."""
+    """Fit each chain relation of the base alone, without any effect, and measure what it leaves."""
     presses, maps = case.presses, []
     stage, force, output = (case.has(channel) for channel in ("stage_mm", "force_N", "output_V"))
     if stage and force:
@@ -116,7 +106,7 @@ def _map(name: str, case: Case, runs: list[Run]) -> Map:
 BEFORE: tuple[ChainStage, ...] = ("mechanics", "motion")
 BEHIND: tuple[ChainStage, ...] = ("transduction", "electronics", "acquisition")
 QUIET = 0.02
-"""A map this much cleaner than the dirtiest counts as closed: its noise is not quite white either."""
+"""A map this much cleaner than the dirtiest counts as closed: no noise is quite white."""
 
 
 def suspects(maps: tuple[Map, ...], sensor_type: SensorType = "pressure") -> tuple[ChainStage, ...]:
@@ -129,7 +119,10 @@ def suspects(maps: tuple[Map, ...], sensor_type: SensorType = "pressure") -> tup
     if not any(s.is_significant for s in dirty.values()):
         return ()
     if sensor_type == "strain":
-        return _of_strain(dirty)
+        # A strain sensor does not feel the force: the pad's force and the cell's reading look alike.
+        is_bad = {name for name, seen in dirty.items() if seen.is_significant}
+        pad_or_behind = BEFORE if "stage→force" in is_bad else BEHIND
+        return pad_or_behind if "stage→output" in is_bad else ("mechanics", "load_cell")
     if len(dirty) < 3:
         # One map alone: what lies on its own side, and the cell that reads its force.
         side = {"stage→force": BEFORE, "force→output": BEHIND}.get(next(iter(dirty)))
@@ -149,14 +142,6 @@ def suspects(maps: tuple[Map, ...], sensor_type: SensorType = "pressure") -> tup
     # All three are dirty: the cleanest of them leaves out the stage that the other two share.
     quietest = min((force, BEHIND), (channel, BEFORE), (direct, ("load_cell",)), key=lambda pair: pair[0].z)
     return quietest[1] if quietest[0].z < 5 * QUIET * loud else (*BEFORE, *BEHIND)
-
-
-def _of_strain(dirty: dict[str, Structure]) -> tuple[ChainStage, ...]:
-    """A strain sensor does not feel the force: the pad's force and the cell's reading look alike."""
-    force, direct = (dirty.get(n) for n in ("stage→force", "stage→output"))
-    if direct is None or not direct.is_significant:
-        return ("mechanics", "load_cell")
-    return BEHIND if force is None or not force.is_significant else BEFORE
 
 
 def regimes(found: Fit) -> tuple[Regime, ...]:

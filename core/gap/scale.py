@@ -6,7 +6,7 @@ Time is not scaled: creep, mains and clocks have their own.
 
 import re
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from softcal.core.gap.case import Case
 from softcal.core.twin.effects import Parameter
 
 COMMON = {"N": 8.0, "mm": 3.0, "ohm": 10.0, "V": 4.0}
-"""Range of the force, stroke, series resistor and supply of the rig that the catalogue's bounds are written for."""
+"""Force, stroke, series resistor and supply of the rig of the catalogue's bounds."""
 
 FACTOR = re.compile(r"(N|mm|ohm|V|s|K|Hz|rad|1)([²³]?)")
 POWERS = {"": 1, "²": 2, "³": 3}
@@ -22,13 +22,13 @@ POWERS = {"": 1, "²": 2, "³": 3}
 
 @dataclass(frozen=True)
 class RigScale:
-    """How large a rig is against the common one, by unit; a unit that is not named here is not scaled."""
+    """How large a rig is against the common one, by unit; other units are not scaled."""
 
     sizes: tuple[tuple[str, float], ...] = ()
 
     @classmethod
     def of(cls, case: Case) -> "RigScale":
-        """Read force and stroke off the runs in which the sensor is pressed, the others off the metadata."""
+        """Read force and stroke off the runs that are pressed, the others off the metadata."""
         spans = {}
         for unit, channel in (("mm", "stage_mm"), ("N", "force_N")):
             values = [v for run in case.presses if (v := getattr(run, channel)) is not None]
@@ -42,17 +42,11 @@ class RigScale:
         return cls(tuple(sizes.items()))
 
     def factor(self, unit: str) -> float:
-        """Return by what a quantity of this unit, as `N/mm³` or `1/N²`, is larger than on the common rig."""
-        over, _, under = unit.partition("/")
-        return self._product(over) / self._product(under)
-
-    def _product(self, part: str) -> float:
-        found = FACTOR.fullmatch(part.strip())
-        return self._of.get(found[1], 1.0) ** POWERS[found[2]] if found else 1.0
-
-    @cached_property
-    def _of(self) -> dict[str, float]:
-        return dict(self.sizes)
+        """Return by what a quantity of this unit, as `N/mm³`, is larger than on the common rig."""
+        sizes, (over, _, under) = dict(self.sizes), unit.partition("/")
+        found = [FACTOR.fullmatch(part.strip()) for part in (over, under)]
+        times, per = (sizes.get(one[1], 1.0) ** POWERS[one[2]] if one else 1.0 for one in found)
+        return times / per
 
     def sized(self, parameter: Parameter) -> Parameter:
         """Return a parameter with the bounds and the usual size that it has on this rig."""

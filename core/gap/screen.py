@@ -1,4 +1,4 @@
-"""Which effects are worth a full fit: score tests of every probe against a fit, with the fitted parameters set free."""
+"""Which effects a case can show and which are worth a full fit: score tests of every probe against a fit."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,20 +6,80 @@ from functools import cached_property
 
 import numpy as np
 
-from softcal.core.gap.candidates import Probe
+from softcal.core.gap.case import Case
 from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import combine, dots, energy, gram
 from softcal.core.gap.problem import Around
 from softcal.core.gap.scale import RigScale
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect
+from softcal.core.twin.catalogue import EFFECTS
+from softcal.core.twin.effects import Alias, Effect
+from softcal.core.twin.probes import Extent
+
+
+@dataclass(frozen=True)
+class Probe:
+    """An effect at a small size and one shape, to see which way it would move the prediction.
+
+    Args:
+        values: parameter values, the size first.
+        is_one_sided: the size cannot change its sign.
+    """
+
+    effect: Effect
+    values: tuple[float, ...]
+    is_one_sided: bool
+
+
+def extent_of(base: Fit) -> Extent:
+    """Measure a case; depth and force beyond what was recorded come from the fitted base."""
+    case = base.problem.case
+    depths = [float(run.stage_mm.max()) for run in case.presses if run.stage_mm is not None]
+    depth_mm = max(depths) - base.base.u0_mm if depths else 1.0
+    forces = [float(run.force_N.max()) for run in case.presses if run.force_N is not None]
+    force_N = max(forces) if forces else base.base.k1_N_mm * depth_mm + base.base.k3_N_mm3 * depth_mm**3
+    outputs = [run.output_V for run in case.presses if run.output_V is not None]
+    every_V = np.concatenate(outputs) if outputs else np.array([0.0, 1.0])
+    return Extent(
+        depth_mm=max(depth_mm, 1e-9),
+        force_N=max(force_N, 1e-9),
+        lowest_V=float(every_V.min()),
+        highest_V=float(every_V.max()),
+        duration_s=max(float(run.elapsed_s[-1]) for run in case.presses),
+        period_s=1.0 / case.readout.sample_rate_Hz,
+        series_ohm=case.readout.r_series_ohm,
+    )
+
+
+def visible_effects(case: Case) -> tuple[Effect, ...]:
+    """Return the effects that the recorded channels can show at all."""
+
+    def is_followed(channel: str) -> bool:
+        logs = [getattr(run, channel) for run in case.presses]
+        return any(log is not None and np.ptp(log) > 0 for log in logs)
+
+    seen = [effect for effect in EFFECTS.values() if effect.stage not in case.unseen_stages]
+    return tuple(effect for effect in seen if all(map(is_followed, effect.signs.needs)))
+
+
+def probes(case: Case, extent: Extent) -> tuple[Probe, ...]:
+    """Return the probes of every visible effect whose place in time need not be searched first."""
+    sized = RigScale.of(case).sized
+    return tuple(Probe(e, row, e.is_one_sided) for e in visible_effects(case) for row in e.probes(extent, sized))
+
+
+def is_told(case: Case, alias: Alias) -> bool:
+    """Whether a run of the case tells an effect from what looks exactly like it elsewhere."""
+    logs = [getattr(run, alias.changing) for run in case.runs if run.kind == alias.told_by]
+    return any(log is not None and np.ptp(log) >= alias.by for log in logs)
+
 
 GENTLER = (0.1, 0.003)
 """Shares of a promised size from which a fit begins once more."""
 
 KEPT = 0.1
-"""Share of the promised drop of χ² that a fit must bring, or it begins once more: a promise is first order."""
+"""Share of the promised drop of χ² that a fit must bring, or it begins once more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +88,6 @@ class Lead:
 
     Args:
         gain: expected drop of χ² when the effect is added and everything is fitted again, to first order.
-        values: where a full fit should begin.
         hidden: share of its signature that the fitted parameters imitate.
         shift: (parameters of the fit,) how its coordinates would move along.
     """
@@ -86,7 +145,7 @@ def screen(found: Fit, candidates: Sequence[Probe]) -> list[Lead]:
 
 
 def hiding(found: Fit, candidates: Sequence[Probe], share: float) -> list[Probe]:
-    """Return the last probe of every effect whose signature the fitted parameters imitate to this share or more."""
+    """Return the last probe of every effect that the fitted parameters imitate to this share."""
     space = Tangent(found)
     last: dict[str, Probe] = {}
     for probe in candidates:
@@ -100,11 +159,7 @@ def hiding(found: Fit, candidates: Sequence[Probe], share: float) -> list[Probe]
 
 
 class Tangent:
-    """The directions in which a fit can move, and how a signature stands to them.
-
-    Args:
-        base_only: let the base parameters alone move.
-    """
+    """The directions in which a fit can move, and how a signature stands to them."""
 
     def __init__(self, found: Fit, base_only: bool = False) -> None:
         self._found = found
@@ -127,7 +182,7 @@ class Tangent:
         return self._found.problem.predict_around(self._found.hypothesis, self._found.coordinates)[1]
 
     def signature(self, probe: Probe) -> Array:
-        """(samples,) change of the whitened prediction when the probe is switched on at the fitted parameters."""
+        """(samples,) change of the whitened prediction when the probe is switched on."""
         found = self._found
         hypothesis = found.hypothesis.adding(probe.effect)
         x = np.concatenate([found.coordinates, start_coordinates([probe.effect], [probe.values])])

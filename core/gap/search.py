@@ -1,23 +1,21 @@
-"""Which hypotheses are fitted: forward from the base, a few of the best at every size, each by full joint fits."""
+"""Which hypotheses are fitted: forward from the base, a few of the best at every size."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from softcal.core.gap.candidates import Probe, extent_of, probes, visible_effects
 from softcal.core.gap.case import Case
 from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.episodes import PLACERS, placed_again
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.floor import noise_chance, noise_of
-from softcal.core.gap.free_form import imitated_causes
 from softcal.core.gap.posterior import Yardstick, log_evidences
 from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.gap.residual import structure
-from softcal.core.gap.screen import hiding, joined, screen
+from softcal.core.gap.screen import Probe, extent_of, hiding, joined, probes, screen, visible_effects
 from softcal.core.gap.start import base_fit, rough_start, with_driving_noise
-from softcal.core.gap.strangers import stranger
+from softcal.core.gap.strangers import imitated_causes, stranger
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import FORMS
 from softcal.core.twin.effects import Effect, Form, Placing
@@ -64,21 +62,14 @@ class SearchConfig:
 class EffectSearch:
     """All hypotheses fitted to one case, under one noise level."""
 
-    def __init__(
-        self,
-        case: Case,
-        config: SearchConfig | None = None,
-        progress: Progress | None = None,
-        problem: Problem | None = None,
-    ) -> None:
-        say = progress or (lambda _: None)
+    def __init__(self, case: Case, say: Progress = lambda _: None, problem: Problem | None = None) -> None:
         say("fitting the base twin to all runs")
         base = base_fit(case)
         # Under noise that is known already, as one that is not white.
         base = base if problem is None else fit(problem, Hypothesis(), base.coordinates)
-        extent = _extent(base)
+        extent = extent_of(base)
         to_place = [e for e in visible_effects(case) if e.signs.placing is not None]
-        self._begin(base, probes(case, extent), to_place, extent, config or SearchConfig(), say)
+        self._begin(base, probes(case, extent), to_place, extent, SearchConfig(), say)
 
     def _begin(
         self,
@@ -90,12 +81,12 @@ class EffectSearch:
         say: Progress,
     ) -> None:
         self._config, self._say = config, say
-        self._extent, self._probes, self._to_place = extent, candidates, to_place
+        self.extent, self._probes, self._to_place = extent, candidates, to_place
         self.base = self.best = base
         self.fits: dict[tuple[str, ...], Fit] = {(): base}
         self.stranger: Fit | None = None
         self.held_open: dict[str, Fit] = {}
-        """Causes that another equation of the best hypothesis's causes would explain as well, with a fit of each."""
+        """Causes that another equation of those beside them explains as well, with fits."""
 
     def run(self) -> None:
         """Grow the hypotheses until no effect promises anything more."""
@@ -141,7 +132,7 @@ class EffectSearch:
         return rough_start(self.base.problem.case)
 
     def _share_places(self) -> None:
-        """Give smaller hypotheses the places of episodes that the closest one has found: places are no cause."""
+        """Give smaller hypotheses the episodes that the closest one has: places are no cause."""
         donor = min(self.fits.values(), key=lambda f: f.chi2)
         placed = {e.id for e in donor.hypothesis.effects if e.is_episodic}
         if not donor.hypothesis.episode_count:
@@ -152,7 +143,7 @@ class EffectSearch:
                 self.keep(fit(found.problem, hypothesis, found.coordinates))
 
     def _conclude(self) -> None:
-        """Choose among catalogue equations and, where they leave structure or several are named, other realisations."""
+        """Choose among the catalogue's equations and other realisations of the likely causes."""
         self._say("fitting other realisations of the likely causes")
         self.best = self._most_likely
         is_settled = len(self.best.hypothesis.ids) < 2 and self.is_clean(self.best)
@@ -166,7 +157,7 @@ class EffectSearch:
         self.stranger = self._find_stranger()
 
     def hold_open(self) -> None:
-        """Take out of the best hypothesis every cause that a free form of the others imitates; it stays in play."""
+        """Take out of the best hypothesis causes that a free form of the others imitates; they stay in play."""
         while len(self.best.hypothesis.ids) > 1:
             smaller = {i: found for i, found in self.one_less(self.best).items() if self.is_explained(found)}
             imitated = imitated_causes(self.best, smaller)
@@ -180,17 +171,17 @@ class EffectSearch:
             self.held_open[effect_id] = self.fits.get(alone, larger)
 
     def _find_stranger(self) -> Fit | None:
-        """Look for a departure outside the catalogue, alone or in the place of one of the causes found."""
+        """Look for a departure outside the catalogue, alone or in the place of a cause."""
         parents = self.one_less(self.best).values() if len(self.best.hypothesis.ids) > 1 else ()
         return stranger(self.best, [self.base, *parents], list(self.fits.values()))
 
     def one_less(self, found: Fit) -> dict[str, Fit]:
-        """Return the fits without each of the causes of a hypothesis, by that cause, where there is one."""
+        """Return the fits without each of the causes of a hypothesis, by that cause."""
         ids = found.hypothesis.ids
         return {i: self.fits[rest] for k, i in enumerate(ids) if (rest := ids[:k] + ids[k + 1 :]) in self.fits}
 
     def _look_beside(self) -> None:
-        """Fit every effect that may stand beside the best hypothesis: a small or hidden one is found there alone."""
+        """Fit what may stand beside the best hypothesis: small or hidden effects."""
         for _ in range(3):
             parent = self.best
             if not parent.hypothesis.ids:
@@ -213,7 +204,7 @@ class EffectSearch:
                 return
 
     def _exchange(self, found: Fit) -> None:
-        """Fit hiding effects in the place of each of several causes: beside the rest alone they promise little."""
+        """Fit hiding effects in the place of each of several causes: they promise little."""
         for rest in self.one_less(found).values():
             for probe in hiding(rest, self._probes, self._config.hiding) if rest.hypothesis.ids else ():
                 if tuple(sorted({*rest.hypothesis.ids, probe.effect.id})) not in self.fits:
@@ -239,21 +230,11 @@ class EffectSearch:
         return noise_chance(found)
 
     def is_explained(self, found: Fit) -> bool:
-        """Whether what a hypothesis leaves is nothing, or little enough to be another equation of the same causes."""
+        """Whether what is left is nothing, or as little as another equation of the causes leaves."""
         if self.is_clean(found):
             return True
         enough = self._config.enough
         return self.share(found) >= enough[min(len(found.hypothesis.ids), len(enough)) - 1]
-
-    @property
-    def depth_mm(self) -> float:
-        """Deepest stage position beyond contact."""
-        return self._extent.depth_mm
-
-    @property
-    def force_N(self) -> float:
-        """Largest force of the runs."""
-        return self._extent.force_N
 
     @property
     def _leader(self) -> Fit:
@@ -261,7 +242,7 @@ class EffectSearch:
         return min(self.fits.values(), key=lambda f: f.bic)
 
     def _try_forms(self, share: float) -> None:
-        """Fit the other realisations of the single causes that explain this share of what the best one does."""
+        """Fit other realisations of the single causes that explain this share of what the best one does."""
         singles = sorted((f for ids, f in self.fits.items() if len(ids) == 1), key=lambda f: f.bic)
         likely = [f for f in singles if self.share(f) > share * self.share(singles[0])] if singles else []
         for found in likely[: self._config.with_forms]:
@@ -270,7 +251,7 @@ class EffectSearch:
         self._settle_noise(self._leader)
 
     def _try_forms_within(self, best: Fit) -> bool:
-        """Fit the other realisations of each cause with one other cause left out; tell whether one of them won."""
+        """Fit other realisations of each cause with one other left out; tell whether one won."""
         for smaller in self.one_less(best).values():
             for cause in smaller.hypothesis.ids if len(smaller.hypothesis.ids) > 1 else ():
                 for form in FORMS.get(cause, ()):
@@ -289,25 +270,20 @@ class EffectSearch:
 
     def _is_wanting(self, found: Fit) -> bool:
         """Whether any further effect promises enough, or must be placed to know."""
-        leads = screen(found, self._probes)
-        if leads and leads[0].gain > self._config.gain:
-            return True
-        return any(child.bic < found.bic for child in self._placed(found))
+        is_promised = any(lead.gain > self._config.gain for lead in screen(found, self._probes)[:1])
+        return is_promised or any(child.bic < found.bic for child in self._placed(found))
 
     def keep(self, found: Fit) -> None:
-        """Keep a fit where it is the best of its set of causes; one that ended where a simulator fails is none."""
-        ids = found.hypothesis.ids
+        """Keep the best fit of its causes; one where a simulator fails is none."""
         if found.chi2 == np.inf:
             return
-        if ids in self.fits:
-            yardstick = Yardstick.of((*self.fits.values(), found))
+        if (before := self.fits.get(found.hypothesis.ids)) is not None:
             # The same causes may end in several minima; one noise level judges them all.
-            if yardstick.log_evidence(found) <= yardstick.log_evidence(self.fits[ids]):
-                return
-        self.fits[ids] = found
+            found = max(before, found, key=Yardstick.of((*self.fits.values(), found)).log_evidence)
+        self.fits[found.hypothesis.ids] = found
 
     def grown_from(self, parent: Fit) -> list[Fit]:
-        """Return fits of another start than the base with each of its likeliest effects; none of them is kept."""
+        """Return fits of another start with each of its likeliest effects; none is kept."""
         leads = screen(parent, self._probes)[: self._config.leads[-1]]
         return [joined(parent, lead) for lead in leads] + self._placed(parent)
 
@@ -316,22 +292,22 @@ class EffectSearch:
         strongest = leads[0].gain if leads else 0.0
         # A promise is first order: the refitted base gives more than it, so that less is asked for at first.
         need = max(self._config.gain / 3, self._config.relative_gain * strongest)
-        children = []
-        for lead in leads[:count]:
-            ids = tuple(sorted({*parent.hypothesis.ids, lead.effect.id}))
-            if lead.gain < need or ids in self.fits:
-                continue
-            children.append(joined(parent, lead))
-        children += self._placed(parent)
+        tried = {lead.effect.id: tuple(sorted({*parent.hypothesis.ids, lead.effect.id})) for lead in leads}
+        new = [lead for lead in leads[:count] if lead.gain >= need and tried[lead.effect.id] not in self.fits]
+        children = [joined(parent, lead) for lead in new] + self._placed(parent)
         for child in children:
             self.keep(child)
         return children
 
     def _placed(self, parent: Fit) -> list[Fit]:
-        """Return the parent with each effect that must be placed first, where placing it leads anywhere."""
+        """Return the parent with each effect that must be placed first and could be."""
         missing = [e for e in self._to_place if e.id not in parent.hypothesis.ids]
-        every = [(side, _placing(side)) for e in missing for side in (e, *e.sides)]
-        found = [(placing, PLACERS[placing](parent, side, self._extent)) for side, placing in every]
+        found = []
+        for side in (side for e in missing for side in (e, *e.sides)):
+            if (placing := side.signs.placing) is None:
+                size = side.parameters[0].name
+                raise ValueError(f"{side.id} ({size}) has a side that is placed and must be placed too")
+            found.append((placing, PLACERS[placing](parent, side, self.extent)))
         # Steps placed freely in time take a little off any structure; they must take a visible part of the gap.
         least = self._config.patch * max(self.base.chi2 - self.base.problem.count, 0.0)
         return [
@@ -341,7 +317,7 @@ class EffectSearch:
         ]
 
     def _settle_noise(self, best: Fit) -> None:
-        """Score all hypotheses under the noise that the best one leaves, so that their χ² can be compared."""
+        """Score all hypotheses under the noise that the best one leaves: their χ² compare."""
         problem = with_driving_noise(best.problem.with_noise(*noise_of(best)), best)
         self.fits = {ids: found.under(problem) for ids, found in self.fits.items()}
         if problem.colour:
@@ -350,18 +326,3 @@ class EffectSearch:
             for found in {id(f): f for f in (self.fits[()], *likely)}.values():
                 self.fits[found.hypothesis.ids] = fit(problem, found.hypothesis, found.coordinates, steps=6)
         self.base = self.fits[()]
-
-
-def _extent(base: Fit) -> Extent:
-    case = base.problem.case
-    depths = [float(run.stage_mm.max()) for run in case.presses if run.stage_mm is not None]
-    depth_mm = max(depths) - base.base.u0_mm if depths else 1.0
-    forces = [float(run.force_N.max()) for run in case.presses if run.force_N is not None]
-    force_N = max(forces) if forces else base.base.k1_N_mm * depth_mm + base.base.k3_N_mm3 * depth_mm**3
-    return extent_of(case, depth_mm, force_N)
-
-
-def _placing(effect: Effect) -> Placing:
-    if effect.signs.placing is None:
-        raise ValueError(f"{effect.id} ({effect.parameters[0].name}) has a side that is placed and must be placed too")
-    return effect.signs.placing

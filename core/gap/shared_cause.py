@@ -6,18 +6,28 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.gap.ambiguity import ADDED_LOG_ODDS, MOST_RIVALS, NEGLIGIBLE_LOG_ODDS, RIVAL_LOG_ODDS
 from softcal.core.gap.case import Case
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
 from softcal.core.gap.fit import PRIOR_ODDS, Fit, fit
-from softcal.core.gap.named_causes import (
+from softcal.core.gap.gap_diagnosis import (
     IMITATED_TRUST,
     UNKNOWN_TRUST,
     DiagnosisVerdict,
     ParameterEstimate,
     estimates_of,
 )
-from softcal.core.gap.posterior import Fits, Yardstick, log_evidences, misfit, penalty, probabilities
+from softcal.core.gap.posterior import (
+    ADDED_LOG_ODDS,
+    MOST_RIVALS,
+    NEGLIGIBLE_LOG_ODDS,
+    RIVAL_LOG_ODDS,
+    Fits,
+    Yardstick,
+    log_evidences,
+    misfit,
+    penalty,
+    probabilities,
+)
 from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.recording import Array
 
@@ -25,7 +35,7 @@ Ids = tuple[str, ...]
 SCHEMA = "softcal.gap_lot/1"
 
 STRAY_ODDS = 1e-3
-"""Prior odds that a unit does not share the lot's causes: its own evidence must be a thousandfold to say so."""
+"""Prior odds that a unit does not share the lot's causes: its evidence must be a thousandfold."""
 
 FEWEST_UNITS = 2
 
@@ -71,11 +81,11 @@ class Searched:
         return float(np.log(STRAY_ODDS)) + self.top
 
     def log_term(self, ids: Ids) -> float:
-        """Return what the unit adds to the log evidence of the lot: it shares these causes, or it strays."""
+        """Return what the unit adds to the lot's log evidence: it shares causes, or strays."""
         return float(np.logaddexp(np.log1p(-STRAY_ODDS) + self.shared(ids), self.stray))
 
     def add(self, ids: Ids, donor: tuple[Hypothesis, Array]) -> None:
-        """Fit causes that this unit's search did not try, from the sizes of another unit and from those reversed."""
+        """Fit causes that this unit's search did not try, from another unit's sizes and those reversed."""
         hypothesis = donor[0].without_episodes()
         base = self.found[max(self.logs, key=lambda i: self.logs[i])][1][hypothesis.of_base]
         sizes = donor[1][hypothesis.of_base.stop :]
@@ -116,7 +126,6 @@ class LotMember:
         return self.diagnosis.verdict == "data"
 
     def record(self) -> dict[str, object]:
-        """Return it as a report has it."""
         return {
             "unit": self.name,
             "serial": self.diagnosis.case.serial,
@@ -134,7 +143,6 @@ class LotDiagnosis:
     """What the units of a lot share.
 
     Args:
-        verdict: in the words of a single diagnosis.
         causes: of the best shared hypothesis, empty for none.
         rivals: sets of causes that the lot cannot tell apart, the best first.
         probability: of every cause that any unit's search considered.
@@ -181,10 +189,6 @@ class LotDiagnosis:
 
 def diagnose_lot(cases: Mapping[str, Case], progress: Callable[[str], None] | None = None) -> LotDiagnosis:
     """Diagnose every unit, then what they share.
-
-    Args:
-        cases: one per unit, by the unit's name.
-        progress: called with one line at every step.
 
     Raises:
         InputError: fewer than two units.
@@ -260,7 +264,7 @@ def _pooled(searched: Sequence[Searched], ids: Ids) -> float:
 
 
 def _best(logs: Mapping[Ids, float], held: Sequence[set[str]]) -> tuple[Ids, tuple[Ids, ...], set[str]]:
-    """Return the best shared hypothesis, it with its rivals, and causes that most units hold open beside it."""
+    """Return the best shared hypothesis, its rivals, and causes that most units hold open."""
     top = max(logs, key=lambda ids: logs[ids])
     near = sorted((ids for ids in logs if logs[ids] > logs[top] - RIVAL_LOG_ODDS), key=lambda ids: -logs[ids])
     kept: list[Ids] = [top]

@@ -1,4 +1,4 @@
-"""How far the gap shrinks: forecast from what was fitted, then measured on samples that no fit has seen."""
+"""How far the gap shrinks: forecast, then measured on samples that no fit has seen."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -20,10 +20,10 @@ MOST_CHOSEN_FROM = 3
 """Hypotheses that are fitted anew where a part is held back."""
 
 NEAR = 10.0
-"""Logarithm of the odds against a hypothesis from which it is not fitted anew: what a fit gains is foretold first."""
+"""Log odds against a hypothesis, by what its fit is foretold to gain, from which it is not fitted anew."""
 
 BEYOND = 1.64
-"""Standard errors by which χ² must fall on samples held back: it falls by that much by chance one time in twenty."""
+"""Standard errors by which χ² must fall on samples held back: by chance it does once in twenty."""
 
 BLOCK_s = 0.6
 """Length of the stretches that are held back inside a run where whole runs cannot be."""
@@ -31,7 +31,7 @@ BLOCK_s = 0.6
 
 @dataclass(frozen=True)
 class ChannelGap:
-    """The gap of one channel on samples not used in the fit, root mean square in the channel's unit."""
+    """The gap of one channel on samples held back, root mean square in the channel's unit."""
 
     rmse_before: float
     rmse_after: float
@@ -40,7 +40,7 @@ class ChannelGap:
 
 @dataclass(frozen=True)
 class Shrink:
-    """1 − (after − floor)/(before − floor): forecast with a 90 % interval, and realised on unused samples."""
+    """1 − (after − floor)/(before − floor): forecast with 90 % interval, and on unseen samples."""
 
     predicted: float
     low: float
@@ -75,9 +75,12 @@ class _Fold:
     after: Fit
 
     def chosen(self, others: Iterable[Fit]) -> "_Fold":
-        """Return the fold with the hypothesis that would have been chosen without the samples held back."""
+        """Return the fold with the hypothesis chosen without the samples held back."""
         problem, now = self.after.problem, (self.before, self.after)
-        foretold = [_refitted_to_first_order(f.under(problem)) for f in others]
+        foretold = [f.under(problem) for f in others]
+        # To first order: the χ² that one step from its slopes promises on the samples a fit sees.
+        pull = [(f, f.jacobian @ f.residual) for f in foretold]
+        foretold = [replace(f, chi2=f.chi2 - float(slope @ f.covariance @ slope)) for f, slope in pull]
         yardstick = Yardstick.of((*now, *foretold))
         least = max(map(yardstick.log_evidence, now)) - NEAR
         near = sorted((f for f in foretold if yardstick.log_evidence(f) > least), key=lambda f: f.bic)
@@ -114,12 +117,6 @@ def quantify(base: Fit, best: Fit, others: Iterable[Fit] = (), is_given: bool = 
     shrink = Shrink(*_forecast(seen, best), _shrink_of(gap.values()))
     ids = tuple(fold.after.hypothesis.ids for fold in chosen)
     return Quantified(gap, shrink, protocol, ids, *_held_out_gain(chosen, best.problem))
-
-
-def _refitted_to_first_order(found: Fit) -> Fit:
-    """Return the fit with the χ² that one step from its slopes promises on the samples it sees."""
-    gradient = found.jacobian @ found.residual
-    return replace(found, chi2=found.chi2 - float(gradient @ found.covariance @ gradient))
 
 
 def _folds(problem: Problem, hypothesis: Hypothesis) -> tuple[list[Mask], str]:
@@ -170,7 +167,7 @@ def unsupported(best: Fit, smaller: Mapping[str, Fit]) -> list[str]:
 
 
 def _held_out_gain(folds: list[_Fold], problem: Problem) -> tuple[float, float]:
-    """Return by how much χ² falls on samples held back, and its standard error: that of what white noise adds to it."""
+    """Return by how much χ² falls on samples held back, and its standard error from white noise."""
     gain = parted = 0.0
     for fold in folds:
         before, after = (
@@ -185,6 +182,16 @@ def _channel_gap(folds: list[_Fold], problem: Problem, channel: str) -> ChannelG
     before = _pooled(folds, problem, channel, [measured - f.before.predicted for f in folds])
     after = _pooled(folds, problem, channel, [measured - f.after.predicted for f in folds])
     return ChannelGap(before, after, problem.floor(channel))
+
+
+def gap_of_base(base: Fit) -> dict[str, ChannelGap]:
+    """Return what a base leaves, where nothing else was fitted."""
+    problem, gap = base.problem, {}
+    for channel in problem.scored_channels:
+        parts = [(problem.measured - base.predicted)[b.place] for b in problem.blocks_of(channel)]
+        rms = float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+        gap[channel] = ChannelGap(rms, rms, problem.floor(channel))
+    return gap
 
 
 def _shrink_of(channels: Iterable[ChannelGap]) -> float:
@@ -236,7 +243,7 @@ def _left_over(best: Fit, channel: str) -> float:
 
 
 def _spread(fold: _Fold) -> Array:
-    """(samples,) standard deviation of the prediction from the uncertainty of the fitted parameters."""
+    """(samples,) standard deviation of the prediction by that of the fitted parameters."""
     found = fold.after
     whole = found.problem.seeing(np.ones(len(found.problem.measured)))
     slopes = fit(whole, found.hypothesis, found.coordinates, steps=0).slopes

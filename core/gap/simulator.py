@@ -38,7 +38,7 @@ OFFSETS = ("zero", "gain", "delay", "drift")
 """What a run may have of its own in a channel."""
 
 STRAIGHT = "straight"
-"""How far a channel that is late goes from sample to sample by straight lines, 1, and not by a curve, 0."""
+"""How far a late channel goes by straight lines from sample to sample, 1, and not by a curve, 0."""
 
 
 class SimulatorFailed(InputError):
@@ -47,7 +47,7 @@ class SimulatorFailed(InputError):
 
 @dataclass(frozen=True)
 class Experiment:
-    """A run that could be made: its inputs with `t_s`, and how long it takes on the bench, in minutes."""
+    """A run that could be made: its inputs with `t_s`, and the minutes it takes on the bench."""
 
     inputs: Columns
     minutes: float = 1.0
@@ -107,7 +107,7 @@ class Simulator:
 
     @cached_property
     def offsets(self) -> tuple[tuple[str, str], ...]:
-        """Channel and kind of everything that each run may have of its own; a delay comes with its straightness."""
+        """Channel and kind of what each run may have of its own; delays have a straightness."""
         own = [(channel, kind) for channel, kinds in self.per_run.items() for kind in kinds]
         return (*own, *((channel, STRAIGHT) for channel, kind in own if kind == "delay"))
 

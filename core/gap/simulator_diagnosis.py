@@ -11,34 +11,97 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.gap import next_experiment
-from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction
 from softcal.core.gap.case import Case
+from softcal.core.gap.data_mistake import DataMistake
 from softcal.core.gap.empirical import LearnedResidual, learned
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.floor import coloured, is_noise
-from softcal.core.gap.gap_diagnosis import GapDiagnosis, ranked_causes
-from softcal.core.gap.identifiability import Identifiability, identifiability, sentences
-from softcal.core.gap.named_causes import (
+from softcal.core.gap.gap_diagnosis import (
     DiagnosisVerdict,
+    GapDiagnosis,
+    GapPlace,
     Partial,
     RankedCause,
-    gap_of_base,
     judged,
     nearest,
+    places_of,
+    ranked_causes,
+    regime_places,
     under_its_floor,
 )
+from softcal.core.gap.identifiability import Identifiability, identifiability, reasons
 from softcal.core.gap.next_experiment import MenuEntry, NextExperiment
-from softcal.core.gap.plausibility import DataMistake
-from softcal.core.gap.problem import Problem
-from softcal.core.gap.search import Progress
+from softcal.core.gap.posterior import confused_pairs, hidden_fraction
+from softcal.core.gap.problem import Block, Problem
+from softcal.core.gap.residual import Regime, shares_of_gap, structure
+from softcal.core.gap.search import EffectSearch, Progress
 from softcal.core.gap.shrink import quantify
 from softcal.core.gap.simulator import Simulator, SimulatorRun, planned
-from softcal.core.gap.simulator_place import places_of
 from softcal.core.gap.simulator_plausibility import against_others, cut_off, shown
 from softcal.core.gap.simulator_problem import Failures, SimulatorProblem, followed, is_high, is_quick
 from softcal.core.gap.simulator_search import SimulatorSearch, base_fit
 from softcal.core.gap.simulator_terms import SimulatorTerm, terms_of
-from softcal.core.words.reason import Reason, reason, several
+from softcal.core.recording import Array
+from softcal.core.words.reason import Reason, reason
+
+STANDS_OUT = 1.5
+"""Share of the gap over share of time from which a condition is listed."""
+
+
+def _places(
+    search: EffectSearch, best: Fit, causes: tuple[RankedCause, ...], verdict: DiagnosisVerdict
+) -> tuple[GapPlace, ...]:
+    """Where the gap lies: parts of the mechanism, then the conditions in which it stands out."""
+    if verdict == "no_gap":
+        return ()
+    seen = regimes_of(search.base)
+    everywhere = Reason("gap.regime.everywhere")
+    loudest = max(search.base.problem.scored_channels, key=lambda channel: structure(search.base, channel).z)
+    channel, regime = (seen[0].channel, seen[0].name) if seen else (loudest, everywhere)
+    if verdict == "unknown":
+        part, ids = float(np.clip(search.share(best), 0.0, 1.0)), best.hypothesis.ids
+        nearest = Reason("gap.seen.no_candidate")
+        if ids:
+            nearest = reason("gap.seen.nearest", causes=next_experiment.named(ids, "gap.both"), share=part)
+        places = [GapPlace("unknown", channel, regime, 1.0, nearest)]
+    else:
+        named = [c for c in causes if c.effect in best.hypothesis.ids]
+        places = places_of(named, channel, regime, lambda effect_id: reason("gap.effect", effect=effect_id))
+    return (*places, *regime_places(places[0].stage, seen, "gap.seen.energy_of_all"))
+
+
+def regimes_of(found: Fit) -> list[Regime]:
+    """Return the conditions in which the residual of a channel stands out, strongest first."""
+    out = []
+    for channel in found.problem.scored_channels:
+        blocks = found.problem.blocks_of(channel)
+        for name, part, time_share in shares_of_gap(found, blocks, _conditions(found, blocks)):
+            share = float(np.clip(part, 0.0, 1.0))
+            if share > STANDS_OUT * time_share:
+                out.append(Regime(channel, name, share, share / time_share))
+    return sorted(out, key=lambda r: -r.share * np.log(r.lift))
+
+
+def _conditions(found: Fit, blocks: list[Block]) -> dict[Reason, Array]:
+    """Which samples of a channel lie at a level, a slope or a time, and in which run."""
+    runs = [found.problem.case.runs[b.run] for b in blocks]
+    predicted = [found.predicted[b.place] for b in blocks]
+    slope = np.concatenate([np.gradient(p, r.t_s) for p, r in zip(predicted, runs, strict=True)])
+    level, part = np.concatenate(predicted), np.concatenate([r.elapsed_s / r.elapsed_s[-1] for r in runs])
+    low, high = np.quantile(level, (0.2, 0.8))
+    calm, quick = np.quantile(np.abs(slope), (0.3, 0.7))
+    of_run = np.concatenate([np.full(len(r), k) for k, r in enumerate(runs)])
+    out = {
+        Reason("gap.regime.low_level"): level < low,
+        Reason("gap.regime.high_level"): level > high,
+        Reason("gap.regime.rising"): slope > quick,
+        Reason("gap.regime.falling"): slope < -quick,
+        Reason("gap.regime.fast_change"): np.abs(slope) > quick,
+        Reason("gap.regime.still"): np.abs(slope) < calm,
+        Reason("gap.regime.start"): part < 0.25,
+        Reason("gap.regime.end"): part > 0.75,
+    }
+    return out | {reason("gap.regime.run", run=run.name): of_run == k for k, run in enumerate(runs)}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -87,8 +150,6 @@ def diagnose_simulator(
 
     Args:
         runs: made by `recorded`.
-        serial: of the unit, for the report.
-        progress: called with one line at every step.
 
     Raises:
         InputError: no run, or the simulator gives something else than finite channels.
@@ -99,13 +160,13 @@ def diagnose_simulator(
     case = Case(serial, tuple(runs))
     base, spoilt = _base_or_mistakes(simulator, case, say)
     if spoilt:
-        return _stopped(simulator, base, spoilt)
+        return SimulatorDiagnosis.stopped(base, simulator.candidates, spoilt, simulator=simulator)
     told = told_by(simulator, base)
-    for line in sentences(told):
-        say(line)
+    for untold in reasons(told):
+        say(str(untold))
     search = _searched(simulator, base, told, say)
-    found = judged(search, [c.id for c in simulator.candidates], say)
-    group, verdict, quantified, best = found.group, found.verdict, found.quantified, search.best
+    group, quantified, verdict, chances = judged(search, [c.id for c in simulator.candidates], say)
+    best = search.best
     if verdict == "unknown":
         best = nearest(search)
         quantified = quantify(search.base, best, is_given=True)
@@ -117,14 +178,14 @@ def diagnose_simulator(
         quantified = quantify(search.base, best)
     share = float(np.clip(search.share(best), 0.0, 1.0))
     ids, held_out = best.hypothesis.ids, quantified.shrink.held_out
-    causes = ranked_causes(search, best, simulator.candidates, (best, *group), found.chances, held_out)
+    causes = ranked_causes(search, best, simulator.candidates, (best, *group), chances, held_out)
     return SimulatorDiagnosis(
         simulator=simulator,
         verdict=verdict,
         base=search.base,
         best=best,
         causes=causes,
-        places=places_of(search, best, causes, verdict),
+        places=_places(search, best, causes, verdict),
         gap=quantified.gap,
         shrink=quantified.shrink,
         protocol=quantified.protocol,
@@ -141,7 +202,7 @@ def diagnose_simulator(
 
 
 def _described(base: Fit, best: Fit, verdict: DiagnosisVerdict, say: Progress) -> LearnedResidual[SimulatorTerm] | None:
-    """Return the empirical terms that describe what the named causes leave; none where nothing is left."""
+    """Return the empirical terms that describe what the named causes leave."""
     if verdict == "no_gap":
         return None
     say("describing what is left")
@@ -176,22 +237,8 @@ def _base_or_mistakes(simulator: Simulator, case: Case, say: Progress) -> tuple[
     return base, spoilt or against_others(base)
 
 
-def _stopped(simulator: Simulator, base: Fit, found: tuple[DataMistake, ...]) -> SimulatorDiagnosis:
-    """Return the diagnosis of recordings that hold a mistake: nothing is named and nothing forecast."""
-    return SimulatorDiagnosis(
-        simulator=simulator,
-        verdict="data",
-        base=base,
-        best=base,
-        causes=tuple(RankedCause(c.id, c.stage, 0.0, 0.0, {}) for c in simulator.candidates),
-        gap=gap_of_base(base),
-        next_experiment=NextExperiment("none", several([one.repair for one in found])),
-        mistakes=found,
-    )
-
-
 def _searched(simulator: Simulator, base: Fit, told: Identifiability, say: Progress) -> "SimulatorSearch":
-    """Search, and once more where what is left may be noise that fades; keep that only where it is shown to be."""
+    """Search, and once more where what is left may be noise that fades."""
     # What every run may have of its own needs no cause: a slightly other equation of it would be named as one.
     candidates = tuple(c for c in simulator.candidates if not told[c.id].is_own)
     search = SimulatorSearch(candidates, base, say)
@@ -218,7 +265,7 @@ def _searched(simulator: Simulator, base: Fit, told: Identifiability, say: Progr
 
 
 def told_by(simulator: Simulator, base: Fit) -> Identifiability:
-    """Return what the runs of a base fit tell of a simulator, and which of its experiments would tell the rest."""
+    """Return what the runs of a base fit tell, and which experiments tell the rest."""
     names = [f"{kind} of {channel}" for channel, kind in simulator.offsets]
     return identifiability(base, simulator.candidates, menu_of(simulator), names)
 

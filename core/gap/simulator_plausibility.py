@@ -11,11 +11,11 @@ from itertools import combinations
 import numpy as np
 
 from softcal.core.gap.case import Case
+from softcal.core.gap.data_mistake import FEWEST_RUNS, SAME_FACTOR, DataMistake, apart, numbers, of_sign, unit_of
 from softcal.core.gap.fit import Fit
-from softcal.core.gap.plausibility import FEWEST_RUNS, SAME_FACTOR, DataMistake, apart, numbers, of_sign, unit_of
 from softcal.core.gap.problem import Hypothesis
 from softcal.core.gap.simulator import Simulator, SimulatorRun
-from softcal.core.gap.simulator_problem import SimulatorProblem
+from softcal.core.gap.simulator_problem import SimulatorProblem, rough_problem, runs_of
 from softcal.core.gap.start import StartConfig, best_start
 from softcal.core.recording import Array
 from softcal.core.words.reason import Reason, reason
@@ -63,8 +63,8 @@ FACTORS: Mapping[str, float] = {
 
 
 def shown(simulator: Simulator, case: Case) -> tuple[DataMistake, ...]:
-    """Return the mistakes that the columns of runs show by themselves: another unit of time, a channel that is dead."""
-    runs, number, found = _runs(case), numbers(case), []
+    """Return the mistakes that columns show by themselves: another unit of time, a dead channel."""
+    runs, number, found = runs_of(case), numbers(case), []
     steps_s = np.array([float(np.median(np.diff(run.t_s))) for run in runs])
     for k, step_s in enumerate(steps_s) if len(runs) >= FEWEST_RUNS else ():
         others = np.delete(steps_s, k)
@@ -82,13 +82,15 @@ def shown(simulator: Simulator, case: Case) -> tuple[DataMistake, ...]:
 
 
 def cut_off(simulator: Simulator, case: Case) -> tuple[DataMistake, ...]:
-    """Return channels that may be cut off at their largest or smallest value: questions, for a mechanism may do so."""
+    """Return channels that may be cut off at an end: questions, for a mechanism may do so."""
     found = []
-    for run, number in zip(_runs(case), numbers(case), strict=True):
+    for run, number in zip(runs_of(case), numbers(case), strict=True):
         for channel in simulator.channels:
             values = run.columns[channel]
             for end in (float(values.max()), float(values.min())):
-                if _is_cut_off(values, end):
+                # A channel that stands on the steps of an encoder repeats its values everywhere.
+                repeats = float(np.mean(np.diff(values[values != end]) == 0.0))
+                if repeats <= CONFIG.resting and float(np.mean(values == end)) > CONFIG.stuck:
                     count = int(np.sum(values == end))
                     evidence = reason("data.cut_off", channel=channel, level=end, count=count)
                     repair = reason("data.repair.range", channel=channel)
@@ -97,7 +99,7 @@ def cut_off(simulator: Simulator, case: Case) -> tuple[DataMistake, ...]:
 
 
 def against_others(base: Fit) -> tuple[DataMistake, ...]:
-    """Return what the simulator shows: one run in another unit or with another sign, columns that were exchanged."""
+    """Return what the simulator shows: one run in another unit or sign, exchanged columns."""
     problem = base.problem
     if not isinstance(problem, SimulatorProblem) or _agreement(base) > CONFIG.good:
         return ()
@@ -105,13 +107,13 @@ def against_others(base: Fit) -> tuple[DataMistake, ...]:
         one, other = pair
         runs = [
             replace(run, columns={**run.columns, one: run.columns[other], other: run.columns[one]})
-            for run in _runs(problem.case)
+            for run in runs_of(problem.case)
         ]
         if _agreement(_fitted(problem, runs)) > CONFIG.good:
             evidence = reason("data.swapped", one=one, other=other)
             repair = reason("data.repair.swap", one=one, other=other)
             return (DataMistake("swapped_columns", "+".join(pair), (), None, evidence, repair),)
-    runs, number = _runs(problem.case), numbers(problem.case)
+    runs, number = runs_of(problem.case), numbers(problem.case)
     for k, run in enumerate(runs) if len(runs) >= FEWEST_RUNS else ():
         others = _fitted(problem, runs[:k] + runs[k + 1 :])
         if _agreement(others) >= CONFIG.good:
@@ -121,24 +123,10 @@ def against_others(base: Fit) -> tuple[DataMistake, ...]:
     return ()
 
 
-def _runs(case: Case) -> list[SimulatorRun]:
-    return [run for run in case.runs if isinstance(run, SimulatorRun)]
-
-
-def _is_cut_off(values: Array, end: float) -> bool:
-    # A channel that stands on the steps of an encoder repeats its values everywhere.
-    if float(np.mean(np.diff(values[values != end]) == 0.0)) > CONFIG.resting:
-        return False
-    return float(np.mean(values == end)) > CONFIG.stuck
-
-
-def _agreement(found: Fit, run: int | None = None) -> float:
-    """Return the least share of a channel that a fit takes up; of one run where it is given."""
-    return min(
-        _share(found.problem.measured[block.place], found.predicted[block.place])
-        for block in found.problem.blocks
-        if run is None or block.run == run
-    )
+def _agreement(found: Fit) -> float:
+    """Return the least share of a channel of a run that a fit takes up."""
+    problem, predicted = found.problem, found.predicted
+    return min(_share(problem.measured[b.place], predicted[b.place]) for b in problem.blocks)
 
 
 def _share(measured: Array, predicted: Array) -> float:
@@ -148,10 +136,7 @@ def _share(measured: Array, predicted: Array) -> float:
 
 
 def _fitted(problem: SimulatorProblem, runs: Sequence[SimulatorRun]) -> Fit:
-    case = Case(problem.case.serial, tuple(runs))
-    spreads = {c: float(np.std(np.concatenate([r.columns[c] for r in runs]))) for c in problem.of.channels}
-    rough = {c: 0.02 * max(spread, 1e-12) for c, spread in spreads.items()}
-    again = SimulatorProblem(case, rough, simulator=problem.of)
+    again = rough_problem(problem.of, Case(problem.case.serial, tuple(runs)))
     return best_start(again, Hypothesis(of_all=problem.of.base), CONFIG.starts)
 
 

@@ -42,13 +42,12 @@ class SimulatorProblem(Problem):
     simulator: Simulator | None = None
     failures: Failures = field(default_factory=Failures)
     known: dict[tuple[tuple[str, float], ...], Array] = field(default_factory=dict)
-    """What the simulator said lately, by its parameters, whatever noise or samples a problem has."""
+    """What the simulator said lately, by its parameters; noise and samples do not matter."""
     of_base: tuple[bool, ...] = ()
-    """Of every offset, whether the base has what all runs share of it; nothing of it is known where empty."""
+    """Of every offset, whether the base has what all runs share of it; not known where empty."""
 
     @property
     def of(self) -> Simulator:
-        """The simulator."""
         if self.simulator is None:
             raise ValueError("a problem of a simulator needs one")
         return self.simulator
@@ -158,7 +157,7 @@ class SimulatorProblem(Problem):
         return self._with_terms(hypothesis, coordinates, self.known[key])
 
     def _with_terms(self, hypothesis: Hypothesis, coordinates: Array, raw: Array) -> Array:
-        """Return what the simulator says, (samples,), with the empirical terms of a hypothesis added."""
+        """Return what the simulator says, (samples,), with the empirical terms added."""
         found = [(e.step.term, e.id) for e in hypothesis.effects if isinstance(e.step, TermStep)]
         if not found or not np.all(np.isfinite(raw)):
             return raw
@@ -189,7 +188,7 @@ class SimulatorProblem(Problem):
         return out
 
     def followed(self, predicted: Array, channel: str) -> dict[str, dict[str, Array]]:
-        """Return groups of (samples,) columns that a residual of a channel may follow: of inputs and channels."""
+        """Return groups of (samples,) columns of inputs and channels that a residual may follow."""
         signals = {name: [run.columns[name] for run in self._runs] for name in self.of.inputs if name != channel}
         for name in self.of.channels:
             signals[name] = [predicted[b.place] for b in self.blocks_of(name)]
@@ -206,7 +205,19 @@ class SimulatorProblem(Problem):
 
     @cached_property
     def _runs(self) -> list[SimulatorRun]:
-        return [run for run in self.case.runs if isinstance(run, SimulatorRun)]
+        return runs_of(self.case)
+
+
+def runs_of(case: Case) -> list[SimulatorRun]:
+    """Return the runs of a case of a mechanism."""
+    return [run for run in case.runs if isinstance(run, SimulatorRun)]
+
+
+def rough_problem(simulator: Simulator, case: Case) -> SimulatorProblem:
+    """Return recordings with a fiftieth of the spread of a channel as its noise."""
+    columns = {c: np.concatenate([run.columns[c] for run in runs_of(case)]) for c in simulator.channels}
+    rough = {c: 0.02 * max(float(np.std(values)), 1e-12) for c, values in columns.items()}
+    return SimulatorProblem(case, rough, simulator=simulator)
 
 
 def shifted(values: Array, t_s: Array, delay_s: float, straight: float) -> Array:

@@ -7,7 +7,6 @@ from itertools import combinations
 import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.gap.candidates import Probe
 from softcal.core.gap.case import Case
 from softcal.core.gap.coordinates import from_fit
 from softcal.core.gap.fit import Fit, fit
@@ -16,10 +15,10 @@ from softcal.core.gap.floor import noise_chance
 from softcal.core.gap.linear import energy
 from softcal.core.gap.offsets import rows_of_runs
 from softcal.core.gap.problem import Hypothesis, Problem
-from softcal.core.gap.screen import Lead, Tangent
+from softcal.core.gap.screen import Probe, Tangent
 from softcal.core.gap.search import EffectSearch, Progress, SearchConfig
 from softcal.core.gap.simulator import Simulator
-from softcal.core.gap.simulator_problem import SimulatorProblem, followed
+from softcal.core.gap.simulator_problem import SimulatorProblem, followed, rough_problem
 from softcal.core.gap.start import best_start, likeliest, noise_levels, scattered
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
@@ -36,11 +35,11 @@ MOST_PAIRS = 8
 """Pairs of causes that are tried from several starts: all of four or fewer candidates."""
 
 SHOWN_SIGMA = 5.0
-"""Standard deviations that the base may leave of the largest offset, common to all runs, which it has as its own."""
+"""Standard deviations that the base may leave of the largest offset, the same in all runs."""
 
 
 class SimulatorSearch(EffectSearch):
-    """The search over the candidates of a simulator; nothing is placed first, and a cause has one realisation."""
+    """The search over a simulator's candidates: none is placed first, each has one realisation."""
 
     def __init__(self, candidates: Sequence[Effect], base: Fit, say: Progress) -> None:
         runs = base.problem.case.runs
@@ -76,7 +75,7 @@ class SimulatorSearch(EffectSearch):
         self._settle_noise(self._leader)
 
     def _likely_pairs(self) -> list[tuple[Effect, ...]]:
-        """Return the pairs that promise most together, to first order and over many places of each."""
+        """Return the pairs that promise most to first order, over many places of each."""
         space, rows, owner = Tangent(self.base), [], []
         for k, effect in enumerate(self._candidates):
             for row in _rows(effect):
@@ -95,13 +94,16 @@ class SimulatorSearch(EffectSearch):
         return sorted(gains, key=lambda pair: -gains[pair])[:MOST_PAIRS]
 
     def _try(self, effects: tuple[Effect, ...]) -> None:
-        """Fit causes from the likeliest of many places: by what each promises beside the others, and as they are."""
-        problem, hypothesis, fits = self.base.problem, self.base.hypothesis, []
+        """Fit causes from the likeliest of many places, and from what each promises."""
+        problem, hypothesis, fits = self.base.problem, self.base.hypothesis.adding(*effects), []
         for effect in effects:
-            hypothesis = hypothesis.adding(effect)
             parent = self.fits.get(tuple(sorted(e.id for e in effects if e is not effect)))
-            lead = None if parent is None else _best_lead(parent, effect)
-            if parent is not None and lead is not None:
+            if parent is None:
+                continue
+            space = Tangent(parent)
+            leads = [space.lead(Probe(effect, row, effect.is_one_sided)) for row in _rows(effect)]
+            lead = max((one for one in leads if one is not None), key=lambda one: one.gain, default=None)
+            if lead is not None:
                 fits.append(fit(problem, parent.hypothesis.adding(effect), lead.start(parent), steps=FIRST_STEPS))
         drawn = scattered([p for effect in hypothesis.effects for p in effect.parameters], DRAWS)
         places = [np.append(self.base.coordinates, place) for place in drawn]
@@ -122,13 +124,6 @@ class SimulatorSearch(EffectSearch):
         return None
 
 
-def _best_lead(parent: Fit, effect: Effect) -> Lead | None:
-    """Return the best promise of an effect from places all over its bounds."""
-    space = Tangent(parent)
-    leads = [space.lead(Probe(effect, row, effect.is_one_sided)) for row in _rows(effect)]
-    return max((lead for lead in leads if lead is not None), key=lambda lead: lead.gain, default=None)
-
-
 def _rows(effect: Effect) -> list[tuple[float, ...]]:
     """Return values of an effect's parameters all over their bounds."""
     places = scattered(effect.parameters, DRAWS)
@@ -141,11 +136,8 @@ def base_fit(simulator: Simulator, case: Case) -> Fit:
     Raises:
         InputError: the simulator fails wherever it is tried.
     """
-    problem = SimulatorProblem(case, dict.fromkeys(simulator.channels, 1.0), simulator=simulator)
-    spans = {c: [problem.measured[b.place] for b in problem.blocks_of(c)] for c in simulator.channels}
-    rough = {c: 0.02 * max(float(np.std(np.concatenate(parts))), 1e-12) for c, parts in spans.items()}
-    hypothesis = Hypothesis(of_all=simulator.base)
-    best = best_start(problem.with_noise(rough), hypothesis)
+    problem, hypothesis = rough_problem(simulator, case), Hypothesis(of_all=simulator.base)
+    best = best_start(problem, hypothesis)
     if best.chi2 == np.inf:
         raise InputError(f"{problem.failures.first}; it fails at all {problem.failures.of} places that were tried")
     for _ in range(3):
@@ -155,7 +147,7 @@ def base_fit(simulator: Simulator, case: Case) -> Fit:
 
 
 def _shared_by_base(found: Fit) -> Problem:
-    """Return the problem with what all runs share of an offset left to the base where the base can take its shape."""
+    """Leave to the base what all runs share of an offset, where the base can take its shape."""
     problem = found.problem
     if not isinstance(problem, SimulatorProblem) or not len(problem.largest_offsets):
         return problem

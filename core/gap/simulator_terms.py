@@ -29,7 +29,7 @@ BLUNT = 0.05
 TIME = "t"
 LEVEL, SQUARE, CUBE, RATE, WAY, REMEMBERED = "", "²", "³", "rate of ", "way of ", "memory of "
 SIZED_WAY, SIZED_TIME = "size·way of ", "t·"
-"""What of a signal a term may follow; a size of 1 is the farthest from the middle that was recorded."""
+"""What of a signal a term may follow; a size of 1 is the farthest recorded from the middle."""
 
 
 @dataclass(frozen=True)
@@ -37,12 +37,10 @@ class SimulatorTerm:
     """channel += coefficient · variable.
 
     Args:
-        place: the channel.
         kind: what of the signal it follows.
         signal: an input or a channel, empty for the time.
         middle, half: what a signal of 0 and of 1 stand for: from the middle to the farthest that was recorded.
         per_s: the usual rate of change of the signal so counted, 1/s.
-        tau_s: fading time of a memory.
         span: the range of the channel, for the size of a step.
     """
 
@@ -64,10 +62,6 @@ class SimulatorTerm:
         if self.kind in (SQUARE, CUBE):
             return f"{self.signal}{self.kind}"
         return f"{self.kind}{self.signal}" + (f" over {self.tau_s:.2g} s" if self.kind == REMEMBERED else "")
-
-    def sized(self, coefficient: float) -> "SimulatorTerm":
-        """Return the same term with another coefficient."""
-        return replace(self, coefficient=coefficient)
 
     @property
     def unit(self) -> str:
@@ -105,7 +99,6 @@ class SimulatorTerm:
         return np.asarray({RATE: rate, WAY: way, SIZED_WAY: x * way}[self.kind])
 
     def record(self) -> dict[str, object]:
-        """Return it as a file has it."""
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
 

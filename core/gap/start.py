@@ -18,7 +18,7 @@ from softcal.core.recording import Array
 from softcal.core.twin.effects import Parameter
 
 TRIMMED = 0.02
-"""Share of the largest squared differences left out of a noise estimate: steps and drop-outs are not noise."""
+"""Share of squared differences, the largest, left out of a noise estimate: steps are not noise."""
 
 
 def unfitted(case: Case) -> Fit:
@@ -52,12 +52,12 @@ class StartConfig:
     steps: int = 60
 
 
-def scattered(parameters: Sequence[Parameter], count: int, seed: int = 1) -> Array:
+def scattered(parameters: Sequence[Parameter], count: int) -> Array:
     """Return (count, parameters) coordinates within bounds, the usual values first, then near and far from them.
 
     A value that may be far off in either direction is drawn by its order of magnitude.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(1)
     out = np.empty((count, len(parameters)))
     for k, p in enumerate(parameters):
         usual, scale = to_fit(p, p.usual), fit_scale(p)
@@ -88,7 +88,7 @@ def best_start(problem: Problem, hypothesis: Hypothesis, config: StartConfig = S
 
 
 def likeliest(problem: Problem, hypothesis: Hypothesis, places: Sequence[Array]) -> list[Array]:
-    """Return places in the order of what a prediction at each leaves; last those where there is none."""
+    """Return places in the order of what a prediction at each leaves; those without one last."""
 
     def left(place: Array) -> float:
         found = energy(problem.whitened(problem.measured - problem.predict(hypothesis, place)))
@@ -164,7 +164,10 @@ def _first_noise(case: Case) -> dict[str, float]:
 
 def rough_start(case: Case) -> Array:
     """Return base coordinates read off the recordings, (5,)."""
-    stage, force, output = (_joined(case, c) for c in ("stage_mm", "force_N", "output_V"))
+    stage, force, output = (
+        np.concatenate([getattr(run, c) for run in case.presses]) if case.has(c) else None
+        for c in ("stage_mm", "force_N", "output_V")
+    )
     u0, k1, k3, r0, kappa = (RigScale.of(case).sized(p).usual for p in BASE)
     loaded = force if force is not None else output
     if stage is not None and loaded is not None:
@@ -188,8 +191,3 @@ def rough_start(case: Case) -> Array:
         kappa = max((1.0 - r0 / float(np.median(resistance[top]))) / float(np.median(drive[top])), 1e-3 * kappa)
     values = (u0, k1, k3, max(r0, 1e-4 * case.readout.r_series_ohm), kappa)
     return np.array([to_fit(p, v) for p, v in zip(BASE, values, strict=True)])
-
-
-def _joined(case: Case, channel: str) -> Array | None:
-    parts = [getattr(run, channel) for run in case.presses]
-    return None if any(part is None for part in parts) else np.concatenate(parts)

@@ -1,22 +1,32 @@
-"""Departures the catalogue does not have, in generic form: to tell when one of them explains more than the catalogue.
+"""What no equation of the catalogue says: departures of another kind, and other equations of its causes.
 
 Each signal of the chain may have a gain or an offset that follows time or temperature, and the load cell a delay or a
 share of the position. They are no causes a report can name; where one wins, the report says `unknown` and what it is
 like.
+
+A rig does not follow the catalogue's equations, and what the equation of one cause leaves often looks like a second
+cause. So every further cause is held against a free form of those beside it: the same cause at other sizes and shapes,
+all mixed, and with a size that changes with load and time. Where that explains the same nearly as well, these runs do
+not tell a second cause from another equation of the first.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from softcal.core.gap.ambiguity import RIVAL_LOG_ODDS
-from softcal.core.gap.candidates import Probe
+from softcal.core.gap.coordinates import from_fit, to_fit
 from softcal.core.gap.fit import Fit
-from softcal.core.gap.posterior import Yardstick
+from softcal.core.gap.floor import projected
+from softcal.core.gap.linear import dots
+from softcal.core.gap.posterior import RIVAL_LOG_ODDS, Yardstick
 from softcal.core.gap.residual import structure
-from softcal.core.gap.screen import joined, screen
+from softcal.core.gap.screen import Probe, joined, screen
+from softcal.core.recording import Array
+from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import ChainStage, Effect, Flow, Hook, Memory, Parameter, Step
+from softcal.core.twin.mechanics import elastic_force_at
 from softcal.core.twin.signals import low_pass
 from softcal.core.words.reason import Reason
 
@@ -32,18 +42,15 @@ TIME, WARMTH, PLACE = "t_s", "warmed_K", "stage_mm"
 """What of the flow a departure may follow."""
 
 
-def _gain(signal: str, follows: str) -> Step:
+def _gain(signal: str, follows: str, is_offset: bool = False) -> Step:
     def step(flow: Flow, values: Sequence[float], _: Memory) -> None:
-        setattr(flow, signal, getattr(flow, signal) * (1.0 + values[0] * getattr(flow, follows)))
+        now, change = getattr(flow, signal), values[0] * getattr(flow, follows)
+        setattr(flow, signal, now + change if is_offset else now * (1.0 + change))
 
     return step
 
 
-def _offset(signal: str, follows: str) -> Step:
-    def step(flow: Flow, values: Sequence[float], _: Memory) -> None:
-        setattr(flow, signal, getattr(flow, signal) + values[0] * getattr(flow, follows))
-
-    return step
+_offset = partial(_gain, is_offset=True)
 
 
 def _divider(flow: Flow, values: Sequence[float], _: Memory) -> None:
@@ -57,12 +64,7 @@ def _cell_lag(flow: Flow, values: Sequence[float], _: Memory) -> None:
 
 @dataclass(frozen=True)
 class Stranger:
-    """A generic departure.
-
-    Args:
-        like: what it is, in words.
-        is_warming: it follows the temperature.
-    """
+    """A generic departure."""
 
     like: Reason
     effect: Effect
@@ -93,16 +95,14 @@ STRANGERS = (
 """Generic departures."""
 
 WARM_DIVIDER = _stranger("gap.like.divider_when_warm", "electronics", Hook.REFERENCE, _divider, "1/K", 1e-3)
-"""Looks like a channel that follows the temperature, sign reversed, as long as the channel itself is read."""
+"""Looks like a channel that follows the temperature, sign reversed, while the channel is read."""
 
 
 def stranger(best: Fit, parents: Sequence[Fit], fits: Sequence[Fit]) -> Fit | None:
     """Return the best hypothesis with a stranger in it, None where none beats the catalogue decisively.
 
     Args:
-        best: of the catalogue.
         parents: hypotheses a stranger may stand beside, fitted under the noise level of `best`.
-        fits: every hypothesis of the catalogue.
     """
     if best.problem.is_driven_by_force:
         return None
@@ -130,3 +130,82 @@ def _grown(parent: Fit) -> list[Fit]:
     seen += [WARM_DIVIDER.effect] if case.has_warmed_dummy else []
     probes = [Probe(e, (scale.sized(e.parameters[0]).usual,), e.parameters[0].low == 0.0) for e in seen]
     return [joined(parent, lead) for lead in screen(parent, probes)[:1]]
+
+
+@dataclass(frozen=True)
+class FreeFormConfig:
+    """How free a form is, and when it explains the same.
+
+    Args:
+        ratios: sizes and shapes mixed, as multiples of the fitted ones.
+        imitated: share of what a cause takes away that a free form of the others must take away as well.
+    """
+
+    ratios: tuple[float, ...] = (0.2, 0.5, 2.0, 5.0)
+    imitated: float = 0.8
+
+
+CONFIG = FreeFormConfig()
+
+
+def imitated_causes(best: Fit, smaller: Mapping[str, Fit]) -> list[str]:
+    """Return the causes of a hypothesis that a free form of the others imitates, the weakest first.
+
+    Args:
+        smaller: the hypothesis without each cause, fitted, by that cause.
+    """
+    order = sorted(smaller, key=lambda effect_id: smaller[effect_id].chi2)
+    return [effect_id for effect_id in order if imitation(smaller[effect_id], best) >= CONFIG.imitated]
+
+
+def imitation(rest: Fit, best: Fit) -> float:
+    """Return which share of a larger hypothesis's gain a free form of a smaller one has as well."""
+    gain = rest.chi2 - best.chi2
+    if gain <= 0.0 or not rest.hypothesis.ids:
+        return 0.0
+    rows = [rest.problem.whitened(row) for effect in rest.hypothesis.effects for row in _directions(rest, effect)]
+    seen = projected(rows, rest.jacobian)
+    if not len(seen):
+        return 0.0
+    # Each direction takes 1 off χ² by chance.
+    taken = float(np.sum(dots(seen, rest.residual) ** 2)) - len(seen)
+    return taken / gain
+
+
+def _directions(found: Fit, effect: Effect) -> Iterator[Array]:
+    """Yield (samples,) changes of the prediction that another equation of one cause may bring."""
+    problem, at = found.problem, found.hypothesis.slices[effect.id]
+    own = range(at.start, at.stop)
+    parameters = [problem.scale.sized(p) for p in effect.parameters]
+    # A size without a shape is its own shape: a toe, a play, a delay.
+    shapes = list(zip(own, parameters, strict=True))[1:] or list(zip(own, parameters, strict=True))
+    # A hum at another pitch, or with other phases, is another hum.
+    for k, parameter in () if EFFECTS[effect.id].belongs_to_run else shapes:
+        for ratio in CONFIG.ratios:
+            moved = found.coordinates.copy()
+            value = from_fit(parameter, moved[k])
+            if np.isfinite(value) and value != 0.0:
+                moved[k] = to_fit(parameter, float(np.clip(ratio * value, parameter.low, parameter.high)))
+            if moved[k] != found.coordinates[k]:
+                yield problem.predict(found.hypothesis, moved) - found.predicted
+    without, left = found.hypothesis.without(effect.id)
+    signature = found.predicted - problem.predict(without, found.coordinates[left])
+    of_load, of_time = _courses(found)
+    # A delay that grows with time is a rate, a cause of its own.
+    for course in of_load if effect.signs.clock is not None else of_load + of_time:
+        yield signature * course
+
+
+def _courses(found: Fit) -> tuple[list[Array], list[Array]]:
+    """Return (samples,) load and time, each with its square, relative to the largest."""
+    problem = found.problem
+    load, time = np.zeros(len(problem.measured)), np.zeros(len(problem.measured))
+    for block in problem.blocks:
+        run = problem.case.runs[block.run]
+        time[block.place] = run.elapsed_s
+        if run.stage_mm is not None:
+            load[block.place] = elastic_force_at(run.stage_mm, found.base)
+        elif run.force_N is not None:
+            load[block.place] = run.force_N
+    load, time = load / (np.max(np.abs(load)) or 1.0), time / (np.max(time) or 1.0)
+    return [load, load**2], [time, time**2]

@@ -1,4 +1,4 @@
-"""How far calibration results on simulated lots predict those on the rig, before and after a cause is in the twin."""
+"""How well calibrations of simulated lots foretell those on the rig, without and with causes."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -12,14 +12,14 @@ from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import LotDesign
 from softcal.core.twin.simulate import Twin, simulate
-from softcal.core.twin.spread import LotSpread, draw_lot
+from softcal.core.twin.spread import draw_lot
 from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.unit_problem import UnitProblem
 
 NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60, patience=10, batch=128)
-"""Smaller than the paper's and the same for rig and twins: what is compared is what the twin predicts."""
+"""Smaller than the paper's and the same for rig and twins, which alone are compared."""
 
 TRAIN_SHARE = 0.6
 """Share of an audit that a unit's own calibration trains on; all errors are on the rest."""
@@ -79,7 +79,7 @@ class Transfer:
     units: int
 
     def rows(self) -> list[tuple[str, float, float, float, float, float]]:
-        """Return per measure: rig, base twin, explained twin, relative error of the one and of the other."""
+        """Return per measure: rig, base twin, explained twin, and the relative errors of both."""
         out = []
         for name in ("before", "after", "own", "after_by_own"):
             rig, base, explained = (float(getattr(e, name)) for e in (self.rig, self.base, self.explained))
@@ -102,7 +102,6 @@ def transfer(
     """Calibrate the rig's lot and one simulated lot per twin, pressed along the same stage positions.
 
     Args:
-        base, explained: the refitted base alone, and the twin with its causes.
         seed: of the spread and the noise of the simulated units; both twins get the same.
     """
     say("calibrating the rig's lot")
@@ -113,12 +112,10 @@ def transfer(
     return Transfer(on_rig, by_base, lot_errors(simulated_like(rig, explained, seed)), units=len(rig.units))
 
 
-def simulated_like(rig: PressedLot, twin: Twin, seed: int, spread: LotSpread | None = None) -> PressedLot:
-    """Return a simulated lot around a twin, every unit pressed along the stage positions of one of the rig's."""
+def simulated_like(rig: PressedLot, twin: Twin, seed: int) -> PressedLot:
+    """Return a simulated lot around a twin, pressed along the stage positions of the rig's."""
     rng = np.random.default_rng(seed)
-    twins = draw_lot(
-        rng, len(rig.units) + 1, twin.parameters, twin.metadata, twin.effects, spread or LotDesign().spread
-    )
+    twins = draw_lot(rng, len(rig.units) + 1, twin.parameters, twin.metadata, twin.effects, LotDesign().spread)
     units = tuple(
         LotUnit(pressed(own, u.recording, rng).unlabelled, pressed(own, u.audit.unlabelled, rng))
         for own, u in zip(twins[1:], rig.units, strict=True)
@@ -139,7 +136,7 @@ def pressed(
 
 
 def lot_errors(lot: PressedLot) -> LotErrors:
-    """Train the shared network on the source, map every unit, and return the medians of their errors."""
+    """Train the shared network on the source, map every unit, return the medians of errors."""
     trained = fit_network(lot.source, NETWORK)
     model = make_source_model(lot.source, trained.network, trained.validation_rows)
     rows: list[Sequence[float]] = []

@@ -1,4 +1,4 @@
-"""What a cause explains of the calibration error: f trained on twins and on the rig, tested on the rig's audit."""
+"""What a cause explains of the calibration error: f trained on twins and on the rig."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -17,7 +17,7 @@ from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.twin.simulate import Twin
 
 FITTED_ON = 1
-"""Recordings of the rig that the twins of a unit are fitted to; the lot's other units have told the causes."""
+"""Recordings of the rig that the twins are fitted to; other units of the lot tell the causes."""
 
 ALIKE = 1.02
 """An f counts as not worse up to this ratio of errors; stated beforehand, chosen on no data."""
@@ -42,12 +42,12 @@ class CalibrationWorth:
 
     @property
     def worth(self) -> int | None:
-        """Fewest rig recordings whose f is not worse than that of the explained twin; None where all were too few."""
+        """Fewest rig recordings whose f is not worse than the explained twin's; None where all are too few."""
         return _fewest(self.rig, self.explained)
 
     @property
     def saves(self) -> int:
-        """Rig recordings that need not be made, at least; those that the twin was fitted to are taken off."""
+        """Rig recordings saved, at least; those that the twin was fitted to are off."""
         return max((self.worth or len(self.rig)) - self.fitted_on, 0)
 
     @property
@@ -56,7 +56,6 @@ class CalibrationWorth:
         return max((_fewest(self.rig, self.nominal) or len(self.rig)) - self.fitted_on, 0)
 
     def record(self) -> dict[str, object]:
-        """Return JSON values."""
         return asdict(self) | {"worth": self.worth, "saves": self.saves, "nominal_saves": self.nominal_saves}
 
 
@@ -65,7 +64,7 @@ def _fewest(rig: Sequence[float], error: float) -> int | None:
 
 
 def calibration_worth(
-    unit: str, case: Case, audit: Case, shared: Fit, seed: int = 0, say: Callable[[str], None] = lambda _: None
+    unit: str, case: Case, audit: Case, shared: Fit, say: Callable[[str], None] = lambda _: None
 ) -> CalibrationWorth:
     """Train f on the unit's nominal and explained twin and on its rig recordings, and test all on its audit.
 
@@ -74,7 +73,6 @@ def calibration_worth(
 
     Args:
         shared: a fit of the lot's causes to this unit: it gives the equations; its sizes are only where a fit begins.
-        seed: of the twins' noise.
 
     Raises:
         InputError: a run lacks stage position, force or output.
@@ -90,8 +88,8 @@ def calibration_worth(
     recorded = [_labelled(unit, run) for run in runs]
     return CalibrationWorth(
         unit,
-        _error(_simulated(unit, explained_twin(bare), runs, seed), test),
-        _error(_simulated(unit, explained_twin(full), runs, seed), test),
+        _error(_simulated(unit, explained_twin(bare), runs), test),
+        _error(_simulated(unit, explained_twin(full), runs), test),
         tuple(_error(_joined(unit, recorded[:k]), test) for k in range(1, len(recorded) + 1)),
     )
 
@@ -112,13 +110,13 @@ def _labelled(unit: str, run: Run) -> LabelledRecording:
     return LabelledRecording(output, run.force_N)
 
 
-def _simulated(unit: str, twin: Twin, runs: Sequence[Run], seed: int) -> LabelledRecording:
-    rng = np.random.default_rng(seed)
+def _simulated(unit: str, twin: Twin, runs: Sequence[Run]) -> LabelledRecording:
+    rng = np.random.default_rng(0)
     return _joined(unit, [pressed(twin, _labelled(unit, run).unlabelled, rng, run.temperature_C) for run in runs])
 
 
 def _joined(unit: str, parts: Sequence[LabelledRecording]) -> LabelledRecording:
-    """Return recordings one after the other, a second apart: no window reaches from one into the next."""
+    """Return recordings one after the other, a second apart: no window spans two."""
     times, end_s = [], 0.0
     for part in parts:
         t_s = part.unlabelled.t_s

@@ -93,10 +93,6 @@ EFFECTS = (
         parameters=(Parameter("count", "", 0.0, 1000.0, 5.0, neutral=0.0),),
         step=_dropped_samples,
         is_episodic=True,
-        signs=Signs(
-            placing=Placing.LOSSES,
-            hides_behind=("clock_skew",),
-            shown_by=("fast_ramps",),
-        ),
+        signs=Signs(placing=Placing.LOSSES, hides_behind=("clock_skew",), shown_by=("fast_ramps",)),
     ),
 )

@@ -1,4 +1,4 @@
-"""The one list of effects a diagnosis can blame: softcal's own in the order of the signal chain, then plug-ins."""
+"""The effects a diagnosis can blame: softcal's own in the order of the chain, then plug-ins."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -26,7 +26,7 @@ EFFECTS: Mapping[str, Effect] = MappingProxyType(PLUGINS.beside(OWN_EFFECTS))
 """Every effect that a diagnosis can name, by identifier."""
 
 FORMS: Mapping[str, tuple[Form, ...]] = MappingProxyType({e.id: e.forms for e in EFFECTS.values() if e.forms})
-"""Other realisations of causes: what a rig may show instead of the catalogue's equation; none of a cause not here."""
+"""Other realisations of causes: what a rig may show instead of the catalogue's equation."""
 
 
 def effect(effect_id: str) -> Effect:

@@ -1,4 +1,4 @@
-"""What an effect of the twin is: its place in the chain, its equation and parameters, and how it shows."""
+"""What an effect of the twin is: its place in the chain, its equation, and how it shows."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -71,7 +71,6 @@ class Flow:
         step_s: (n,) time since the sample before, 0 at the start of a run.
         stage_mm: (n,) recorded stage position.
         temperature_rise_K: (n,) temperature above that of the run's first sample, None where it is not recorded.
-        vref_V: nominal reference.
         episodes: per effect id (m, 2), the rows of an episodic effect in this run.
         run: position of this run in its case, for effects with values of their own in every run.
     """
@@ -98,7 +97,7 @@ class Flow:
     output_V: Array = field(default_factory=_not_yet)
     reading_N: Array = field(default_factory=_not_yet)
     is_unforeseeable: NDArray[np.bool_] | None = None
-    """(n,) where nobody can foretell the output: after the end of this stretch, or amid a step; None for nowhere."""
+    """(n,) where nobody can foretell the output: past the end, or amid a step; None: nowhere."""
 
     @property
     def warmed_K(self) -> Array:
@@ -178,9 +177,7 @@ class Effect:
         equation: its equation on top of the base model.
         source: where the equation or its usual size comes from.
         parameters: in the order `step` takes them; the first one is the size of the effect.
-        step: the equation.
         is_episodic: it happens at a few instants of one run and does not carry over to another.
-        signs: how it shows.
         of_runs: the same effect with values of its own in every run, for a number of runs; None where one set of
             values holds for all.
         sides: the same effect acting from another side, told apart by the parameters that are given.
@@ -214,7 +211,7 @@ class Effect:
 
     @property
     def is_one_sided(self) -> bool:
-        """Whether its size cannot change its sign: it starts at 0, or is a level whose absence is infinity."""
+        """Whether its size has one sign: from 0, or a level whose absence is infinity."""
         size = self.parameters[0]
         return size.low == 0.0 or size.neutral == np.inf
 
@@ -224,7 +221,7 @@ class Effect:
         return self.is_episodic or self.of_runs is not None
 
     def side_with(self, names: Sequence[str]) -> "Effect":
-        """Return the side of this effect that has parameters of these names; itself where none has them all."""
+        """Return the side with parameters of these names; itself where none has all."""
         every = (self, *self.sides)
         return next((side for side in every if set(names) <= {p.name for p in side.parameters}), self)
 
@@ -238,17 +235,16 @@ class Effect:
         """
         if self.signs.placing in (Placing.LOSSES, Placing.INTERVALS, Placing.LINE):
             return []
-        rows = self._usual_probes(sized) if self.signs.probes is None else self.signs.probes(at)
-        shapes = [sized(p) for p in self.parameters[1:]]
+        first, *shapes = (sized(p) for p in self.parameters)
+        rows: Sequence[tuple[float, ...]] = [(0.2 * first.usual,)]
+        if self.signs.probes is not None:
+            rows = self.signs.probes(at)
+        elif shapes:
+            usual = [p.usual for p in shapes]
+            rows = [(0.2 * first.usual, factor * usual[0], *usual[1:]) for factor in (0.25, 1.0, 4.0)]
         return [
             (row[0], *(float(np.clip(v, p.low, p.high)) for p, v in zip(shapes, row[1:], strict=True))) for row in rows
         ]
-
-    def _usual_probes(self, sized: Callable[[Parameter], Parameter]) -> list[tuple[float, ...]]:
-        size, usual = 0.2 * sized(self.parameters[0]).usual, [sized(p).usual for p in self.parameters[1:]]
-        if not usual:
-            return [(size,)]
-        return [(size, factor * usual[0], *usual[1:]) for factor in (0.25, 1.0, 4.0)]
 
     @property
     def value_names(self) -> tuple[str, ...]:
@@ -256,7 +252,7 @@ class Effect:
         return (*(p.name for p in self.parameters), *(name for name, _ in self.constants))
 
     def form_called(self, name: str) -> "Effect | None":
-        """Return the realisation of this name, the effect itself for an empty one; None where it has no such form."""
+        """Return the form of this name, itself for an empty one; None without such a form."""
         return next((f.effect for f in self.forms if f.effect.equation == name), None) if name else self
 
     def with_forms(self, *makers: "Callable[[Effect], Form]") -> "Effect":
@@ -269,7 +265,6 @@ class Form:
     """Another realisation of a cause.
 
     Args:
-        effect: the realisation; its identifier is that of the cause.
         carry: value of every parameter from the catalogue's values, as (index of the value or None, factor or value).
     """
 

@@ -1,4 +1,4 @@
-"""Electronics: the resistance becomes a voltage, V = Vref·R/(R + Rs), with Gaussian noise and an ideal ADC."""
+"""Electronics: V = Vref·R/(R + Rs), with Gaussian noise and an ideal ADC."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,12 +12,6 @@ from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.twin.probes import Extent, Sizes
 from softcal.core.twin.signals import low_pass, read_at
 from softcal.core.twin.transduction import CLIMATE
-
-
-def divide(flow: Flow, readout: ReadoutMetadata) -> None:
-    """Set the output of the divider."""
-    resistance = flow.resistance_ohm + flow.wiring_ohm
-    flow.output_V = flow.reference_V * (resistance / (resistance + readout.r_series_ohm))
 
 
 def digitise(clean_V: Array, noise_V: Array, readout: ReadoutMetadata) -> Array:
@@ -79,10 +73,10 @@ def _soft_clip(flow: Flow, v: Sequence[float], _: Memory) -> None:
 
 
 HUM_STEP_Hz = 0.05
-"""Scale on which the fit moves the frequency: a few hundredths of a hertz turn the phase once in a run."""
+"""Scale on which the fit moves the frequency: it turns the phase about once in a run."""
 
 PHASE_WEIGHT = 0.5
-"""What the phase of one run counts as: it is known to a fifth of a period at least, far less than ln n tells apart."""
+"""What the phase of one run counts as: known to a fifth of a period, far less than ln n."""
 
 HUM = (
     Parameter("A", "V", 0.0, 0.5, 0.004, neutral=0.0),
@@ -92,7 +86,7 @@ HUM = (
 
 
 def _hum_of_runs(runs: int) -> Effect:
-    """Return the hum with a phase per run: where in the mains' period a run begins is no property of the rig."""
+    """Return the hum with a phase per run: when a run begins is no property of the rig."""
     phases = [Parameter(f"phi{k}", "rad", -20.0, 20.0, 1.0, weight=PHASE_WEIGHT) for k in range(runs)]
     parameters = (HUM[0], replace(HUM[1], usual=HUM_STEP_Hz), *phases)
     return replace(MAINS_HUM, parameters=parameters, step=_hum_with_phases)
@@ -115,10 +109,7 @@ MAINS_HUM = Effect(
     source="pick-up of the mains; 1–10 mV",
     parameters=HUM,
     step=_mains_hum,
-    signs=Signs(
-        placing=Placing.LINE,
-        shown_by=("rest",),
-    ),
+    signs=Signs(placing=Placing.LINE, shown_by=("rest",)),
     of_runs=_hum_of_runs,
 )
 

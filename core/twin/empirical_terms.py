@@ -5,8 +5,8 @@ twin itself knows at that instant (stage position, time, its own force and depth
 and carries its state from chunk to chunk.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property, partial
 from types import MappingProxyType
 from typing import Literal, TypeAlias, get_args
@@ -19,7 +19,7 @@ from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, mem
 from softcal.core.twin.signals import direction_state, low_pass
 
 Place = Literal["F", "force_N", "output_V"]
-"""What a term is added to: the force of the pad, which every later stage feels; the cell's reading; the output."""
+"""What a term is added to: the force, which every later stage feels; the reading; the output."""
 
 PLACES: tuple[Place, ...] = get_args(Place)
 HOOKS: Mapping[Place, Hook] = {"F": Hook.FORCE, "force_N": Hook.READING, "output_V": Hook.CLOCK}
@@ -27,7 +27,7 @@ STAGES: Mapping[Place, str] = {"F": "mechanics", "force_N": "load_cell", "output
 UNITS: Mapping[Place, str] = {"F": "N", "force_N": "N", "output_V": "V"}
 
 MEMORY_s = (0.1, 0.5, 2.0, 8.0, 30.0)
-"""Fading times of the memories: a few samples to the length of a run, a factor of four to five apart."""
+"""Fading times of the memories: a few samples to a whole run, a factor of four to five apart."""
 
 SHARP, BLUNT = 0.01, 0.1
 """Shares of the deepest press within which `direction` turns after a reversal."""
@@ -36,15 +36,8 @@ TOUCH = 0.05
 """Share of the deepest press over which `touch` fades."""
 
 
-@dataclass(frozen=True)
-class Span:
-    """What a load of 1 and a depth of 1 stand for: the largest of the recordings a term was learned from."""
-
-    load_N: float
-    depth_mm: float
-
-
-Column: TypeAlias = Callable[[Flow, Memory, Span], Array]
+Column: TypeAlias = Callable[[Flow, Memory, "EmpiricalTerm"], Array]
+"""Make a variable, (n,), from what the term says a load of 1 and a depth of 1 are."""
 
 
 @dataclass(frozen=True)
@@ -62,16 +55,12 @@ class Variable:
     needs: str = ""
 
 
-def _load(flow: Flow, _: Memory, span: Span) -> Array:
-    return np.asarray(flow.force_N / span.load_N)
+def _load(flow: Flow, _: Memory, term: "EmpiricalTerm") -> Array:
+    return np.asarray(flow.force_N / term.load_N)
 
 
-def _depth(flow: Flow, span: Span) -> Array:
-    return np.asarray(flow.deformation_mm / span.depth_mm)
-
-
-def _power(exponent: int) -> Column:
-    return lambda flow, state, span: _load(flow, state, span) ** exponent
+def _depth(flow: Flow, term: "EmpiricalTerm") -> Array:
+    return np.asarray(flow.deformation_mm / term.depth_mm)
 
 
 def _per_s(values: Array, flow: Flow, last: Array) -> Array:
@@ -80,50 +69,50 @@ def _per_s(values: Array, flow: Flow, last: Array) -> Array:
     return np.divide(change, flow.step_s, out=np.zeros(len(values)), where=flow.step_s > 0.0)
 
 
-def _rate(flow: Flow, state: Memory, span: Span) -> Array:
-    load = _load(flow, state, span)
+def _rate(flow: Flow, state: Memory, term: "EmpiricalTerm") -> Array:
+    load = _load(flow, state, term)
     return _per_s(load, flow, memory(state, "load", load[0]))
 
 
-def _acceleration(flow: Flow, state: Memory, span: Span) -> Array:
-    depth = _depth(flow, span)
+def _acceleration(flow: Flow, state: Memory, term: "EmpiricalTerm") -> Array:
+    depth = _depth(flow, term)
     return _per_s(_per_s(depth, flow, memory(state, "depth", depth[0])), flow, memory(state, "speed", 0.0))
 
 
 def _direction(width: float) -> Column:
-    def column(flow: Flow, state: Memory, span: Span) -> Array:
-        depth = _depth(flow, span)
+    def column(flow: Flow, state: Memory, term: "EmpiricalTerm") -> Array:
+        depth = _depth(flow, term)
         return direction_state(depth, width, memory(state, "direction", 0.0, depth[0])) * (depth > 0.0)
 
     return column
 
 
-def _touch(flow: Flow, _: Memory, span: Span) -> Array:
-    depth = _depth(flow, span)
+def _touch(flow: Flow, _: Memory, term: "EmpiricalTerm") -> Array:
+    depth = _depth(flow, term)
     return np.exp(-depth / TOUCH) * (depth > 0.0)
 
 
-def _deepest(flow: Flow, state: Memory, span: Span) -> Array:
-    depth, last = _depth(flow, span), memory(state, "deepest", 0.0)
+def _deepest(flow: Flow, state: Memory, term: "EmpiricalTerm") -> Array:
+    depth, last = _depth(flow, term), memory(state, "deepest", 0.0)
     deepest = np.maximum(np.maximum.accumulate(depth), last[0])
     last[0] = deepest[-1]
     return np.asarray(deepest * (depth > 0.0))
 
 
-def _position(flow: Flow, _: Memory, span: Span) -> Array:
+def _position(flow: Flow, _: Memory, term: "EmpiricalTerm") -> Array:
     # A stage that stands far above the pad, as at rest, is as far as one that has just left it.
-    return np.maximum(flow.stage_mm, flow.contact_mm - span.depth_mm) / span.depth_mm
+    return np.maximum(flow.stage_mm, flow.contact_mm - term.depth_mm) / term.depth_mm
 
 
 def _remembered(tau_s: float) -> Column:
-    def column(flow: Flow, state: Memory, span: Span) -> Array:
-        return low_pass(_load(flow, state, span), flow.step_s, tau_s, memory(state, "remembered", 0.0, 0.0))
+    def column(flow: Flow, state: Memory, term: "EmpiricalTerm") -> Array:
+        return low_pass(_load(flow, state, term), flow.step_s, tau_s, memory(state, "remembered", 0.0, 0.0))
 
     return column
 
 
 def _product(one: Column, other: Column) -> Column:
-    return lambda flow, state, span: one(flow, state, span) * other(flow, state, span)
+    return lambda flow, state, term: one(flow, state, term) * other(flow, state, term)
 
 
 def _variables() -> Mapping[str, Variable]:
@@ -139,8 +128,8 @@ def _variables() -> Mapping[str, Variable]:
     loaded = {f"load·{name}": Variable(v.unit, _product(_load, v.column), v.needs) for name, v in plain.items()}
     others = {
         "load": Variable("", _load),
-        "load²": Variable("", _power(2)),
-        "load³": Variable("", _power(3)),
+        "load²": Variable("", lambda flow, state, term: _load(flow, state, term) ** 2),
+        "load³": Variable("", lambda flow, state, term: _load(flow, state, term) ** 3),
         "touch": Variable("", _touch),
         "touch·direction": Variable("", _product(_touch, _direction(SHARP))),
         "acceleration": Variable("1/s²", _acceleration, "stage_mm"),
@@ -150,7 +139,7 @@ def _variables() -> Mapping[str, Variable]:
 
 
 VARIABLES: Mapping[str, Variable] = _variables()
-"""What a term may follow, by name. A load of 1 and a depth of 1 are the largest that were recorded."""
+"""What a term may follow, by name. A load and a depth of 1 are the largest recorded."""
 
 _INVERSE = {"": "", "s": "/s", "K": "/K", "1/s": "·s", "1/s²": "·s²"}
 
@@ -160,9 +149,7 @@ class EmpiricalTerm:
     """place += coefficient · variable.
 
     Args:
-        place: what it is added to.
         variable: a name of `VARIABLES`.
-        coefficient: in `unit`.
         load_N, depth_mm: what a load of 1 and a depth of 1 stand for.
 
     Raises:
@@ -185,9 +172,6 @@ class EmpiricalTerm:
         if not (0.0 < self.load_N < np.inf and 0.0 < self.depth_mm < np.inf):
             raise InputError(f"{self.place} += … {self.variable}: load_N and depth_mm must be above 0")
 
-    def sized(self, coefficient: float) -> "EmpiricalTerm":
-        return replace(self, coefficient=coefficient)
-
     @property
     def unit(self) -> str:
         return UNITS[self.place] + _INVERSE[VARIABLES[self.variable].unit]
@@ -203,7 +187,6 @@ class EmpiricalTerm:
         # A hundredth of the common range: a step for derivatives, far from any bound.
         usual = 0.01 * (self.load_N if UNITS[self.place] == "N" else 1.0)
         size = Parameter("coefficient", self.unit, -1e4 * usual, 1e4 * usual, usual, neutral=0.0)
-        span = Span(self.load_N, self.depth_mm)
         return Effect(
             id=f"{self.place} += {self.variable}",
             stage=STAGES[self.place],
@@ -211,18 +194,18 @@ class EmpiricalTerm:
             equation=f"{self.place} += c·{self.variable}",
             source="empirical",
             parameters=(size,),
-            step=partial(_step, self.place, VARIABLES[self.variable].column, span),
+            step=partial(_step, self),
         )
 
 
-def _step(place: Place, column: Column, span: Span, flow: Flow, values: tuple[float, ...], state: Memory) -> None:
+def _step(term: EmpiricalTerm, flow: Flow, values: Sequence[float], state: Memory) -> None:
     if len(flow.deformation_mm) != len(flow.t_s):
         # A resistor or a weight in place of the pad: nothing is pressed.
         return
-    added = values[0] * column(flow, state, span)
-    if place == "F":
+    added = values[0] * VARIABLES[term.variable].column(flow, state, term)
+    if term.place == "F":
         flow.force_N = np.maximum(0.0, flow.force_N + added * (flow.deformation_mm > 0.0))
-    elif place == "force_N":
+    elif term.place == "force_N":
         flow.reading_N = flow.reading_N + added
     else:
         flow.output_V = flow.output_V + added

@@ -16,7 +16,7 @@ from softcal.core.twin.effects import Effect, Form, Memory, Parameter, Step, mem
 from softcal.core.twin.signals import direction_state, low_pass, play
 
 STOPS = (0.03, 0.1, 0.25, 0.6)
-"""Strokes of the stop operators of a Prandtl–Ishlinskii loop, as shares of the largest value of their input."""
+"""Strokes of the stop operators of a Prandtl–Ishlinskii loop, as shares of the largest input."""
 
 SPLIT = 4.0
 """Two time constants or loop widths begin this factor above and below the one that was fitted."""
@@ -38,7 +38,6 @@ def in_form(
     """Return a maker of a form with parameters of its own.
 
     Args:
-        what: the realisation in words.
         carry: where its fit begins, see `Form`.
         constants: what it reads off the recording it is fitted to, see `Effect`.
     """
@@ -103,7 +102,7 @@ def two_low_passes(signal: Array, step_s: Array, values: Sequence[float], state:
 
 
 def loops(signal: Array, values: Sequence[float], state: Memory) -> Array:
-    """Return 1 + a₁·z₁ + a₂·z₂ of two rate-independent loops; values are (a₁, width₁, a₂, width₂)."""
+    """Return 1 + a₁·z₁ + a₂·z₂ of two loops; values are (a₁, width₁, a₂, width₂)."""
     one = direction_state(signal, values[1], memory(state, "first", 0.0, signal[0]))
     other = direction_state(signal, values[3], memory(state, "second", 0.0, signal[0]))
     return 1.0 + values[0] * one + values[2] * other
@@ -115,7 +114,6 @@ def stops(signal: Array, values: Sequence[float], state: Memory, name: str) -> A
     Args:
         values: a weight for each of `STOPS`, then the largest value of x, of which the strokes are shares; that of this
             run where it is not given.
-        name: of that constant.
     """
     out = np.zeros_like(signal)
     largest = constant(values, state, len(STOPS), name, lambda: float(np.max(np.abs(signal))) or 1.0)
@@ -126,7 +124,7 @@ def stops(signal: Array, values: Sequence[float], state: Memory, name: str) -> A
 
 
 def bent_time(t_s: Array, power: float) -> Array:
-    """Return a time that runs straight for power 1, ever slower below and faster above; equal to t after 30 s."""
+    """Return a time that runs straight for power 1, ever slower below; equal to t after 30 s."""
     return np.asarray(30.0 * (t_s / 30.0) ** power)
 
 

@@ -14,11 +14,6 @@ SPAN = Parameter("F_max", "N", 10.0, 10.0, 10.0, weight=0.0, is_fixed=True)
 the gain."""
 
 
-def read_force(flow: Flow) -> None:
-    """Set the reading of an ideal cell."""
-    flow.reading_N = flow.force_N
-
-
 def _saturation(flow: Flow, values: Sequence[float], _: Memory) -> None:
     if np.isfinite(values[0]):
         flow.reading_N = values[0] * np.tanh(flow.reading_N / values[0])
@@ -122,11 +117,7 @@ EFFECTS = (
         source="zero drift of the amplifier; 0.01–0.1 % of full scale per K",
         parameters=(Parameter("r", "N/s", -0.1, 0.1, 0.001, neutral=0.0),),
         step=_drift,
-        signs=Signs(
-            probes=Sizes((0.0125,), "force_rate_N_s"),
-            hides_behind=("loadcell_creep",),
-            shown_by=("rest",),
-        ),
+        signs=Signs(probes=Sizes((0.0125,), "force_rate_N_s"), hides_behind=("loadcell_creep",), shown_by=("rest",)),
     ).with_forms(
         plus(_cell_drift_power, "power of time", (POWER, 0.8)), plus(_cell_drift_settling, "settling", (SETTLING, 40.0))
     ),

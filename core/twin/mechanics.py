@@ -1,4 +1,4 @@
-"""Mechanics: the position of the pad becomes the force on the sensor, F = k1·δ + k3·δ³ with δ = max(0, u − u0)."""
+"""Mechanics: the pad's position becomes a force, F = k1·δ + k3·δ³ with δ = max(0, u − u0)."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ from softcal.core.twin.signals import compiled, completed_presses, direction_sta
 
 
 def press(flow: Flow, base: BaseParameters) -> None:
-    """Set deformation and force from the position of the pad, with a toe and a soft frame where effects set them."""
+    """Set deformation and force from the pad's position, with a toe and a soft frame."""
     indentation = np.maximum(0.0, flow.pad_mm - flow.contact_mm)
     if flow.toe_mm or flow.compliance_mm_N:
         frame = (flow.toe_mm, flow.toe_tail, flow.compliance_mm_N)
@@ -134,13 +134,12 @@ def _force_stops(flow: Flow, v: Sequence[float], state: Memory) -> None:
 
 def _stroke_stops(flow: Flow, v: Sequence[float], state: Memory) -> None:
     # Stops act on lengths here; the mean stiffness of the run carries them to newtons.
-    stiffness = constant(v, state, len(STOPS) + 1, "stiffness_N_mm", lambda: _mean_stiffness(flow))
+    def read() -> float:
+        return float(np.max(flow.force_N)) / (float(np.max(flow.deformation_mm)) or 1.0)
+
+    stiffness = constant(v, state, len(STOPS) + 1, "stiffness_N_mm", read)
     bent_mm = stops(flow.deformation_mm, v, state, "reach_mm")
     flow.force_N = np.maximum(0.0, flow.force_N + _touching(flow) * stiffness * bent_mm)
-
-
-def _mean_stiffness(flow: Flow) -> float:
-    return float(np.max(flow.force_N)) / (float(np.max(flow.deformation_mm)) or 1.0)
 
 
 def _touching(flow: Flow) -> Array:
@@ -257,15 +256,10 @@ EFFECTS = (
         hook=Hook.FORCE,
         equation="F = Fe·(1 − m·(1 − exp(−N/N0))), N = completed compressions",
         source="Mullins 1969; 5–30 % in virgin silicone",
-        parameters=(
-            SOFTENING,
-            Parameter("N0", "", 0.2, 50.0, 3.0, scale="log"),
-        ),
+        parameters=(SOFTENING, Parameter("N0", "", 0.2, 50.0, 3.0, scale="log")),
         step=_mullins_softening,
         signs=Signs(
-            probes=Shapes(0.02, (0.5, 2.0, 8.0)),
-            hides_behind=("contact_shift",),
-            shown_by=("amplitude_ladder", "rest"),
+            probes=Shapes(0.02, (0.5, 2.0, 8.0)), hides_behind=("contact_shift",), shown_by=("amplitude_ladder", "rest")
         ),
     ).with_forms(
         plus(_mullins_power, "power of the presses", (POWER, 0.5)),

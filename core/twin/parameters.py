@@ -1,4 +1,4 @@
-"""What one simulated unit is made of: its base parameters and what the recording's metadata say of the electronics."""
+"""What one simulated unit is made of: its base parameters, and its electronics."""
 
 import math
 from dataclasses import dataclass, fields, replace

@@ -1,4 +1,4 @@
-"""How far a recording reaches, and where the search for an effect on it begins: sizes and shapes in its own units."""
+"""How far a recording reaches, and where a search for an effect begins on it."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ Measure = Literal[
 
 @dataclass(frozen=True)
 class Extent:
-    """How far a case reaches: deepest press, largest force, outputs, longest run, sample period, series resistor."""
+    """How far a case reaches; its longest run, sample period and series resistor."""
 
     depth_mm: float
     force_N: float
@@ -79,7 +79,7 @@ class Shapes:
 
 @dataclass(frozen=True)
 class Times:
-    """One small size and every time constant that the longest run can show, without the shortest few."""
+    """One small size and every time constant that a run can show, without the shortest few."""
 
     size: float
     without: int = 0

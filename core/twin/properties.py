@@ -41,7 +41,7 @@ class Broken(AssertionError):
 def _run(
     effect: Effect, values: Sequence[float], cuts: Sequence[int] = (), readout: ReadoutMetadata | None = None
 ) -> Array:
-    """(3, n) force, reading and output of a press with this effect, passed through in pieces that end at the cuts."""
+    """(3, n) force, reading and output of a press with this effect, cut in pieces."""
     readout = readout or ReadoutMetadata(5.0, 32, 10.0, RATE_Hz)
     t_s = np.arange(int(40 * RATE_Hz)) / RATE_Hz
     stage_mm = 3.0 * np.abs(np.sin(np.pi * t_s / 8.0)) * (0.6 + 0.4 * np.sin(t_s / 5.0))
@@ -62,7 +62,7 @@ def _usual(effect: Effect) -> list[float]:
 
 
 def switched_off_it_changes_nothing(effect: Effect) -> None:
-    """At its neutral size the signals are those of the base twin; a small size stands in where 0 is no value."""
+    """At its neutral size, or a small one where 0 is none, signals are the base twin's."""
     size = effect.parameters[0]
     values = list(effect.neutral_values)
     if values[0] == 0.0 and size.low > 0.0:
@@ -80,7 +80,7 @@ def _idle(effect: Effect) -> Effect:
 
 
 def at_its_usual_size_it_shows(effect: Effect) -> None:
-    """The usual size changes a signal by more than a thousandth of its span; a level is put amid the output."""
+    """Its usual size changes a signal by a thousandth of its span; levels lie amid the output."""
     values = _usual(effect)
     if effect.signs.placing in (Placing.CEILING, Placing.FLOOR):
         values[0] = 0.5 * (EXTENT.lowest_V + EXTENT.highest_V)
@@ -103,7 +103,7 @@ def it_stays_finite_within_its_bounds(effect: Effect) -> None:
 
 
 def chunks_of_a_stream_give_the_same(effect: Effect) -> None:
-    """Samples in pieces give the numbers of one call; the output of a shifted clock is left out at the cuts."""
+    """Samples in pieces give the numbers of one call, but for a shifted clock's at the cuts."""
     for one in (effect, *(form.effect for form in effect.forms)):
         # Any number will do for a constant, as long as it is the same for all pieces.
         values = [*_usual(one), *(1.0 for _ in one.constants)]

@@ -10,14 +10,14 @@ from softcal.core.twin.simulate import EffectSetting, Twin
 
 SCHEMA = "softcal.twin/1"
 RICHER = "softcal.twin/2"
-"""Of a twin with other forms or empirical terms: a reader of the first schema would leave them out without a word."""
+"""Of a twin with other forms or empirical terms, which a reader of the first would leave out."""
 
 
 TERM = ("place", "variable", "coefficient", "load_N", "depth_mm")
 
 
 def twin_record(twin: Twin) -> dict[str, Any]:
-    """Return a twin as JSON values; the second schema where it holds other forms or empirical terms."""
+    """Return a twin as JSON values, by the second schema where the first does not do."""
     is_richer = bool(twin.empirical) or any(s.form for s in twin.effects)
     record: dict[str, Any] = {
         "schema": RICHER if is_richer else SCHEMA,
@@ -37,9 +37,6 @@ def twin_record(twin: Twin) -> dict[str, Any]:
 def twin_from_record(record: Mapping[str, Any], place: str) -> Twin:
     """Return the twin of a record.
 
-    Args:
-        place: where the record comes from, for messages.
-
     Raises:
         InputError: it does not describe a twin.
     """
@@ -48,23 +45,18 @@ def twin_from_record(record: Mapping[str, Any], place: str) -> Twin:
             raise InputError(f"{place}: schema {record['schema']!r}; {SCHEMA} or {RICHER} was expected")
         effects = tuple(
             EffectSetting(
-                e["effect"],
-                e["values"],
-                tuple((float(a), float(b)) for a, b in e["episodes"]),
-                str(e.get("form", "")),
+                e["effect"], e["values"], tuple((float(a), float(b)) for a, b in e["episodes"]), str(e.get("form", ""))
             )
             for e in record["effects"]
         )
-        terms = tuple(_term(e) for e in record.get("empirical", ()))
-        return Twin(BaseParameters(**record["parameters"]), effects, ReadoutMetadata(**record["metadata"]), terms)
+        terms = []
+        for e in record.get("empirical", ()):
+            numbers = (float(e[name]) for name in ("coefficient", "load_N", "depth_mm"))
+            terms.append(term := EmpiricalTerm(e["place"], e["variable"], *numbers))
+            if e.get("unit", term.unit) != term.unit:
+                raise InputError(f"{term.formula}: its coefficient is in {term.unit}, not in {e['unit']}")
+        return Twin(
+            BaseParameters(**record["parameters"]), effects, ReadoutMetadata(**record["metadata"]), tuple(terms)
+        )
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{place}: does not describe a twin ({error}); write it with softcal gap apply") from error
-
-
-def _term(entry: Mapping[str, Any]) -> EmpiricalTerm:
-    term = EmpiricalTerm(
-        entry["place"], entry["variable"], *(float(entry[name]) for name in ("coefficient", "load_N", "depth_mm"))
-    )
-    if entry.get("unit", term.unit) != term.unit:
-        raise InputError(f"{term.formula}: its coefficient is in {term.unit}, not in {entry['unit']}")
-    return term

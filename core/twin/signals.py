@@ -15,7 +15,7 @@ Function = TypeVar("Function", bound=Callable[..., object])
 
 
 def compiled(function: Function) -> Function:
-    """Compile with numba and keep the machine code on disk; the types of the function stay visible."""
+    """Compile with numba and keep the machine code on disk; the types stay visible."""
     return cast(Function, numba.njit(cache=True, error_model="numpy")(function))
 
 
@@ -125,5 +125,5 @@ def known_so_far(t_s: Array, values: Array, wanted_s: Array, state: dict[str, Ar
 
 
 def read_at(t_s: Array, values: Array, wanted_s: Array, state: dict[str, Array]) -> Array:
-    """Return a signal at other instants, straight between samples and held beyond the last one that is known."""
+    """Return a signal at other instants, straight between samples and held beyond the last."""
     return np.interp(wanted_s, *known_so_far(t_s, values, wanted_s, state))

@@ -1,4 +1,4 @@
-"""The chain from stage position to recording: in one call, or as a stream that carries its state."""
+"""The chain from stage position to recording: in one call, or as a stream with a state."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,12 +10,11 @@ from softcal.core.errors import InputError
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS, effect
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory
-from softcal.core.twin.electronics import digitise, divide
+from softcal.core.twin.electronics import digitise
 from softcal.core.twin.empirical_terms import EmpiricalTerm
-from softcal.core.twin.load_cell import read_force
 from softcal.core.twin.mechanics import press
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
-from softcal.core.twin.transduction import conduct
+from softcal.core.twin.transduction import channel_resistance
 
 Values: TypeAlias = Sequence[Sequence[float]]
 """Parameter values of the effects of a chain, one row per effect."""
@@ -28,7 +27,6 @@ class EffectSetting:
     """One effect switched on.
 
     Args:
-        effect_id: identifier of the catalogue.
         values: parameter values by name; a parameter left out stands at its usual value. Constants of a form must stand
             here too.
         episodes: rows of an episodic effect, in s since the start of the run: (start, stop) of each bad contact,
@@ -132,10 +130,10 @@ class Chain:
     def sense(
         self, flow: Flow, base: BaseParameters, readout: ReadoutMetadata, values: Values, memories: Sequence[Memory]
     ) -> None:
-        """Carry what the channel feels (deformation, for a strain sensor) to its resistance and on to the output."""
+        """Carry what the channel feels to its resistance and on to the output."""
         flow.drive = flow.deformation_mm if readout.sensor_type == "strain" else flow.force_N
         self.apply(Hook.CHANNEL, flow, values, memories)
-        conduct(flow, base)
+        flow.resistance_ohm = channel_resistance(flow.drive, base.r0_ohm, base.kappa_per_N)
         self.apply(Hook.RESISTANCE, flow, values, memories)
         self.read_out(flow, readout, values, memories)
 
@@ -143,13 +141,14 @@ class Chain:
         """Carry the resistance through divider and electronics to the output's clock."""
         flow.wiring_ohm, flow.reference_V = 0.0, flow.vref_V
         self.apply(Hook.REFERENCE, flow, values, memories)
-        divide(flow, readout)
+        resistance = flow.resistance_ohm + flow.wiring_ohm
+        flow.output_V = flow.reference_V * (resistance / (resistance + readout.r_series_ohm))
         self.apply(Hook.OUTPUT, flow, values, memories)
         self.apply(Hook.CLOCK, flow, values, memories)
 
     def weigh(self, flow: Flow, values: Values, memories: Sequence[Memory]) -> None:
         """Carry the force to the reading of the load cell."""
-        read_force(flow)
+        flow.reading_N = flow.force_N
         self.apply(Hook.READING, flow, values, memories)
 
     def run(
@@ -159,8 +158,6 @@ class Chain:
 
         Args:
             flow: time, stage position and temperature; the rest is written.
-            values: parameter values, one row per effect.
-            memories: one per effect, empty at the start of a run.
         """
         self.press(flow, base, values, memories)
         self.sense(flow, base, readout, values, memories)
@@ -209,7 +206,11 @@ class TwinStream:
             return np.empty(0), np.empty(0)
         flow = self._flow(t_s, stage_mm, temperature_C)
         self._chain.run(flow, self._twin.parameters, self._twin.metadata, self._values, self._memories)
-        noise_N, noise_V = self._noise(len(t_s))
+        noise_N, noise_V = np.zeros(len(t_s)), np.zeros(len(t_s))
+        if self._rng is not None:
+            base, (force, output) = self._twin.parameters, self._rng
+            noise_N = force.normal(0.0, base.sigma_force_N, len(t_s))
+            noise_V = output.normal(0.0, base.sigma_output_V, len(t_s))
         return flow.reading_N + noise_N, digitise(flow.output_V, noise_V, self._twin.metadata)
 
     def _flow(self, t_s: Array, stage_mm: Array, temperature_C: Array | None) -> Flow:
@@ -227,20 +228,9 @@ class TwinStream:
         episodes = {s.effect_id: np.array(s.episodes) for s in self._twin.effects if s.episodes}
         return Flow(t_s, step_s, stage_mm, rise_K, self._twin.metadata.vref_V, episodes)
 
-    def _noise(self, count: int) -> tuple[Array, Array]:
-        if self._rng is None:
-            return np.zeros(count), np.zeros(count)
-        force, output = self._rng
-        base = self._twin.parameters
-        return force.normal(0.0, base.sigma_force_N, count), output.normal(0.0, base.sigma_output_V, count)
-
 
 def simulate(
-    twin: Twin,
-    t_s: Array,
-    stage_mm: Array,
-    rng: np.random.Generator | None = None,
-    temperature_C: Array | None = None,
+    twin: Twin, t_s: Array, stage_mm: Array, rng: np.random.Generator | None = None, temperature_C: Array | None = None
 ) -> tuple[Array, Array]:
     """Return force_N and output_V, (n,) each, of one run that starts from rest at t_s[0].
 

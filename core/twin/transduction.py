@@ -7,18 +7,12 @@ import numpy as np
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Alias, Effect, Flow, Hook, Memory, Parameter, Placing, Signs, memory
 from softcal.core.twin.forms import loops, plus, stop_form, stops, two, two_low_passes
-from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.probes import Shapes, Sizes, Times
 from softcal.core.twin.signals import compiled, direction_state, low_pass
 from softcal.core.words.reason import Reason
 
 COLLAPSED = 0.02
-"""Smallest 1 − κ·F that is computed: below it the channel is shut and the pressure form has no meaning."""
-
-
-def conduct(flow: Flow, base: BaseParameters) -> None:
-    """Set the resistance of the channel from what it feels."""
-    flow.resistance_ohm = channel_resistance(flow.drive, base.r0_ohm, base.kappa_per_N)
+"""Smallest 1 − κ·F that is computed: below, the channel is shut and the form has no meaning."""
 
 
 @compiled
@@ -151,10 +145,7 @@ EFFECTS = (
         hook=Hook.RESISTANCE,
         equation="R = R0/(1 − κ·F)·(1 + β·max(0, F − Fc)²)",
         source="closing of a microchannel under pressure, Park and others 2010; above 60–80 % of the limit",
-        parameters=(
-            Parameter("beta", "1/N²", 0.0, 5.0, 0.03, neutral=0.0),
-            Parameter("Fc", "N", 0.2, 50.0, 4.0),
-        ),
+        parameters=(Parameter("beta", "1/N²", 0.0, 5.0, 0.03, neutral=0.0), Parameter("Fc", "N", 0.2, 50.0, 4.0)),
         step=_channel_collapse,
         signs=Signs(
             probes=Shapes(0.6, (0.1, 0.3, 0.5, 0.65, 0.8, 0.9), "force_N", "per_force2"),
@@ -214,9 +205,7 @@ EFFECTS = (
         step=_intermittent_contact,
         is_episodic=True,
         signs=Signs(
-            placing=Placing.INTERVALS,
-            hides_behind=("channel_creep", "dropped_samples"),
-            shown_by=("long_hold",),
+            placing=Placing.INTERVALS, hides_behind=("channel_creep", "dropped_samples"), shown_by=("long_hold",)
         ),
     ),
 )

@@ -84,7 +84,7 @@ def test_a_single_effect_is_named_and_closes_the_gap(effect_id):
 
 
 def test_a_cause_that_explains_nothing_on_unseen_samples_is_not_named(monkeypatch, plain):
-    from softcal.core.gap import named_causes as module
+    from softcal.core.gap import gap_diagnosis as module
 
     measured = module.quantify
     lagging = make_case(("readout_lag", SINGLES["readout_lag"], ()))

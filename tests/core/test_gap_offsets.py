@@ -11,10 +11,10 @@ from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import diagnose
 from softcal.core.gap.fit import to_fit
 from softcal.core.gap.offsets import RESISTANCE, TARE, offsets
+from softcal.core.gap.place import strongest_tone
 from softcal.core.gap.problem import BASE as PARAMETERS
 from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.gap.start import base_fit
-from softcal.core.gap.tone import strongest_tone
 from softcal.core.recording import Array
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate

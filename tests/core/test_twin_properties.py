@@ -27,7 +27,7 @@ def test_effects_satisfy_the_properties(effect, holds):
 def test_rivals_and_runs_that_an_entry_names_exist():
     t_s = np.arange(200) / 50.0
     run = Run("1", t_s, ReadoutMetadata(), stage_mm=t_s, force_N=t_s, output_V=t_s)
-    known = {entry.name for entry in menu(Case("A", (run,)), 3.0, 6.0)}
+    known = {entry.name for entry in menu(Case("A", (run,)), properties.EXTENT)}
     for effect in EFFECTS.values():
         assert set(effect.signs.hides_behind) <= set(EFFECTS) - {effect.id}
         assert set(effect.signs.shown_by) <= known, effect.id
