@@ -20,6 +20,9 @@ from softcal.app.views.unit import UnitView, unit_view
 from softcal.core.errors import InputError
 from softcal.db.registry import Registry
 
+SCRIPT = "plotly.min.js"
+"""Pages of one folder share this file beside them."""
+
 HEIGHT = 860
 WIDTH = 150
 """Characters of a line of reasons."""
@@ -130,10 +133,6 @@ def _load(view: UnitView) -> str:
 def _titled(figure: go.Figure, place: Mapping[str, int], x_title: str, y_title: str) -> None:
     figure.update_xaxes(title_text=x_title, title_standoff=6, **place)
     figure.update_yaxes(title_text=y_title, title_standoff=6, automargin=True, **place)
-
-
-SCRIPT = "plotly.min.js"
-"""Pages of one folder share this file beside them."""
 
 
 def explain_unit(

@@ -41,15 +41,11 @@ def _value_said(name: str, value: Value, words: Words) -> object:
         return said(value, words)
     if not isinstance(value, str):
         return value
-    return _instant(value) if name == INSTANT else phrase(NAMES[name], value, words) if name in NAMES else value
-
-
-def _instant(kept: str) -> object:
-    # A station that was not updated yet gives the hour alone.
-    try:
-        return datetime.fromisoformat(kept)
-    except ValueError:
-        return kept
+    if name == INSTANT:
+        # A station that was not updated yet gives the hour alone.
+        with suppress(ValueError):
+            return datetime.fromisoformat(value)
+    return phrase(NAMES[name], value, words) if name in NAMES else value
 
 
 def plainly(why: Reason, words: Words) -> str:

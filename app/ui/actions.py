@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 
 import streamlit as st
 
@@ -98,7 +98,8 @@ def download(
     `exported` is (entity, key, facts) of its row of the audit trail; None has none.
     """
     mime = MIMES.get(name.rpartition(".")[2], "application/octet-stream")
-    draw = partial(st.download_button, label, data, name, mime, key, icon=f":material/{icon}:", type=kind)
+    look: Any = {"icon": f":material/{icon}:", "type": kind}
+    draw = partial(st.download_button, label, data=data, file_name=name, mime=mime, key=key, **look)
     if exported is None:
         draw(on_click="ignore")
     else:

@@ -6,7 +6,6 @@ that its address answers as if it did not exist. What a page writes asks `accoun
 """
 
 import importlib
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from softcal.db.access.people import may
@@ -35,14 +34,9 @@ class PageEntry:
         """Whether a person may open it; `is_new` while the registry knows no lot but the demo's."""
         return not self.actions or (self.begins and is_new) or any(may(user, action) for action in self.actions)
 
-    @property
-    def render(self) -> Callable[[], None]:
-        """The function that draws it; its module is read when it is opened first."""
-
-        def draw() -> None:
-            importlib.import_module(f"softcal.app.ui.app_pages.{self.name}").render()
-
-        return draw
+    def render(self) -> None:
+        """Draw it; its module is read when it is opened first."""
+        importlib.import_module(f"softcal.app.ui.app_pages.{self.name}").render()
 
 
 PAGES = (

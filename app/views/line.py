@@ -170,7 +170,9 @@ def _after_run(facts: LineFacts, run: LineRun) -> tuple[str, LineRun | None]:
     if order.kind is OrderKind.GOLDEN:
         return f"golden_{progress.verdict or 'fail'}", run
     verdict = verdict_of(facts, run)
-    return "retest_used_up" if verdict == "retest" and not facts.retests_left else verdict or "recorded", run
+    if verdict == "retest" and not facts.retests_left:
+        return "retest_used_up", run
+    return verdict or "recorded", run
 
 
 def verdict_of(facts: LineFacts, run: LineRun) -> str:

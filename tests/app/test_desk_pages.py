@@ -211,7 +211,7 @@ def test_every_screen_and_interface_has_one_word_for_a_station(calibrated, show,
     with open_registry(calibrated) as registry:
         registry.order_queue.beat(beat())
         at_line = line_view(read_line(registry, Screen()), "", say).cells[0][1]
-        on_wall = [tile.word for tile in wall_view(registry, lot_view(registry, "small"), (), say).stations]
+        on_wall = [word for _, word, _ in wall_view(registry, lot_view(registry, "small"), (), say).stations]
         assert station_json(registry, beat())["state"] == shown
         # As old as before when the page reads it, however long the others took.
         registry.order_queue.beat(beat())

@@ -12,11 +12,13 @@ from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel
 from softcal.app.ui.desk import empty, named, say
 from softcal.app.ui.panels import heading
 
+METADATA = (("vref_V", 5.0), ("adc_bits", 16), ("r_series_ohm", 1000.0), ("sample_rate_Hz", 50.0))
+
 
 def render() -> None:
     with heading("gap"):
-        case = choose_case()
-    add_case()
+        case = _choose_case()
+    _add_case()
     if case is None:
         empty("gap.none")
         return
@@ -29,10 +31,7 @@ def render() -> None:
         gap_report(job, case)
 
 
-METADATA = (("vref_V", 5.0), ("adc_bits", 16), ("r_series_ohm", 1000.0), ("sample_rate_Hz", 50.0))
-
-
-def choose_case() -> Path | None:
+def _choose_case() -> Path | None:
     """Draw the choice and return the case; None where there is none yet."""
     wanted = str(st.query_params.get("case", ""))
     known = [str(case) for case in cases()]
@@ -51,7 +50,7 @@ def _shown(path: str) -> str:
     return str(folder.relative_to(cases_folder())) if folder.is_relative_to(cases_folder()) else path
 
 
-def add_case() -> None:
+def _add_case() -> None:
     """Draw the three ways to a new case."""
     with st.expander(say("gap.add"), icon=":material/add:", expanded=not cases()):
         folder, upload, rig = st.tabs([say("gap.add.folder"), say("gap.add.upload"), say("gap.add.rig")])
