@@ -27,7 +27,14 @@ class LoadstarCell(LineCell):
 
     def __init__(self, link: Link, capacity_N: float, sign: float = 1.0, rate_Hz: float = 80.0) -> None:
         super().__init__(link, capacity_N, sign, rate_Hz)
-        self._stop_stream()
+        # The first carriage return ends what was before; the second must be answered.
+        link.write(loadstar.PING)
+        link.clock.sleep_s(0.2)
+        link.discard()
+        link.write(loadstar.PING)
+        answer = link.next_line(ANSWER_S).text
+        if answer != loadstar.READY:
+            raise NoReply(reason("loadstar.answer", answer=repr(answer[:40])))
         self.model = self._ask(loadstar.MODEL)
         if not any(known in self.model.encode() for known in loadstar.KNOWN_MODELS):
             raise NoReply(reason("loadstar.model", model=repr(self.model[:40])))
@@ -44,16 +51,6 @@ class LoadstarCell(LineCell):
 
     def _force_N(self, text: bytes) -> float:
         return loadstar.parse_N(text, self.native_unit)
-
-    def _stop_stream(self) -> None:
-        """The first carriage return ends what was before; the second must be answered."""
-        self._link.write(loadstar.PING)
-        self._link.clock.sleep_s(0.2)
-        self._link.discard()
-        self._link.write(loadstar.PING)
-        answer = self._link.next_line(ANSWER_S).text
-        if answer != loadstar.READY:
-            raise NoReply(reason("loadstar.answer", answer=repr(answer[:40])))
 
     def _ask(self, question: bytes) -> str:
         self._link.write(question)

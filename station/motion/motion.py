@@ -121,7 +121,12 @@ class Motion(Interlock):
         while self._stage.is_moving:
             self._tick()
             if is_over is not None and is_over():
-                return self._brake(path, began_s)
+                move = DrivenMove(path, began_s, self._clock.now_s())
+                self._stage.stop()
+                if not self._stage.is_position_known:
+                    raise DeviceError(Reason("rig.lost.at_touch"))
+                self._path = None
+                return move
             if self._clock.now_s() - began_s > path.duration_s + self.row.late_s:
                 raise NoReply(reason("rig.late", seconds=self.row.late_s, to_mm=to_mm))
         self._path = None
@@ -148,14 +153,6 @@ class Motion(Interlock):
             is_told = self.state is not State.STOPPING
             self._stop_quietly()
             return self._left(Reason("left.told" if is_told else "left.there"))
-
-    def _brake(self, path: Trapezoid, began_s: float) -> DrivenMove:
-        move = DrivenMove(path, began_s, self._clock.now_s())
-        self._stage.stop()
-        if not self._stage.is_position_known:
-            raise DeviceError(Reason("rig.lost.at_touch"))
-        self._path = None
-        return move
 
     def _stop_and_lift(self, cause: BaseException) -> Reason:
         try:
