@@ -19,12 +19,11 @@ from softcal.station.record.trajectory import DrivenMove, Trapezoid
 TICK_S = 0.005
 """How often devices are read while something may move; far below every promised latency."""
 
-RETRACT_MM_S = 5.0
+RETRACT_MM_S, LIFT_MM = 5.0, 1.0
+"""A stage is lifted so fast at most and so far at least, wherever it stood."""
+
 PATIENCE_S = 1.5
 """How long load cell and sensor are read to say what stands on the unit: readings may be old, a unit comes back."""
-
-LIFT_MM = 1.0
-"""A stage is lifted at least so far, wherever it stood."""
 
 REST = 0.5
 """A load cell within this share of the contact force is at rest."""
