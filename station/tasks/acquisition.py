@@ -141,19 +141,11 @@ class _Run:
         self.watched.expect_press(contact_mm, felt_mm, safe_mm_s)
         # A slow press ended in a rest already.
         self._motion.wait(SETTLE_S - REST_S if felt_mm else SETTLE_S)
-        began_s = self._clock.now_s()
-        self._enter(PRESSING)
-        for step in steps_of(self._profile):
-            if isinstance(step, Move):
-                self._go(zero_mm + step.to_mm, step.speed_mm_s)
-            else:
-                self._motion.wait(step.seconds)
-        span_s = (began_s, self._clock.now_s())
-        zero_return_N = self._return(zero_N)
+        span_s = self._press(zero_mm)
+        zeros = (zero_mm, contact_mm, zero_N, self._return(zero_N))
         moves = tuple((*astuple(move.path), move.begun_s, move.confirmed_s) for move in self._moves)
         readout, force = self._bench.readout, self._bench.config.force
         about = (self._serial, self._profile.name, readout.name, readout.unit, readout.rate_Hz)
-        zeros = (zero_mm, contact_mm, zero_N, zero_return_N)
         is_stated = force is None or force.is_latency_stated
         facts = RunFacts(*about, moves, span_s, *zeros, with_reference, self.watched.late_s, is_stated)
         if self._spool is not None:
@@ -170,6 +162,16 @@ class _Run:
         if abs(approach_mm - self._stage.position_mm) > ROUNDING_MM:
             self._go(approach_mm, self.watched.fastest_mm_s)
             self._motion.wait(REST_S)
+
+    def _press(self, zero_mm: float) -> tuple[float, float]:
+        began_s = self._clock.now_s()
+        self._enter(PRESSING)
+        for step in steps_of(self._profile):
+            if isinstance(step, Move):
+                self._go(zero_mm + step.to_mm, step.speed_mm_s)
+            else:
+                self._motion.wait(step.seconds)
+        return began_s, self._clock.now_s()
 
     def _return(self, zero_N: float) -> float:
         self._enter(RETURNING)
