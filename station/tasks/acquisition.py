@@ -17,7 +17,6 @@ from softcal.station.motion.contact import AGAIN_MM, SURE_MM, ContactSearch, Tou
 from softcal.station.motion.interlock import State
 from softcal.station.motion.motion import RETRACT_MM_S
 from softcal.station.motion.safety import STUCK_MM
-from softcal.station.motion.steps import check_profile, steps_of
 from softcal.station.motion.watched import WatchedBench
 from softcal.station.record.proof import check_lag, lag_s
 from softcal.station.record.recording import Raw, RunFacts, StationRecording, assemble, device_times_s
@@ -65,6 +64,32 @@ class RunProgress:
 
 
 OnProgress = Callable[[RunProgress], None]
+
+
+def check_profile(bench: Bench, profile: Profile) -> None:
+    """Raise `CommandRefused` when a profile could leave the bounds of stage or station."""
+    bounds, fixture = bench.config.safety, bench.config.fixture
+    fastest_mm_s = min(bounds.speed_mm_s, bench.stage.max_speed_mm_s)
+    deepest_mm = min(bounds.deepest_mm, bench.stage.travel_mm)
+    name, most_mm = repr(profile.name), deepest_mm - fixture.approach_mm
+    for move in steps_of(profile):
+        if not isinstance(move, Move):
+            continue
+        if move.speed_mm_s > fastest_mm_s * (1 + 1e-9):
+            speeds = {"speed_mm_s": move.speed_mm_s, "most_mm_s": fastest_mm_s}
+            raise CommandRefused(reason("rig.profile.speed", profile=name, **speeds))
+        if not -fixture.clearance_mm <= move.to_mm <= most_mm:
+            raise CommandRefused(reason("rig.profile.depth", profile=name, to_mm=move.to_mm, most_mm=most_mm))
+
+
+def steps_of(profile: Profile) -> list[Move | float]:
+    """Return a profile as moves from rest to rest, and seconds of holds."""
+    steps: list[Move | float] = []
+    at_mm = 0.0
+    for segment in profile.segments:
+        way_mm, at_mm = abs(segment.target_mm - at_mm), segment.target_mm
+        steps.append(Move(at_mm, way_mm / segment.duration_s) if way_mm else segment.duration_s)
+    return steps
 
 
 def record(
@@ -170,7 +195,7 @@ class _Run:
             if isinstance(step, Move):
                 self._go(zero_mm + step.to_mm, step.speed_mm_s)
             else:
-                self._motion.wait(step.seconds)
+                self._motion.wait(step)
         return began_s, self._clock.now_s()
 
     def _return(self, zero_N: float) -> float:
