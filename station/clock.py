@@ -68,14 +68,13 @@ def fit_clock(device_s: Array, host_s: Array) -> ClockFit:
 def _lower_hull(x: Array, y: Array) -> list[int]:
     hull: list[int] = []
     for k in range(len(x)):
-        while len(hull) > 1 and _turns_down(x, y, hull[-2], hull[-1], k):
+        while len(hull) > 1:
+            a, b = hull[-2:]
+            if (y[b] - y[a]) * (x[k] - x[a]) < (y[k] - y[a]) * (x[b] - x[a]):
+                break  # It turns up.
             hull.pop()
         hull.append(k)
     return hull
-
-
-def _turns_down(x: Array, y: Array, a: int, b: int, c: int) -> bool:
-    return bool((y[b] - y[a]) * (x[c] - x[a]) >= (y[c] - y[a]) * (x[b] - x[a]))
 
 
 def unwrap_ms(previous_ms: int, reported_ms: int) -> int:
@@ -121,7 +120,9 @@ def residual_offset_s(leading: Array, following: Array, rate_Hz: float, reach_s:
         return float("nan")
     reach = min(int(reach_s * rate_Hz), len(a) - 1)
     lags = range(-reach, reach + 1)
-    correlation = np.array([abs(_overlap(a, b, lag)) for lag in lags]) / scale
+    # The sum of a[k]·b[k + lag] over all k where both exist.
+    pairs = ((a[max(0, -lag) : len(a) - max(0, lag)], b[max(0, lag) : len(b) - max(0, -lag)]) for lag in lags)
+    correlation = np.array([abs(float(np.dot(one, other))) for one, other in pairs]) / scale
     k = int(np.argmax(correlation))
     shift = 0.0
     if 0 < k < len(lags) - 1:
@@ -129,8 +130,3 @@ def residual_offset_s(leading: Array, following: Array, rate_Hz: float, reach_s:
         bend = left - 2 * peak + right
         shift = 0.5 * float((left - right) / bend) if bend else 0.0
     return float((lags[k] + shift) / rate_Hz)
-
-
-def _overlap(a: Array, b: Array, lag: int) -> float:
-    """Return the sum of a[k]·b[k + lag] over all k where both exist."""
-    return float(np.dot(a[max(0, -lag) : len(a) - max(0, lag)], b[max(0, lag) : len(b) - max(0, -lag)]))

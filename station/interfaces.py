@@ -28,16 +28,6 @@ class Move:
 
 
 @dataclass(frozen=True)
-class Hold:
-    """Stay where the stage is."""
-
-    seconds: float
-
-
-Step: TypeAlias = Move | Hold
-
-
-@dataclass(frozen=True)
 class Sample:
     """One line of a stream.
 

@@ -77,9 +77,7 @@ class GrblStage:
         self.position_mm = self._target_mm = 0.0
         self.version = self._wake()
         self.settings = read_settings(link, self._index)
-        self.travel_mm = self.settings.travel_mm
-        self.max_speed_mm_s = self.settings.max_speed_mm_s
-        self.acceleration_mm_s2 = self.settings.acceleration_mm_s2
+        self.travel_mm, self.max_speed_mm_s, self.acceleration_mm_s2 = self.settings.drive
 
     @property
     def is_moving(self) -> bool:

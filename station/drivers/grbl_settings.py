@@ -42,16 +42,11 @@ class GrblSettings:
     index: int
 
     @property
-    def travel_mm(self) -> float:
-        return self.values[TRAVEL + self.index]
-
-    @property
-    def max_speed_mm_s(self) -> float:
-        return self.values[SPEED + self.index] / 60.0
-
-    @property
-    def acceleration_mm_s2(self) -> float:
-        return self.values[ACCELERATION + self.index]
+    def drive(self) -> tuple[float, float, float]:
+        """How far the axis goes in mm, how fast in mm/s, and its acceleration in mm/s²."""
+        of_axis = (self.values[first + self.index] for first in (TRAVEL, SPEED, ACCELERATION))
+        travel_mm, speed_mm_min, acceleration_mm_s2 = of_axis
+        return travel_mm, speed_mm_min / 60.0, acceleration_mm_s2
 
     def unsafe(self) -> list[tuple[str, Reason]]:
         """Return each setting that takes safety away as `$n=value`, and what mends it."""

@@ -96,7 +96,10 @@ class ZaberStage:
                 continue
             asked_s, self._asked = self._asked[1], None
             self._check(reply)
-            self.position_mm = _number(reply) * self._microstep_mm
+            try:
+                self.position_mm = float(reply.data) * self._microstep_mm
+            except ValueError as error:
+                raise BadReply(reason("zaber.position", answer=repr(reply.data[:40]))) from error
             positions.append(StagePosition((asked_s + line.host_s) / 2, self.position_mm))
             self.is_moving = reply.is_busy
         now_s = self._link.clock.now_s()
@@ -155,13 +158,6 @@ class ZaberStage:
 
     def _forget(self) -> None:
         self.is_moving, self._asked = False, None
-
-
-def _number(reply: zaber.Reply) -> float:
-    try:
-        return float(reply.data)
-    except ValueError as error:
-        raise BadReply(reason("zaber.position", answer=repr(reply.data[:40]))) from error
 
 
 DRIVERS = (

@@ -28,14 +28,9 @@ POWERS = (1.0, 1.25, 1.5, 1.75, 2.0)
 CURVED = 9.0
 """A curve must leave this much less than a line, in variances of one sample."""
 
-SURE_MM = 0.0033
-"""A contact of a larger standard deviation is touched again, more slowly: three are 10 µm."""
-
-FINEST_MM_S = 0.08
-"""No touch is slower than this: a soft cone would take half a minute."""
-
-AGAIN_MM = 0.15
-"""The second touch begins so far above the first."""
+SURE_MM, AGAIN_MM, FINEST_MM_S = 0.0033, 0.15, 0.08
+"""A contact of a larger standard deviation (three are 10 µm) is touched again, from so far above it and more slowly,
+but not slower than this: a soft cone would take half a minute."""
 
 STRETCH_MM = 0.1
 

@@ -8,15 +8,10 @@ import numpy as np
 from softcal.station.interfaces import Move
 from softcal.station.record.trajectory import Trapezoid
 
-PIECE_S, AHEAD_S = 0.1, 0.3
+PIECE_S, AHEAD_S, PIECES_AHEAD, LEAST_MM = 0.1, 0.3, 3, 0.001
 """A move is fed in pieces of PIECE_S, at most AHEAD_S and the time of braking ahead: when the host dies, the stage soon
-stops by itself. A planner that sees less than its braking distance would never get up to speed."""
-
-PIECES_AHEAD = 3
-"""Where the way ahead is bounded, so many pieces fit into it."""
-
-LEAST_MM = 0.001
-"""No piece is shorter: it would be less than a step of most drives."""
+stops by itself. A planner that sees less than its braking distance would never get up to speed. Where the way ahead is
+bounded, so many pieces fit into it; none is shorter than LEAST_MM, which is less than a step of most drives."""
 
 
 class PieceFeed:

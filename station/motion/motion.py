@@ -19,12 +19,11 @@ from softcal.station.record.trajectory import DrivenMove, Trapezoid
 TICK_S = 0.005
 """How often devices are read while something may move; far below every promised latency."""
 
-RETRACT_MM_S = 5.0
+RETRACT_MM_S, LIFT_MM = 5.0, 1.0
+"""A stage is lifted so fast at most and so far at least, wherever it stood."""
+
 PATIENCE_S = 1.5
 """How long load cell and sensor are read to say what stands on the unit: readings may be old, a unit comes back."""
-
-LIFT_MM = 1.0
-"""A stage is lifted at least so far, wherever it stood."""
 
 REST = 0.5
 """A load cell within this share of the contact force is at rest."""
@@ -121,7 +120,12 @@ class Motion(Interlock):
         while self._stage.is_moving:
             self._tick()
             if is_over is not None and is_over():
-                return self._brake(path, began_s)
+                move = DrivenMove(path, began_s, self._clock.now_s())
+                self._stage.stop()
+                if not self._stage.is_position_known:
+                    raise DeviceError(Reason("rig.lost.at_touch"))
+                self._path = None
+                return move
             if self._clock.now_s() - began_s > path.duration_s + self.row.late_s:
                 raise NoReply(reason("rig.late", seconds=self.row.late_s, to_mm=to_mm))
         self._path = None
@@ -148,14 +152,6 @@ class Motion(Interlock):
             is_told = self.state is not State.STOPPING
             self._stop_quietly()
             return self._left(Reason("left.told" if is_told else "left.there"))
-
-    def _brake(self, path: Trapezoid, began_s: float) -> DrivenMove:
-        move = DrivenMove(path, began_s, self._clock.now_s())
-        self._stage.stop()
-        if not self._stage.is_position_known:
-            raise DeviceError(Reason("rig.lost.at_touch"))
-        self._path = None
-        return move
 
     def _stop_and_lift(self, cause: BaseException) -> Reason:
         try:

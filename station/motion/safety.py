@@ -50,15 +50,12 @@ class ForceWatch:
         force_N = sample.values[0] - self.zero_N
         time_s = sample.host_s if sample.device_s is None else sample.device_s
         self._recent.append((time_s, force_N))
-        coming_N = force_N + max(0.0, self._slope_N_s()) * self.ahead_s
+        (first_s, first_N), slope_N_s = self._recent[0], 0.0
+        if len(self._recent) == SLOPE_SAMPLES and time_s > first_s:
+            slope_N_s = (force_N - first_N) / (time_s - first_s)
+        coming_N = force_N + max(0.0, slope_N_s) * self.ahead_s
         if max(coming_N, -force_N) > self._bounds.force_N:
             raise SafetyStop(reason("rig.force", force_N=force_N, coming_N=coming_N, limit_N=self._bounds.force_N))
-
-    def _slope_N_s(self) -> float:
-        if len(self._recent) < SLOPE_SAMPLES:
-            return 0.0
-        (first_s, first_N), (last_s, last_N) = self._recent[0], self._recent[-1]
-        return (last_N - first_N) / (last_s - first_s) if last_s > first_s else 0.0
 
 
 class FollowWatch:
@@ -170,10 +167,15 @@ class StreamWatch:
         """Raise `BadReply` when the channel is at its rail, or comes at another rate."""
         self._seen_s = sample.host_s
         if self._rails:
-            self._check_rails(sample, self._rails)
-        if sample.device_s is not None:
-            self._check_rate(sample.device_s)
-            self._check_age(sample.host_s, sample.device_s)
+            self._check_rails(sample, *self._rails)
+        if (device_s := sample.device_s) is None:
+            return
+        self._times.append(device_s)
+        count, span_s, rate_Hz = len(self._times), device_s - self._times[0], self._reader.rate_Hz
+        if abs(round(span_s * rate_Hz) + 1 - count) > MISSED_SAMPLES:
+            name = named(self._reader.name)
+            raise BadReply(reason("rig.rate", device=name, count=count, span_s=span_s, rate_Hz=rate_Hz))
+        self._check_age(sample.host_s, device_s)
 
     def check_silence(self, now_s: float) -> None:
         """Raise `NoReply` when no sample came for too long."""
@@ -191,18 +193,10 @@ class StreamWatch:
         if age_s > LASTS_S and device_s - self._old_since_s > LASTS_S:
             raise NoReply(reason("rig.old", device=named(self._reader.name), age_s=age_s))
 
-    def _check_rails(self, sample: Sample, rails: tuple[float, float]) -> None:
-        low, high = rails
+    def _check_rails(self, sample: Sample, low: float, high: float) -> None:
         if not any(value <= low or value >= high for value in sample.values):
             self._on_rail_since_s = None
         elif self._on_rail_since_s is None:
             self._on_rail_since_s = sample.host_s
         elif sample.host_s - self._on_rail_since_s > LASTS_S:
             raise BadReply(reason("rig.rail", device=named(self._reader.name), rail_s=LASTS_S))
-
-    def _check_rate(self, device_s: float) -> None:
-        self._times.append(device_s)
-        count, span_s = len(self._times), device_s - self._times[0]
-        if abs(round(span_s * self._reader.rate_Hz) + 1 - count) > MISSED_SAMPLES:
-            name, rate_Hz = named(self._reader.name), self._reader.rate_Hz
-            raise BadReply(reason("rig.rate", device=name, count=count, span_s=span_s, rate_Hz=rate_Hz))

@@ -214,11 +214,13 @@ class WatchedBench:
         except BadReply:
             return self._on_tick()  # Homing may begin under an overload: it is what takes it off.
         for sample in cell if StageWatch.RISE in self.motion.row.watches else ():
-            force_N = sample.values[0]
-            self._lowest_N = min(self._lowest_N, force_N)
-            if force_N > self._lowest_N + SUDDEN_N:
-                raise SafetyStop(reason("rig.homing.rises", force_N=force_N - self._lowest_N))
+            self._check_rise(sample.values[0])
         self._on_tick()
+
+    def _check_rise(self, force_N: float) -> None:
+        self._lowest_N = min(self._lowest_N, force_N)
+        if force_N > self._lowest_N + SUDDEN_N:
+            raise SafetyStop(reason("rig.homing.rises", force_N=force_N - self._lowest_N))
 
     def _ahead_mm(self, to_mm: float, speed_mm_s: float) -> float:
         if speed_mm_s > self.fastest_mm_s * (1.0 + 1e-9):
@@ -277,22 +279,27 @@ class WatchedBench:
                     watch.check(sample.values[0], pressed_mm)
             if StageWatch.STREAM in on and name in self._streams:
                 self._streams[name].check_silence(now_s)
-        deepest_mm = self.bench.config.safety.deepest_mm
-        at_mm = self.readings.polls[-1].position_mm if self.readings.polls else -math.inf
-        if StageWatch.DEPTH in on and at_mm > deepest_mm + 0.01:
-            raise SafetyStop(reason("rig.deepest", at_mm=at_mm, deepest_mm=deepest_mm))
+        if StageWatch.DEPTH in on and self.readings.polls:
+            self._check_depth(self.readings.polls[-1].position_mm)
 
     def _check_force(self, sample: Sample) -> None:
         on, newton = self.motion.row.watches, sample.values[0]
         if StageWatch.FORCE in on:
             self._force_watch.check(sample)
-        added_N = newton - (self.known.free_N or 0.0)
-        if StageWatch.FREE in on and self.motion.is_lowering and added_N > self.bench.config.fixture.touch_N:
-            raise SafetyStop(reason("rig.in_the_way", position_mm=self.bench.stage.position_mm, force_N=added_N))
+        if StageWatch.FREE in on:
+            self._check_free(newton - (self.known.free_N or 0.0))
         if StageWatch.FOLLOW in on:
             self._follow_watch.check(newton - self._force_watch.zero_N, self.pressed_mm(self.late_s), sample.host_s)
         if StageWatch.JUMP in on:
             self._jump_watch.check(newton, self.bench.stage.is_moving, sample.host_s, self.latest_s)
+
+    def _check_free(self, force_N: float) -> None:
+        if self.motion.is_lowering and force_N > self.bench.config.fixture.touch_N:
+            raise SafetyStop(reason("rig.in_the_way", position_mm=self.bench.stage.position_mm, force_N=force_N))
+
+    def _check_depth(self, at_mm: float) -> None:
+        if at_mm > (deepest_mm := self.bench.config.safety.deepest_mm) + 0.01:
+            raise SafetyStop(reason("rig.deepest", at_mm=at_mm, deepest_mm=deepest_mm))
 
     def pressed_mm(self, ago_s: float = 0.0) -> float:
         """How far the stage was below the contact so long ago; 0 above it, or without one."""

@@ -223,15 +223,20 @@ def press_gains(stage_mm: Array, force_N: Array) -> Array:
 
     A press that never is where others have a quarter of the run's largest force is left out.
     """
-    presses = _presses(stage_mm)
-    if not presses:
+    # Stretches that leave the shallow tenth and come back to it, or to the end.
+    is_deep = np.concatenate([[False], stage_mm > SHALLOW * np.max(stage_mm), [False]])
+    turns = np.flatnonzero(np.diff(is_deep.astype(int)))
+    if not len(turns):
         return np.empty(0)
     edges = np.linspace(0.0, float(np.max(stage_mm)) + 1e-9, 25)
     bins = np.digitize(stage_mm, edges)
-    usual = np.array([_median(force_N[bins == k]) for k in range(len(edges) + 1)])[bins]
+    medians = np.full(len(edges) + 1, np.nan)
+    for k in np.unique(bins):
+        medians[k] = np.median(force_N[bins == k])
+    usual = medians[bins]
     is_pressed = np.isfinite(usual) & (usual > 0.25 * np.nanmax(usual))
     gains = []
-    for begin, end in presses:
+    for begin, end in turns.reshape(-1, 2):
         own = is_pressed[begin:end]
         if np.count_nonzero(own) >= PRESS_SAMPLES:
             expected, force = usual[begin:end][own], force_N[begin:end][own]
@@ -239,19 +244,8 @@ def press_gains(stage_mm: Array, force_N: Array) -> Array:
     return np.array(gains)
 
 
-def _presses(stage_mm: Array) -> list[tuple[int, int]]:
-    """Stretches that leave the shallow tenth and come back to it, or to the end."""
-    is_deep = np.concatenate([[False], stage_mm > SHALLOW * np.max(stage_mm), [False]])
-    turns = np.flatnonzero(np.diff(is_deep.astype(int)))
-    return [(int(begin), int(end)) for begin, end in zip(turns[::2], turns[1::2], strict=True)]
-
-
 def _ratio(gains: Array) -> float:
     return float(np.max(gains) / max(float(np.min(gains)), 1e-9)) if len(gains) > 1 else 1.0
-
-
-def _median(values: Array) -> float:
-    return float(np.median(values)) if len(values) else float("nan")
 
 
 def _basis(t_s: Array, grid_s: Array, value: Array, relaxation_s: Sequence[float]) -> Array:

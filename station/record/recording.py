@@ -158,7 +158,7 @@ def assemble(raw: Raw, facts: RunFacts) -> StationRecording:
     stage_mm = track.at(host_s) - facts.zero_mm
     check_bits(output)
     check_follows(host_s, output, track.at, facts.contact_mm)
-    force_N, behind_s, offset_s, cell_drift, cell_late_s = None, *(float("nan"),) * 4
+    force_N, (behind_s, offset_s, cell_drift, cell_late_s) = None, (float("nan"),) * 4
     if not raw.force:
         check_output_gain(stage_mm, output[:, 0])
     else:

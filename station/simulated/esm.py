@@ -63,7 +63,9 @@ class SimulatedEsm(FarEnd):
             case b"x":
                 return f"{self._zero_mm - self.axis.position_mm:.2f} mm"
             case b"p":
-                return f"{self._motion} {self.mode} {self._limit()}".strip()
+                upper = "" if self.is_switch_missing else "UL"
+                lower = "DL" if self.axis.position_mm >= self._travel_mm - 1e-6 else ""
+                return f"{self._motion} {self.mode} {upper if self.axis.position_mm <= 1e-6 else lower}".strip()
             case b"?":
                 return self._gauge.answer("?", now_s)
             case b"z":
@@ -86,8 +88,3 @@ class SimulatedEsm(FarEnd):
             self.axis.flush()
             self.axis.add(QueuedMove(to_mm, self._speed_mm_s))
             self._motion = motion
-
-    def _limit(self) -> str:
-        if self.axis.position_mm <= 1e-6:
-            return "" if self.is_switch_missing else "UL"
-        return "DL" if self.axis.position_mm >= self._travel_mm - 1e-6 else ""

@@ -65,18 +65,15 @@ class SimulatedScpi(FarEnd):
         elif header == "*CLS":
             self._errors.clear()
         elif not self.measured(header, now_s):
-            self._set(header, value)
+            header = re.sub(r"^CONF:(\w+(:DC)?)$", r"CONF", header)
+            if header in self.settings:
+                self.settings[header] = value
+            elif header:
+                self._errors.append('-113,"Undefined header"')
 
     @abstractmethod
     def measured(self, header: str, now_s: float) -> bool:
         """Whether a header asks for a reading; then it is begun."""
-
-    def _set(self, header: str, value: str) -> None:
-        header = re.sub(r"^CONF:(\w+(:DC)?)$", r"CONF", header)
-        if header in self.settings:
-            self.settings[header] = value
-        elif header:
-            self._errors.append('-113,"Undefined header"')
 
     def _answer(self, text: str, now_s: float) -> None:
         self.wire.send(text.encode() + b"\n", now_s)

@@ -82,7 +82,11 @@ class World:
             due_s = [far_end.next_event_s() for far_end in self._far_ends]
             next_s = min(due_s, default=until_s)
             if self._planned and self._planned[0][0] <= min(next_s, until_s):
-                self._happen()
+                time_s, _, happening = heappop(self._planned)
+                self._now_s = max(self._now_s, time_s)
+                for far_end in self._far_ends:
+                    far_end.advance(self._now_s)
+                happening()
                 continue
             if next_s > until_s:
                 break
@@ -91,10 +95,3 @@ class World:
                 if at_s <= self._now_s:
                     far_end.advance(self._now_s)
         self._now_s = until_s
-
-    def _happen(self) -> None:
-        time_s, _, happening = heappop(self._planned)
-        self._now_s = max(self._now_s, time_s)
-        for far_end in self._far_ends:
-            far_end.advance(self._now_s)
-        happening()

@@ -79,7 +79,12 @@ class SimulatedZaber(FarEnd):
                 return True, "0"
             case ["move", ("abs" | "rel") as kind, value]:
                 start_mm = self.axis.position_mm if kind == "rel" else 0.0
-                return self._move(start_mm + float(value) * self.microstep_mm)
+                to_mm = start_mm + float(value) * self.microstep_mm
+                if not -1e-9 <= to_mm <= self.settings["limit.max"] * self.microstep_mm + 1e-9:
+                    return False, "BADDATA"
+                self.axis.flush()
+                self.axis.add(QueuedMove(to_mm, self.settings["maxspeed"] / SPEED_UNIT * self.microstep_mm))
+                return True, "0"
             case ["home"]:
                 self.warning, self._is_homing = "", True
                 self.axis.flush()
@@ -96,10 +101,3 @@ class SimulatedZaber(FarEnd):
             case ["warnings", *_]:
                 return True, "00"
         return False, "BADCOMMAND"
-
-    def _move(self, to_mm: float) -> tuple[bool, str]:
-        if not -1e-9 <= to_mm <= self.settings["limit.max"] * self.microstep_mm + 1e-9:
-            return False, "BADDATA"
-        self.axis.flush()
-        self.axis.add(QueuedMove(to_mm, self.settings["maxspeed"] / SPEED_UNIT * self.microstep_mm))
-        return True, "0"

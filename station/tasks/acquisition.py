@@ -17,7 +17,6 @@ from softcal.station.motion.contact import AGAIN_MM, SURE_MM, ContactSearch, Tou
 from softcal.station.motion.interlock import State
 from softcal.station.motion.motion import RETRACT_MM_S
 from softcal.station.motion.safety import STUCK_MM
-from softcal.station.motion.steps import check_profile, steps_of
 from softcal.station.motion.watched import WatchedBench
 from softcal.station.record.proof import check_lag, lag_s
 from softcal.station.record.recording import Raw, RunFacts, StationRecording, assemble, device_times_s
@@ -65,6 +64,32 @@ class RunProgress:
 
 
 OnProgress = Callable[[RunProgress], None]
+
+
+def check_profile(bench: Bench, profile: Profile) -> None:
+    """Raise `CommandRefused` when a profile could leave the bounds of stage or station."""
+    bounds, fixture = bench.config.safety, bench.config.fixture
+    fastest_mm_s = min(bounds.speed_mm_s, bench.stage.max_speed_mm_s)
+    deepest_mm = min(bounds.deepest_mm, bench.stage.travel_mm)
+    name, most_mm = repr(profile.name), deepest_mm - fixture.approach_mm
+    for move in steps_of(profile):
+        if not isinstance(move, Move):
+            continue
+        if move.speed_mm_s > fastest_mm_s * (1 + 1e-9):
+            speeds = {"speed_mm_s": move.speed_mm_s, "most_mm_s": fastest_mm_s}
+            raise CommandRefused(reason("rig.profile.speed", profile=name, **speeds))
+        if not -fixture.clearance_mm <= move.to_mm <= most_mm:
+            raise CommandRefused(reason("rig.profile.depth", profile=name, to_mm=move.to_mm, most_mm=most_mm))
+
+
+def steps_of(profile: Profile) -> list[Move | float]:
+    """Return a profile as moves from rest to rest, and seconds of holds."""
+    steps: list[Move | float] = []
+    at_mm = 0.0
+    for segment in profile.segments:
+        way_mm, at_mm = abs(segment.target_mm - at_mm), segment.target_mm
+        steps.append(Move(at_mm, way_mm / segment.duration_s) if way_mm else segment.duration_s)
+    return steps
 
 
 def record(
@@ -141,19 +166,11 @@ class _Run:
         self.watched.expect_press(contact_mm, felt_mm, safe_mm_s)
         # A slow press ended in a rest already.
         self._motion.wait(SETTLE_S - REST_S if felt_mm else SETTLE_S)
-        began_s = self._clock.now_s()
-        self._enter(PRESSING)
-        for step in steps_of(self._profile):
-            if isinstance(step, Move):
-                self._go(zero_mm + step.to_mm, step.speed_mm_s)
-            else:
-                self._motion.wait(step.seconds)
-        span_s = (began_s, self._clock.now_s())
-        zero_return_N = self._return(zero_N)
+        span_s = self._press(zero_mm)
+        zeros = (zero_mm, contact_mm, zero_N, self._return(zero_N))
         moves = tuple((*astuple(move.path), move.begun_s, move.confirmed_s) for move in self._moves)
         readout, force = self._bench.readout, self._bench.config.force
         about = (self._serial, self._profile.name, readout.name, readout.unit, readout.rate_Hz)
-        zeros = (zero_mm, contact_mm, zero_N, zero_return_N)
         is_stated = force is None or force.is_latency_stated
         facts = RunFacts(*about, moves, span_s, *zeros, with_reference, self.watched.late_s, is_stated)
         if self._spool is not None:
@@ -170,6 +187,16 @@ class _Run:
         if abs(approach_mm - self._stage.position_mm) > ROUNDING_MM:
             self._go(approach_mm, self.watched.fastest_mm_s)
             self._motion.wait(REST_S)
+
+    def _press(self, zero_mm: float) -> tuple[float, float]:
+        began_s = self._clock.now_s()
+        self._enter(PRESSING)
+        for step in steps_of(self._profile):
+            if isinstance(step, Move):
+                self._go(zero_mm + step.to_mm, step.speed_mm_s)
+            else:
+                self._motion.wait(step)
+        return began_s, self._clock.now_s()
 
     def _return(self, zero_N: float) -> float:
         self._enter(RETURNING)

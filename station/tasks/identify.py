@@ -10,10 +10,11 @@ import numpy as np
 from softcal.core.errors import BadReply, NoReply
 from softcal.core.words.reason import Reason, reason
 from softcal.station.clock import seen_rate_Hz
+from softcal.station.drivers import loadstar
+from softcal.station.drivers.indicator import OVERLOADED, parse_N
 from softcal.station.interfaces import Clock
 from softcal.station.motion.watched import BOOT_S
-from softcal.station.wire.frames import esm, gcl2, grbl, loadstar, zaber
-from softcal.station.wire.frames.indicator import OVERLOADED, parse_N
+from softcal.station.wire.frames import esm, gcl2, grbl, zaber
 from softcal.station.wire.frames.text_stream import parse as parse_stream
 from softcal.station.wire.link import POLL_S, Line, Link
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 
 from softcal.core.errors import NoReply
 from softcal.station.interfaces import Sample
@@ -42,7 +43,8 @@ class AskedReader:
 
     def start(self) -> None:
         if self._asked_s is not None:
-            self._await_late()
+            with suppress(NoReply):  # It does not come any more, or the port is gone: the next call says so.
+                self._link.next_line(LATE_S)
         self._link.discard()
         self._asked_s, self._next_s = None, self._link.clock.now_s()
 
@@ -63,9 +65,3 @@ class AskedReader:
 
     def close(self) -> None:
         self._link.close()
-
-    def _await_late(self) -> None:
-        try:
-            self._link.next_line(LATE_S)
-        except NoReply:
-            pass  # It does not come any more, or the port is gone: the next call says so.

@@ -112,7 +112,8 @@ class ThreadedReader:
             try:
                 reading = self._read()
             except Exception as error:  # What a library raises is its own choice; poll says it.
-                self._end_with(error)
+                with self._lock:
+                    self._fault = error
                 return
             now_s = self._clock.now_s()
             self._take(reading, asked_s, now_s)
@@ -126,7 +127,3 @@ class ThreadedReader:
                 return
             self._device_s, self._newest_s = reading.device_s, now_s
             self._samples.append(Sample((asked_s + now_s) / 2, reading.device_s, reading.values))
-
-    def _end_with(self, error: Exception) -> None:
-        with self._lock:
-            self._fault = error

@@ -46,6 +46,7 @@ def calls(path: Path) -> Iterator[tuple[ast.Call, str]]:
 
 def given(call: ast.Call) -> tuple[str, set[str]] | None:
     """Return code and names of the values of a reason that is made in place; None for one that is passed on."""
+    # An item of the self-test is given the code of what was found after its device and what was looked at.
     code, *rest = call.args[2:] if ast.unparse(call.func) == "_item" else call.args
     if not isinstance(code, ast.Constant):
         return None
@@ -67,7 +68,9 @@ def test_every_reason_that_is_given_has_its_sentence_and_all_of_its_values() -> 
         (str(path.relative_to(ROOT)), call.lineno, code)
         for path in FILES
         for call, name in calls(path)
-        if name in ("reason", "Reason", "_item") and call.args and (found := given(call)) is not None
+        if (name in ("reason", "Reason") or (name, path.stem) == ("_item", "self_test"))
+        and call.args
+        and (found := given(call)) is not None
         for code, values in [found]
         # The cure of a setting is given its number where the setting is known.
         if code not in ENGLISH or (values != places(ENGLISH[code]) and code != "grbl.safe.acceleration")

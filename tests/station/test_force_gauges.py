@@ -3,14 +3,14 @@
 import pytest
 
 from softcal.core.errors import BadReply, CommandRefused, NoReply
-from softcal.station.drivers.indicator import IndicatorCell
+from softcal.station.drivers import loadstar
+from softcal.station.drivers.indicator import IndicatorCell, parse_N
 from softcal.station.drivers.loadstar import LoadstarCell
 from softcal.station.drivers.mark10 import Mark10Gauge
 from softcal.station.simulated.force_gauge import SimulatedIndicator, SimulatedLoadstar, SimulatedMark10
 from softcal.station.simulated.wire import Wire
 from softcal.station.simulated.world import World
-from softcal.station.wire.frames import gcl2, loadstar
-from softcal.station.wire.frames.indicator import parse_N
+from softcal.station.wire.frames import gcl2
 from softcal.station.wire.link import Link
 
 

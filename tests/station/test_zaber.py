@@ -97,11 +97,17 @@ def test_declared_quantities_agree_with_the_simulated_device(driver):
     assert device.travel_mm == pytest.approx(40.0, abs=1e-3)
     assert device.acceleration_mm_s2 == pytest.approx(200.0, rel=0.01)
     assert device.max_speed_mm_s == pytest.approx(25.0, rel=1e-4)
-    device.speed = 5000.0
-    assert stage.settings["maxspeed"] == 5000.0
-    with pytest.raises(CommandRefused):
-        device.speed = -1.0
-    assert stage.settings["maxspeed"] == 5000.0
+
+
+def test_a_speed_that_no_setting_can_hold_is_never_sent(driver):
+    device, _, stage = driver
+    device.home()
+    before, device.max_speed_mm_s = stage.settings["maxspeed"], 1e9
+    with pytest.raises(CommandRefused, match="speed"):
+        device.begin(Move(5.0, 1e8))
+    assert stage.settings["maxspeed"] == before and not device.is_moving
+    device.begin(Move(5.0, 4.0))
+    assert stage.settings["maxspeed"] == pytest.approx(4.0 / 0.0001905 * 1.6384, abs=0.6)
 
 
 def test_out_of_range_sends_nothing(driver):
