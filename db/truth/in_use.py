@@ -176,22 +176,11 @@ class InUseTable(RegistryBase):
         number = 0 if is_first else self.database.value(LAST_NUMBER, mine) or 0
         for head in (*heads,) or (None,):
             number += 1
-            values = {
-                "lot_id": lot_id,
-                "serial": serial,
-                "origin": self.origin,
-                "number": number,
-                "revision": named["revision"],
-                "made_by": named["made_by"],
-                "follows_origin": head and head["origin"],
-                "follows_number": head and head["number"],
-                "work_sha256": None,
-                "input_sha256": None,
-                **told,
-                "made_at": at,
-                "actor": self._actor(actor),
-                "reason": reason,
-            }
+            values = {"lot_id": lot_id, "serial": serial, "origin": self.origin, "number": number}
+            values |= {name: named[name] for name in ("revision", "made_by")}
+            values |= {"follows_origin": head and head["origin"], "follows_number": head and head["number"]}
+            values |= {"work_sha256": None, "input_sha256": None, **told}
+            values |= {"made_at": at, "actor": self._actor(actor), "reason": reason}
             before = None if head is None else {name: head[name] for name in ("revision", "made_by")}
             self._store(in_use, values, "put_in_use", actor, reason, before)
 
