@@ -15,8 +15,8 @@ from softcal.core.recording import Array
 from softcal.core.windows import TAPS, resting
 
 HEADROOM = 1.5
-"""Ranges seen on the source's windows are widened by this: of activations before they are cut into counts, of the
-estimate before it saturates."""
+"""Ranges seen on the source's windows are widened by this: of activations before they are cut into
+counts, of the estimate before it saturates."""
 
 STRETCH, SHIFT = 1.3, 0.1
 """Other units' mapped windows may be this much larger, or moved by this share of the span."""

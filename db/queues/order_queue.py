@@ -24,8 +24,8 @@ SILENT_AFTER = timedelta(seconds=3)
 """A station whose last heartbeat is older is not there, as far as a screen can see."""
 
 TAKEN_OVER_AFTER = timedelta(seconds=15)
-"""Another process may serve a station whose heartbeat is older. A busy machine keeps a service from its beat for
-seconds: it must not lose its rig for that."""
+"""Another process may serve a station whose heartbeat is older. A busy machine keeps a service from
+its beat for seconds: it must not lose its rig for that."""
 
 ORDER_FIELDS = ("order_id", "station", "kind", "serial", "lot_id", "actor", "reason", "created")
 PROGRESS_FIELDS = tuple(field.name for field in fields(Progress) if field.name != "signal")
@@ -79,7 +79,7 @@ class OrderQueue(RegistryBase):
             return True
 
     def take(self, station: str, only: OrderKind | None = None) -> Order | None:
-        """Return the station's next order and mark it running; what is no run (STOP) comes first."""
+        """Return the station's next order, marked running; what is no run (STOP) comes first."""
         query = select(orders).where(o.state == RunState.QUEUED, *given((o.station, station), (o.kind, only)))
         with self.database.writing(in_turn=False):
             waiting = self.database.rows(query.order_by(o.created, o.order_id))

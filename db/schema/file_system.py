@@ -32,7 +32,7 @@ def prepare_file(path: Path, create: bool) -> None:
 
 
 def refuse_network_share(folder: Path, mounts: Path = MOUNTS) -> None:
-    """Raise `RegistryError` where `folder` is on a network share (Linux mounts, Windows UNC path)."""
+    """Raise `RegistryError` where `folder` is on a network share (Linux mounts, UNC paths)."""
     inside, best, kind = folder.resolve(), Path("/"), ""
     for line in mounts.read_text(errors="replace").splitlines() if mounts.is_file() else ():
         match line.split():

@@ -74,7 +74,7 @@ def _of_text(process: Any) -> Any:
 
 
 class CanonicalJson(TypeDecorator[Any]):
-    """JSON as text with sorted keys: equal values, equal bytes on every database. NaN is refused."""
+    """JSON with sorted keys: equal values, equal bytes on every database. NaN is refused."""
 
     impl = Text
     cache_ok = True
@@ -240,8 +240,8 @@ in_use = Table(
     Index("ix_in_use_lot_id_serial", "lot_id", "serial", "made_at"),
     Index("ix_in_use_serial", "serial"),
 )
-"""Which calibration a unit of a lot uses, as statements: each names the one it follows. Two that nothing follows and
-that name different maps are a conflict, which a person ends."""
+"""Which calibration a unit of a lot uses, as statements: each names the one it follows. Two that
+nothing follows and that name different maps are a conflict, which a person ends."""
 
 audit = Table(
     "audit",

@@ -1,7 +1,7 @@
 """Which calibration a unit uses: statements that follow one another.
 
-A unit is a serial of a lot. The newest statement holds. Two registries that were apart may both have made one; where
-they name different maps nobody can say which is right, and a person has to.
+A unit is a serial of a lot. The newest statement holds. Two registries that were apart may both
+have made one; where they name different maps nobody can say which is right, and a person has to.
 """
 
 import json
@@ -27,7 +27,7 @@ OF_STATEMENT = and_(
     calibrations.c.origin == in_use.c.made_by,
 )
 NEWEST_FIRST = (calibrations.c.made_at.desc(), calibrations.c.revision.desc(), calibrations.c.origin.desc())
-"""No registry writes a revision older than the one it follows. The order does not say what is in use."""
+"""No registry writes a revision older than the one before; the newest need not be in use."""
 
 STALE = (LIMIT_IS_OTHER, LIMIT_IS_GONE) = ("stale_limit", "stale_limit_open")
 """Codes of the reasons why a verdict does not stand any more."""

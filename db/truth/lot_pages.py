@@ -142,8 +142,8 @@ class LotPages(RegistryBase):
     def standings(self, lot_id: str, serials: Sequence[str]) -> dict[str, UnitStanding]:
         """Return where units of a lot stand, as a report needs it.
 
-        A unit with a conflict is to be decided by a person: its verdict is retest. So is that of one judged against
-        another limit than the one in force.
+        A unit with a conflict is to be decided by a person: its verdict is retest. So is that of
+        one judged against another limit than the one in force.
         """
         found: dict[str, UnitStanding] = {}
         c = calibrations.c
@@ -236,8 +236,8 @@ class StandingQuery:
     def table(self, serials: Sequence[str] | None = None, role: str | None = None) -> sa.Subquery:
         """Return every unit beside its map in use and its newest verdict, or a later refusal's.
 
-        "Nothing newer exists" is found through the index of the table; a window function over all rows is not, and its
-        join with the units would take the square of their number.
+        "Nothing newer exists" is found through the index of the table; a window function over all
+        rows is not, and its join with the units would take the square of their number.
 
         Args:
             serials, role: of these units only.
