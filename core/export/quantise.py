@@ -83,7 +83,7 @@ def folded_layers(network: Network) -> list[tuple[Array, Array]]:
 
 
 def _scale_of(reach: Array) -> Array:
-    """Real value of one count, so that `reach` is the largest, or the share `QUIET` of it."""
+    """Real value of one count, so that `reach`, or the widest over `QUIET`, is the largest."""
     widest = float(reach.max()) or 1.0
     return np.maximum(reach, widest / QUIET) / ACTIVATION_MAX
 

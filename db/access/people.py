@@ -128,7 +128,7 @@ class People(RegistryBase):
 def permissions(user: User) -> frozenset[str]:
     """Return what a person may do: what the role allows; everything while alone.
 
-    Who decides about people could make a second account: no right is new.
+    Who decides about people could make a second account anyway.
     """
     if not user.is_active:
         return frozenset()

@@ -118,7 +118,7 @@ class OrderQueue(RegistryBase):
         return [(_order(row), _progress(row, Signal())) for row in self.database.rows(query)]
 
     def pressed(self, lot_id: str) -> list[Pressed]:
-        """Return which units of a lot were pressed where and by whom, in time order, to the end."""
+        """Return who pressed which units of a lot where, in time order, without broken runs."""
         query = select(o.serial, o.station, o.actor, o.created, o.changed_at)
         ended = query.where(o.lot_id == lot_id, o.kind == OrderKind.UNIT, o.state == RunState.DONE)
         return [Pressed(*row.values()) for row in self.database.rows(ended.order_by(o.created, o.order_id))]

@@ -165,7 +165,7 @@ class LotPages(RegistryBase):
         return found
 
     def find_serials(self, text: str, count: int = 50) -> list[str]:
-        """Return serials of target units with a result that hold a text; those it begins first."""
+        """Return serials of target units with a result that hold a text, best match first."""
         has_result = sa.or_(
             *(
                 select(table.c.serial)
@@ -286,7 +286,7 @@ class StandingQuery:
 def standing_units(
     database: Database, lot_id: str, serials: Sequence[str] | None = None
 ) -> list[tuple[UnitEntry, bool]]:
-    """Return units of a lot by serial, each with whether its calibration in use is judged."""
+    """Return units of a lot, each with whether its calibration in use gives its verdict."""
     standing = StandingQuery.of(database, lot_id, serials)
     rows = database.rows(select(table := standing.table(serials)).order_by(table.c.serial))
     known = {row["serial"] for row in rows}
