@@ -117,19 +117,9 @@ def optional(**kinds: Any) -> list[Column[Any]]:
     return [Column(name, kind) for name, kind in kinds.items()]
 
 
-registry_info = Table(
-    "registry_info",
-    metadata,
-    *keys(key=NAME),
-    *needed(value=Text),
-)
+registry_info = Table("registry_info", metadata, *keys(key=NAME), *needed(value=Text))
 
-blobs = Table(
-    "blobs",
-    metadata,
-    *keys(sha256=SHA256),
-    *needed(kind=String(16), size=Integer, data=sa.LargeBinary),
-)
+blobs = Table("blobs", metadata, *keys(sha256=SHA256), *needed(kind=String(16), size=Integer, data=sa.LargeBinary))
 
 lots = Table(
     "lots",
@@ -334,12 +324,7 @@ heartbeats = Table(
     Column("is_overridden", sa.Boolean, nullable=False, server_default=sa.false()),
 )
 
-line_places = Table(
-    "line_places",
-    metadata,
-    *keys(station=NAME),
-    *needed(version=Integer, place=CanonicalJson),
-)
+line_places = Table("line_places", metadata, *keys(station=NAME), *needed(version=Integer, place=CanonicalJson))
 
 network_releases = Table(
     "network_releases",
