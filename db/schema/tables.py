@@ -104,6 +104,10 @@ ORIGIN = String(32)
 """Name of the registry that wrote a row."""
 
 
+def table(name: str, *parts: Any) -> Table:
+    return Table(name, metadata, *parts)
+
+
 def keys(**kinds: Any) -> list[Column[Any]]:
     """Return columns of the primary key."""
     return [Column(name, kind, primary_key=True) for name, kind in kinds.items()]
@@ -117,21 +121,19 @@ def optional(**kinds: Any) -> list[Column[Any]]:
     return [Column(name, kind) for name, kind in kinds.items()]
 
 
-registry_info = Table("registry_info", metadata, *keys(key=NAME), *needed(value=Text))
+registry_info = table("registry_info", *keys(key=NAME), *needed(value=Text))
 
 blobs = Table("blobs", metadata, *keys(sha256=SHA256), *needed(kind=String(16), size=Integer, data=sa.LargeBinary))
 
-lots = Table(
+lots = table(
     "lots",
-    metadata,
     *keys(id=NAME),
     *needed(source=NAME, sample_rate_Hz=Double, sensor_model=Text, reference_quantity=Text),
     *needed(reference_unit=Text, output_unit=Text, added_at=UtcTime),
 )
 
-limits = Table(
+limits = table(
     "limits",
-    metadata,
     Column("lot_id", ForeignKey("lots.id"), primary_key=True),
     *keys(version=Integer, origin=ORIGIN),
     *optional(rmse=Double),
@@ -139,18 +141,16 @@ limits = Table(
     CheckConstraint("version >= 1", name="version"),
 )
 
-line_rules = Table(
+line_rules = table(
     "line_rules",
-    metadata,
     Column("lot_id", ForeignKey("lots.id"), primary_key=True),
     *keys(version=Integer, origin=ORIGIN),
     *needed(rules=CanonicalJson, made_at=UtcTime, actor=Text, reason=Text),
     CheckConstraint("version >= 1", name="version"),
 )
 
-units = Table(
+units = table(
     "units",
-    metadata,
     Column("lot_id", ForeignKey("lots.id"), primary_key=True),
     *keys(serial=NAME),
     *needed(role=String(8), added_at=UtcTime),
@@ -158,9 +158,8 @@ units = Table(
     Index("ix_units_serial", "serial"),
 )
 
-recordings = Table(
+recordings = table(
     "recordings",
-    metadata,
     *keys(sha256=SHA256, lot_id=NAME, kind=String(8)),
     *needed(serial=NAME, samples=Integer, sample_rate_Hz=Double, output_unit=Text),
     *optional(reference_unit=Text),
@@ -171,9 +170,8 @@ recordings = Table(
     Index("ix_recordings_lot_id_serial", "lot_id", "serial"),
 )
 
-networks = Table(
+networks = table(
     "networks",
-    metadata,
     *keys(id=SHA256),
     Column("lot_id", ForeignKey("lots.id"), nullable=False),
     Column("input_sha256", SHA256, nullable=False, index=True),
@@ -182,9 +180,8 @@ networks = Table(
     *needed(added_at=UtcTime),
 )
 
-calibrations = Table(
+calibrations = table(
     "calibrations",
-    metadata,
     *keys(serial=NAME, revision=Integer, origin=ORIGIN),
     *needed(lot_id=NAME, made_at=UtcTime, actor=Text, reason=Text),
     *optional(rolled_back_to=Integer),
@@ -203,9 +200,8 @@ calibrations = Table(
     Index("ix_calibrations_serial_input", "serial", "input_sha256"),
 )
 
-refusals = Table(
+refusals = table(
     "refusals",
-    metadata,
     *keys(lot_id=NAME, serial=NAME, made_at=UtcTime, origin=ORIGIN),
     *needed(actor=Text, verdict=String(16), reasons=CanonicalJson),
     *optional(work_sha256=SHA256),
@@ -213,9 +209,8 @@ refusals = Table(
     CheckConstraint("verdict IN ('fail', 'retest')", name="verdict"),
 )
 
-in_use = Table(
+in_use = table(
     "in_use",
-    metadata,
     *keys(lot_id=NAME, serial=NAME, origin=ORIGIN, number=Integer),
     *needed(revision=Integer, made_by=ORIGIN),
     *optional(follows_origin=ORIGIN, follows_number=Integer),
@@ -233,9 +228,8 @@ in_use = Table(
 """Which calibration a unit of a lot uses, as statements: each names the one it follows. Two that
 nothing follows and that name different maps are a conflict, which a person ends."""
 
-audit = Table(
+audit = table(
     "audit",
-    metadata,
     *keys(origin=ORIGIN, seq=Integer),
     *needed(at=UtcTime, actor=Text, action=String(32), entity=String(32), key=Text),
     *optional(before=Text, after=Text),
@@ -243,9 +237,8 @@ audit = Table(
     Index("ix_audit_entity_key", "entity", "key"),
 )
 
-work_items = Table(
+work_items = table(
     "work_items",
-    metadata,
     Column("id", sa.BigInteger().with_variant(Integer, "sqlite"), primary_key=True, autoincrement=True),
     *needed(lot_id=NAME, serial=NAME, kind=String(32), work_set=SHA256, input_sha256=SHA256),
     *needed(state=String(8), attempts=Integer),
@@ -257,17 +250,15 @@ work_items = Table(
     Index("ix_work_items_owner", "owner", "state"),
 )
 
-adaptations = Table(
+adaptations = table(
     "adaptations",
-    metadata,
     *keys(serial=NAME, number=Integer, origin=ORIGIN),
     *needed(revision=Integer, stream=Text, sample=Integer, made_at=UtcTime, entry=CanonicalJson),
     CheckConstraint("number >= 1", name="number"),
 )
 
-certificates = Table(
+certificates = table(
     "certificates",
-    metadata,
     *keys(cell_serial=NAME, issued_on=sa.Date, origin=ORIGIN),
     *needed(due_on=sa.Date, number=Text, laboratory=Text, capacity_N=Double, uncertainty_N=Double),
     Column("blob_sha256", SHA256, ForeignKey("blobs.sha256")),
@@ -275,17 +266,15 @@ certificates = Table(
     CheckConstraint("due_on > issued_on", name="due_on"),
 )
 
-golden_runs = Table(
+golden_runs = table(
     "golden_runs",
-    metadata,
     *keys(station=NAME, serial=NAME, made_at=UtcTime, origin=ORIGIN),
     *needed(value=Double, unit=Text, passed=sa.Boolean, reasons=CanonicalJson, actor=Text),
     *optional(recording_sha256=SHA256),
 )
 
-users = Table(
+users = table(
     "users",
-    metadata,
     *keys(name=NAME),
     *needed(role=String(16), pin_hash=Text, is_active=sa.Boolean, failures=Integer),
     *optional(locked_until=UtcTime),
@@ -293,9 +282,8 @@ users = Table(
     CheckConstraint("role IN ('operator', 'engineer', 'quality')", name="role"),
 )
 
-orders = Table(
+orders = table(
     "orders",
-    metadata,
     *keys(order_id=NAME),
     *needed(station=NAME, kind=String(16), serial=NAME, lot_id=NAME, actor=Text, reason=Text),
     *needed(created=UtcTime, state=String(16), phase=Text, fraction=Double, remaining_s=Double),
@@ -308,16 +296,14 @@ orders = Table(
 Index("uq_orders_active", orders.c.station, unique=True)
 # Of runs that are not over, as the migration says: naming a dialect here would load both.
 
-run_signals = Table(
+run_signals = table(
     "run_signals",
-    metadata,
     Column("order_id", ForeignKey("orders.order_id"), primary_key=True),
     *needed(signal=CanonicalJson),
 )
 
-heartbeats = Table(
+heartbeats = table(
     "heartbeats",
-    metadata,
     *keys(station=NAME),
     *needed(state=String(16), at=UtcTime, reasons=CanonicalJson, process=Text, order_id=NAME),
     Column("gate", CanonicalJson, nullable=False, server_default="[]"),
@@ -326,9 +312,8 @@ heartbeats = Table(
 
 line_places = Table("line_places", metadata, *keys(station=NAME), *needed(version=Integer, place=CanonicalJson))
 
-network_releases = Table(
+network_releases = table(
     "network_releases",
-    metadata,
     Column("network_id", ForeignKey("networks.id"), primary_key=True),
     *keys(made_at=UtcTime, origin=ORIGIN),
     Column("lot_id", ForeignKey("lots.id"), nullable=False),
@@ -336,9 +321,8 @@ network_releases = Table(
     CheckConstraint("state IN ('released', 'withdrawn')", name="state"),
 )
 
-jobs = Table(
+jobs = table(
     "jobs",
-    metadata,
     *keys(job_id=String(32)),
     *needed(kind=String(32), request=CanonicalJson, actor=Text, created=UtcTime, state=String(16)),
     *needed(fraction=Double, message=Text, trace=CanonicalJson, result=CanonicalJson),
@@ -348,9 +332,8 @@ jobs = Table(
     Index("ix_jobs_kind", "kind", "created"),
 )
 
-tokens = Table(
+tokens = table(
     "tokens",
-    metadata,
     *keys(token_id=String(32)),
     *needed(sha256=SHA256),
     Column("account", ForeignKey("users.name"), nullable=False),
@@ -358,9 +341,8 @@ tokens = Table(
     Index("uq_tokens_sha256", "sha256", unique=True),
 )
 
-deliveries = Table(
+deliveries = table(
     "deliveries",
-    metadata,
     *keys(destination=NAME),
     *needed(cursor=CanonicalJson, delivered=sa.BigInteger, failures=Integer),
     *optional(not_before=UtcTime),
