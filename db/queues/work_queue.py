@@ -29,11 +29,7 @@ FREE = {"state": "queued", "owner": None, "lease_until": None}
 
 @dataclass(frozen=True)
 class WorkSet:
-    """Items that are asked for together.
-
-    Args:
-        name: hash of the settings that all of them share.
-    """
+    """Items that are asked for together (`name`: hash of the settings that all of them share)."""
 
     lot_id: str
     name: str

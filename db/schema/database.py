@@ -33,11 +33,7 @@ Part = TypeVar("Part")
 
 
 class ConnectionCut(RegistryError):
-    """The connection to the server broke.
-
-    Args:
-        is_undone: nothing was kept; False where it broke in the commit.
-    """
+    """The connection to the server broke (`is_undone`: nothing was kept; False where it broke in the commit)."""
 
     def __init__(self, message: str, is_undone: bool) -> None:
         super().__init__(message)
