@@ -105,6 +105,7 @@ ORIGIN = String(32)
 
 
 def table(name: str, *parts: Any) -> Table:
+    """Return a table of this registry."""
     return Table(name, metadata, *parts)
 
 
@@ -114,10 +115,12 @@ def keys(**kinds: Any) -> list[Column[Any]]:
 
 
 def needed(**kinds: Any) -> list[Column[Any]]:
+    """Return columns that every row fills."""
     return [Column(name, kind, nullable=False) for name, kind in kinds.items()]
 
 
 def optional(**kinds: Any) -> list[Column[Any]]:
+    """Return columns that a row may leave empty."""
     return [Column(name, kind) for name, kind in kinds.items()]
 
 
