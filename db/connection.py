@@ -9,8 +9,8 @@ from softcal.db.truth.registry_base import RegistrySettings
 def open_registry(url: str, settings: RegistrySettings | None = None, *, create: bool = True) -> Registry:
     """Open the registry behind an SQLAlchemy URL.
 
-    An empty database or a new SQLite file gets the tables when `create` is set; an existing registry is never
-    upgraded here.
+    An empty database or a new SQLite file gets the tables when `create` is set; an existing
+    registry is never upgraded here.
 
     Raises:
         RegistryError: URL, folder, file, server or schema cannot be used.

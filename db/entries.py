@@ -142,7 +142,7 @@ class MadeCalibration:
 
 
 UNDECIDED = "retest"
-"""Verdict of a unit for which two registries put different maps into use: a person has to decide."""
+"""Verdict of a unit for which two registries put different maps into use."""
 
 
 @dataclass(frozen=True)
@@ -231,7 +231,7 @@ class LineRulesEntry:
 
 @dataclass(frozen=True)
 class AuditRow:
-    """Who did what, when and why; `key`, `before`, `after` are canonical JSON, `hash` covers all."""
+    """Who did what, when and why; `key`, `before`, `after` are JSON, `hash` covers all."""
 
     origin: str
     seq: int

@@ -1,7 +1,7 @@
 """The registry in the words of the factory: lots, units, recordings, maps, who did what.
 
-Every change is one transaction with its row of the audit trail. What is stored is never changed: a correction is a new
-row. Everything given back is a value of its own, never a row.
+Every change is one transaction with its row of the audit trail. What is stored is never changed: a
+correction is a new row. Everything given back is a value of its own, never a row.
 """
 
 from __future__ import annotations
@@ -46,50 +46,36 @@ def _part(module: str, kind: str) -> Any:
 
 
 class Registry(RegistryBase):
-    """An open registry, a context manager that `open_registry` makes; its parts share transactions."""
+    """An open registry, made by `open_registry`; its parts share transactions."""
 
     lots: LotTables = _part("truth.lots", "LotTables")
     """Lots and their units, limits and rules."""
-
     pages: LotPages = _part("truth.lot_pages", "LotPages")
     """What stands of many units at once: pages, counts, errors."""
-
     recordings: RecordingTables = _part("truth.recordings", "RecordingTables")
     """Recordings, by the hash of their content."""
-
     networks: NetworkTables = _part("truth.networks", "NetworkTables")
     """Shared networks, and which of them the line may use."""
-
     calibrations: CalibrationTables = _part("truth.calibrations", "CalibrationTables")
     """The calibrations of every unit, and which one is in use."""
-
     adaptations: AdaptationTables = _part("truth.adaptations", "AdaptationTables")
     """What was followed of units in use."""
-
     stations: StationTables = _part("truth.stations", "StationTables")
     """Certificates of load cells and runs of golden units."""
-
     people: People = _part("access.people", "People")
     """Accounts with role and PIN."""
-
     tokens: TokenTable = _part("access.tokens", "TokenTable")
     """Tokens of programs that ask over REST."""
-
     trail: AuditTrail = _part("truth.trail", "AuditTrail")
     """Who did what, and when."""
-
     work_queue: WorkQueue = _part("queues.work_queue", "WorkQueue")
     """The durable work items of this registry's lots."""
-
     order_queue: OrderQueue = _part("queues.order_queue", "OrderQueue")
     """The orders to this registry's stations, their runs and heartbeats."""
-
     line_places: LinePlaces = _part("queues.order_queue", "LinePlaces")
     """What stands at each line: the unit that waits for its run, the last sentence, the badge."""
-
     job_board: JobBoard = _part("queues.job_board", "JobBoard")
     """Long computations that pages ask for."""
-
     outbox: Outbox = _part("queues.outbox", "Outbox")
     """How far each destination outside is in the audit trail."""
 
@@ -129,8 +115,8 @@ class Registry(RegistryBase):
     def verify(
         self, *, is_quick: bool = False, anchors: Sequence[Anchor] = (), on_step: Callable[[str], None] = lambda _: None
     ) -> list[str]:
-        """Check the database, every blob, every row and the audit chain; return one line per fault, none when all is
-        well. `db.care.checks.faults` says what the arguments mean."""
+        """Check the database, every blob, every row and the audit chain; return one line per fault,
+        none when all is well. `db.care.checks.faults` says what the arguments mean."""
         # Only the check pays for what it needs.
         from softcal.db.care.checks import faults
 

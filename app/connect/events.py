@@ -1,7 +1,7 @@
 """The one source of events: rows of the audit trail, told so that a program can act.
 
-An event is written in the transaction of the change it tells of, so none is lost and none is made up. Its id is the
-place of its row in the trail: who gets it twice knows it by that.
+An event is written in the transaction of the change it tells of, so none is lost and none is made
+up. Its id is the place of its row in the trail: who gets it twice knows it by that.
 """
 
 import json
@@ -53,7 +53,7 @@ class RegistryEvent:
     after: Cursor
 
     def to_json(self) -> dict[str, Any]:
-        """Return the event as CloudEvents 1.0 writes it (CNCF, CloudEvents JSON format, section 3)."""
+        """Return the event as CloudEvents 1.0 writes it (CNCF, JSON event format, section 3)."""
         return {
             "specversion": "1.0",
             "id": self.event_id,

@@ -20,8 +20,8 @@ FIRST_DELAY_S, LONGEST_DELAY_S = 1.0, 900.0
 
 
 LEASE_S = 30.0
-"""A destination is held for so long after each look; one whose process was killed is free then. Clocks of machines that
-share a registry agree better than that."""
+"""A destination is held for so long after each look; one whose process was killed is free then.
+Clocks of machines that share a registry agree better than that."""
 
 
 class NotDelivered(SoftcalError):

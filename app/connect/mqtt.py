@@ -184,8 +184,8 @@ def json_text(value: object) -> str:
 def publish_estimates(lines: Iterable[str], serial: str, settings: MqttSettings, most_per_s: float) -> tuple[int, int]:
     """Publish rows of estimates; return how many were published and left out.
 
-    A live value is worth nothing later: what comes faster than `most_per_s`, and what comes while the broker is away,
-    is left out. The rows themselves are whole in the output of `softcal adapt`.
+    A live value is worth nothing later: what comes faster than `most_per_s`, and what comes while
+    the broker is away, is left out. The rows themselves are whole in the output of `softcal adapt`.
 
     Raises:
         InputError: these are no rows of estimates.
@@ -217,7 +217,8 @@ class _Live:
         self._sender: MqttSender | None = None
 
     def __enter__(self) -> "_Live":
-        self._open()
+        self._tried_s = time.monotonic()
+        self._sender = self._stack.enter_context(open_mqtt(self._settings))
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -230,7 +231,7 @@ class _Live:
             if self._sender is None:
                 if time.monotonic() - self._tried_s < RETRY_S:
                     return False
-                self._open()
+                self.__enter__()
             if self._sender is not None:
                 self._sender.publish([message])
             return True
@@ -238,10 +239,6 @@ class _Live:
             self.__exit__()
             self._sender = None
             return False
-
-    def _open(self) -> None:
-        self._tried_s = time.monotonic()
-        self._sender = self._stack.enter_context(open_mqtt(self._settings))
 
 
 def estimate_json(line: str, serial: str) -> str:

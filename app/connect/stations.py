@@ -18,7 +18,7 @@ def stations_json(registry: Registry) -> list[dict[str, Any]]:
 
 
 def station_json(registry: Registry, beat: Heartbeat) -> dict[str, Any]:
-    """Return a station: its state, its unit, the last unit it judged, and where their lot stands."""
+    """Return a station: its state, its unit, the last unit it judged, its lot."""
     queue = registry.order_queue
     active = queue.active(beat.station)
     judged = next((o for o, p in queue.runs(beat.station, NEWEST) if o.kind.is_about_unit and p.verdict), None)

@@ -46,9 +46,9 @@ def export_units(
 ) -> list[ExportedUnit]:
     """Write the calibration files of units and the manifest of the folder.
 
-    A unit whose device form is refused (its verdict, its map) still gets its report formats, and the reason stands in
-    the manifest; an older device file of it is taken out of the folder. A unit that was refused after its calibration
-    was made gets no file at all. The other units go on.
+    A unit whose device form is refused (its verdict, its map) still gets its report formats, and
+    the reason stands in the manifest; an older device file of it is taken out of the folder. A unit
+    that was refused after its calibration was made gets no file at all. The other units go on.
 
     Args:
         formats: names of `softcal.app.export.names.formats`.

@@ -29,11 +29,7 @@ RING_KEYS = {"name", "file", "valid_from", "valid_until"}
 
 @dataclass(frozen=True)
 class TrustedKey:
-    """A public key somebody trusts.
-
-    Args:
-        valid_from, valid_until: first day it signs, first day it no longer does.
-    """
+    """A public key somebody trusts (`valid_from`, `valid_until`: first day it signs, first day it no longer does)."""
 
     key: Ed25519PublicKey
     name: str

@@ -59,11 +59,7 @@ class RefusalCause(IntEnum):
 
 
 class FileRefused(InputError):
-    """A calibration file that must not give a number.
-
-    Args:
-        cause: which check failed.
-    """
+    """A calibration file that must not give a number (`cause`: which check failed)."""
 
     def __init__(self, cause: RefusalCause, text: str) -> None:
         super().__init__(text)

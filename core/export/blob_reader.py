@@ -46,8 +46,7 @@ def _open(data: bytes, kind: Kind) -> _Opened:
         raise FileRefused(RefusalCause.MAGIC, f"this is no calibration file: it starts with 0x{magic:08x}")
     if major != blob.MAJOR:
         raise FileRefused(
-            RefusalCause.VERSION,
-            f"{name} has format {major}.{minor}, this version of softcal reads {blob.MAJOR}.x",
+            RefusalCause.VERSION, f"{name} has format {major}.{minor}, this version of softcal reads {blob.MAJOR}.x"
         )
     if length != len(data) or length % 4:
         raise FileRefused(RefusalCause.LENGTH, f"{name} says {length} bytes and has {len(data)}; copy it again")

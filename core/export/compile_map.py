@@ -139,18 +139,24 @@ Forms = Callable[[UnitMap, Network, Array, Array], Iterator[MapForm]]
 """Forms of a map, the smallest first, given the unit's windows and their mapped ones."""
 
 
-def _curves(unit_map: UnitMap, windows: Array, mapped: Array) -> Iterator[MapForm]:
-    yield MapForm(_from_constant_windows(unit_map, windows, MAX_KNOTS))
-    yield MapForm(_from_regression(windows, mapped, MAX_KNOTS))
+def _curves(unit_map: UnitMap, windows: Array, mapped: Array, knots: int = MAX_KNOTS) -> Iterator[MapForm]:
+    yield MapForm(_from_constant_windows(unit_map, windows, knots))
+    yield MapForm(_from_regression(windows, mapped, knots))
+
+
+def _bases(unit_map: UnitMap, windows: Array, mapped: Array, knots: int) -> Iterator[Curve]:
+    """Give the curves that a linear part may follow."""
+    if (drawn := _drawn(unit_map, windows, mapped, knots)) is not None:
+        yield drawn
+    yield _from_regression(windows, mapped, knots)
 
 
 def device_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Array) -> Iterator[MapForm]:
     """Give the forms that fit into 256 bytes: curves, then curves with a mix of shapes."""
     yield from _curves(unit_map, windows, mapped)
     for shapes, knots in MIXES:
-        for curve in (_drawn(unit_map, windows, mapped, knots), _from_regression(windows, mapped, knots)):
-            mix = None if curve is None else fit_mix(shapes, curve.apply(windows), mapped, network)
-            if mix is not None:
+        for curve in _bases(unit_map, windows, mapped, knots):
+            if (mix := fit_mix(shapes, curve.apply(windows), mapped, network)) is not None:
                 yield MapForm(curve, mix)
 
 
@@ -161,26 +167,22 @@ def wide_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Arra
     if curve is None:
         return
     for shapes in WIDE_SHAPES:
-        mix = fit_mix(shapes, curve.apply(windows), mapped, network, is_wide=True)
-        if mix is not None:
+        if (mix := fit_mix(shapes, curve.apply(windows), mapped, network, is_wide=True)) is not None:
             yield MapForm(curve, mix)
 
 
 def matrix_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Array) -> Iterator[MapForm]:
     """Give the forms that fit into 1024 bytes: curves, then a curve with a whole matrix."""
     yield from _curves(unit_map, windows, mapped)
-    for curve in (_drawn(unit_map, windows, mapped, MAX_KNOTS), _from_regression(windows, mapped, MAX_KNOTS)):
-        if curve is not None:
-            yield MapForm(curve, _linear(curve.apply(windows), mapped))
+    for curve in _bases(unit_map, windows, mapped, MAX_KNOTS):
+        yield MapForm(curve, _linear(curve.apply(windows), mapped))
 
 
 def fine_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Array) -> Iterator[MapForm]:
     """Give the forms for floating point, where many knots and a whole matrix cost nothing."""
-    yield MapForm(_from_constant_windows(unit_map, windows, FINE_KNOTS))
-    yield MapForm(_from_regression(windows, mapped, FINE_KNOTS))
+    yield from _curves(unit_map, windows, mapped, FINE_KNOTS)
     yield MapForm(None, _linear(windows, mapped))
-    drawn = _drawn(unit_map, windows, mapped, FINE_KNOTS)
-    if drawn is not None:
+    if (drawn := _drawn(unit_map, windows, mapped, FINE_KNOTS)) is not None:
         yield MapForm(drawn, _linear(drawn.apply(windows), mapped))
 
 

@@ -226,8 +226,8 @@ def _build(
 def device_limit(facts: UnitFacts, network: Network, options: DeviceOptions) -> float:
     """Return the largest rms change of the estimate a compiled form may make, in reference units.
 
-    A quarter of the predicted error raises the error by 3 % at most, as both add in quadrature. Without a forecast it
-    is 1 % of the span of the estimates.
+    A quarter of the predicted error raises the error by 3 % at most, as both add in quadrature.
+    Without a forecast it is 1 % of the span of the estimates.
     """
     if facts.predicted_rmse:
         return options.compile_limit * facts.predicted_rmse

@@ -29,8 +29,8 @@ class Node:
 
 @dataclass(frozen=True, eq=False)
 class Graph:
-    """Nodes in order, from `window` (n, TAPS) to `estimate`, `lower`, `upper` and `flag`, each (n,), with
-    `source_window` (n, TAPS) on the way.
+    """Nodes in order, from `window` (n, TAPS) to `estimate`, `lower`, `upper` and `flag`, each
+    (n,), with `source_window` (n, TAPS) on the way.
     """
 
     nodes: tuple[Node, ...]
@@ -40,8 +40,8 @@ class Graph:
 def compose(form: MapForm, network: Network, limits: Limits) -> Graph:
     """Join a compiled map, f and the unit's limits in float32; the curve is a sum of ramps.
 
-    The estimate is clamped, the interval that of its band, the flag a sum of OUT_OF_RANGE and CLAMPED: all as on the
-    device.
+    The estimate is clamped, the interval that of its band, the flag a sum of OUT_OF_RANGE and
+    CLAMPED: all as on the device.
     """
     parts = (
         _curve(form.curve, "source_window" if form.linear is None else "curved"),

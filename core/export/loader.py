@@ -41,11 +41,7 @@ class DeviceSensor:
         return float(10.0**self.network_file.network.output_exponent)
 
     def estimate(self, codes: Integers) -> DeviceEstimate:
-        """Estimate for every window.
-
-        Args:
-            codes: (n, TAPS) windows of 16-bit codes, newest last.
-        """
+        """Estimate for every window (`codes`: (n, TAPS) windows of 16-bit codes, newest last)."""
         return self.estimate_mapped(
             self.unit_file.device_map.on_samples(codes),
             (codes < self.unit_file.code_min) | (codes > self.unit_file.code_max),

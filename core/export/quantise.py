@@ -15,8 +15,8 @@ from softcal.core.recording import Array
 from softcal.core.windows import TAPS, resting
 
 HEADROOM = 1.5
-"""Ranges seen on the source's windows are widened by this: of activations before they are cut into counts, of the
-estimate before it saturates."""
+"""Ranges seen on the source's windows are widened by this: of activations before they are cut into
+counts, of the estimate before it saturates."""
 
 STRETCH, SHIFT = 1.3, 0.1
 """Other units' mapped windows may be this much larger, or moved by this share of the span."""
@@ -83,7 +83,7 @@ def folded_layers(network: Network) -> list[tuple[Array, Array]]:
 
 
 def _scale_of(reach: Array) -> Array:
-    """Real value of one count, so that `reach` is the largest, or the share `QUIET` of it."""
+    """Real value of one count, so that `reach`, or the widest over `QUIET`, is the largest."""
     widest = float(reach.max()) or 1.0
     return np.maximum(reach, widest / QUIET) / ACTIVATION_MAX
 

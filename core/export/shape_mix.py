@@ -1,8 +1,8 @@
 """The linear part of a map: a window keeps a share of itself and gets smooth shapes added.
 
-y = keep x + Σ_k U_k (r_k · x + b_k), U_k the Chebyshev polynomials of the second kind over the taps. A lag, creep, or
-the smoothing of a coarse converter moves a window along smooth shapes; five of them with weights of one byte take the
-place of a matrix of 225 numbers.
+y = keep x + Σ_k U_k (r_k · x + b_k), U_k the Chebyshev polynomials of the second kind over the
+taps. A lag, creep, or the smoothing of a coarse converter moves a window along smooth shapes; five
+of them with weights of one byte take the place of a matrix of 225 numbers.
 """
 
 from dataclasses import dataclass
@@ -94,8 +94,8 @@ class Mix:
 def fit_mix(count: int, windows: Array, mapped: Array, network: Network, is_wide: bool = False) -> Mix | None:
     """Fit a mix of `count` shapes so that f answers to the result as to `mapped`.
 
-    Minimises Σ (f(y) - f(mapped))² + a small share of |y - mapped|² by Gauss-Newton steps, each of which ends on the
-    device's integers by the moves that raise this least.
+    Minimises Σ (f(y) - f(mapped))² + a small share of |y - mapped|² by Gauss-Newton steps, each of
+    which ends on the device's integers by the moves that raise this least.
 
     Args:
         windows: (n, TAPS) windows entering.
@@ -121,7 +121,7 @@ def fit_mix(count: int, windows: Array, mapped: Array, network: Network, is_wide
 
 
 class _Normal:
-    """Normal equations of a mix: (TAPS + 1, k) weights of standardised taps and a constant, then keep."""
+    """Normal equations of a mix: (TAPS + 1, k) weights of taps and a constant, then keep."""
 
     def __init__(self, count: int, windows: Array, mapped: Array, network: Network, found: Array) -> None:
         """Linearise f at `found`, the windows of the step before."""

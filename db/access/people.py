@@ -72,8 +72,9 @@ class People(RegistryBase):
             raise InputError(Reason("account.role", {"role": repr(role), "known": ", ".join(ROLES)}))
         if pin is not None and (len(pin) < SHORTEST_PIN or not pin.isdigit()):
             raise InputError(Reason("account.pin_short", {"digits": SHORTEST_PIN}))
+        named = select(users).where(users.c.name == name)
         with self.database.writing():
-            known = _row(self.database, name)
+            known = self.database.row(named)
             found = known["version"] if known else 0
             if found != version:
                 raise InputError(Reason("account.changed", {"name": repr(name), "found": found, "version": version}))
@@ -86,7 +87,7 @@ class People(RegistryBase):
             statement = insert(users) if known is None else update(users).where(users.c.name == name)
             self.database.change(statement.values(**values))
             before = people_as_told(known) if known else None
-            kept = self.database.rows(select(users).where(users.c.name == name))[0]
+            kept = self.database.rows(named)[0]
             told = {"before": before, "after": people_as_told(kept)}
             self._tell("set_user", "users", (name,), actor, reason=reason, **told)
             return user_of(self.database, kept)
@@ -102,7 +103,7 @@ class People(RegistryBase):
             InputError: wrong name or PIN, not active, or a pause after wrong ones.
         """
         with self.database.writing():
-            row = _row(self.database, name)
+            row = self.database.row(select(users).where(users.c.name == name))
             now = self.settings.clock()
             is_locked = row is not None and row["locked_until"] is not None and row["locked_until"] > now
             # The hash is checked even for an unknown name, so that the time it takes says nothing.
@@ -127,7 +128,7 @@ class People(RegistryBase):
 def permissions(user: User) -> frozenset[str]:
     """Return what a person may do: what the role allows; everything while alone.
 
-    Who decides about people could make a second account: no right is new.
+    Who decides about people could make a second account anyway.
     """
     if not user.is_active:
         return frozenset()
@@ -158,7 +159,3 @@ def _is_pin(stored: str, pin: str) -> bool:
         return _hasher().verify(stored, pin)
     except (VerificationError, InvalidHashError):
         return False
-
-
-def _row(database: Database, name: str) -> RowMapping | None:
-    return database.row(select(users).where(users.c.name == name))

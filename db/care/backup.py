@@ -1,4 +1,4 @@
-"""Backup and restore of a registry while it is in use; a backup of any database is one SQLite file."""
+"""Backup and restore of a registry in use; a backup of any database is one SQLite file."""
 
 import os
 import shutil
@@ -18,8 +18,8 @@ from softcal.db.truth.registry_base import RegistrySettings
 
 ROWS_AT_ONCE = 200
 PASSING = (work_items, heartbeats, tokens)
-"""Work under way and signs of life: they tell of programs that run here, and would be false elsewhere. A token that was
-withdrawn since the backup must not come to life again."""
+"""Work under way and signs of life: they tell of programs that run here, and would be false
+elsewhere. A token that was withdrawn since the backup must not come to life again."""
 
 
 def back_up(database: Database, path: Path) -> None:
@@ -50,8 +50,8 @@ def back_up(database: Database, path: Path) -> None:
 def restore(path: Path, url: str) -> None:
     """Fill an empty database from a backup, after checking every byte of it.
 
-    The restored registry writes a chain of its own in the audit trail from here on, so that it can be told from any
-    other copy of the same backup.
+    The restored registry writes a chain of its own in the audit trail from here on, so that it can
+    be told from any other copy of the same backup.
 
     Raises:
         RegistryError: the backup is missing, damaged or too new, or the target is not empty.

@@ -1,4 +1,4 @@
-"""Is a registry whole: pages, references, tables, triggers, rows, blobs, links of its audit trail."""
+"""Is a registry whole: pages, references, tables, triggers, rows, blobs, its audit trail."""
 
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -209,7 +209,7 @@ TRIGGERS = {
 
 
 def trigger_faults(database: Database) -> Iterator[str]:
-    """Give a line for every table whose triggers are gone, off, or others: its rows can be changed."""
+    """Give a line for every table whose triggers are gone, off, or others."""
     rows = database.tuples(text(TRIGGERS[database.engine.dialect.name]))
     found = {name: " ".join(str(definition).split()) for name, definition in rows}
     for table in tables.APPEND_ONLY:

@@ -72,7 +72,7 @@ class Adoption(InUseTable):
                 self._state(row["lot_id"], row["serial"], dict(row), told, row["actor"], reason, row["made_at"])
 
     def state_networks(self, reason: str) -> None:
-        """State that networks from before releases were known stay released since their training."""
+        """State that networks from before releases were known stay released."""
         n, r = networks.c, network_releases.c
         is_decided = select(r.network_id).where(r.network_id == n.id).exists()
         with self.database.writing():

@@ -1,8 +1,8 @@
 """Bring two registries together, both ways: a station's SQLite file and the PostgreSQL of the line.
 
-The audit trail is the list of what to send: a registry gets, per chain, the rows behind the last one it has, together
-with what they tell of. Each chunk is one transaction, so that a broken line loses nothing, and sending twice changes
-nothing. Work items, orders and people stay where they are.
+The audit trail is the list of what to send: a registry gets, per chain, the rows behind the last
+one it has, together with what they tell of. Each chunk is one transaction, so that a broken line
+loses nothing, and sending twice changes nothing. Work items, orders and people stay where they are.
 """
 
 import json
@@ -74,7 +74,16 @@ def conflicts(registry: RegistryBase) -> list[str]:
             f"lot {lot_id!r} limit version {number} was set by two registries; the newer one holds"
             for lot_id, number in database.tuples(doubles)
         ]
-        return [*used, *twice, *_differing_lots(database)]
+        told: dict[str, set[str]] = {}
+        for key, after in database.tuples(select(audit.c.key, audit.c.after).where(audit.c.entity == "lots")):
+            facts = json.loads(after)
+            told.setdefault(key, set()).add(json.dumps([facts[name] for name in FACTS_OF_A_LOT]))
+    differing = [
+        f"lot {json.loads(key)[0]!r} was registered with other facts elsewhere; give one of them another id"
+        for key, versions in sorted(told.items())
+        if len(versions) > 1
+    ]
+    return [*used, *twice, *differing]
 
 
 def _clocks(here: RegistryBase, there: RegistryBase) -> Iterator[str]:
@@ -167,14 +176,3 @@ def _typed(kind: object, value: Any) -> Any:
     if isinstance(kind, UtcTime):
         return datetime.fromisoformat(value)
     return date.fromisoformat(value) if isinstance(kind, Date) else value
-
-
-def _differing_lots(database: Database) -> Iterator[str]:
-    told: dict[str, set[str]] = {}
-    query = select(audit.c.key, audit.c.after).where(audit.c.entity == "lots")
-    for key, after in database.tuples(query):
-        facts = json.loads(after)
-        told.setdefault(key, set()).add(json.dumps([facts[name] for name in FACTS_OF_A_LOT]))
-    for key, versions in sorted(told.items()):
-        if len(versions) > 1:
-            yield f"lot {json.loads(key)[0]!r} was registered with other facts elsewhere; give one of them another id"

@@ -1,6 +1,6 @@
 """Long computations that a page asks for and another process does, as one row each.
 
-Neither need know, nor outlive, the other.
+Page and process need not know, nor outlive, each other.
 """
 
 from __future__ import annotations

@@ -11,7 +11,6 @@ from datetime import datetime, timedelta
 from typing import Any, NamedTuple
 
 from sqlalchemy import RowMapping, Select, delete, insert, select, update
-from sqlalchemy.exc import IntegrityError
 
 from softcal.core.errors import InputError
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
@@ -24,8 +23,8 @@ SILENT_AFTER = timedelta(seconds=3)
 """A station whose last heartbeat is older is not there, as far as a screen can see."""
 
 TAKEN_OVER_AFTER = timedelta(seconds=15)
-"""Another process may serve a station whose heartbeat is older. A busy machine keeps a service from its beat for
-seconds: it must not lose its rig for that."""
+"""Another process may serve a station whose heartbeat is older. A busy machine keeps a service from
+its beat for seconds: it must not lose its rig for that."""
 
 ORDER_FIELDS = ("order_id", "station", "kind", "serial", "lot_id", "actor", "reason", "created")
 PROGRESS_FIELDS = tuple(field.name for field in fields(Progress) if field.name != "signal")
@@ -57,29 +56,24 @@ class OrderQueue(RegistryBase):
         Raises:
             InputError: the station has a run that is not over.
         """
-        values = {name: getattr(order, name) for name in ORDER_FIELDS} | {
-            "created": order.created or self.settings.clock()
-        }
+        values = {name: getattr(order, name) for name in ORDER_FIELDS}
+        values["created"] = order.created or self.settings.clock()
         progress = _progress_values(Progress(order.order_id, RunState.QUEUED))
-        with self.database.writing(in_turn=False) as connection:
-            known = select(o.order_id).where(o.order_id == order.order_id)
-            if connection.execute(known).first() is not None:
+        with self.database.writing(in_turn=False):
+            if self.database.row(select(o.order_id).where(o.order_id == order.order_id)) is not None:
                 return True
             # Looked at behind the wait for other writers, which is where the time goes.
             if until_s is not None and time.monotonic() > until_s:
                 return False
-            try:
-                with connection.begin_nested():
-                    connection.execute(insert(orders).values(**values | progress, changed_at=self.settings.clock()))
-            except IntegrityError as error:
-                row = connection.execute(_open_runs(order.station)).mappings().one()
-                what = f"{row['kind']} {row['serial']}".strip()
-                busy = reason("station.busy", station=repr(order.station), what=what, state=row["state"])
-                raise InputError(busy) from error
-            return True
+            asked = insert(orders).values(**values | progress, changed_at=self.settings.clock())
+            if self.database.insert_new(asked):
+                return True
+            row = self.database.rows(_open_runs(order.station))[0]
+            what = f"{row['kind']} {row['serial']}".strip()
+            raise InputError(reason("station.busy", station=repr(order.station), what=what, state=row["state"]))
 
     def take(self, station: str, only: OrderKind | None = None) -> Order | None:
-        """Return the station's next order and mark it running; what is no run (STOP) comes first."""
+        """Return the station's next order, marked running; what is no run (STOP) comes first."""
         query = select(orders).where(o.state == RunState.QUEUED, *given((o.station, station), (o.kind, only)))
         with self.database.writing(in_turn=False):
             waiting = self.database.rows(query.order_by(o.created, o.order_id))
@@ -118,7 +112,7 @@ class OrderQueue(RegistryBase):
         return [(_order(row), _progress(row, Signal())) for row in self.database.rows(query)]
 
     def pressed(self, lot_id: str) -> list[Pressed]:
-        """Return which units of a lot were pressed where and by whom, in time order, to the end."""
+        """Return who pressed which units of a lot where, in time order, without broken runs."""
         query = select(o.serial, o.station, o.actor, o.created, o.changed_at)
         ended = query.where(o.lot_id == lot_id, o.kind == OrderKind.UNIT, o.state == RunState.DONE)
         return [Pressed(*row.values()) for row in self.database.rows(ended.order_by(o.created, o.order_id))]
@@ -163,18 +157,16 @@ class OrderQueue(RegistryBase):
         gate = [[to_kept(c.name), c.is_good, to_kept(c.says)] for c in heartbeat.gate]
         values = vars(heartbeat) | {"reasons": [to_kept(why) for why in heartbeat.reasons], "gate": gate}
         where = heartbeats.c.station == heartbeat.station
-        with self.database.writing(in_turn=False) as connection:
-            known = connection.execute(select(heartbeats).where(where).with_for_update()).mappings().first()
+        with self.database.writing(in_turn=False):
+            known = self.database.row(select(heartbeats).where(where).with_for_update())
             if known is None:
-                try:
-                    connection.execute(insert(heartbeats).values(**values))
-                except IntegrityError as error:
-                    raise InputError(reason("station.taken", station=repr(heartbeat.station))) from error
+                if not self.database.insert_new(insert(heartbeats).values(**values)):
+                    raise InputError(reason("station.taken", station=repr(heartbeat.station)))
                 return
             is_alive = heartbeat.at - known["at"] <= after
             if is_alive and known["process"] != heartbeat.process and known["state"] != StationState.OFF:
                 raise InputError(reason("station.served", station=repr(heartbeat.station), process=known["process"]))
-            connection.execute(update(heartbeats).where(where).values(**values))
+            self.database.change(update(heartbeats).where(where).values(**values))
 
     def heartbeat(self, station: str) -> Heartbeat | None:
         """Return the last sign of life of a station, or None where there never was one."""
@@ -218,13 +210,7 @@ class LinePlaces(RegistryBase):
         seen = (line_places.c.station == station, line_places.c.version == seen_version)
         if seen_version:
             return self.database.change(update(line_places).where(*seen).values(**values)) == 1
-        with self.database.writing(in_turn=False) as connection:
-            try:
-                with connection.begin_nested():
-                    connection.execute(insert(line_places).values(**values))
-            except IntegrityError:
-                return False
-            return True
+        return self.database.insert_new(insert(line_places).values(**values))
 
 
 def _open_runs(station: str) -> Select[Any]:

@@ -1,9 +1,10 @@
 """Durable work items of a lot: claimed under a lease, gone when they are done, handed out again when a worker dies.
 
-A queue and no record: what became of the work stands elsewhere, and nothing here is believed to be a result. A worker
-that is killed loses nothing: its lease runs out and the item goes to the next one. An item is named by its lot, kind,
-serial and input hash, so that asking twice for the same work makes one item. Items that are asked for together, under
-the same settings, are one set; a claimant takes items of its own set only.
+A queue and no record: what became of the work stands elsewhere, and nothing here is believed to be
+a result. A worker that is killed loses nothing: its lease runs out and the item goes to the next
+one. An item is named by its lot, kind, serial and input hash, so that asking twice for the same
+work makes one item. Items that are asked for together, under the same settings, are one set; a
+claimant takes items of its own set only.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -11,7 +12,7 @@ from dataclasses import dataclass
 from datetime import timedelta
 from typing import Any
 
-from sqlalchemy import Connection, Select, and_, delete, func, or_, select, text, update
+from sqlalchemy import Select, and_, delete, func, or_, select, text, update
 
 from softcal.db.schema.database import given, parts
 from softcal.db.schema.tables import work_items
@@ -28,11 +29,7 @@ FREE = {"state": "queued", "owner": None, "lease_until": None}
 
 @dataclass(frozen=True)
 class WorkSet:
-    """Items that are asked for together.
-
-    Args:
-        name: hash of the settings that all of them share.
-    """
+    """Items that are asked for together (`name`: hash of the settings that all of them share)."""
 
     lot_id: str
     name: str
@@ -55,9 +52,10 @@ class WorkQueue(RegistryBase):
     def enqueue(self, work: WorkSet, inputs: Mapping[str, str]) -> int:
         """Queue what is not queued or claimed yet and return how many items are new.
 
-        An item that failed before is queued again, and attempts are counted anew: asking is a decision to retry. Sets
-        of the lot that nobody works at any more are forgotten. Each few hundred items are a transaction of their own,
-        so that other writers wait for milliseconds only.
+        An item that failed before is queued again, and attempts are counted anew: asking is a
+        decision to retry. Sets of the lot that nobody works at any more are forgotten. Each few
+        hundred items are a transaction of their own, so that other writers wait for milliseconds
+        only.
         """
         now, c = self.settings.clock(), work_items.c
         named = {"lot_id": work.lot_id, "kind": work.kind, "work_set": work.name}
@@ -65,17 +63,17 @@ class WorkQueue(RegistryBase):
         rows = [{**fresh, "serial": serial, "input_sha256": sha256} for serial, sha256 in inputs.items()]
         others = (c.lot_id == work.lot_id, c.kind == work.kind, c.work_set != work.name)
         alive = select(c.work_set).where(*others, c.state == "claimed", c.lease_until >= now)
-        with self.database.writing() as connection:
-            connection.execute(delete(work_items).where(*others, c.work_set.not_in(alive)))
+        with self.database.writing():
+            self.database.change(delete(work_items).where(*others, c.work_set.not_in(alive)))
         new = 0
         for part in parts(rows):
             with self.database.writing() as connection:
                 new += connection.execute(self._insert_new(), part, execution_options=COUNTED).rowcount
                 serials = c.serial.in_([row["serial"] for row in part])
                 failed = update(work_items).where(*_of(work), c.state == "failed", serials)
-                new += connection.execute(failed.values(**FREE, attempts=0, changed_at=now)).rowcount
+                new += self.database.change(failed.values(**FREE, attempts=0, changed_at=now))
                 tried = update(work_items).where(*_of(work), c.state == "queued", c.attempts > 0, serials)
-                connection.execute(tried.values(attempts=0))
+                self.database.change(tried.values(attempts=0))
         return new
 
     def claim(self, owner: str, work: WorkSet, count: int, lease_s: float) -> list[WorkItem]:
@@ -84,47 +82,47 @@ class WorkQueue(RegistryBase):
         Claimants never wait for one another: rows another one is just taking are passed over.
         """
         now, c = self.settings.clock(), work_items.c
-        with self.database.writing(in_turn=False) as connection:
+        with self.database.writing(in_turn=False):
             if not self.database.is_sqlite:
                 # The default is a spinning disk's: it would read the items of all lots.
-                connection.execute(text("SET LOCAL random_page_cost = 1.1"))
-            taken = self._free(connection, work, count, c.state == "queued")
+                self.database.change(text("SET LOCAL random_page_cost = 1.1"))
+            taken = self._free(work, count, c.state == "queued")
             if len(taken) < count:
                 # No lease runs for so long: it was written by a clock that is ahead, or by nobody.
                 is_no_lease = or_(c.lease_until.is_(None), c.lease_until > now + LONGEST_LEASE)
                 expired = and_(c.state == "claimed", or_(c.lease_until < now, is_no_lease))
-                taken += self._free(connection, work, count - len(taken), expired)
+                taken += self._free(work, count - len(taken), expired)
             given_up = [item.id for item in taken if item.attempts >= MOST_ATTEMPTS]
             mine = [item for item in taken if item.attempts < MOST_ATTEMPTS]
             if given_up:
                 failed = {**FREE, "state": "failed"}
-                connection.execute(update(work_items).where(c.id.in_(given_up)).values(**failed, changed_at=now))
+                self.database.change(update(work_items).where(c.id.in_(given_up)).values(**failed, changed_at=now))
             if mine:
                 held = {"state": "claimed", "owner": owner, "lease_until": now + timedelta(seconds=lease_s)}
                 rows = update(work_items).where(c.id.in_([item.id for item in mine]))
-                connection.execute(rows.values(**held, changed_at=now, attempts=c.attempts + 1))
+                self.database.change(rows.values(**held, changed_at=now, attempts=c.attempts + 1))
         return [WorkItem(item.id, item.serial, item.input_sha256, item.attempts + 1) for item in mine]
 
     def extend(self, owner: str, lease_s: float) -> int:
         """Push the lease of all of one's items further out; return how many are still one's own."""
         now, c = self.settings.clock(), work_items.c
         mine = select(c.id).where(c.owner == owner, c.state == "claimed").with_for_update(skip_locked=True)
-        with self.database.writing(in_turn=False) as connection:
-            ids = connection.execute(mine).scalars().all()
+        with self.database.writing(in_turn=False):
+            ids = self.database.values(mine)
             for part in parts(ids):
                 rows = update(work_items).where(c.id.in_(part))
-                connection.execute(rows.values(lease_until=now + timedelta(seconds=lease_s), changed_at=now))
+                self.database.change(rows.values(lease_until=now + timedelta(seconds=lease_s), changed_at=now))
         return len(ids)
 
     def held(self, owner: str, item_ids: Iterable[int]) -> set[int]:
-        """Return which items are still one's own; nobody can take them before a transaction ends."""
+        """Return which items are one's own; nobody can take them before a transaction ends."""
         c = work_items.c
         mine = select(c.id).where(c.id.in_(list(item_ids)), c.owner == owner, c.state == "claimed")
-        with self.database.writing(in_turn=False) as connection:
-            return set(connection.execute(mine.order_by(c.id).with_for_update()).scalars())
+        with self.database.writing(in_turn=False):
+            return set(self.database.values(mine.order_by(c.id).with_for_update()))
 
     def finish(self, owner: str, item_ids: Sequence[int]) -> bool:
-        """Take done items out. False: a lease ran out, and an item is another's; drop its result."""
+        """Take done items out. False: a lease ran out, an item is another's; drop its result."""
         c = work_items.c
         mine = delete(work_items).where(c.id.in_(item_ids), c.owner == owner, c.state == "claimed")
         return self.database.change(mine) == len(item_ids)
@@ -166,11 +164,11 @@ class WorkQueue(RegistryBase):
 
         return insert(work_items).on_conflict_do_nothing()
 
-    def _free(self, connection: Connection, work: WorkSet, count: int, condition: Any) -> list[WorkItem]:
+    def _free(self, work: WorkSet, count: int, condition: Any) -> list[WorkItem]:
         c = work_items.c
         query = select(c.id, c.serial, c.input_sha256, c.attempts).where(*_of(work), condition)
-        rows = connection.execute(query.order_by(c.id).limit(count).with_for_update(skip_locked=True))
-        return [WorkItem(*row) for row in rows]
+        free = query.order_by(c.id).limit(count).with_for_update(skip_locked=True)
+        return [WorkItem(*row) for row in self.database.tuples(free)]
 
     def _free_again(self, owner: str, **more: Any) -> int:
         c = work_items.c

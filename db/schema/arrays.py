@@ -1,7 +1,7 @@
 """Named arrays: safetensors bytes addressed by their SHA-256, checked on every read.
 
-A large array is a blob of its own, named by its hash in the blob of the small ones: what all units of a lot have in
-common (the source's support model, equal time stamps) is kept once.
+A large array is a blob of its own, named by its hash in the blob of the small ones: what all units
+of a lot have in common (the source's support model, equal time stamps) is kept once.
 """
 
 from __future__ import annotations

@@ -3,7 +3,6 @@
 Nothing is opened at import. No message of this module contains a password.
 """
 
-import random
 import sqlite3
 import threading
 import time
@@ -12,32 +11,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from sqlalchemy import (
-    URL,
-    Connection,
-    Engine,
-    Executable,
-    RowMapping,
-    create_engine,
-    event,
-    inspect,
-    make_url,
-    text,
-)
-from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError, SQLAlchemyError
-from sqlalchemy.pool import StaticPool
+from sqlalchemy import URL, Connection, Engine, Executable, RowMapping, inspect, make_url, text
+from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError, OperationalError, SQLAlchemyError
 
 from softcal.core.errors import RegistryError
-from softcal.db.schema.file_system import prepare_file
-from softcal.db.schema.found import HAS_TOLD, Found, forget, found_in
+from softcal.db.schema.engines import IN_MEMORY, postgresql_engine, sqlite_engine
+from softcal.db.schema.found import HAS_TOLD, Found, found_in
 from softcal.db.schema.tables import SCHEMA
 
-SQLITE_WAIT_S = 60
-"""How long a writer waits for its turn before the registry counts as locked."""
-
-LOOK_EVERY_S = (0.001, 0.005)
-IN_MEMORY = (None, "", ":memory:")
-STATEMENT_TIMEOUT = "120s"
 AGAIN_AFTER_S = 0.5
 """Wait before what was cut is done again: the server may be ending all connections."""
 
@@ -52,11 +33,7 @@ Part = TypeVar("Part")
 
 
 class ConnectionCut(RegistryError):
-    """The connection to the server broke.
-
-    Args:
-        is_undone: nothing was kept; False where it broke in the commit.
-    """
+    """The connection to the server broke (`is_undone`: nothing was kept; False where it broke in the commit)."""
 
     def __init__(self, message: str, is_undone: bool) -> None:
         super().__init__(message)
@@ -74,8 +51,8 @@ class _Joined(threading.local):
 class Database:
     """An open database: short read transactions, write transactions one after another.
 
-    A transaction of this thread is joined by every read inside it, a write transaction by every write, too: several
-    steps are seen, kept or lost together.
+    A transaction of this thread is joined by every read inside it, a write transaction by every
+    write, too: several steps are seen, kept or lost together.
     """
 
     def __init__(self, engine: Engine) -> None:
@@ -157,6 +134,16 @@ class Database:
         """Do one statement, in no turn or in the open transaction; return how many rows changed."""
         with self.writing(in_turn=False) as connection:
             return connection.execute(statement, values).rowcount
+
+    def insert_new(self, statement: Executable) -> bool:
+        """Insert a row, in no turn or in the open transaction; return False where a key of it is taken."""
+        with self.writing(in_turn=False) as connection:
+            try:
+                with connection.begin_nested():
+                    connection.execute(statement)
+            except IntegrityError:
+                return False
+        return True
 
     @contextmanager
     def writing(self, *, in_turn: bool = True) -> Iterator[Connection]:
@@ -290,9 +277,9 @@ def open_database(url: str, *, create: bool = True) -> Database:
             f"expected{f', for a file sqlite:///{url}' if _bare(url) == url and '://' not in url else ''}"
         ) from error
     if parsed.drivername in ("sqlite", "sqlite+pysqlite"):
-        database = Database(_sqlite_engine(parsed, create))
+        database = Database(sqlite_engine(parsed, create))
     elif parsed.drivername in ("postgresql", "postgresql+psycopg"):
-        database = Database(_postgresql_engine(parsed.set(drivername="postgresql+psycopg")))
+        database = Database(postgresql_engine(parsed.set(drivername="postgresql+psycopg")))
     else:
         raise RegistryError(f"registry URL of kind {parsed.drivername!r}; sqlite and postgresql are supported")
     try:
@@ -338,67 +325,6 @@ def _bare(url: str) -> str:
     if not scheme and not set("/.\\") & set(url):
         return "..."
     return f"{scheme}://...@{rest.rpartition('@')[2]}" if "@" in rest else url
-
-
-def _sqlite_engine(url: URL, create: bool) -> Engine:
-    if url.database in IN_MEMORY:
-        engine = create_engine(url, poolclass=StaticPool, connect_args={"check_same_thread": False})
-    else:
-        prepare_file(Path(str(url.database)), create)
-        engine = create_engine(url, connect_args={"timeout": SQLITE_WAIT_S, "check_same_thread": False})
-    event.listen(engine, "connect", _set_up_sqlite)
-    event.listen(engine, "begin", _begin_sqlite)
-    event.listen(engine, "rollback_savepoint", forget)
-    return engine
-
-
-def _set_up_sqlite(connection: sqlite3.Connection, record: object) -> None:
-    # Else Python starts transactions, deferred, and "database is locked" comes at once.
-    connection.isolation_level = None
-    for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", f"busy_timeout={SQLITE_WAIT_S * 1000}"):
-        connection.execute(f"PRAGMA {pragma}")
-
-
-def _begin_sqlite(connection: Connection) -> None:
-    if not connection.get_execution_options().get("softcal_writes", False):
-        connection.exec_driver_sql("BEGIN")
-        return
-    # SQLite's own waiting slows down to a look every 100 ms, so that of many writers one may starve; looking at short
-    # random intervals gives each the same chance.
-    bare = cast(sqlite3.Connection, connection.connection.driver_connection)
-    deadline_s = time.monotonic() + SQLITE_WAIT_S
-    bare.execute("PRAGMA busy_timeout = 0")
-    try:
-        while True:
-            try:
-                bare.execute("BEGIN IMMEDIATE")
-                return
-            except sqlite3.OperationalError as error:
-                if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_BUSY or time.monotonic() > deadline_s:
-                    raise
-            time.sleep(random.uniform(*LOOK_EVERY_S))
-    finally:
-        bare.execute(f"PRAGMA busy_timeout = {SQLITE_WAIT_S * 1000}")
-
-
-def _postgresql_engine(url: URL) -> Engine:
-    try:
-        engine = create_engine(
-            url, pool_pre_ping=True, pool_size=5, connect_args={"application_name": "softcal", "connect_timeout": 10}
-        )
-    except ModuleNotFoundError as error:
-        raise RegistryError("PostgreSQL needs psycopg; run: pip install 'softcal[postgresql]'") from error
-    event.listen(engine, "connect", _set_up_postgresql)
-    event.listen(engine, "rollback_savepoint", forget)
-    return engine
-
-
-def _set_up_postgresql(connection: object, record: object) -> None:
-    cursor = connection.cursor()  # type: ignore[attr-defined]
-    cursor.execute(f"SET statement_timeout = '{STATEMENT_TIMEOUT}'")
-    cursor.execute("SET timezone = 'UTC'")
-    cursor.close()
-    connection.commit()  # type: ignore[attr-defined]
 
 
 SECRET_KEYS = ("password", "passfile", "sslpassword")

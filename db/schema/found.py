@@ -1,7 +1,7 @@
 """What a transaction has found and written so far, so that a chunk of a batch does not ask again for each of its units.
 
-One writer at a time: nobody else can change any of it before the transaction ends. What a savepoint takes back was
-never there, so a rollback to one forgets all.
+One writer at a time: nobody else can change any of it before the transaction ends. What a savepoint
+takes back was never there, so a rollback to one forgets all.
 """
 
 from dataclasses import dataclass, field

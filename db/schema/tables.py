@@ -74,7 +74,7 @@ def _of_text(process: Any) -> Any:
 
 
 class CanonicalJson(TypeDecorator[Any]):
-    """JSON as text with sorted keys: equal values, equal bytes on every database. NaN is refused."""
+    """JSON with sorted keys: equal values, equal bytes on every database. NaN is refused."""
 
     impl = Text
     cache_ok = True
@@ -97,127 +97,105 @@ def canonical_json(value: object) -> str:
     return ENCODER.encode(value)
 
 
-SHA256 = String(64)
-"""A content hash in hex."""
+SHA256 = NAME = String(64)
+"""A content hash in hex; a serial or an id that people give."""
+
+ORIGIN = String(32)
+"""Name of the registry that wrote a row."""
 
 
-def keys(kind: Any, *names: str) -> list[Column[Any]]:
+def table(name: str, *parts: Any) -> Table:
+    """Return a table of this registry."""
+    return Table(name, metadata, *parts)
+
+
+def keys(**kinds: Any) -> list[Column[Any]]:
     """Return columns of the primary key."""
-    return [Column(name, kind, primary_key=True) for name in names]
+    return [Column(name, kind, primary_key=True) for name, kind in kinds.items()]
 
 
-def needed(kind: Any, *names: str) -> list[Column[Any]]:
-    return [Column(name, kind, nullable=False) for name in names]
+def needed(**kinds: Any) -> list[Column[Any]]:
+    """Return columns that every row fills."""
+    return [Column(name, kind, nullable=False) for name, kind in kinds.items()]
 
 
-def optional(kind: Any, *names: str) -> list[Column[Any]]:
-    return [Column(name, kind) for name in names]
+def optional(**kinds: Any) -> list[Column[Any]]:
+    """Return columns that a row may leave empty."""
+    return [Column(name, kind) for name, kind in kinds.items()]
 
 
-registry_info = Table("registry_info", metadata, *keys(String(64), "key"), *needed(Text, "value"))
+registry_info = table("registry_info", *keys(key=NAME), *needed(value=Text))
 
-blobs = Table(
-    "blobs",
-    metadata,
-    *keys(SHA256, "sha256"),
-    *needed(String(16), "kind"),
-    *needed(Integer, "size"),
-    *needed(sa.LargeBinary, "data"),
-)
+blobs = Table("blobs", metadata, *keys(sha256=SHA256), *needed(kind=String(16), size=Integer, data=sa.LargeBinary))
 
-lots = Table(
+lots = table(
     "lots",
-    metadata,
-    *keys(String(64), "id"),
-    *needed(String(64), "source"),
-    *needed(Double, "sample_rate_Hz"),
-    *needed(Text, "sensor_model", "reference_quantity", "reference_unit", "output_unit"),
-    *needed(UtcTime, "added_at"),
+    *keys(id=NAME),
+    *needed(source=NAME, sample_rate_Hz=Double, sensor_model=Text, reference_quantity=Text),
+    *needed(reference_unit=Text, output_unit=Text, added_at=UtcTime),
 )
 
-limits = Table(
+limits = table(
     "limits",
-    metadata,
     Column("lot_id", ForeignKey("lots.id"), primary_key=True),
-    *keys(Integer, "version"),
-    *keys(String(32), "origin"),
-    Column("rmse", Double),
-    *needed(UtcTime, "made_at"),
-    *needed(Text, "actor", "reason"),
+    *keys(version=Integer, origin=ORIGIN),
+    *optional(rmse=Double),
+    *needed(made_at=UtcTime, actor=Text, reason=Text),
     CheckConstraint("version >= 1", name="version"),
 )
 
-line_rules = Table(
+line_rules = table(
     "line_rules",
-    metadata,
     Column("lot_id", ForeignKey("lots.id"), primary_key=True),
-    *keys(Integer, "version"),
-    *keys(String(32), "origin"),
-    *needed(CanonicalJson, "rules"),
-    *needed(UtcTime, "made_at"),
-    *needed(Text, "actor", "reason"),
+    *keys(version=Integer, origin=ORIGIN),
+    *needed(rules=CanonicalJson, made_at=UtcTime, actor=Text, reason=Text),
     CheckConstraint("version >= 1", name="version"),
 )
 
-units = Table(
+units = table(
     "units",
-    metadata,
     Column("lot_id", ForeignKey("lots.id"), primary_key=True),
-    *keys(String(64), "serial"),
-    *needed(String(8), "role"),
-    *needed(UtcTime, "added_at"),
+    *keys(serial=NAME),
+    *needed(role=String(8), added_at=UtcTime),
     CheckConstraint("role IN ('source', 'target')", name="role"),
     Index("ix_units_serial", "serial"),
 )
 
-recordings = Table(
+recordings = table(
     "recordings",
-    metadata,
-    *keys(SHA256, "sha256"),
-    *keys(String(64), "lot_id"),
-    *keys(String(8), "kind"),
-    *needed(String(64), "serial"),
-    *needed(Integer, "samples"),
-    *needed(Double, "sample_rate_Hz"),
-    *needed(Text, "output_unit"),
-    Column("reference_unit", Text),
+    *keys(sha256=SHA256, lot_id=NAME, kind=String(8)),
+    *needed(serial=NAME, samples=Integer, sample_rate_Hz=Double, output_unit=Text),
+    *optional(reference_unit=Text),
     Column("blob_sha256", SHA256, ForeignKey("blobs.sha256"), nullable=False),
-    *needed(UtcTime, "added_at"),
+    *needed(added_at=UtcTime),
     sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
     CheckConstraint("kind IN ('source', 'unit', 'audit')", name="kind"),
     Index("ix_recordings_lot_id_serial", "lot_id", "serial"),
 )
 
-networks = Table(
+networks = table(
     "networks",
-    metadata,
-    *keys(SHA256, "id"),
+    *keys(id=SHA256),
     Column("lot_id", ForeignKey("lots.id"), nullable=False),
     Column("input_sha256", SHA256, nullable=False, index=True),
-    *needed(CanonicalJson, "settings", "training", "metrics"),
+    *needed(settings=CanonicalJson, training=CanonicalJson, metrics=CanonicalJson),
     Column("blob_sha256", SHA256, ForeignKey("blobs.sha256"), nullable=False),
-    *needed(UtcTime, "added_at"),
+    *needed(added_at=UtcTime),
 )
 
-calibrations = Table(
+calibrations = table(
     "calibrations",
-    metadata,
-    *keys(String(64), "serial"),
-    *keys(Integer, "revision"),
-    *keys(String(32), "origin"),
-    *needed(String(64), "lot_id"),
-    *needed(UtcTime, "made_at"),
-    *needed(Text, "actor", "reason"),
-    Column("rolled_back_to", Integer),
+    *keys(serial=NAME, revision=Integer, origin=ORIGIN),
+    *needed(lot_id=NAME, made_at=UtcTime, actor=Text, reason=Text),
+    *optional(rolled_back_to=Integer),
     Column("network_id", ForeignKey("networks.id"), nullable=False),
-    *needed(Text, "family"),
-    *needed(SHA256, "map_sha256"),
+    *needed(family=Text, map_sha256=SHA256),
     Column("blob_sha256", SHA256, ForeignKey("blobs.sha256"), nullable=False),
-    *needed(CanonicalJson, "settings"),
-    *optional(Double, "predicted_rmse", "before_rmse", "after_rmse", "own_rmse", "fit_s"),
-    *needed(String(16), "verdict"),
-    *needed(CanonicalJson, "reasons", "evidence"),
-    *needed(SHA256, "input_sha256", "recording_sha256"),
+    *needed(settings=CanonicalJson),
+    *optional(predicted_rmse=Double, before_rmse=Double, after_rmse=Double, own_rmse=Double),
+    *optional(fit_s=Double),
+    *needed(verdict=String(16), reasons=CanonicalJson, evidence=CanonicalJson, input_sha256=SHA256),
+    *needed(recording_sha256=SHA256),
     sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
     CheckConstraint("revision >= 1", name="revision"),
     CheckConstraint("verdict IN ('pass', 'conditional', 'fail', 'retest')", name="verdict"),
@@ -225,35 +203,23 @@ calibrations = Table(
     Index("ix_calibrations_serial_input", "serial", "input_sha256"),
 )
 
-refusals = Table(
+refusals = table(
     "refusals",
-    metadata,
-    *keys(String(64), "lot_id", "serial"),
-    *keys(UtcTime, "made_at"),
-    *keys(String(32), "origin"),
-    *needed(Text, "actor"),
-    *needed(String(16), "verdict"),
-    *needed(CanonicalJson, "reasons"),
-    Column("work_sha256", SHA256),
+    *keys(lot_id=NAME, serial=NAME, made_at=UtcTime, origin=ORIGIN),
+    *needed(actor=Text, verdict=String(16), reasons=CanonicalJson),
+    *optional(work_sha256=SHA256),
     sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
     CheckConstraint("verdict IN ('fail', 'retest')", name="verdict"),
 )
 
-in_use = Table(
+in_use = table(
     "in_use",
-    metadata,
-    *keys(String(64), "lot_id", "serial"),
-    *keys(String(32), "origin"),
-    *keys(Integer, "number"),
-    *needed(Integer, "revision"),
-    *needed(String(32), "made_by"),
-    Column("follows_origin", String(32)),
-    Column("follows_number", Integer),
-    *needed(String(16), "decided_by"),
-    Column("work_sha256", SHA256),
-    Column("input_sha256", SHA256),
-    *needed(UtcTime, "made_at"),
-    *needed(Text, "actor", "reason"),
+    *keys(lot_id=NAME, serial=NAME, origin=ORIGIN, number=Integer),
+    *needed(revision=Integer, made_by=ORIGIN),
+    *optional(follows_origin=ORIGIN, follows_number=Integer),
+    *needed(decided_by=String(16)),
+    *optional(work_sha256=SHA256, input_sha256=SHA256),
+    *needed(made_at=UtcTime, actor=Text, reason=Text),
     sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
     sa.ForeignKeyConstraint(
         ["serial", "revision", "made_by"], ["calibrations.serial", "calibrations.revision", "calibrations.origin"]
@@ -262,198 +228,129 @@ in_use = Table(
     Index("ix_in_use_lot_id_serial", "lot_id", "serial", "made_at"),
     Index("ix_in_use_serial", "serial"),
 )
-"""Which calibration a unit of a lot uses, as statements: each names the one it follows. Two that nothing follows and
-that name different maps are a conflict, which a person ends."""
+"""Which calibration a unit of a lot uses, as statements: each names the one it follows. Two that
+nothing follows and that name different maps are a conflict, which a person ends."""
 
-audit = Table(
+audit = table(
     "audit",
-    metadata,
-    *keys(String(32), "origin"),
-    *keys(Integer, "seq"),
-    *needed(UtcTime, "at"),
-    *needed(Text, "actor"),
-    *needed(String(32), "action", "entity"),
-    *needed(Text, "key"),
-    *optional(Text, "before", "after"),
-    *needed(Text, "reason"),
-    *needed(SHA256, "prev_hash", "hash"),
+    *keys(origin=ORIGIN, seq=Integer),
+    *needed(at=UtcTime, actor=Text, action=String(32), entity=String(32), key=Text),
+    *optional(before=Text, after=Text),
+    *needed(reason=Text, prev_hash=SHA256, hash=SHA256),
     Index("ix_audit_entity_key", "entity", "key"),
 )
 
-work_items = Table(
+work_items = table(
     "work_items",
-    metadata,
     Column("id", sa.BigInteger().with_variant(Integer, "sqlite"), primary_key=True, autoincrement=True),
-    *needed(String(64), "lot_id", "serial"),
-    *needed(String(32), "kind"),
-    *needed(SHA256, "work_set", "input_sha256"),
-    *needed(String(8), "state"),
-    *needed(Integer, "attempts"),
-    Column("owner", Text),
-    Column("lease_until", UtcTime),
-    *needed(UtcTime, "changed_at"),
+    *needed(lot_id=NAME, serial=NAME, kind=String(32), work_set=SHA256, input_sha256=SHA256),
+    *needed(state=String(8), attempts=Integer),
+    *optional(owner=Text, lease_until=UtcTime),
+    *needed(changed_at=UtcTime),
     CheckConstraint("state IN ('queued', 'claimed', 'failed')", name="state"),
     Index("uq_work_items_item", "lot_id", "kind", "serial", "work_set", "input_sha256", unique=True),
     Index("ix_work_items_set_state", "lot_id", "kind", "work_set", "state", "id"),
     Index("ix_work_items_owner", "owner", "state"),
 )
 
-adaptations = Table(
+adaptations = table(
     "adaptations",
-    metadata,
-    *keys(String(64), "serial"),
-    *keys(Integer, "number"),
-    *keys(String(32), "origin"),
-    *needed(Integer, "revision"),
-    *needed(Text, "stream"),
-    *needed(Integer, "sample"),
-    *needed(UtcTime, "made_at"),
-    *needed(CanonicalJson, "entry"),
+    *keys(serial=NAME, number=Integer, origin=ORIGIN),
+    *needed(revision=Integer, stream=Text, sample=Integer, made_at=UtcTime, entry=CanonicalJson),
     CheckConstraint("number >= 1", name="number"),
 )
 
-certificates = Table(
+certificates = table(
     "certificates",
-    metadata,
-    *keys(String(64), "cell_serial"),
-    *keys(sa.Date, "issued_on"),
-    *keys(String(32), "origin"),
-    *needed(sa.Date, "due_on"),
-    *needed(Text, "number", "laboratory"),
-    *needed(Double, "capacity_N", "uncertainty_N"),
+    *keys(cell_serial=NAME, issued_on=sa.Date, origin=ORIGIN),
+    *needed(due_on=sa.Date, number=Text, laboratory=Text, capacity_N=Double, uncertainty_N=Double),
     Column("blob_sha256", SHA256, ForeignKey("blobs.sha256")),
-    *needed(UtcTime, "added_at"),
+    *needed(added_at=UtcTime),
     CheckConstraint("due_on > issued_on", name="due_on"),
 )
 
-golden_runs = Table(
+golden_runs = table(
     "golden_runs",
-    metadata,
-    *keys(String(64), "station", "serial"),
-    *keys(UtcTime, "made_at"),
-    *keys(String(32), "origin"),
-    *needed(Double, "value"),
-    *needed(Text, "unit"),
-    *needed(sa.Boolean, "passed"),
-    *needed(CanonicalJson, "reasons"),
-    *needed(Text, "actor"),
-    Column("recording_sha256", SHA256),
+    *keys(station=NAME, serial=NAME, made_at=UtcTime, origin=ORIGIN),
+    *needed(value=Double, unit=Text, passed=sa.Boolean, reasons=CanonicalJson, actor=Text),
+    *optional(recording_sha256=SHA256),
 )
 
-users = Table(
+users = table(
     "users",
-    metadata,
-    *keys(String(64), "name"),
-    *needed(String(16), "role"),
-    *needed(Text, "pin_hash"),
-    *needed(sa.Boolean, "is_active"),
-    *needed(Integer, "failures"),
-    Column("locked_until", UtcTime),
-    *needed(Integer, "version"),
-    *needed(UtcTime, "changed_at"),
+    *keys(name=NAME),
+    *needed(role=String(16), pin_hash=Text, is_active=sa.Boolean, failures=Integer),
+    *optional(locked_until=UtcTime),
+    *needed(version=Integer, changed_at=UtcTime),
     CheckConstraint("role IN ('operator', 'engineer', 'quality')", name="role"),
 )
 
-orders = Table(
+orders = table(
     "orders",
-    metadata,
-    *keys(String(64), "order_id"),
-    *needed(String(64), "station"),
-    *needed(String(16), "kind"),
-    *needed(String(64), "serial", "lot_id"),
-    *needed(Text, "actor", "reason"),
-    *needed(UtcTime, "created"),
-    *needed(String(16), "state"),
-    *needed(Text, "phase"),
-    *needed(Double, "fraction", "remaining_s"),
-    *needed(Text, "code", "message", "recording_sha256"),
+    *keys(order_id=NAME),
+    *needed(station=NAME, kind=String(16), serial=NAME, lot_id=NAME, actor=Text, reason=Text),
+    *needed(created=UtcTime, state=String(16), phase=Text, fraction=Double, remaining_s=Double),
+    *needed(code=Text, message=Text, recording_sha256=Text),
     Column("verdict", Text, nullable=False, server_default=""),
-    *needed(UtcTime, "changed_at"),
+    *needed(changed_at=UtcTime),
     CheckConstraint("state IN ('queued', 'running', 'done', 'error', 'cancelled')", name="state"),
     Index("ix_orders_station", "station", "created"),
 )
 Index("uq_orders_active", orders.c.station, unique=True)
 # Of runs that are not over, as the migration says: naming a dialect here would load both.
 
-run_signals = Table(
+run_signals = table(
     "run_signals",
-    metadata,
     Column("order_id", ForeignKey("orders.order_id"), primary_key=True),
-    *needed(CanonicalJson, "signal"),
+    *needed(signal=CanonicalJson),
 )
 
-heartbeats = Table(
+heartbeats = table(
     "heartbeats",
-    metadata,
-    *keys(String(64), "station"),
-    *needed(String(16), "state"),
-    *needed(UtcTime, "at"),
-    *needed(CanonicalJson, "reasons"),
-    *needed(Text, "process"),
-    *needed(String(64), "order_id"),
+    *keys(station=NAME),
+    *needed(state=String(16), at=UtcTime, reasons=CanonicalJson, process=Text, order_id=NAME),
     Column("gate", CanonicalJson, nullable=False, server_default="[]"),
     Column("is_overridden", sa.Boolean, nullable=False, server_default=sa.false()),
 )
 
-line_places = Table(
-    "line_places", metadata, *keys(String(64), "station"), *needed(Integer, "version"), *needed(CanonicalJson, "place")
-)
+line_places = Table("line_places", metadata, *keys(station=NAME), *needed(version=Integer, place=CanonicalJson))
 
-network_releases = Table(
+network_releases = table(
     "network_releases",
-    metadata,
     Column("network_id", ForeignKey("networks.id"), primary_key=True),
-    *keys(UtcTime, "made_at"),
-    *keys(String(32), "origin"),
+    *keys(made_at=UtcTime, origin=ORIGIN),
     Column("lot_id", ForeignKey("lots.id"), nullable=False),
-    *needed(String(16), "state"),
-    *needed(Text, "actor", "reason"),
+    *needed(state=String(16), actor=Text, reason=Text),
     CheckConstraint("state IN ('released', 'withdrawn')", name="state"),
 )
 
-jobs = Table(
+jobs = table(
     "jobs",
-    metadata,
-    *keys(String(32), "job_id"),
-    *needed(String(32), "kind"),
-    *needed(CanonicalJson, "request"),
-    *needed(Text, "actor"),
-    *needed(UtcTime, "created"),
-    *needed(String(16), "state"),
-    *needed(Double, "fraction"),
-    *needed(Text, "message"),
-    *needed(CanonicalJson, "trace", "result"),
+    *keys(job_id=String(32)),
+    *needed(kind=String(32), request=CanonicalJson, actor=Text, created=UtcTime, state=String(16)),
+    *needed(fraction=Double, message=Text, trace=CanonicalJson, result=CanonicalJson),
     Column("blob_sha256", SHA256, ForeignKey("blobs.sha256")),
-    *needed(sa.Boolean, "is_cancel_wanted"),
-    *needed(UtcTime, "beaten_at"),
+    *needed(is_cancel_wanted=sa.Boolean, beaten_at=UtcTime),
     CheckConstraint("state IN ('queued', 'running', 'done', 'error', 'cancelled')", name="state"),
     Index("ix_jobs_kind", "kind", "created"),
 )
 
-tokens = Table(
+tokens = table(
     "tokens",
-    metadata,
-    *keys(String(32), "token_id"),
-    *needed(SHA256, "sha256"),
+    *keys(token_id=String(32)),
+    *needed(sha256=SHA256),
     Column("account", ForeignKey("users.name"), nullable=False),
-    *needed(Text, "purpose"),
-    *needed(UtcTime, "created", "ends_at"),
-    *needed(sa.Boolean, "is_withdrawn"),
+    *needed(purpose=Text, created=UtcTime, ends_at=UtcTime, is_withdrawn=sa.Boolean),
     Index("uq_tokens_sha256", "sha256", unique=True),
 )
 
-deliveries = Table(
+deliveries = table(
     "deliveries",
-    metadata,
-    *keys(String(64), "destination"),
-    *needed(CanonicalJson, "cursor"),
-    *needed(sa.BigInteger, "delivered"),
-    *needed(Integer, "failures"),
-    Column("not_before", UtcTime),
-    *needed(Text, "error"),
-    *needed(UtcTime, "changed_at"),
-    Column("holder", String(128)),
-    Column("held_until", UtcTime),
+    *keys(destination=NAME),
+    *needed(cursor=CanonicalJson, delivered=sa.BigInteger, failures=Integer),
+    *optional(not_before=UtcTime),
+    *needed(error=Text, changed_at=UtcTime),
+    *optional(holder=String(128), held_until=UtcTime),
 )
 
 AUDITED = tuple(

@@ -62,14 +62,10 @@ class CalibrationTables(InUseTable):
                     raise InputError(f"network {network[:12]} is not in the registry; add it before its maps")
                 stored.add(network)
             self._add_unit(lot_id, record.serial, "target", actor)
-            values = {field: getattr(record, field) for field in PLAIN_FIELDS} | {
-                "lot_id": lot_id,
-                "settings": dict(record.settings),
-                "reasons": [to_kept(why) for why in record.reasons],
-                "evidence": dict(record.evidence),
-                "blob_sha256": put_arrays(self.database, record.arrays),
-                "rolled_back_to": None,
-            }
+            values = {field: getattr(record, field) for field in PLAIN_FIELDS}
+            values |= {"lot_id": lot_id, "settings": dict(record.settings), "evidence": dict(record.evidence)}
+            values |= {"reasons": [to_kept(why) for why in record.reasons], "rolled_back_to": None}
+            values["blob_sha256"] = put_arrays(self.database, record.arrays)
             asked = record.input_sha256 if decided_by in ASKING else None
             told = {"decided_by": decided_by, "work_sha256": work_sha256, "input_sha256": asked}
             return self._add_revision(values, told, "calibrate", actor, reason)
@@ -206,16 +202,10 @@ class CalibrationTables(InUseTable):
             answered = self.decided_works(lot_id, [serial]).get(serial)
             if (unit.verdict, unit.reasons, answered) == (verdict, reasons, work_sha256):
                 return
-            values = {
-                "lot_id": lot_id,
-                "serial": serial,
-                "made_at": self._after(newest_of_unit(self.database, lot_id, serial)),
-                "origin": self.origin,
-                "actor": self._actor(actor),
-                "verdict": verdict,
-                "reasons": [to_kept(why) for why in reasons],
-                "work_sha256": work_sha256,
-            }
+            made_at = self._after(newest_of_unit(self.database, lot_id, serial))
+            values = {"lot_id": lot_id, "serial": serial, "made_at": made_at, "origin": self.origin}
+            values |= {"actor": self._actor(actor), "verdict": verdict, "work_sha256": work_sha256}
+            values["reasons"] = [to_kept(why) for why in reasons]
             self._store(refusals, values, "refuse", actor)
 
     def _add_revision(
@@ -231,16 +221,12 @@ class CalibrationTables(InUseTable):
         newest = self.database.rows(LAST_REVISION, {"unit": serial})[0]
         times = (newest["made_at"], newest_of_unit(self.database, lot_id, serial))
         revision = (newest["revision"] or 0) + 1
-        new: dict[str, Any] = {
-            "revision": revision,
-            "origin": self.origin,
-            "made_at": self._after(max((at for at in times if at is not None), default=None)),
-            "actor": self._actor(actor),
-            "reason": reason,
-        }
+        made_at = self._after(max((at for at in times if at is not None), default=None))
+        new = {"revision": revision, "origin": self.origin, "made_at": made_at}
+        new |= {"actor": self._actor(actor), "reason": reason}
         self._store(calibrations, {**values, **new}, action, actor, reason, before)
         named = {"revision": revision, "made_by": self.origin}
-        self._state(lot_id, serial, named, told, actor, reason, new["made_at"])
+        self._state(lot_id, serial, named, told, actor, reason, made_at)
         return int(revision)
 
     def _only_lot(self, serial: str, lot_id: str | None) -> str:

@@ -45,20 +45,9 @@ def append(
     """Write the next row of the chain of `origin`, in the transaction of the change it tells of."""
     heads = database.found.heads
     seq, prev_hash = heads[origin] if origin in heads else head(database, origin)
-    row = AuditRow(
-        origin=origin,
-        seq=seq + 1,
-        at=at,
-        actor=actor,
-        action=action,
-        entity=entity,
-        key=canonical_json(key),
-        before=None if before is None else canonical_json(plain(before)),
-        after=None if after is None else canonical_json(plain(after)),
-        reason=reason,
-        prev_hash=prev_hash,
-        hash="",
-    )
+    old, new = (None if values is None else canonical_json(plain(values)) for values in (before, after))
+    named = (origin, seq + 1, at, actor, action, entity, canonical_json(key))
+    row = AuditRow(*named, before=old, after=new, reason=reason, prev_hash=prev_hash, hash="")
     row = replace(row, hash=row_hash(row))
     database.change(INSERT, vars(row))
     with database.writing() as connection:

@@ -1,7 +1,7 @@
 """Which calibration a unit uses: statements that follow one another.
 
-A unit is a serial of a lot. The newest statement holds. Two registries that were apart may both have made one; where
-they name different maps nobody can say which is right, and a person has to.
+A unit is a serial of a lot. The newest statement holds. Two registries that were apart may both
+have made one; where they name different maps nobody can say which is right, and a person has to.
 """
 
 import json
@@ -27,7 +27,7 @@ OF_STATEMENT = and_(
     calibrations.c.origin == in_use.c.made_by,
 )
 NEWEST_FIRST = (calibrations.c.made_at.desc(), calibrations.c.revision.desc(), calibrations.c.origin.desc())
-"""No registry writes a revision older than the one it follows. The order does not say what is in use."""
+"""No registry writes a revision older than the one before; the newest need not be in use."""
 
 STALE = (LIMIT_IS_OTHER, LIMIT_IS_GONE) = ("stale_limit", "stale_limit_open")
 """Codes of the reasons why a verdict does not stand any more."""
@@ -176,22 +176,11 @@ class InUseTable(RegistryBase):
         number = 0 if is_first else self.database.value(LAST_NUMBER, mine) or 0
         for head in (*heads,) or (None,):
             number += 1
-            values = {
-                "lot_id": lot_id,
-                "serial": serial,
-                "origin": self.origin,
-                "number": number,
-                "revision": named["revision"],
-                "made_by": named["made_by"],
-                "follows_origin": head and head["origin"],
-                "follows_number": head and head["number"],
-                "work_sha256": None,
-                "input_sha256": None,
-                **told,
-                "made_at": at,
-                "actor": self._actor(actor),
-                "reason": reason,
-            }
+            values = {"lot_id": lot_id, "serial": serial, "origin": self.origin, "number": number}
+            values |= {name: named[name] for name in ("revision", "made_by")}
+            values |= {"follows_origin": head and head["origin"], "follows_number": head and head["number"]}
+            values |= {"work_sha256": None, "input_sha256": None, **told}
+            values |= {"made_at": at, "actor": self._actor(actor), "reason": reason}
             before = None if head is None else {name: head[name] for name in ("revision", "made_by")}
             self._store(in_use, values, "put_in_use", actor, reason, before)
 

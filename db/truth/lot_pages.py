@@ -142,8 +142,8 @@ class LotPages(RegistryBase):
     def standings(self, lot_id: str, serials: Sequence[str]) -> dict[str, UnitStanding]:
         """Return where units of a lot stand, as a report needs it.
 
-        A unit with a conflict is to be decided by a person: its verdict is retest. So is that of one judged against
-        another limit than the one in force.
+        A unit with a conflict is to be decided by a person: its verdict is retest. So is that of
+        one judged against another limit than the one in force.
         """
         found: dict[str, UnitStanding] = {}
         c = calibrations.c
@@ -165,7 +165,7 @@ class LotPages(RegistryBase):
         return found
 
     def find_serials(self, text: str, count: int = 50) -> list[str]:
-        """Return serials of target units with a result that hold a text; those it begins first."""
+        """Return serials of target units with a result that hold a text, best match first."""
         has_result = sa.or_(
             *(
                 select(table.c.serial)
@@ -236,8 +236,8 @@ class StandingQuery:
     def table(self, serials: Sequence[str] | None = None, role: str | None = None) -> sa.Subquery:
         """Return every unit beside its map in use and its newest verdict, or a later refusal's.
 
-        "Nothing newer exists" is found through the index of the table; a window function over all rows is not, and its
-        join with the units would take the square of their number.
+        "Nothing newer exists" is found through the index of the table; a window function over all
+        rows is not, and its join with the units would take the square of their number.
 
         Args:
             serials, role: of these units only.
@@ -286,7 +286,7 @@ class StandingQuery:
 def standing_units(
     database: Database, lot_id: str, serials: Sequence[str] | None = None
 ) -> list[tuple[UnitEntry, bool]]:
-    """Return units of a lot by serial, each with whether its calibration in use is judged."""
+    """Return units of a lot, each with whether its calibration in use gives its verdict."""
     standing = StandingQuery.of(database, lot_id, serials)
     rows = database.rows(select(table := standing.table(serials)).order_by(table.c.serial))
     known = {row["serial"] for row in rows}

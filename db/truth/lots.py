@@ -191,7 +191,7 @@ class LotTables(RegistryBase):
     def _next_version(
         self, newest: LimitEntry | LineRulesEntry | None, expected: int | None, changed: str
     ) -> tuple[int, datetime]:
-        """Return number and time of the version after the newest, which must be the expected one."""
+        """Return number and time of the version after the newest: the expected one."""
         if newest is None:
             return 1, self._after(None)
         if expected not in (None, newest.version):

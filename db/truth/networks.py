@@ -57,8 +57,8 @@ class NetworkTables(RegistryBase):
     ) -> str:
         """Store a shared network and return its id.
 
-        A network of the same input that is there already, from another worker, is kept and its id returned: go on
-        with the id you get.
+        A network of the same input that is there already, from another worker, is kept and its id
+        returned: go on with the id you get.
         """
         with self.database.writing():
             self._lot_row(lot_id)
@@ -66,16 +66,10 @@ class NetworkTables(RegistryBase):
             same = select(networks.c.id).where(networks.c.id == network.id)
             if known is not None or self.database.row(same) is not None:
                 return known or network.id
-            values = {
-                "id": network.id,
-                "lot_id": lot_id,
-                "input_sha256": input_sha256,
-                "settings": network.settings(),
-                "training": dict(settings),
-                "metrics": dict(metrics),
-                "blob_sha256": put_arrays(self.database, network.arrays()),
-                "added_at": self.settings.clock(),
-            }
+            values: dict[str, object] = {"id": network.id, "lot_id": lot_id, "input_sha256": input_sha256}
+            values |= {"settings": network.settings(), "training": dict(settings), "metrics": dict(metrics)}
+            values["added_at"] = self.settings.clock()
+            values["blob_sha256"] = put_arrays(self.database, network.arrays())
             self._store(networks, values, "add", actor)
             return network.id
 

@@ -1,4 +1,4 @@
-"""What every part of the registry stands on: who writes by which clock, and rows that leave a trace."""
+"""What every part of the registry stands on: who writes when, and rows that leave a trace."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
@@ -49,8 +49,8 @@ def damaged(what: str) -> RegistryError:
 class RegistryBase:
     """A part of an open registry; a public method is tried again when its connection is cut.
 
-    A method is whole transactions; one that makes several repeats those that were kept: they must change nothing the
-    second time.
+    A method is whole transactions; one that makes several repeats those that were kept: they must
+    change nothing the second time.
 
     Args:
         origin: the name of this registry's chain; None reads it from the database.

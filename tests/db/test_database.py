@@ -8,7 +8,7 @@ import pytest
 
 from softcal.core.errors import RegistryError
 from softcal.db.connection import open_registry
-from softcal.db.schema.file_system import refuse_network_share
+from softcal.db.schema.engines import refuse_network_share
 
 
 @pytest.mark.parametrize(

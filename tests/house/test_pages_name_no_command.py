@@ -41,7 +41,7 @@ AT_A_TERMINAL = {
     "db/access/tokens.py": "tokens, which a command makes and withdraws",
     "db/connection.py": "to whoever keeps the registry: it cannot be opened",
     "db/schema/database.py": "to whoever keeps the registry: it cannot be opened",
-    "db/schema/file_system.py": "to whoever keeps the registry: it cannot be opened",
+    "db/schema/engines.py": "to whoever keeps the registry: it cannot be opened",
     "db/schema/tables.py": "to whoever keeps the registry: it is damaged",
     "db/truth/registry_base.py": "to whoever keeps the registry: it is damaged",
 }

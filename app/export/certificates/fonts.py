@@ -40,11 +40,7 @@ def has_all(font: str, text: str) -> bool:
 
 
 def font_for(text: str) -> str:
-    """Return the font to draw a text with.
-
-    Raises:
-        InputError: no font at hand has all its characters.
-    """
+    """Return the font to draw a text with (`InputError`: no font at hand has all its characters)."""
     register()
     if has_all(PLAIN, text):
         return PLAIN

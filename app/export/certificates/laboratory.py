@@ -132,7 +132,7 @@ def read_laboratory(path: Path | None) -> Laboratory:
 
 
 def kept_laboratory() -> Path | None:
-    """Return the file of what this machine puts on every certificate; None before it is filled in."""
+    """Return the file of what this machine puts on every certificate; None before."""
     file = data_folder() / LABORATORY
     return file if file.is_file() else None
 

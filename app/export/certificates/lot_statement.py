@@ -51,11 +51,7 @@ class LotStatementFacts:
 
 
 def lot_statement_facts(registry: Registry, standing: LotStanding, decided: LotRelease) -> LotStatementFacts:
-    """Gather what the page on a lot says.
-
-    Args:
-        decided: on its units that nobody measured.
-    """
+    """Gather what the page on a lot says (`decided`: on its units that nobody measured)."""
     lot_id, now, plan = standing.lot_id, datetime.now(UTC), lot_audit(registry, standing.lot_id)
     calibrated = next(u.serial for u in registry.lots.units(lot_id) if u.role == "target" and u.revision is not None)
     record = registry.calibrations.get(calibrated, lot_id=lot_id).record

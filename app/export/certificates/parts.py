@@ -28,11 +28,7 @@ ACROSS = colors.HexColor("#f3d9d7")
 
 @dataclass(frozen=True)
 class Document:
-    """What holds for every page of a document.
-
-    Args:
-        across: word written across every page; empty for none.
-    """
+    """What holds for every page of a document (`across`: word written across every page; empty for none)."""
 
     title: str
     author: str
