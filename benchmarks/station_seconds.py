@@ -9,7 +9,7 @@ import argparse
 
 import numpy as np
 
-from softcal.app.line.rig import PressTimes, RecordedLot, press_simulated_lot
+from softcal.app.line.demo import PressTimes, RecordedLot, press_simulated_lot
 from softcal.core.errors import UnitRefused
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
