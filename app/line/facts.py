@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 
 from softcal.app.bootstrap import is_alive
 from softcal.app.line.place import Note, Place, read_place
-from softcal.app.line.serials import numbered
+from softcal.app.line.scan_codes import numbered
 from softcal.core.lot import Lot
 from softcal.core.orders import Heartbeat, Order, Progress, RunState, StationState
 from softcal.core.quality.known_loads import KnownLoad, asked_loads, next_step

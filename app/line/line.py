@@ -12,8 +12,7 @@ from datetime import UTC, datetime
 
 from softcal.app.line.facts import LineFacts, LotAtLine, Screen, read_line
 from softcal.app.line.place import Note, Place, read_place, write_place
-from softcal.app.line.scan_codes import Scan, read_scan
-from softcal.app.line.serials import is_unheard_of, lots_of
+from softcal.app.line.scan_codes import Scan, is_unheard_of, lots_of, read_scan
 from softcal.core.errors import InputError
 from softcal.core.lot import check_serial
 from softcal.core.orders import Order, OrderKind, RunState

@@ -8,7 +8,7 @@ import numpy as np
 
 from softcal.app.files.recording_file import write_columns
 from softcal.app.line.rig import SERIALS_APART, columns
-from softcal.app.line.serials import numbered
+from softcal.app.line.scan_codes import numbered
 from softcal.core.errors import BadReply, InputError
 from softcal.core.lot import check_serial
 from softcal.station.interfaces import Sample
