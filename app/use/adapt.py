@@ -251,9 +251,9 @@ def adapt_file(
     if options.resume:
         follower.begin_file()
     kept = 0
-    with estimate_writer(target) as writer:
+    with estimate_writer(target) as write:
         for t_s, output in read_stream(source, names):
-            writer.write(follower.advance(t_s, output))
+            write(follower.advance(t_s, output))
             on_rows(follower.report.rows)
             if follower.report.rows - kept >= FILE_MAPS_ROWS:
                 follower.keep_maps()
