@@ -93,7 +93,7 @@ class Watch:
 
     Args:
         on_epoch: every epoch of a training.
-        on_done: how many units of the lot are done so far, by this batch and others, and how many it has.
+        on_done: how many units are done, by this batch and others, and how many there are.
         on_wait: how many units others hold, while there is nothing else to do.
     """
 
@@ -214,7 +214,7 @@ class LotWork:
         counts = claims.queue.counts(work=self._work)
         if self._unread or counts["queued"] + counts["claimed"] > 0:
             return False
-        # A batch with other settings forgets what nobody was working at just then, and rows of a queue can be lost.
+        # A batch with other settings forgets what nobody worked at; rows can be lost.
         undecided = self._undecided(list(self._works))
         for item in claims.queue.given_up(self._work):
             if undecided.pop(item.serial, None) is not None:
@@ -256,7 +256,7 @@ class LotWork:
             mine = [item for item in items if item.serial in self._folder.unit_paths]
             for item in items:
                 if item not in mine:
-                    # Asked for by a program that sees other files: it asks again for what it misses.
+                    # Asked for by a program with other files: it asks again.
                     claims.queue.finish(claims.owner, [item.id])
             if mine:
                 yield Chunk(tuple(self._tasks(mine)))
@@ -280,7 +280,7 @@ class LotWork:
                 yield UnitTask(item.id, item.serial, None, problem=str(error))
                 continue
             if held is None:
-                # Asked for by another batch, or tried again: the file may be another one by now than it was then.
+                # Asked for by another batch, or tried again: the file may be another by now.
                 self._works[item.serial] = self._work_sha256(item.serial, recording, audit)
             facts = self._known.of(item.serial, self._config.anchors.get(item.serial))
             yield UnitTask(item.id, item.serial, recording, audit, facts, known.get(item.serial, frozenset()))
@@ -289,7 +289,7 @@ class LotWork:
         """Register what is still this batch's own, and close its items, in one transaction."""
         if outcome.work_s and outcome.units:
             self._unit_s = outcome.work_s / len(outcome.units)
-        # What was kept although the connection broke is this batch's own no more, and is not kept twice.
+        # What was kept although the connection broke is not this batch's own any more.
         results = self._registry.database.once_more(lambda: self._kept(claims, outcome), is_repeatable=True)
         for result in results.values():
             revision = result.made and result.made.revision

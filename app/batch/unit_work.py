@@ -28,7 +28,7 @@ class UnitTask:
     Args:
         item_id: its item in the work queue.
         recording: its file; None where it could not be read, and `problem` says why.
-        audit: file of its labelled recording, which decides and fits nothing; outranks the one among `facts`.
+        audit: file of its labelled recording; outranks the one among `facts`.
         facts: what else is known of the unit.
         known: input hashes of the calibrations it has already: those are not computed again.
     """

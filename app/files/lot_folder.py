@@ -58,7 +58,7 @@ class LotFolder:
         remarks: what in the folder was not understood, in words.
         line: how differently the line presses units, where `lot.toml` states it.
         reference: what the source was compared with; None where `lot.toml` does not say.
-        golden_path: the source unit pressed again in the units' sitting; None where golden/ holds nothing.
+        golden_path: the source pressed again in the units' sitting; None without.
         anchors_path: known loads of units (`serial, output, reference`); None where there are none.
         more_source_paths: labelled recordings of further sources, by serial.
     """

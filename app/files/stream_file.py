@@ -27,7 +27,7 @@ def read_stream(path: Path, names: ColumnNames = PLAIN) -> Iterator[tuple[Array,
     """Yield `t_s` and `output` in pieces, every row of the file; what is empty is NaN.
 
     Raises:
-        InputError: no such file, no such columns, a text where a number belongs, or fewer rows than one window.
+        InputError: no such file or columns, a text for a number, or fewer rows than a window.
     """
     rows = 0
     wanted = (names.output,) if names.time is None else (names.time, names.output)
@@ -109,7 +109,7 @@ def _numbers(path: Path, file: IO[str], names: tuple[str, ...]) -> Iterator[tupl
             try:
                 values.append(float(text) if text else np.nan)
             except ValueError:
-                # The last line of a stream may have been cut off; only a further line makes this one wrong.
+                # A last line may have been cut off; only a further one makes it wrong.
                 wrong = wrong or _not_a_number(path, reader.line_num, name, text)
                 values.append(np.nan)
         piece.append(values)

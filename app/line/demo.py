@@ -50,7 +50,7 @@ class DemoConfig:
 
     Args:
         units: target units beside the source.
-        times: how long each run presses. An audit is as long as it takes to train a fair own calibration on it.
+        times: of each run; an audit must do to train a fair own calibration on it.
         batch: how the lot is calibrated.
         twin: the nominal unit, of a diagnosis for example; None draws one.
     """

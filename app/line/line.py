@@ -54,7 +54,7 @@ def take_scan(registry: Registry, screen: Screen, text: str, actor: str = "") ->
         InputError: there is no station that it could be for; nothing was ordered.
     """
     scan, until_s = read_scan(text), time.monotonic() + START_S
-    # A browser's deadline can only be the shorter one: after a restart it may know another clock than this machine's.
+    # A browser's deadline can only be the shorter one: it may know another clock.
     screen = replace(screen, until_s=until_s if screen.until_s is None else min(until_s, screen.until_s))
     for _ in range(MOST_CONFLICTS):
         facts = read_line(registry, screen)

@@ -1,6 +1,6 @@
 """What stands at a line beside its runs: the unit that waits, the last sentence, the badge.
 
-It lies in the registry, one row a station, so that every screen shows the same after a reload or a restart.
+It lies in the registry, a row a station: every screen shows the same, also after a restart.
 """
 
 from collections.abc import Mapping

@@ -85,7 +85,7 @@ def _write(recording: StationRecording, channel: int, out: Path, serial: str, sp
 def _aborted_columns(run: SpooledRun, end: str) -> list[tuple[str, Any]]:
     """Return every channel of an aborted run, at the times of the first one that spoke.
 
-    Other channels are read between two of their samples; before the first and after the last one they are empty.
+    Others are read between two of their samples; before and after all they are empty.
     """
     polls = [Sample(poll.host_s, None, (poll.position_mm,)) for poll in run.polls]
     leading = run.output or run.force or polls

@@ -47,7 +47,7 @@ def chosen_bench(
 
     Args:
         simulated_channels: units under the simulated stage, one per channel.
-        twin: what stands under the simulated stage; further channels hold units like it. None for a drawn lot.
+        twin: what stands under the simulated stage, and is like the others; None: drawn.
 
     Raises:
         InputError: neither is given, or the file cannot be read.
@@ -76,7 +76,7 @@ def chosen_bench(
 def find_devices(ports: Sequence[str]) -> list[DeviceIdentity]:
     """Return what answers at these ports, or at all USB serial ports where none is given.
 
-    A port that cannot be opened stands in the list with the reason: another program has it, or nothing is there.
+    A port that cannot be opened stands in the list with the reason.
 
     Raises:
         NoReply: there is no port, or some that were named cannot be opened; all of them are named.
@@ -105,10 +105,10 @@ def station_of(devices: Sequence[DeviceIdentity], choose: Choose | None = None) 
     """Return the station that these devices make up.
 
     Args:
-        choose: asked where only a person can decide; without it that is refused. A part it leaves open has no port.
+        choose: asked where only a person can decide. A part it leaves open has no port.
 
     Raises:
-        NoReply: stage, readout or load cell is missing, or two could be the same part; all that is missing is named.
+        NoReply: a part is missing, or two could be one; all that is missing is named.
     """
     taken: list[DeviceIdentity] = []
     stage, readout, force = (_only(devices, role, taken, choose) for role in PARTS)
