@@ -40,7 +40,6 @@ class AuditEvidence:
 
     Args:
         qualification: whether units may be released, and on which audits.
-        widening: of the 90 % intervals.
         seen: gains that the lot's audited units read their loads with; None where too few.
         days: gains of the model's golden units on different days; None where too few.
         doubts: audits of the lot that are set aside, by serial, and why.

@@ -52,8 +52,6 @@ class LotFacts:
             lot's own source first.
         limit: the lot's limit; None derives one from the source's own error.
         own: how own calibrations are trained on audits, for comparison; None trains none.
-        line: how differently the line presses units, where it was stated.
-        reference: what the source was compared with; None where nobody said.
         bridge: the source pressed again in the units' sitting, where a lot folder has that run. Under the load cell
             it outranks what the registry knows; without, it serves units of which the registry knows no golden run.
         bridges: golden runs that the registry knows recordings to belong to, by their hash; in place of one that f

@@ -73,7 +73,6 @@ class Pool:
 
     Args:
         submit: gives one item to them and returns its task.
-        workers: how many there are now.
         error_of: of a task that is over: what went wrong with it, None where nothing did.
     """
 

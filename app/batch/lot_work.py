@@ -57,14 +57,10 @@ class BatchConfig:
     """How a lot is calibrated.
 
     Args:
-        network: how f is built and trained.
-        engine: where the fits run.
         chunk: units that go to a worker together; None lets the time they take decide.
         score_own: whether own calibrations are trained on audit recordings, for comparison.
         refit: whether units are fitted again although the registry has their result.
-        release: which verdicts release files.
         anchors: known loads by serial, where someone took them.
-        unit_limit_s: seconds after which the work on one unit is broken off.
         actor: who asks, for the audit trail; None is the user the registry was opened by.
     """
 
@@ -92,7 +88,6 @@ class Watch:
     """Told as the batch goes on; the defaults say nothing.
 
     Args:
-        on_epoch: every epoch of a training.
         on_done: how many units are done, by this batch and others, and how many there are.
         on_wait: how many units others hold, while there is nothing else to do.
     """
@@ -104,11 +99,7 @@ class Watch:
 
 
 class LotWork:
-    """The units of one lot on their way through queue, engine and registry.
-
-    Args:
-        facts: what the lot's units are calibrated with.
-    """
+    """The units of one lot on their way through queue, engine and registry."""
 
     def __init__(
         self, folder: LotFolder, registry: Registry, facts: LotFacts, kept: KeptFacts, config: BatchConfig, watch: Watch

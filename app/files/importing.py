@@ -28,7 +28,6 @@ class Columns:
 
     Args:
         output: the output column; with `*` or `?` many, each becomes a unit of that name.
-        reference: name of the reference column, None where a table has none.
         time: name of the time column in s; None makes time stamps from the sample rate.
         stage: column of the stage position in mm, None without; `stage_mm` may be missing.
     """
@@ -59,11 +58,7 @@ class ImportPlan:
         audit: whether references of target units are kept in audit/: they decide.
         fit_rows, audit_rows: (start, stop) of data rows, counted from 0, for recordings that fit and that score;
             None takes all.
-        sheet: sheet of an Excel file; None takes the first.
         serials: serial of each file in order; None takes the file names.
-        most_cells: a table with more is refused before it is read.
-        without: serials that are left out.
-        more_sources: serials of further sources beside the lot's own.
     """
 
     files: Sequence[Path]

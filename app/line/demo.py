@@ -49,9 +49,7 @@ class DemoConfig:
     """What the demo shows.
 
     Args:
-        units: target units beside the source.
         times: of each run; an audit must do to train a fair own calibration on it.
-        batch: how the lot is calibrated.
         twin: the nominal unit, of a diagnosis for example; None draws one.
     """
 

@@ -50,7 +50,6 @@ class Screen:
 
     Args:
         station: chosen; "" leaves it to the only one.
-        tab: tells screens apart.
         seen: version of the place that it showed at the key; None where nobody can say.
         until_s: `time.monotonic()` after which it says that the key was not taken.
     """
@@ -87,11 +86,7 @@ class LineFacts:
     Args:
         stations: every station that ever gave a sign of life.
         heartbeat: of the chosen one; None where there is none.
-        is_alive: whether its process lives; None where that cannot be seen from here.
-        lot: chosen or last used.
-        active: the run that occupies the station.
         runs: newest runs of the station, newest first.
-        place: what stands there beside the runs.
         results: in this lot, oldest first, of the unit that waits, else of the unit pressed last.
         standings: where the units of the runs, and the one that waits, stand, by serial.
     """

@@ -82,10 +82,8 @@ class StationHost:
 
     Args:
         queue: where orders come from and progress goes.
-        keeper: takes finished runs.
         override: takes an engineer's decision to open the gate: who and why.
         make_service: the service for its two hooks, progress and stop; it is started by `run`.
-        fixture: what holds the unit.
         log: takes (event, facts) for support.
     """
 

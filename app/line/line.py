@@ -35,7 +35,6 @@ class Step:
     """What a scan leads to.
 
     Args:
-        place: what stands at the line then.
         order: to be given to the station once the place is written; None for none.
     """
 

@@ -20,7 +20,6 @@ class Note:
     Args:
         key: of the text `note.KEY`.
         run: the newest run when it was said; a later run ends it.
-        is_meanwhile: whether it was said while that run was in progress.
     """
 
     key: str
@@ -44,8 +43,6 @@ class Place:
         is_confirmed: whether a person has said yes to a unit that is new, or has a result already.
         process: the station's service when it was scanned; another one has moved the stage since.
         lot_id: chosen by a scan; "" leaves it to the only one, or the last one used.
-        tab: the screen that scanned.
-        note: about the last scan.
     """
 
     version: int = 0

@@ -49,8 +49,6 @@ class RunKeeper:
     """Takes finished runs of one station into the registry and calibrates what was pressed.
 
     Args:
-        registry: where recordings, networks and verdicts go.
-        network: how f is trained from a source's recording.
         reference: what the station compares sources with; None where nobody said.
         sitting: how long after a golden run of the source units are fitted to it.
     """

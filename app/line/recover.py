@@ -21,10 +21,7 @@ class Recovered:
     """One spool that was found.
 
     Args:
-        spool: its file.
-        serial, profile: of the run.
         end: "done", or how it ended.
-        samples: how many samples of the output it holds.
         files: what was written from it: one file per channel of a finished run.
     """
 

@@ -54,7 +54,6 @@ class Verification:
     """What `registry verify` found.
 
     Args:
-        audit_rows: rows of the audit trail, of all chains.
         heads: last row of each chain; written down elsewhere they prove that nothing was cut.
     """
 
