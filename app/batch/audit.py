@@ -22,9 +22,7 @@ class LotAudit:
     """Where the audit of a lot stands.
 
     Args:
-        plan: the units to check, and the forecasts it was drawn from.
         forecasts: forecast RMSE by serial, as it was when the plan was drawn.
-        limit: what a checked unit is held to.
         measured: RMSE against the load cell of the units of the plan that were checked.
         statement: what they say about the lot; None until every unit of the plan was measured.
     """

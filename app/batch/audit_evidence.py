@@ -39,9 +39,8 @@ class AuditEvidence:
 
     Args:
         qualification: whether units may be released, and on which audits.
-        widening: of the 90 % intervals.
-        seen: gains that the audited units of the lot read their loads with; None where there are too few.
-        days: gains of golden units of the sensor model on different days; None where there are too few.
+        seen: gains that the lot's audited units read their loads with; None where too few.
+        days: gains of the model's golden units on different days; None where too few.
         doubts: audits of the lot that are set aside, by serial, and why.
         lines: how the audited units of the lot read their loads, as their maps were fitted.
         common: what they misread alike; None where chance explains it.

@@ -1,6 +1,6 @@
 """One unit from its recording to its calibration, for line, batch, workers and Python alike.
 
-The one place that puts a `UnitProblem` together. It asks no registry and reads no file: `known.py` says what is known.
+The one place that makes a `UnitProblem`. It asks no registry and reads no file: see `known.py`.
 """
 
 import time
@@ -30,10 +30,10 @@ class UnitInputs:
 
     Args:
         anchors: known loads, where someone brought them with the recording.
-        kept: known loads by the hash of the recording they belong to; asked where `anchors` is None.
+        kept: known loads by the hash of their recording; asked where `anchors` is None.
         golden: hash of the golden run by the hash of the recording it belongs to.
         audit: its labelled recording, which decides and fits nothing.
-        unread_audit: why a file that was brought as its audit cannot be read; "" where none was or it can.
+        unread_audit: why a file that was brought as its audit cannot be read.
     """
 
     anchors: Anchors | None = None
@@ -52,13 +52,11 @@ class LotFacts:
             lot's own source first.
         limit: the lot's limit; None derives one from the source's own error.
         own: how own calibrations are trained on audits, for comparison; None trains none.
-        line: how differently the line presses units, where it was stated.
-        reference: what the source was compared with; None where nobody said.
         bridge: the source pressed again in the units' sitting, where a lot folder has that run. Under the load cell
             it outranks what the registry knows; without, it serves units of which the registry knows no golden run.
         bridges: golden runs that the registry knows recordings to belong to, by their hash; in place of one that f
             cannot read, why.
-        rules: identities of the rules that may hold units back, as they are installed where the work was started.
+        rules: identities of the installed rules that may hold units back.
     """
 
     sources: tuple[SourceModel, ...]

@@ -27,7 +27,7 @@ class Claims:
         self._keeper = threading.Thread(target=self._keep, daemon=True)
 
     def __enter__(self) -> "Claims":
-        # An SQLite registry in memory has one connection, which no thread can share, and nobody to share work with.
+        # An SQLite registry in memory has one connection, which no thread can share.
         if not self._registry.database.is_in_memory:
             self._keeper.start()
         return self
@@ -57,5 +57,5 @@ class Claims:
             try:
                 self.queue.extend(self.owner, LEASE_S)
             except RegistryError:
-                # The registry may be back before the lease runs out; whoever writes a result sees the trouble.
+                # It may be back before the lease ends; whoever writes a result sees the trouble.
                 continue

@@ -24,7 +24,7 @@ def compare_on_lot(registry: Registry, request: Mapping[str, Any], tell: Tell) -
     """Map the same units with every network and family and return one row each.
 
     Args:
-        request: lot, networks (ids), families (of the catalogue, or auto), units (how many at most).
+        request: lot, networks (ids), families (or auto), units (how many at most).
 
     Raises:
         InputError: a lot, network or source recording is not in the registry.

@@ -73,7 +73,6 @@ class Pool:
 
     Args:
         submit: gives one item to them and returns its task.
-        workers: how many there are now.
         error_of: of a task that is over: what went wrong with it, None where nothing did.
     """
 
@@ -199,7 +198,7 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def _process_pool(choice: EngineChoice, shared: Any) -> Iterator[Pool]:
-    # Workers read the thread limits when they import their libraries: two workers must not start four threads.
+    # Workers read the limits when they import libraries: two must not start four threads.
     before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
     executor = ProcessPoolExecutor(
@@ -229,7 +228,7 @@ def _dask_pool(choice: EngineChoice, shared: Any) -> Iterator[Pool]:
         raise InputError("engine dask needs an extra: pip install 'softcal[cluster]'") from error
     local = None
     if choice.scheduler is None:
-        # An item whose worker died comes back at once: it is tried again alone, which tells more than on other workers.
+        # An item whose worker died comes back at once: tried again alone it tells more.
         dask.config.set({"distributed.scheduler.allowed-failures": 0})
         local = LocalCluster(n_workers=choice.jobs, threads_per_worker=1, dashboard_address=None, processes=True)
     try:
@@ -238,7 +237,7 @@ def _dask_pool(choice: EngineChoice, shared: Any) -> Iterator[Pool]:
     except (OSError, TimeoutError, ValueError) as error:
         raise InputError(f"no Dask scheduler with workers answers at {choice.scheduler}: {error}") from error
     try:
-        # A task and no scattered data: when every worker that holds it dies, the scheduler makes it again.
+        # A task and no scattered data: when all that hold it die, it is made again.
         held = client.submit(_hold, shared, pure=False)
         yield Pool(
             lambda work, item: client.submit(work, held, item, pure=False),

@@ -30,7 +30,6 @@ class Expected:
     """What would become of one unit of a new lot.
 
     Args:
-        file, serial: where it comes from, and its name.
         rows, seconds: of its recording; 0 where it cannot be read.
         problem: why it is refused before anything is fitted, in words; "" where it can be read.
         findings: what its output alone tells: with these it will not pass.

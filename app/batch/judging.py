@@ -1,6 +1,6 @@
 """Judge lots at once where something changed that their verdicts rest on: no verdict outlives it.
 
-Whoever sets a limit, rolls back, trims, confirms an audit or brings registries together calls `judge_again` after it.
+Whoever sets a limit, rolls back, trims, confirms or syncs calls `judge_again` after it.
 """
 
 from collections.abc import Iterable

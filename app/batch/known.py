@@ -137,7 +137,7 @@ def keep_result(
 
     Args:
         by: who asks: batch or line.
-        work_sha256: hash of the files and settings it answers, to be found again without reading the files.
+        work_sha256: hash of the files and settings it answers, to be found again by.
 
     Raises:
         InputError: a calibration that was known is there no more, or a value cannot be stored.

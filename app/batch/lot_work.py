@@ -57,14 +57,10 @@ class BatchConfig:
     """How a lot is calibrated.
 
     Args:
-        network: how f is built and trained.
-        engine: where the fits run.
         chunk: units that go to a worker together; None lets the time they take decide.
         score_own: whether own calibrations are trained on audit recordings, for comparison.
         refit: whether units are fitted again although the registry has their result.
-        release: which verdicts release files.
         anchors: known loads by serial, where someone took them.
-        unit_limit_s: seconds after which the work on one unit is broken off.
         actor: who asks, for the audit trail; None is the user the registry was opened by.
     """
 
@@ -92,8 +88,7 @@ class Watch:
     """Told as the batch goes on; the defaults say nothing.
 
     Args:
-        on_epoch: every epoch of a training.
-        on_done: how many units of the lot are done so far, by this batch and others, and how many it has.
+        on_done: how many units are done, by this batch and others, and how many there are.
         on_wait: how many units others hold, while there is nothing else to do.
     """
 
@@ -104,11 +99,7 @@ class Watch:
 
 
 class LotWork:
-    """The units of one lot on their way through queue, engine and registry.
-
-    Args:
-        facts: what the lot's units are calibrated with.
-    """
+    """The units of one lot on their way through queue, engine and registry."""
 
     def __init__(
         self, folder: LotFolder, registry: Registry, facts: LotFacts, kept: KeptFacts, config: BatchConfig, watch: Watch
@@ -214,7 +205,7 @@ class LotWork:
         counts = claims.queue.counts(work=self._work)
         if self._unread or counts["queued"] + counts["claimed"] > 0:
             return False
-        # A batch with other settings forgets what nobody was working at just then, and rows of a queue can be lost.
+        # A batch with other settings forgets what nobody worked at; rows can be lost.
         undecided = self._undecided(list(self._works))
         for item in claims.queue.given_up(self._work):
             if undecided.pop(item.serial, None) is not None:
@@ -256,7 +247,7 @@ class LotWork:
             mine = [item for item in items if item.serial in self._folder.unit_paths]
             for item in items:
                 if item not in mine:
-                    # Asked for by a program that sees other files: it asks again for what it misses.
+                    # Asked for by a program with other files: it asks again.
                     claims.queue.finish(claims.owner, [item.id])
             if mine:
                 yield Chunk(tuple(self._tasks(mine)))
@@ -280,7 +271,7 @@ class LotWork:
                 yield UnitTask(item.id, item.serial, None, problem=str(error))
                 continue
             if held is None:
-                # Asked for by another batch, or tried again: the file may be another one by now than it was then.
+                # Asked for by another batch, or tried again: the file may be another by now.
                 self._works[item.serial] = self._work_sha256(item.serial, recording, audit)
             facts = self._known.of(item.serial, self._config.anchors.get(item.serial))
             yield UnitTask(item.id, item.serial, recording, audit, facts, known.get(item.serial, frozenset()))
@@ -289,7 +280,7 @@ class LotWork:
         """Register what is still this batch's own, and close its items, in one transaction."""
         if outcome.work_s and outcome.units:
             self._unit_s = outcome.work_s / len(outcome.units)
-        # What was kept although the connection broke is this batch's own no more, and is not kept twice.
+        # What was kept although the connection broke is not this batch's own any more.
         results = self._registry.database.once_more(lambda: self._kept(claims, outcome), is_repeatable=True)
         for result in results.values():
             revision = result.made and result.made.revision

@@ -44,7 +44,7 @@ def judge_lot(
     standing = _standing(registry, lot_id, at)
     if standing is None:
         return None
-    # What the audited units misread alike is taken off them first; their errors then speak for the corrected lot.
+    # What audited units misread alike comes off first; their errors then speak for the lot.
     moved = [made for made in standing.made if made.decision.measured and _is_to_correct(made, standing.evidence)]
     if moved:
         with registry.transaction():
@@ -250,7 +250,7 @@ def _keep(
     """Store what is decided on a unit as a revision of its own, where it is not what stands."""
     doubt, known = evidence.doubts.get(made.serial), made.decision
     is_released = decided is not None and decided.found is not None and made.serial in decided.forecasts
-    # Asked first: most lots have no audits, and reading a calibration whole costs more than most of the batch's writes.
+    # Asked first: most lots have no audits, and reading a calibration whole is dear.
     is_as_it_was = doubt is None and known.sampled is None and known.doubt is None
     if not is_released and is_as_it_was and not _is_to_correct(made, evidence):
         return

@@ -17,10 +17,9 @@ class UnitResult:
     """One row of the report.
 
     Args:
-        verdict: pass, conditional, fail or retest.
         reasons: why, most important first.
         made: its calibration; None for a unit that could not be read or mapped.
-        is_new: whether this batch fitted it; otherwise the registry had it, or another batch made it meanwhile.
+        is_new: whether this batch fitted it; else the registry had it.
     """
 
     serial: str

@@ -25,7 +25,7 @@ class TrainedOrFound:
 
     Args:
         is_new: whether it was trained now; otherwise the registry had it.
-        metrics: errors on the validation blocks of the source and how long training took, in named units.
+        metrics: errors on the source's validation blocks, and the time of training.
     """
 
     network: Network
@@ -68,7 +68,7 @@ def train_or_find(
             "train_s": time.perf_counter() - start_s,
         }
         training = {"config": asdict(config), "source_recording_sha256": recording_sha256}
-        # Who loses its lease finds the other one's network there; the id that comes back is the one to go on with.
+        # Who loses its lease finds the other one's network: go on with the id that comes back.
         id_ = registry.networks.add(lot.id, trained.network, metrics, training, input_sha256, actor=actor)
         for item in mine:
             claims.queue.finish(claims.owner, [item.id])

@@ -26,10 +26,8 @@ class UnitTask:
     """One unit on its way to a worker.
 
     Args:
-        item_id: its item in the work queue.
         recording: its file; None where it could not be read, and `problem` says why.
-        audit: file of its labelled recording, which decides and fits nothing; outranks the one among `facts`.
-        facts: what else is known of the unit.
+        audit: file of its labelled recording; outranks the one among `facts`.
         known: input hashes of the calibrations it has already: those are not computed again.
     """
 

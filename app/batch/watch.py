@@ -19,7 +19,6 @@ class WatchConfig:
     """How a folder is watched.
 
     Args:
-        every_s: seconds between two looks.
         idle_s: stop when nothing came for so long; None goes on until it is stopped.
         sleep: waits; a test gives its own.
     """

@@ -108,7 +108,7 @@ def _transfer(options: argparse.Namespace) -> None:
     """Calibrate three lots in the same way: pressed on the rig, simulated with the refitted base
     twin, and with the explained twin. Show which twin foretells the rig's results.
     """
-    from softcal.app.gap.transfer import check_transfer
+    from softcal.app.gap.lot import check_transfer
 
     found = check_transfer(options.report, options.lot, options.seed, say)
     write_json(options.json, found.to_record())

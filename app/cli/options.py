@@ -55,7 +55,7 @@ SHARED: dict[str, dict[str, Any]] = {
     "serial": {"required": True, "metavar": "S"},
     "depth": {"type": positive, "default": 3.5, "metavar": "MM", "help": "deepest press (default 3.5 mm)"},
     "profile-seed": {"type": int, "default": 0, "help": "draws the random presses (default 0)"},
-    "spool": {"type": Path, "metavar": "DIR", "help": "where samples go as they come; default: the user's data folder"},
+    "spool": {**DIR, "help": "where samples go as they come; default: the user's data folder"},
 }
 """Options of several commands, without dashes. `csv` is of those that answer with one table."""
 

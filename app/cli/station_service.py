@@ -9,6 +9,7 @@ from datetime import UTC, date, datetime, timedelta
 from functools import partial
 from typing import TYPE_CHECKING
 
+from softcal.app.bootstrap import current_user, is_alive
 from softcal.app.cli.options import (
     FILE,
     Action,
@@ -150,8 +151,6 @@ def run_serve(options: argparse.Namespace) -> None:
 
 def run_order(options: argparse.Namespace) -> int:
     """Write an order into the registry, show its progress, print how it ended. Ctrl-C stops a run."""
-    from softcal.app.bootstrap import current_user
-
     kind = OrderKind(options.kind)
     if kind.presses and not options.serial:
         raise InputError(f"an order of kind {kind} needs the serial of a unit: give --serial")
@@ -178,7 +177,6 @@ def run_order(options: argparse.Namespace) -> int:
 
 def _is_there(queue: "OrderQueue", station: str) -> bool:
     """Return whether a station's service is there: its beat is fresh, or late while it lives."""
-    from softcal.app.bootstrap import is_alive
     from softcal.db.queues.order_queue import TAKEN_OVER_AFTER
 
     beat = queue.heartbeat(station)
@@ -225,16 +223,14 @@ def run_status(options: argparse.Namespace) -> None:
         say(f"station {row['station']}: {row['state']}, last seen {row['at']}, run: {row['run'] or 'none'}")
         gate = row["gate"]
         if isinstance(gate, list) and gate:
-            print_table(
-                ("gate", "is", "says"), [(c["name"], "good" if c["is_good"] else "CLOSED", c["says"]) for c in gate]
-            )
+            conditions = [(c["name"], "good" if c["is_good"] else "CLOSED", c["says"]) for c in gate]
+            print_table(("gate", "is", "says"), conditions)
         held = row["quarantine"]
         if isinstance(held, list) and held:
             say(f"in quarantine since the last good golden unit: {', '.join(held)}")
 
 
 def _status(registry: "Registry", beat: "Heartbeat", held: tuple[str, ...]) -> dict[str, object]:
-    from softcal.app.bootstrap import is_alive
     from softcal.app.line.facts import SILENT, state_of
 
     active = registry.order_queue.active(beat.station)

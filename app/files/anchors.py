@@ -14,7 +14,7 @@ def read_anchors(path: Path, serials: Collection[str]) -> Mapping[str, Anchors]:
     """Read the anchors of a lot by serial.
 
     Raises:
-        InputError: the table cannot be read, names a unit that the lot does not have, or leaves open whose they are.
+        InputError: no such table, a unit that the lot does not have, or nobody's loads.
     """
     table = read_table(path)
     output, reference = column(table, "output", path), column(table, "reference", path)

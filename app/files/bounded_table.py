@@ -46,7 +46,7 @@ def parsed(file: BinaryIO, path: Path, sheet: str | None, most_cells: int, wante
         wanted: tells by its name whether a column is asked for; None asks for all.
 
     Raises:
-        InputError: the table is too large, or a name stands twice. The readers raise what they like for a broken file.
+        InputError: too large, or a name twice. Readers raise what they like for a broken file.
     """
     suffix = path.suffix.lower()
     if suffix in PARQUET:
@@ -66,7 +66,7 @@ def _csv(file: BinaryIO, path: Path, most_cells: int) -> "pd.DataFrame":
         raise InputError(f"{path}: its cells are separated by ';'; save it with ',' between cells and decimal points")
     _check_names(names, path)
     table = pd.read_csv(file, sep=separator, low_memory=False)
-    # Where rows have a cell more than the header pandas takes the first one for a name, and columns shift.
+    # Where rows have a cell more than the header pandas takes the first one for a name.
     if not isinstance(table.index, pd.RangeIndex):
         raise InputError(f"{path}: the rows have more cells than the header; give every column a name")
     return table
@@ -100,7 +100,7 @@ def _parquet(file: BinaryIO, path: Path, most_cells: int, wanted: Wanted | None)
     file.seek(0)
     # Equal texts stay one text: a column of them may otherwise unpack to any size.
     opened = pq.ParquetFile(file, page_checksum_verification=True, read_dictionary=text)
-    # The footer may lie: the row groups say it again, and what a page really holds pyarrow checks against them.
+    # The footer may lie: the row groups say it again, and pyarrow checks pages against them.
     groups = [opened.metadata.row_group(k) for k in range(opened.metadata.num_row_groups)]
     rows = max(int(opened.metadata.num_rows), sum(int(group.num_rows) for group in groups))
     refuse_large(path, rows * sum(_cells_of(schema.field(name), path) for name in names), most_cells)

@@ -27,10 +27,9 @@ class Columns:
     """Which columns of the tables hold what.
 
     Args:
-        output: name of the output column; with `*` or `?` it names many, and each becomes a unit of that name.
-        reference: name of the reference column, None where a table has none.
+        output: the output column; with `*` or `?` many, each becomes a unit of that name.
         time: name of the time column in s; None makes time stamps from the sample rate.
-        stage: name of the stage position column in mm, None where there is none; `stage_mm` may be missing.
+        stage: column of the stage position in mm, None without; `stage_mm` may be missing.
     """
 
     output: str = "output"
@@ -56,14 +55,10 @@ class ImportPlan:
 
     Args:
         lot: facts of the lot; its `sample_rate_Hz` must be known unless there is a time column.
-        audit: whether references of target units are kept in audit/: what was measured decides about its unit.
+        audit: whether references of target units are kept in audit/: they decide.
         fit_rows, audit_rows: (start, stop) of data rows, counted from 0, for recordings that fit and that score;
             None takes all.
-        sheet: sheet of an Excel file; None takes the first.
         serials: serial of each file in order; None takes the file names.
-        most_cells: a table with more is refused before it is read.
-        without: serials that are left out.
-        more_sources: serials of further sources beside the lot's own.
     """
 
     files: Sequence[Path]
@@ -148,7 +143,7 @@ def _write(folder: Path, plan: ImportPlan, units: dict[str, ImportedUnit]) -> No
     for serial, unit in units.items():
         fit = unit.part(plan.fit_rows)
         if serial in plan.sources and fit.reference is not None:
-            # The check of both columns together happens here, so that a lot folder never holds a broken source.
+            # Both columns are checked here: a lot folder never holds a broken source.
             LabelledRecording(fit.recording, fit.reference)
             write_recording(folder / "source" / f"{serial}.csv", fit.recording, fit.reference)
         else:
@@ -177,7 +172,7 @@ class LookedAt:
 def look_through(plan: ImportPlan) -> list[LookedAt]:
     """Read every unit and say which would be refused and why; nothing is written.
 
-    A plan with only the files that can be read, without the serials that have a problem, can be imported.
+    A plan with only the files that can be read, without the problems, can be imported.
     """
     found: list[LookedAt] = []
     taken: set[str] = set()

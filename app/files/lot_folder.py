@@ -51,14 +51,11 @@ class LotFolder:
 
     Args:
         root: the folder; nothing outside it is read as a recording of a unit.
-        lot: the facts of `lot.toml`.
-        source_path: the source's labelled recording.
         unit_paths: recording of each target unit by serial.
         audit_paths: labelled recordings of target units, by serial; no map is fitted to them.
-        remarks: what in the folder was not understood, in words.
         line: how differently the line presses units, where `lot.toml` states it.
         reference: what the source was compared with; None where `lot.toml` does not say.
-        golden_path: the source unit pressed again in the units' sitting; None where golden/ holds nothing.
+        golden_path: the source pressed again in the units' sitting; None without.
         anchors_path: known loads of units (`serial, output, reference`); None where there are none.
         more_source_paths: labelled recordings of further sources, by serial.
     """

@@ -55,7 +55,7 @@ def read_table(
     Args:
         wanted: tells by its name whether a column is asked for: others of Parquet and Excel are not read. None asks
             for all.
-        content: the bytes of the file where somebody has read them already, maybe on another machine.
+        content: the bytes of the file where somebody has read them already.
 
     Raises:
         InputError: the file is missing, empty, or not a table of its format.
@@ -111,7 +111,7 @@ def column(table: "pd.DataFrame", name: str, path: Path, cure: str = "") -> Arra
     """Return one column as finite numbers; `cure` says what else helps where it is missing.
 
     Raises:
-        InputError: the column is missing, stands there twice, or holds something that is not a finite number.
+        InputError: it is missing, stands there twice, or holds no finite number.
     """
     import pandas as pd
 

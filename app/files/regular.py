@@ -26,7 +26,7 @@ def read_regular(path: Path, folder: Path, most_bytes: int = MOST_BYTES) -> byte
         most_bytes: larger files are refused before they are read.
 
     Raises:
-        InputError: it is no file, lies elsewhere, is too large, cannot be read, or changes while it is read.
+        InputError: no file, elsewhere, too large, not readable, or changed while it is read.
     """
     try:
         real = path.resolve(strict=True)

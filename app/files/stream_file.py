@@ -1,8 +1,8 @@
 """Long streams on disk, piece by piece: `t_s, output` in, estimates out."""
 
 import csv
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -27,7 +27,7 @@ def read_stream(path: Path, names: ColumnNames = PLAIN) -> Iterator[tuple[Array,
     """Yield `t_s` and `output` in pieces, every row of the file; what is empty is NaN.
 
     Raises:
-        InputError: no such file, no such columns, a text where a number belongs, or fewer rows than one window.
+        InputError: no such file or columns, a text for a number, or fewer rows than a window.
     """
     rows = 0
     wanted = (names.output,) if names.time is None else (names.time, names.output)
@@ -109,7 +109,7 @@ def _numbers(path: Path, file: IO[str], names: tuple[str, ...]) -> Iterator[tupl
             try:
                 values.append(float(text) if text else np.nan)
             except ValueError:
-                # The last line of a stream may have been cut off; only a further line makes this one wrong.
+                # A last line may have been cut off; only a further one makes it wrong.
                 wrong = wrong or _not_a_number(path, reader.line_num, name, text)
                 values.append(np.nan)
         piece.append(values)
@@ -132,44 +132,29 @@ def _not_a_number(path: Path, line: int, name: str, value: object) -> InputError
     )
 
 
-class EstimateWriter:
-    """Writes estimates piece by piece into a file that nobody sees before it is whole."""
-
-    def __init__(self, part: Path, is_parquet: bool) -> None:
-        self._part, self._is_parquet, self._is_first = part, is_parquet, True
-        self._parquet: ParquetWriter | None = None
-
-    def write(self, rows: Estimate) -> None:
-        import pandas as pd
-
-        columns: dict[str, Any] = {name: getattr(rows, name) for name in ("t_s", "estimate", "lower", "upper", "flag")}
-        if self._is_parquet:
-            self._write_parquet(columns)
-        else:
-            with self._part.open("a", encoding="utf-8", newline="") as file:
-                pd.DataFrame(columns).to_csv(file, header=self._is_first, index=False, lineterminator="\n")
-        self._is_first = False
-
-    def _write_parquet(self, columns: dict[str, Any]) -> None:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
-        table = pa.table({name: values.astype(str) if name == "flag" else values for name, values in columns.items()})
-        if self._parquet is None:
-            self._parquet = pq.ParquetWriter(self._part, table.schema)
-        self._parquet.write_table(table)
-
-    def close(self) -> None:
-        if self._parquet is not None:
-            self._parquet.close()
-
-
 @contextmanager
-def estimate_writer(path: Path) -> Iterator[EstimateWriter]:
-    """Open a writer of estimates; `path` appears when the block has ended well."""
-    with whole_file(path) as part:
-        writer = EstimateWriter(part, path.suffix.lower() in PARQUET)
-        try:
-            yield writer
-        finally:
-            writer.close()
+def estimate_writer(path: Path) -> Iterator[Callable[[Estimate], None]]:
+    """Give what writes estimates piece by piece; `path` appears when the block has ended well."""
+    import pandas as pd
+
+    is_parquet, is_first = path.suffix.lower() in PARQUET, True
+    with whole_file(path) as part, ExitStack() as stack:
+        parquet: ParquetWriter | None = None
+
+        def write(rows: Estimate) -> None:
+            nonlocal parquet, is_first
+            columns: dict[str, Any] = {name: getattr(rows, name) for name in ("t_s", "estimate", "lower", "upper")}
+            if is_parquet:
+                import pyarrow as pa
+                from pyarrow.parquet import ParquetWriter
+
+                table = pa.table(columns | {"flag": rows.flag.astype(str)})
+                parquet = parquet or stack.enter_context(ParquetWriter(part, table.schema))
+                parquet.write_table(table)
+                return
+            with part.open("a", encoding="utf-8", newline="") as file:
+                table = pd.DataFrame(columns | {"flag": rows.flag})
+                table.to_csv(file, header=is_first, index=False, lineterminator="\n")
+            is_first = False
+
+        yield write

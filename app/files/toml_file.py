@@ -46,7 +46,7 @@ def read_section(where: str, kind: type[Section], table: object, folder: Path = 
         where: file and section, for errors.
 
     Raises:
-        InputError: it is no table, a key is unknown or missing, or a value is not what its field holds.
+        InputError: no table, a key unknown or missing, or a value not what its field holds.
     """
     if not isinstance(table, Mapping):
         raise InputError(f"{where}: must be a section")

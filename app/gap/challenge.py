@@ -31,10 +31,8 @@ DECIMALS = {"t_s": 5, "stage_mm": 5, "force_N": 5, "output_V": 7, "temperature_C
 
 @dataclass(frozen=True)
 class MadeChallenge:
-    """Where a challenge lies and the commitment to publish."""
+    """The commitment of a challenge to publish, and its cases."""
 
-    folder: Path
-    seal_file: Path
     commitment: str
     cases: tuple[str, ...]
 
@@ -68,7 +66,7 @@ def make_challenge(
     write_text(seal_file, seal.text)
     published = {"schema": SCHEMA, "cases": contents, "commitment": seal.commitment, "hash": "sha256"}
     write_text(folder / FOLDER_FILE, json.dumps(published, indent=2) + "\n")
-    return MadeChallenge(folder, seal_file, seal.commitment, tuple(contents))
+    return MadeChallenge(seal.commitment, tuple(contents))
 
 
 def _check_places(folder: Path, seal_file: Path, count: int) -> None:

@@ -1,13 +1,16 @@
-"""Diagnose the units of a lot together, from a folder with one case per unit."""
+"""A rig's lot on disk: its units diagnosed together, and calibrated beside lots of its twins."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from softcal.app.files.case_folder import open_case
+from softcal.app.files.lot_folder import open_lot_folder
+from softcal.app.gap.diagnose import read_twin
 from softcal.core.errors import InputError
 from softcal.core.gap.case import CHANNELS, Case
 from softcal.core.gap.shared_cause import FEWEST_UNITS, LotDiagnosis, diagnose_lot
+from softcal.core.gap.transfer import LotUnit, PressedLot, Transfer, transfer
 from softcal.core.gap.worth import CalibrationWorth, calibration_worth
 
 AUDIT = "audit"
@@ -81,3 +84,25 @@ def _protocol(case: Case) -> tuple[str, str, str]:
     readout = case.readout
     supply = f"{readout.vref_V:g} V, {readout.adc_bits} bits, {readout.r_series_ohm:g} ohm"
     return runs, channels, f"{supply}, {readout.sensor_type}"
+
+
+def check_transfer(report: Path, lot_folder: Path, seed: int, say: Callable[[str], None]) -> Transfer:
+    """Compare what the twins of a report foretell of calibration results with those on the rig.
+
+    Args:
+        report: of `softcal gap diagnose`; it holds the refitted base and the explained twin.
+        lot_folder: units pressed on the rig, with audits and stage positions.
+
+    Raises:
+        InputError: the report holds no twins, or the lot lacks audits or stage positions.
+    """
+    base, explained = read_twin(report, "base_twin"), read_twin(report, "twin")
+    folder = open_lot_folder(lot_folder)
+    units = []
+    for serial in folder.unit_paths:
+        audit = folder.read_audit(serial)
+        if audit is not None:
+            units.append(LotUnit(folder.read_unit(serial), audit))
+    if not units:
+        raise InputError(f"{lot_folder}: no unit has a recording under audit/; the truth of at least one is needed")
+    return transfer(PressedLot(folder.read_source(), tuple(units)), base, explained, seed, say)

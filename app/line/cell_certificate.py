@@ -24,7 +24,7 @@ def certificate_from(given: Mapping[str, Any], dcc: Path | None) -> CellCertific
         given: fields of `CellCertificate`; None where nothing was given.
 
     Raises:
-        InputError: the file is no DCC, or something is missing; everything that is missing is named.
+        InputError: the file is no DCC, or something is missing; all of it is named.
     """
     try:
         document = None if dcc is None else dcc.read_bytes()

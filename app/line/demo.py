@@ -1,6 +1,6 @@
 """The main job on a simulated station: press, train, map, judge, register, export."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,12 +11,15 @@ from softcal.app.batch.report import UnitResult
 from softcal.app.files.atomic import whole_folder
 from softcal.app.files.lot_folder import LotFolder, open_lot_folder, write_lot_toml
 from softcal.app.files.recording_file import write_recording
-from softcal.app.line.rig import PressTimes, press_simulated_lot
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
+from softcal.core.profiles import source_profile, unit_profile
+from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import draw_twins
 from softcal.core.twin.simulate import Twin
 from softcal.core.unit.budget import SIMULATED
+from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.tasks.acquisition import record
 
 TABLE_HEADER = ("unit", "verdict", "before [N]", "after [N]", "own [N]", "after/own", "before/own", "predicted [N]")
 SEED = 20201900178
@@ -24,13 +27,29 @@ SEED = 20201900178
 
 
 @dataclass(frozen=True)
+class RecordedLot:
+    """A lot as the station records it: source, units, and audits that decide about them."""
+
+    source: LabelledRecording
+    units: Mapping[str, OutputRecording]
+    audits: Mapping[str, LabelledRecording]
+
+
+@dataclass(frozen=True)
+class PressTimes:
+    """How long each kind of run presses, in s."""
+
+    source_s: float = 170.0
+    unit_s: float = 25.0
+    audit_s: float = 25.0
+
+
+@dataclass(frozen=True)
 class DemoConfig:
     """What the demo shows.
 
     Args:
-        units: target units beside the source.
-        times: how long each run presses. An audit is as long as it takes to train a fair own calibration on it.
-        batch: how the lot is calibrated.
+        times: of each run; an audit must do to train a fair own calibration on it.
         twin: the nominal unit, of a diagnosis for example; None draws one.
     """
 
@@ -66,6 +85,40 @@ def press_demo_lot(config: DemoConfig, folder: Path, on_run: Callable[[str], Non
             write_recording(part / "units" / f"{serial}.csv", unit)
             write_recording(part / "audit" / f"{serial}.csv", pressed.audits[serial])
     return open_lot_folder(folder)
+
+
+def press_simulated_lot(
+    twins: Sequence[Twin],
+    serials: Sequence[str],
+    seed: int = 0,
+    times: PressTimes | None = None,
+    on_run: Callable[[str], None] | None = None,
+) -> RecordedLot:
+    """Press every unit of a simulated lot on one simulated station, over its serial lines.
+
+    Args:
+        twins, serials: (number of units,) the units, the source first.
+        seed: of mounting, noise and profiles.
+
+    Raises:
+        DeviceError: the station failed.
+    """
+    times, rng = times or PressTimes(), np.random.default_rng(seed)
+    units: dict[str, OutputRecording] = {}
+    audits: dict[str, LabelledRecording] = {}
+    tell = on_run or (lambda sentence: None)
+    with open_simulated_bench(twins[0], seed) as (bench, station):
+        tell(f"source unit {serials[0]}: pressing with the load cell")
+        source = record(bench, serials[0], source_profile(rng, times.source_s), with_reference=True)
+        for twin, serial in zip(twins[1:], serials[1:], strict=True):
+            station.mount(twin)
+            tell(f"unit {serial}: pressing, output only")
+            profile = unit_profile(rng, times.unit_s)
+            units[serial] = record(bench, serial, profile, with_reference=False).output_recording()
+            tell(f"unit {serial}: audit with the load cell")
+            audit = record(bench, serial, unit_profile(rng, times.audit_s), with_reference=True)
+            audits[serial] = audit.labelled_recording()
+    return RecordedLot(source.labelled_recording(), units, audits)
 
 
 def table_row(unit: UnitResult) -> list[object]:

@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 
 from softcal.app.bootstrap import is_alive
 from softcal.app.line.place import Note, Place, read_place
-from softcal.app.line.serials import numbered
+from softcal.app.line.scan_codes import numbered
 from softcal.core.lot import Lot
 from softcal.core.orders import Heartbeat, Order, Progress, RunState, StationState
 from softcal.core.quality.known_loads import KnownLoad, asked_loads, next_step
@@ -50,9 +50,8 @@ class Screen:
 
     Args:
         station: chosen; "" leaves it to the only one.
-        tab: tells screens apart.
-        seen: version of the place that it showed when the key was pressed; None where nobody can say.
-        until_s: `time.monotonic()` after which it says that the key was not taken; None where it says nothing.
+        seen: version of the place that it showed at the key; None where nobody can say.
+        until_s: `time.monotonic()` after which it says that the key was not taken.
     """
 
     station: str = ""
@@ -87,13 +86,9 @@ class LineFacts:
     Args:
         stations: every station that ever gave a sign of life.
         heartbeat: of the chosen one; None where there is none.
-        is_alive: whether its process lives; None where that cannot be seen from here.
-        lot: chosen or last used.
-        active: the run that occupies the station.
         runs: newest runs of the station, newest first.
-        place: what stands there beside the runs.
         results: in this lot, oldest first, of the unit that waits, else of the unit pressed last.
-        standings: where the units of the runs, and the one that waits, stand in this lot now, by serial.
+        standings: where the units of the runs, and the one that waits, stand, by serial.
     """
 
     now: datetime
@@ -153,7 +148,7 @@ class LineFacts:
     def load_step(self) -> int:
         """Number, from 1, of the known load that is read next on the last unit; 0 for none.
 
-        Not after a restart of the station's service: nobody knows what happened at the fixture meanwhile.
+        Not after a restart of the service: nobody knows what happened meanwhile.
         """
         if self.newest is None or self.active is not None or self.is_in_doubt or self.is_stopped:
             return 0
@@ -261,13 +256,13 @@ def standing_of(facts: LineFacts, run: LineRun) -> tuple[UnitStanding, ...]:
         return ()
     serials = (order.serial, *(numbered(order.serial, k) for k in range(MOST_AT_ONCE)))
     known = (facts.standings[serial] for serial in serials if serial in facts.standings)
-    # A run without a verdict leaves the unit as it was judged before it: that says nothing of the unit in the hand.
+    # A run without a verdict leaves the unit as it was judged before.
     decided = [s for s in known if progress.verdict or (order.created is not None and s.made_at >= order.created)]
     return tuple(sorted(decided, key=lambda standing: -Verdict(standing.verdict).severity))
 
 
 def _at_station(registry: Registry, facts: LineFacts, beat: Heartbeat) -> LineFacts:
-    # In this order: a run that begins between two looks must not find a place that was read after it.
+    # In this order: a run that begins between must not find a place read after it.
     place = read_place(registry.line_places, beat.station)
     active = registry.order_queue.active(beat.station)
     runs = tuple(run for run in registry.order_queue.runs(beat.station, NEWEST_RUNS) if run[0].kind.is_run)

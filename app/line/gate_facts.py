@@ -41,7 +41,6 @@ class GateRules:
     """How strict this line is.
 
     Args:
-        warm_up: how long the load cell must be powered.
         shift: a golden unit must have been pressed within this time.
         needs_certificate, needs_golden: a bench in development may do without; a line may not.
     """
@@ -57,13 +56,7 @@ RIG_ONLY = GateRules(timedelta(0), needs_certificate=False, needs_golden=False)
 
 
 class StationGate:
-    """The gate of one station: asked anew for every order, from what registry and rig say then.
-
-    Args:
-        registry: knows certificates and golden runs.
-        config: its load cell and safety bounds.
-        rules: how strict the line is.
-    """
+    """The gate of one station: asked anew for every order, from what registry and rig say then."""
 
     def __init__(self, registry: Registry, station: str, config: StationConfig, rules: GateRules) -> None:
         self._registry, self._station, self._config, self._rules = registry, station, config, rules

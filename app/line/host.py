@@ -1,6 +1,6 @@
 """The resident process of a station: takes orders from the registry, writes what happens.
 
-Pages and commands only order and read. The ports have one owner, this process; it survives any of them.
+Pages and commands only order and read. The ports have one owner: this process.
 """
 
 import os
@@ -82,10 +82,8 @@ class StationHost:
 
     Args:
         queue: where orders come from and progress goes.
-        keeper: takes finished runs.
         override: takes an engineer's decision to open the gate: who and why.
         make_service: the service for its two hooks, progress and stop; it is started by `run`.
-        fixture: what holds the unit.
         log: takes (event, facts) for support.
     """
 
@@ -142,7 +140,7 @@ class StationHost:
     def _patience(self) -> timedelta:
         """Return how long another owner must have been silent: no time where it is gone.
 
-        An owner that seems silent may only be on a busy machine, or have another clock: while it beats, it is there.
+        One that seems silent may be busy, or have another clock: while it beats, it is there.
         """
         before = self._queue.heartbeat(self._station)
         if before is None or before.state is StationState.OFF or before.process == self._process:
@@ -245,7 +243,7 @@ class StationHost:
             # From here on a new order may come: it is not for the desk.
             self._active, self._newest = "", None
         if self._unsaid:
-            # First that the station stands still, then why: nobody may press a key for what is about to be otherwise.
+            # First that the station stands still, then why: nobody may press a key too early.
             self._beat_or_give_way()
         while self._unsaid:
             progress = self._unsaid[0]

@@ -12,8 +12,7 @@ from datetime import UTC, datetime
 
 from softcal.app.line.facts import LineFacts, LotAtLine, Screen, read_line
 from softcal.app.line.place import Note, Place, read_place, write_place
-from softcal.app.line.scan_codes import Scan, read_scan
-from softcal.app.line.serials import is_unheard_of, lots_of
+from softcal.app.line.scan_codes import Scan, is_unheard_of, lots_of, read_scan
 from softcal.core.errors import InputError
 from softcal.core.lot import check_serial
 from softcal.core.orders import Order, OrderKind, RunState
@@ -36,7 +35,6 @@ class Step:
     """What a scan leads to.
 
     Args:
-        place: what stands at the line then.
         order: to be given to the station once the place is written; None for none.
     """
 
@@ -55,7 +53,7 @@ def take_scan(registry: Registry, screen: Screen, text: str, actor: str = "") ->
         InputError: there is no station that it could be for; nothing was ordered.
     """
     scan, until_s = read_scan(text), time.monotonic() + START_S
-    # A browser's deadline can only be the shorter one: after a restart it may know another clock than this machine's.
+    # A browser's deadline can only be the shorter one: it may know another clock.
     screen = replace(screen, until_s=until_s if screen.until_s is None else min(until_s, screen.until_s))
     for _ in range(MOST_CONFLICTS):
         facts = read_line(registry, screen)

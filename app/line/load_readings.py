@@ -98,7 +98,7 @@ def check_stated(loads: Sequence[KnownLoad], source: LabelledRecording, config: 
     """Refuse loads, before any was read, that the calibration could not use.
 
     Raises:
-        InputError: out of the source's range, one twice, or known less well than the calibration counts on.
+        InputError: out of the source's range, one twice, or known less well than needed.
     """
     check_values(source, np.array([load.value for load in loads]), NOTHING, config)
     most = COVERAGE * config.load_error * float(np.ptp(source.reference))

@@ -1,6 +1,6 @@
 """What stands at a line beside its runs: the unit that waits, the last sentence, the badge.
 
-It lies in the registry, one row a station, so that every screen shows the same after a reload or a restart.
+It lies in the registry, a row a station: every screen shows the same, also after a restart.
 """
 
 from collections.abc import Mapping
@@ -20,7 +20,6 @@ class Note:
     Args:
         key: of the text `note.KEY`.
         run: the newest run when it was said; a later run ends it.
-        is_meanwhile: whether it was said while that run was in progress.
     """
 
     key: str
@@ -44,8 +43,6 @@ class Place:
         is_confirmed: whether a person has said yes to a unit that is new, or has a result already.
         process: the station's service when it was scanned; another one has moved the stage since.
         lot_id: chosen by a scan; "" leaves it to the only one, or the last one used.
-        tab: the screen that scanned.
-        note: about the last scan.
     """
 
     version: int = 0

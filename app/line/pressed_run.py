@@ -15,7 +15,7 @@ from softcal.app.batch.release import LineRelease
 from softcal.app.batch.train import train_or_find
 from softcal.app.line.gate_facts import SHIFT, check_golden, quarantine
 from softcal.app.line.load_readings import LoadReadings, check_stated
-from softcal.app.line.serials import numbered
+from softcal.app.line.scan_codes import numbered
 from softcal.app.registry.golden import bridge_over, golden_lot, golden_of, keep_golden_of, newest_golden
 from softcal.app.registry.known_loads import keep_loads
 from softcal.app.registry.lot_recordings import source_model
@@ -49,8 +49,6 @@ class RunKeeper:
     """Takes finished runs of one station into the registry and calibrates what was pressed.
 
     Args:
-        registry: where recordings, networks and verdicts go.
-        network: how f is trained from a source's recording.
         reference: what the station compares sources with; None where nobody said.
         sitting: how long after a golden run of the source units are fitted to it.
     """

@@ -8,7 +8,7 @@ import numpy as np
 
 from softcal.app.files.recording_file import write_columns
 from softcal.app.line.rig import SERIALS_APART, columns
-from softcal.app.line.serials import numbered
+from softcal.app.line.scan_codes import numbered
 from softcal.core.errors import BadReply, InputError
 from softcal.core.lot import check_serial
 from softcal.station.interfaces import Sample
@@ -21,10 +21,7 @@ class Recovered:
     """One spool that was found.
 
     Args:
-        spool: its file.
-        serial, profile: of the run.
         end: "done", or how it ended.
-        samples: how many samples of the output it holds.
         files: what was written from it: one file per channel of a finished run.
     """
 
@@ -85,7 +82,7 @@ def _write(recording: StationRecording, channel: int, out: Path, serial: str, sp
 def _aborted_columns(run: SpooledRun, end: str) -> list[tuple[str, Any]]:
     """Return every channel of an aborted run, at the times of the first one that spoke.
 
-    Other channels are read between two of their samples; before the first and after the last one they are empty.
+    Others are read between two of their samples; before and after all they are empty.
     """
     polls = [Sample(poll.host_s, None, (poll.position_mm,)) for poll in run.polls]
     leading = run.output or run.force or polls

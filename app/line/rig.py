@@ -1,6 +1,6 @@
-"""The rig: find it, test it, press a unit and write its recording, or press a simulated lot."""
+"""The rig: find it, test it, press a unit and write its recording."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
@@ -16,7 +16,7 @@ from softcal.app.files.recording_file import write_columns
 from softcal.core.errors import InputError, NoReply
 from softcal.core.lot import Lot, check_serial
 from softcal.core.profiles import Profile, source_profile, unit_profile
-from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.recording import Array
 from softcal.core.unit.budget import SIMULATED, Reference
 from softcal.core.words.reason import Reason, reason, several
 from softcal.station.clock import HostClock
@@ -47,7 +47,7 @@ def chosen_bench(
 
     Args:
         simulated_channels: units under the simulated stage, one per channel.
-        twin: what stands under the simulated stage; further channels hold units like it. None for a drawn lot.
+        twin: what stands under the simulated stage, and is like the others; None: drawn.
 
     Raises:
         InputError: neither is given, or the file cannot be read.
@@ -76,7 +76,7 @@ def chosen_bench(
 def find_devices(ports: Sequence[str]) -> list[DeviceIdentity]:
     """Return what answers at these ports, or at all USB serial ports where none is given.
 
-    A port that cannot be opened stands in the list with the reason: another program has it, or nothing is there.
+    A port that cannot be opened stands in the list with the reason.
 
     Raises:
         NoReply: there is no port, or some that were named cannot be opened; all of them are named.
@@ -105,10 +105,10 @@ def station_of(devices: Sequence[DeviceIdentity], choose: Choose | None = None) 
     """Return the station that these devices make up.
 
     Args:
-        choose: asked where only a person can decide; without it that is refused. A part it leaves open has no port.
+        choose: asked where only a person can decide. A part it leaves open has no port.
 
     Raises:
-        NoReply: stage, readout or load cell is missing, or two could be the same part; all that is missing is named.
+        NoReply: a part is missing, or two could be one; all that is missing is named.
     """
     taken: list[DeviceIdentity] = []
     stage, readout, force = (_only(devices, role, taken, choose) for role in PARTS)
@@ -193,21 +193,15 @@ def check_station(
     Raises:
         DeviceError: a port or a device is missing; all of them are named.
     """
-    devices: list[DeviceIdentity] = []
-    if ports or (station_file is None and simulated_seed is None):
-        devices = find_devices(ports)
-    if station_file is None and simulated_seed is None:
+    is_found = station_file is None and simulated_seed is None
+    devices = tuple(find_devices(ports)) if ports or is_found else ()
+    if is_found:
         config = station_of(devices, choose)
         if not all(device.port for device in (config.stage, config.readout, config.force) if device is not None):
-            return StationCheck(config, tuple(devices), ())
-        with open_bench(config) as bench:
-            return StationCheck(bench.config, tuple(devices), _tested(bench, may_move))
-    with chosen_bench(station_file, simulated_seed) as bench:
-        return StationCheck(bench.config, tuple(devices), _tested(bench, may_move))
-
-
-def _tested(bench: Bench, may_move: bool) -> tuple[SelfTestItem, ...]:
-    return tuple(self_test(bench, may_move, profile=unit_profile(np.random.default_rng(0), 25.0)))
+            return StationCheck(config, devices, ())
+    with open_bench(config) if is_found else chosen_bench(station_file, simulated_seed) as bench:
+        findings = self_test(bench, may_move, profile=unit_profile(np.random.default_rng(0), 25.0))
+        return StationCheck(bench.config, devices, tuple(findings))
 
 
 @dataclass(frozen=True)
@@ -358,55 +352,3 @@ def profile_for(kind: str, seed: int, seconds: float | None, depth_mm: float, fi
     if kind == "source":
         return source_profile(rng, seconds or 170.0, depth_mm)
     return unit_profile(rng, seconds or 25.0, depth_mm)
-
-
-@dataclass(frozen=True)
-class RecordedLot:
-    """A lot as the station records it: source, units, and audits that decide about them."""
-
-    source: LabelledRecording
-    units: Mapping[str, OutputRecording]
-    audits: Mapping[str, LabelledRecording]
-
-
-@dataclass(frozen=True)
-class PressTimes:
-    """How long each kind of run presses, in s."""
-
-    source_s: float = 170.0
-    unit_s: float = 25.0
-    audit_s: float = 25.0
-
-
-def press_simulated_lot(
-    twins: "Sequence[Twin]",
-    serials: Sequence[str],
-    seed: int = 0,
-    times: PressTimes | None = None,
-    on_run: Callable[[str], None] | None = None,
-) -> RecordedLot:
-    """Press every unit of a simulated lot on one simulated station, over its serial lines.
-
-    Args:
-        twins, serials: (number of units,) the units, the source first.
-        seed: of mounting, noise and profiles.
-
-    Raises:
-        DeviceError: the station failed.
-    """
-    times, rng = times or PressTimes(), np.random.default_rng(seed)
-    units: dict[str, OutputRecording] = {}
-    audits: dict[str, LabelledRecording] = {}
-    tell = on_run or (lambda sentence: None)
-    with open_simulated_bench(twins[0], seed) as (bench, station):
-        tell(f"source unit {serials[0]}: pressing with the load cell")
-        source = record(bench, serials[0], source_profile(rng, times.source_s), with_reference=True)
-        for twin, serial in zip(twins[1:], serials[1:], strict=True):
-            station.mount(twin)
-            tell(f"unit {serial}: pressing, output only")
-            profile = unit_profile(rng, times.unit_s)
-            units[serial] = record(bench, serial, profile, with_reference=False).output_recording()
-            tell(f"unit {serial}: audit with the load cell")
-            audit = record(bench, serial, unit_profile(rng, times.audit_s), with_reference=True)
-            audits[serial] = audit.labelled_recording()
-    return RecordedLot(source.labelled_recording(), units, audits)

@@ -33,13 +33,11 @@ class Serving:
     """What a resident station is started with.
 
     Args:
-        station: its name, as orders call it.
         station_file: the rig; None for the simulated one.
         simulated_seed: of the simulated rig and its lot of units; None for a real one.
         speed: simulated seconds per second.
         source_profile, unit_profile: files of profiles, where others are wanted.
         override: an engineer's reason to run in spite of the gate; "" where there is none.
-        network: how f is trained from a source's recording.
     """
 
     station: str

@@ -23,9 +23,6 @@ class UnitLoads:
     """The known loads that belong to one recording.
 
     Args:
-        serial, recording_sha256: the unit, and its run.
-        loads: outputs at rest and loads.
-        at, actor: when and by whom they were brought.
         where: `line`, `file` or `page`.
     """
 

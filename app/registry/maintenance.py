@@ -30,7 +30,7 @@ def upgrade(url: str) -> Upgrade:
     """Bring a registry to this version's schema; an SQLite one is backed up beside itself.
 
     Raises:
-        RegistryError: it cannot be opened, was made by a newer version, or the upgrade failed and nothing was changed.
+        RegistryError: it cannot be opened, is newer, or the upgrade failed; nothing changed.
     """
     database = open_database(url)
     try:
@@ -54,8 +54,7 @@ class Verification:
     """What `registry verify` found.
 
     Args:
-        audit_rows: rows of the audit trail, of all chains.
-        heads: number and hash of the last row of each chain; written down elsewhere they prove that nothing was cut.
+        heads: last row of each chain; written down elsewhere they prove that nothing was cut.
     """
 
     faults: tuple[str, ...]
@@ -74,7 +73,7 @@ def verify(
 
     Args:
         is_quick: leave out what reads every page and blob.
-        files: backups and `audit.json` of exports to compare with, beside what this computer remembers.
+        files: backups and `audit.json` of exports to compare with.
     """
     anchors = [*remembered(registry), *map(read_anchor, files)]
     faults = tuple(registry.verify(is_quick=is_quick, anchors=anchors, on_step=on_step))

@@ -20,7 +20,7 @@ def state_reference(
     """Keep what is stated of a lot's reference, and return what is in force for its units.
 
     Args:
-        source: what was recorded with it: at its RMS load the reference's U counts against the limit.
+        source: recorded with it: at its RMS load the reference's U counts.
         reference: None where nothing is stated; what was stated before stays in force then. One that only names its
             instrument gets the certificate that the registry has of it on the day of use, else the newest one.
     """

@@ -1,6 +1,6 @@
 """How a unit stands: a refusal newer than its calibration leaves it no map to give out.
 
-Whoever gives out files, warns at use or shows a verdict asks here, so that all of them say the same word.
+Whoever gives out files, warns at use or shows a verdict asks here: all say the same word.
 """
 
 from softcal.core.errors import RegistryError
@@ -32,6 +32,6 @@ def caution(registry: Registry, stored: StoredCalibration, action: str) -> str:
         key, reason = (stored.lot_id, stored.serial), f"{action} of a unit that did not pass"
         registry.trail.add("use", "unit", key, facts, reason=reason)
     except RegistryError:
-        # Who may only read must still be able to estimate; the line on the terminal is then all there is.
+        # Who may only read must still be able to estimate; the line is then all there is.
         return f"{warning}; this use could not be recorded, the registry cannot be written"
     return warning

@@ -45,7 +45,6 @@ class KnownTrim:
     """What a unit was trimmed by.
 
     Args:
-        loads: outputs at rest, and loads.
         recording: hash of the recording that its map was fitted to.
         audit: hash of its newest audit of then; "" where it had none.
     """

@@ -39,8 +39,6 @@ class UnitInUse:
 
     Args:
         revision: of the calibration it starts from.
-        network: the shared network f.
-        calibration: f∘γ₀ and its interval.
         recording: the unit's own output at calibration.
     """
 

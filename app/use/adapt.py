@@ -41,11 +41,8 @@ class AdaptOptions:
     """How a stream is followed.
 
     Args:
-        config: mode and alarm.
         revision: calibration to start from; None for the one in use.
         stream: name under which the registry keeps the course; None makes one from the file's content.
-        resume: go on from the last state of the stream in the registry.
-        lot_id: lot of the unit; needed where its serial stands in several.
     """
 
     config: AdaptConfig = AdaptConfig()
@@ -60,11 +57,8 @@ class AdaptReport:
     """What became of a stream so far.
 
     Args:
-        serial, revision, stream, mode: which unit, from which calibration, under which name, how.
         flags: rows by each word of their flags.
         verdicts: how often the map was followed, held or jumped.
-        current: the correction in force.
-        method: every number that decides how it is followed.
         changed: numbers of the method that differ from those the stream was followed with before.
         trace: the course of output, estimate and predicted error, thinned.
     """
@@ -250,9 +244,9 @@ def adapt_file(
     if options.resume:
         follower.begin_file()
     kept = 0
-    with estimate_writer(target) as writer:
+    with estimate_writer(target) as write:
         for t_s, output in read_stream(source, names):
-            writer.write(follower.advance(t_s, output))
+            write(follower.advance(t_s, output))
             on_rows(follower.report.rows)
             if follower.report.rows - kept >= FILE_MAPS_ROWS:
                 follower.keep_maps()

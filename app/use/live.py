@@ -65,7 +65,6 @@ class LiveOptions:
         target: a CSV file, `-` or `tcp://HOST:PORT`.
         station_file: scale and rate of the readout; None takes those of the reference firmware.
         duration_s: stop after so much time of the stream; None goes on until the keyboard or the source ends it.
-        has_view: show the estimate in the terminal.
     """
 
     source: str

@@ -8,8 +8,7 @@ import pytest
 from softcal.app.batch.batch import run_batch
 from softcal.app.batch.lot_work import BatchConfig
 from softcal.app.cli.main import main
-from softcal.app.line.demo import TABLE_HEADER, DemoConfig, press_demo_lot, table_row
-from softcal.app.line.rig import PressTimes
+from softcal.app.line.demo import TABLE_HEADER, DemoConfig, PressTimes, press_demo_lot, table_row
 from softcal.core.network.config import NetworkConfig
 from softcal.db.connection import open_registry
 
