@@ -8,7 +8,6 @@ before; "browser CPU" is the time its page thread computed for a new one. The em
 the same Streamlit: what it takes is the floor. Needs Chromium and Playwright.
 """
 
-import argparse
 import os
 import statistics
 import sys
@@ -21,6 +20,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+from common.command import parser_of
 from common.desk_pictures import NAME, PIN, QUALITY, QUALITY_PIN, sign_in
 from common.screens import chromium, served, served_by, stated
 from common.tables import print_table
@@ -179,7 +179,7 @@ def median_ms(action: Callable[[], object], rounds: int) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--units", type=int, default=10_000)
     parser.add_argument("--rounds", type=int, default=5)
     options = parser.parse_args()
