@@ -1,6 +1,6 @@
 """What smaller networks and integers cost in accuracy on real lots.
 
-    python benchmarks/export_accuracy.py [--quick] [--write FILE]
+    python benchmarks/export_accuracy.py [--quick]
     python benchmarks/export_accuracy.py --sizes [--demo softcal-demo/registry.db]
 
 Source and targets of egain_pair and insole_lot: f trained on the source's first three quarters, maps fitted to each
@@ -10,7 +10,6 @@ onnxruntime from the float model on the same windows. `--sizes` prints instead w
 bytes changes on every taxel, and on the units of a `softcal demo`.
 """
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,20 +17,16 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 import pandas as pd
+from common.command import parser_of
 from common.map_methods import egain, insole, taxels
+from common.tables import print_table
 
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 from softcal.app.files.onnx_file import onnx_bytes
 from softcal.core.errors import UnitRefused
 from softcal.core.export.blob import UNIT_BYTES, NetworkFile
 from softcal.core.export.compile_map import compile_map, fine_forms
-from softcal.core.export.device import (
-    DeviceOptions,
-    UnitFacts,
-    build_network_file,
-    build_unit_file,
-    limits_of_unit,
-)
+from softcal.core.export.device import DeviceOptions, UnitFacts, build_network_file, build_unit_file, limits_of_unit
 from softcal.core.export.graph import compose
 from softcal.core.export.loader import open_sensor
 from softcal.core.maps.choose import choose_map
@@ -94,12 +89,18 @@ def _split(recording: LabelledRecording) -> tuple[LabelledRecording, LabelledRec
     return recording.part(0, at), recording.part(at, len(recording))
 
 
+def facts_of(network: Network, source: LabelledRecording, unit: LabelledRecording, forecast: float) -> UnitFacts:
+    """Fit a map to a unit and return what an export of it takes."""
+    chosen = choose_map(FitProblem(source, network, unit.unlabelled)).unit_map
+    exact = network.evaluate(chosen.apply(unit.windows))
+    return UnitFacts(unit.serial, 1, "pass", 0, chosen, unit.unlabelled, exact - 0.1, exact + 0.1, forecast)
+
+
 def measure(network: Network, source: LabelledRecording, target: LabelledRecording, forecast: float) -> UnitRow:
     """Fit, export and score one target; its error is forecast as the source's own."""
     train, test = _split(target)
-    chosen = choose_map(FitProblem(source, network, train.unlabelled)).unit_map
-    exact = network.evaluate(chosen.apply(train.windows))
-    facts = UnitFacts(target.serial, 1, "pass", 0, chosen, train.unlabelled, exact - 0.1, exact + 0.1, forecast)
+    facts = facts_of(network, source, train, forecast)
+    chosen = facts.unit_map
     network_file = build_network_file(network, source)
     unit = build_unit_file(facts, network, network_file).file
     estimate, _, _, flags = open_sensor(network_file.to_bytes(), unit.to_bytes()).estimate_output(test.windows)
@@ -141,16 +142,6 @@ def row(lot: LotData, hidden: tuple[int, ...], epochs: int) -> list[str]:
     ]  # fmt: skip
 
 
-HEADER = (
-    "lot", "network", "source, held out", "targets, float", "targets, device", "device - float, %",
-    "device - float, 99 % of rows, worst unit", "flagged rows, worst unit, %",
-    "ONNX - float, max", "largest unit file, B", "units (refused)",
-)  # fmt: skip
-
-
-SIZES_HEADER = ("lot", "unit", "span", *(f"{size} B" for size in UNIT_BYTES), "taken")
-
-
 def by_size(lot: str, facts: UnitFacts, network: Network, network_file: NetworkFile, unit: str) -> list[str]:
     """Largest and rms change of the estimate by files of each size, and the size an export takes by itself."""
     cells, taken = [], None
@@ -173,10 +164,7 @@ def lot_sizes(lot: LotData, epochs: int) -> Iterator[list[str]]:
     network = fit_network(train, NetworkConfig(hidden=(32, 16), max_epochs=epochs)).network
     own, network_file = rmse(network.evaluate(test.windows), test.window_reference), build_network_file(network, train)
     for target in lot.targets:
-        part = _split(target)[0]
-        chosen = choose_map(FitProblem(train, network, part.unlabelled)).unit_map
-        exact = network.evaluate(chosen.apply(part.windows))
-        facts = UnitFacts(target.serial, 1, "pass", 0, chosen, part.unlabelled, exact - 0.1, exact + 0.1, own)
+        facts = facts_of(network, train, _split(target)[0], own)
         yield by_size(lot.name, facts, network, network_file, lot.unit)
 
 
@@ -190,32 +178,25 @@ def demo_sizes(path: Path) -> Iterator[list[str]]:
                 yield by_size("demo", unit.facts, unit.network, unit.shared.file, "mN")
 
 
-def sizes(options: argparse.Namespace) -> list[str]:
-    """The table by size."""
-    lines = ["| " + " | ".join(SIZES_HEADER) + " |", "|" + "---|" * len(SIZES_HEADER)]
-    rows = [row for lot in lots(options.quick, 1) for row in lot_sizes(lot, 15 if options.quick else 200)]
-    rows += list(demo_sizes(options.demo)) if options.demo else []
-    return lines + ["| " + " | ".join(row) + " |" for row in rows]
-
-
 def main() -> None:
-    """Print the table: medians over targets."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--write", type=Path)
-    parser.add_argument("--sizes", action="store_true")
-    parser.add_argument("--demo", type=Path)
+    """Print the table: medians over targets; or the one by size."""
+    parser = parser_of(__doc__, "few units, short training")
+    parser.add_argument("--sizes", action="store_true", help="by size of the unit file")
+    parser.add_argument("--demo", type=Path, metavar="DB", help="with the units of this registry")
     options = parser.parse_args()
-    lines = ["| " + " | ".join(HEADER) + " |", "|" + "---|" * len(HEADER)]
+    epochs = 15 if options.quick else 200
     if options.sizes:
-        lines = sizes(options)
-    for lot in () if options.sizes else lots(options.quick):
-        for hidden in HIDDEN[:: 3 if options.quick else 1]:
-            lines.append("| " + " | ".join(row(lot, hidden, 15 if options.quick else 200)) + " |")
-    text = "\n".join(lines) + "\n"
-    print(text)
-    if options.write:
-        options.write.write_text(text)
+        rows = [one for lot in lots(options.quick, 1) for one in lot_sizes(lot, epochs)]
+        rows += list(demo_sizes(options.demo)) if options.demo else []
+        print_table(("lot", "unit", "span", *(f"{size} B" for size in UNIT_BYTES), "taken"), rows)
+        return
+    widths = HIDDEN[:: 3 if options.quick else 1]
+    head = (
+        "lot | network | source, held out | targets, float | targets, device | device - float, % | "
+        "device - float, 99 % of rows, worst unit | flagged rows, worst unit, % | ONNX - float, max | "
+        "largest unit file, B | units (refused)"
+    )
+    print_table(head, (row(lot, hidden, epochs) for lot in lots(options.quick) for hidden in widths))
 
 
 if __name__ == "__main__":

@@ -1,21 +1,23 @@
 """What a unit costs on end devices: bytes, memory, instructions (QEMU) or cycles (simavr), and error of the integers.
 
-    python benchmarks/export_device.py [--quick] [--write FILE]
+    python benchmarks/export_device.py [--quick]
 
 Trains the paper's network and smaller ones on the paper's own first sensor (egain_pair), maps the second one to it and
 runs its recording through the firmware on a Cortex-M0, a Cortex-M4, an RV32, an Uno and a Mega. Needs
 gcc-arm-none-eabi, qemu-system-arm, gcc-riscv64-unknown-elf, qemu-system-misc, gcc-avr, avr-libc and simavr.
 """
 
-import argparse
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from common.command import parser_of
 from common.map_methods import egain
+from common.tables import print_table
 
 from softcal.core.export.c_text import network_header, unit_header
 from softcal.core.export.compile_map import InputScale
@@ -103,10 +105,9 @@ def reference(network_file, unit: DeviceUnit, codes: np.ndarray) -> np.ndarray: 
     return np.array(rows)
 
 
-def rows(quick: bool) -> list[list[str]]:
+def rows(quick: bool) -> Iterator[tuple[str, ...]]:
     """One row per network and optimisation."""
     source, target = egain("S1"), egain("S2")
-    table = []
     for hidden in HIDDEN[:: 3 if quick else 1]:
         network = fit_network(source, NetworkConfig(hidden=hidden, max_epochs=20 if quick else 200)).network
         chosen = choose_map(FitProblem(source, network, target.unlabelled)).unit_map
@@ -122,33 +123,23 @@ def rows(quick: bool) -> list[list[str]]:
                 run = run_on_board(network_file, unit, codes, board, optimise)
                 ms = None if cycles is None else run.count * cycles / clock_MHz / 1000
                 time = ("–", "–") if ms is None else (f"{ms:.2f} at {clock_MHz:.0f}", f"{1000 / ms:.0f}")
-                table.append([
+                yield (
                     "-".join(map(str, network.sizes)), f"{name} {optimise}", f"{len(network_file.to_bytes())}",
                     f"{len(unit.file.to_bytes())}", f"{run.count:.0f}", *time, f"{run.open_count:.0f}",
                     f"{run.ram_bytes} + {run.stack_bytes}", f"{1000 * unit.max_error:.2f}",
                     f"{1000 * unit.rms_error:.2f}", "yes" if run.is_identical else "NO",
-                ])  # fmt: skip
-    return table
+                )  # fmt: skip
 
 
 HEADER = (
-    "network", "core, gcc", "network file, B", "unit file, B", "instructions (AVR: cycles) per estimate", "ms at MHz",
-    "at most, Hz", "to open", "RAM + stack, B", "error max, mN", "error rms, mN", "bits as NumPy",
-)  # fmt: skip
+    "network | core, gcc | network file, B | unit file, B | instructions (AVR: cycles) per estimate | ms at MHz | "
+    "at most, Hz | to open | RAM + stack, B | error max, mN | error rms, mN | bits as NumPy"
+)
 
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--write", type=Path)
-    options = parser.parse_args()
-    lines = ["| " + " | ".join(HEADER) + " |", "|" + "---|" * len(HEADER)]
-    lines += ["| " + " | ".join(row) + " |" for row in rows(options.quick)]
-    text = "\n".join(lines) + "\n"
-    print(text)
-    if options.write:
-        options.write.write_text(text)
+    print_table(HEADER, rows(parser_of(__doc__, "two networks, short training").parse_args().quick))
 
 
 if __name__ == "__main__":

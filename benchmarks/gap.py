@@ -7,23 +7,22 @@
     python benchmarks/gap.py --tables residual forms      twins with empirical terms, and with other forms, on a run
                                                           kept back
 
-Prints Markdown. `--keep DIR --seed S` goes on where it was cut off. `--write FILE` also writes it there; `--log FILE`
-appends one line per case that is not right.
+`--keep DIR --seed S` goes on where it was cut off. `--log FILE` appends one line per case that is not right.
 """
 
-import argparse
-import json
 import secrets
 import sys
 import time
 import traceback
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common.gap_twin import twin_table
+from common.command import Kept, parser_of
+from common.gap_cases import as_case, print_twins
+from common.tables import print_table
 
 from softcal.core.challenge.cases import EXPERIMENTS, RunPlan, SealedCase, distance_sigma
 from softcal.core.challenge.draw import LINES, draw_case
@@ -31,10 +30,8 @@ from softcal.core.challenge.judge import Judged, read_answer
 from softcal.core.challenge.realised import realised_shrink
 from softcal.core.challenge.score import POOR, ScoreSheet, score_reports
 from softcal.core.challenge.seal import Label
-from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import diagnose
 from softcal.core.metrics import finite_or_none, wilson
-from softcal.core.twin.parameters import ReadoutMetadata
 
 TABLES = ("lines", "detection", "sureness", "experiments", "speed", "residual", "forms")
 USUAL_TABLES = TABLES[:5]
@@ -69,19 +66,6 @@ class Diagnosed:
     realised: float | None = None
 
 
-def as_case(sealed: SealedCase, plans: Sequence[RunPlan]) -> Case:
-    """Return the recordings of a sealed case as the diagnosis takes them, rounded like their files."""
-    rig = sealed.rig
-    readout = ReadoutMetadata(rig.vref_V, rig.adc_bits, rig.r_series_ohm, rig.sample_rate_Hz)
-    runs = []
-    for number, found in enumerate(sealed.written(plans), start=1):
-        measured, stated = found.measured, replace(readout, sample_rate_Hz=found.sample_rate_Hz)
-        columns = {name: np.round(values, 6) for name, values in measured.columns.items()}
-        kept = {"kind": measured.kind, "profile": measured.profile, "dummy_ohm": measured.dummy_ohm, **columns}
-        runs.append(Run(name=f"runs/{number}", readout=stated, **kept))  # type: ignore[arg-type]
-    return Case(sealed.name, tuple(runs))
-
-
 def diagnosed(sealed: SealedCase, plans: Sequence[RunPlan] | None = None) -> Diagnosed:
     """Diagnose a sealed case, with other runs than its own where given."""
     case = as_case(sealed, plans or sealed.plans)
@@ -102,39 +86,33 @@ def realised(sealed: SealedCase, report: Mapping[str, Any] | None) -> float | No
     return finite_or_none(realised_shrink(sealed, report))
 
 
-def kept_case(sealed: SealedCase, keep: Path | None, experiment: RunPlan | None = None) -> Diagnosed:
-    """Diagnose a case, with one more run where given, or take it from the folder of cases done by this revision."""
-    name = sealed.name if experiment is None else f"{sealed.name}+{experiment.protocol}"
-    path = keep / f"{name}.json" if keep else None
-    if path is not None and path.exists():
-        content = json.loads(path.read_text())
-        label = Label(sealed, "", content["distance_sigma"])
-        return Diagnosed(label, content["report"], content["seconds"], content["realised"])
-    found = diagnosed(sealed) if experiment is None else diagnosed(sealed, (*sealed.plans, experiment))
-    found = replace(found, realised=None if experiment else realised(sealed, found.report))
-    if path is not None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        content = {name: getattr(found, name) for name in ("report", "seconds", "realised")}
-        path.write_text(json.dumps(content | {"distance_sigma": found.label.distance_sigma}))
-    return found
+def kept_case(sealed: SealedCase, kept: Kept, experiment: RunPlan | None = None) -> Diagnosed:
+    """Diagnose a case, with one more run where given, or take it from the cases done by this revision."""
+
+    def made() -> dict[str, Any]:
+        found = diagnosed(sealed, None if experiment is None else (*sealed.plans, experiment))
+        shrink = None if experiment else realised(sealed, found.report)
+        content = {"report": found.report, "seconds": found.seconds, "realised": shrink}
+        return content | {"distance_sigma": found.label.distance_sigma}
+
+    content = kept.of(sealed.name if experiment is None else f"{sealed.name}+{experiment.protocol}", made)
+    label = Label(sealed, "", content["distance_sigma"])
+    return Diagnosed(label, content["report"], content["seconds"], content["realised"])
 
 
-def run_lines(
-    lines: Sequence[str], count: int, seed: int, log: Path | None, keep: Path | None
-) -> tuple[list[Diagnosed], ScoreSheet]:
-    """Diagnose `count` fresh cases of every line and score them; a line's rows are printed when it is through."""
+def run_lines(lines: Sequence[str], count: int, seed: int, log: Path | None, kept: Kept) -> list[Diagnosed]:
+    """Diagnose `count` fresh cases of every line; a line's rows are printed when it is through."""
     done: list[Diagnosed] = []
     for line in lines:
         for number in range(count):
-            done.append(kept_case(draw_case(seed + number, f"{line}-{seed + number}", line), keep))
+            done.append(kept_case(draw_case(seed + number, f"{line}-{seed + number}", line), kept))
             print(f"\r{line} {number + 1}/{count} ", end="", file=sys.stderr, flush=True)
             _log(done[-1], log)
         here, seconds = done[-count:], [d.seconds for d in done[-count:]]
-        print(line_table(scored(here)))
+        print_lines(scored(here))
         middle, most = np.median(seconds), np.quantile(seconds, 0.9)
-        print(f"\n{line}: seconds of processor time per case {middle:.1f} (median), {most:.1f} (90 %)\n")
-        sys.stdout.flush()
-    return done, scored(done)
+        print(f"{line}: seconds of processor time per case {middle:.1f} (median), {most:.1f} (90 %)\n", flush=True)
+    return done
 
 
 def scored(done: Sequence[Diagnosed]) -> ScoreSheet:
@@ -164,70 +142,52 @@ def _log(found: Diagnosed, log: Path | None, what: str = "") -> None:
         )
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
-    return "\n".join([*lines, *("| " + " | ".join(map(str, row)) + " |" for row in rows)])
-
-
-def line_table(sheet: ScoreSheet) -> str:
-    """Every measure of every line with its 95 % interval and its target."""
+def print_lines(sheet: ScoreSheet) -> None:
+    """Print every measure of every line with its 95 % interval and its target."""
     rows = []
     for row in (row for row in (*sheet.rows, *sheet.shrink.rows) if row.count):
-        low, high = row.interval
         target = TARGETS.get((row.line, row.measure))
-        aim = "" if target is None else f"≥ {target} %"
-        rows.append(
-            (
-                row.line,
-                row.measure,
-                f"{row.hits}/{row.count}",
-                f"{100 * row.share:.1f} %",
-                f"{100 * low:.0f}–{100 * high:.0f} %",
-                aim,
-            )
-        )
-    return table(("line", "measure", "hits", "share", "95 % interval", "target"), rows)
+        found = f"{row.hits}/{row.count}", f"{100 * row.share:.1f} %", between(*row.interval)
+        rows.append((row.line, row.measure, *found, "" if target is None else f"≥ {target} %"))
+    print_table("line | measure | hits | share | 95 % interval | target", rows)
 
 
-def detection_table(sheet: ScoreSheet) -> str:
-    """Named / cases by distance from the noise after a base refit, per effect."""
+def between(low: float, high: float) -> str:
+    return f"{100 * low:.0f}–{100 * high:.0f} %"
+
+
+def print_detection(sheet: ScoreSheet) -> None:
+    """Print named / cases by distance from the noise after a base refit, per effect."""
     edges = sorted({(d.from_sigma, d.to_sigma) for d in sheet.detection})
     cells = {(d.effect, d.from_sigma): f"{d.named}/{d.count}" for d in sheet.detection}
-    header = ("effect", *(f"{low:g}–{high:g} σ" for low, high in edges))
     effects = sorted({d.effect for d in sheet.detection})
-    return table(header, [(effect, *(cells.get((effect, low), "") for low, _ in edges)) for effect in effects])
+    header = ("effect", *(f"{low:g}–{high:g} σ" for low, high in edges))
+    print_table(header, ((effect, *(cells.get((effect, low), "") for low, _ in edges)) for effect in effects))
 
 
-def sureness_table(done: Sequence[Diagnosed], sheet: ScoreSheet) -> str:
-    """Calibration of the probabilities, the shrink, and the seconds of the runs above."""
+def print_sureness(done: Sequence[Diagnosed], sheet: ScoreSheet) -> None:
+    """Print the calibration of the probabilities, the shrink, and the seconds of the runs above."""
     sure, seconds = sheet.probabilities, [d.seconds for d in done]
     stated = [(p, e in j.truth) for j in sheet.judged if j.answer for e, p in j.answer.probabilities.items()]
     open_ = np.array([pair for pair in stated if 0.05 < pair[0] < 0.95]).reshape(-1, 2)
-    rows = [
-        ("expected calibration error, all effects of all cases (target ≤ 0.03)", f"{sure.ece:.4f}"),
-        ("expected calibration error, first cause", f"{sure.ece_first:.3f}"),
-        ("Brier score", f"{sure.brier:.4f}"),
-        (
-            f"the {len(open_)} probabilities between 0.05 and 0.95: mean stated, share really there",
-            "{:.2f}, {:.2f}".format(*open_.mean(axis=0)) if len(open_) else "–",
-        ),
-        ("mean probability on the true single cause", f"{sure.on_truth:.3f}"),
-        (
-            f"median realised shrink on the run kept back, {sheet.shrink.count} cases",
-            f"{sheet.shrink.median_realised:.3f}",
-        ),
-        (
-            "seconds of processor time per case, median and 90th percentile",
-            f"{np.median(seconds):.1f}, {np.quantile(seconds, 0.9):.1f}",
-        ),
-    ]
-    return table(("measure", "value"), rows)
+    pair = "{:.2f}, {:.2f}".format(*open_.mean(axis=0)) if len(open_) else "–"
+    shrink, often = sheet.shrink, f"{np.median(seconds):.1f}, {np.quantile(seconds, 0.9):.1f}"
+    rows = {
+        "expected calibration error, all effects of all cases (target ≤ 0.03)": f"{sure.ece:.4f}",
+        "expected calibration error, first cause": f"{sure.ece_first:.3f}",
+        "Brier score": f"{sure.brier:.4f}",
+        f"the {len(open_)} probabilities between 0.05 and 0.95: mean stated, share really there": pair,
+        "mean probability on the true single cause": f"{sure.on_truth:.3f}",
+        f"median realised shrink on the run kept back, {shrink.count} cases": f"{shrink.median_realised:.3f}",
+        "seconds of processor time per case, median and 90th percentile": often,
+    }
+    print_table("measure | value", rows.items())
 
 
-def experiment_table(done: Sequence[Diagnosed], seed: int, keep: Path | None, log: Path | None) -> str:
+def print_experiments(done: Sequence[Diagnosed], seed: int, kept: Kept, log: Path | None) -> None:
     """Ask the sealed rig for what an ambiguous report proposes, diagnose again, and compare with a random choice."""
     rng, lines = np.random.default_rng(seed), dict.fromkeys(d.label.case.line for d in done)
-    tally = {line: [0, 0, 0, 0] for line in (*lines, "all")}
+    tally = {line: np.zeros(4, dtype=int) for line in (*lines, "all")}
     for first in done:
         if first.report is None or first.report["verdict"] != "ambiguous":
             continue
@@ -235,20 +195,18 @@ def experiment_table(done: Sequence[Diagnosed], seed: int, keep: Path | None, lo
         counts = [1, 0, 0, 0]
         if proposal in EXPERIMENTS:
             plans = [RunPlan(str(name), sealed.kept_back.seed) for name in (proposal, rng.choice(EXPERIMENTS))]
-            proposed, random = (kept_case(sealed, keep, plan) for plan in plans)
+            proposed, random = (kept_case(sealed, kept, plan) for plan in plans)
             counts = [1, 1, int(is_resolved(proposed)), int(is_resolved(random))]
             if not is_resolved(proposed):
                 _log(proposed, log, f" after {proposal}")
         for line in (sealed.line, "all"):
-            tally[line] = [total + one for total, one in zip(tally[line], counts, strict=True)]
+            tally[line] += counts
     rows = []
     for line, (ambiguous, asked, hits, chance) in tally.items():
-        low, high = wilson(hits, asked)
-        share = f"{100 * low:.0f}–{100 * high:.0f} %" if asked else ""
+        share = between(*wilson(hits, asked)) if asked else ""
         if ambiguous:
             rows.append((line, ambiguous, asked, f"{hits}/{asked}", share, f"{chance}/{asked}"))
-    header = ("line", "ambiguous", "with a run proposed", "resolved by it", "95 % interval", "by a random run")
-    return table(header, rows)
+    print_table("line | ambiguous | with a run proposed | resolved by it | 95 % interval | by a random run", rows)
 
 
 def is_resolved(found: Diagnosed) -> bool:
@@ -258,62 +216,54 @@ def is_resolved(found: Diagnosed) -> bool:
     return Judged(found.label, read_answer(found.label.case.name, found.report)).outcome == "right"
 
 
-def speed_table(count: int, seed: int) -> str:
-    """Seconds against samples, for singles and pairs; the same rigs with more runs."""
-    rows = []
-    for line in ("usual", "pair"):
-        for copies in (1, 2, 4):
-            cases = [draw_case(seed + k, f"{line}-{k}", line) for k in range(count)]
-            times, samples = [], []
-            for sealed in cases:
-                plans = [RunPlan(p.protocol, p.seed + c) for c in range(copies) for p in sealed.plans]
-                times.append(diagnosed(sealed, plans).seconds)
-                samples.append(sum(len(sealed.measure(plan).columns["t_s"]) for plan in plans))
-            rows.append((line, 4 * copies, float(np.median(samples)), float(np.median(times))))
-    text = table(
-        ("line", "runs", "samples, median", "processor seconds, median (target ≤ 5 s at 8,000)"),
-        [(line, runs, f"{n:.0f}", f"{s:.1f}") for line, runs, n, s in rows],
-    )
+def print_speed(count: int, seed: int) -> None:
+    """Print seconds against samples, for singles and pairs; the same rigs with more runs."""
+    rows = [_seconds(line, copies, count, seed) for line in ("usual", "pair") for copies in (1, 2, 4)]
+    head = "line | runs | samples, median | processor seconds, median (target ≤ 5 s at 8,000)"
+    print_table(head, [(line, runs, f"{n:.0f}", f"{s:.1f}") for line, runs, n, s in rows])
     for line in ("usual", "pair"):
         n, s = zip(*[(row[2], row[3]) for row in rows if row[0] == line], strict=True)
         slope = np.polyfit(np.log(n), np.log(s), 1)[0]
-        text += f"\n\n{line}: seconds grow as samples to the power {slope:.2f} (1 is linear)"
-    return text
+        print(f"{line}: seconds grow as samples to the power {slope:.2f} (1 is linear)\n")
+
+
+def _seconds(line: str, copies: int, count: int, seed: int) -> tuple[str, int, float, float]:
+    times, samples = [], []
+    for sealed in (draw_case(seed + k, f"{line}-{k}", line) for k in range(count)):
+        plans = [RunPlan(p.protocol, p.seed + c) for c in range(copies) for p in sealed.plans]
+        times.append(diagnosed(sealed, plans).seconds)
+        samples.append(sum(len(sealed.measure(plan).columns["t_s"]) for plan in plans))
+    return line, 4 * copies, float(np.median(samples)), float(np.median(times))
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__, "four cases per line")
     parser.add_argument("--cases", type=int, default=200, help="cases per line")
-    parser.add_argument("--quick", action="store_true", help="four cases per line")
     parser.add_argument("--seed", type=int, default=None, help="first seed (default: chosen now)")
     parser.add_argument("--lines", nargs="+", choices=tuple(LINES), default=tuple(LINES))
     parser.add_argument("--tables", nargs="+", choices=TABLES, default=USUAL_TABLES)
-    parser.add_argument("--write", type=Path, help="write the tables into this file as well")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep every case here; a run that was cut off goes on")
     parser.add_argument("--log", type=Path, help="append one line per case that is not right")
     options = parser.parse_args()
-    count = 4 if options.quick else options.cases
+    count, kept = 4 if options.quick else options.cases, Kept(options.keep and options.keep / "cases.jsonl")
     seed = secrets.randbits(24) if options.seed is None else options.seed
-    parts = [f"Seeds {seed} to {seed + count - 1}, {count} cases per line."]
+    print(f"Seeds {seed} to {seed + count - 1}, {count} cases per line.\n")
     if {"lines", "detection", "sureness", "experiments"} & set(options.tables):
-        done, sheet = run_lines(options.lines, count, seed, options.log, options.keep)
-        made = {
-            "lines": line_table(sheet),
-            "detection": detection_table(sheet),
-            "sureness": sureness_table(done, sheet),
-        }
-        parts += [made[name] for name in options.tables if name in made]
+        done = run_lines(options.lines, count, seed, options.log, kept)
+        sheet = scored(done)
+        if "lines" in options.tables:
+            print_lines(sheet)
+        if "detection" in options.tables:
+            print_detection(sheet)
+        if "sureness" in options.tables:
+            print_sureness(done, sheet)
         if "experiments" in options.tables:
-            parts.append(experiment_table(done, seed, options.keep, options.log))
+            print_experiments(done, seed, kept, options.log)
     if "speed" in options.tables:
-        parts.append(speed_table(max(3, count // 10), seed))
-    for line, what in (("outside", "residual"), ("form", "forms")):
-        if what in options.tables:
-            parts.append(twin_table([draw_case(seed + k, f"{line}-{seed + k}", line) for k in range(count)], as_case))
-    text = "\n\n".join(parts) + "\n"
-    print(text)
-    if options.write:
-        options.write.write_text(text)
+        print_speed(max(3, count // 10), seed)
+    for line, name in (("outside", "residual"), ("form", "forms")):
+        if name in options.tables:
+            print_twins([draw_case(seed + k, f"{line}-{seed + k}", line) for k in range(count)])
 
 
 if __name__ == "__main__":

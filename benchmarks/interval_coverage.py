@@ -4,11 +4,12 @@ python benchmarks/interval_coverage.py [--quick] [--seeds FIRST LAST]
 python benchmarks/interval_coverage.py --fit --seeds 1000 1016   # coverage by share of the variance
 """
 
-import argparse
 from dataclasses import replace
 
 import numpy as np
+from common.command import parser_of
 from common.simulated_cases import Case, cases, coverage
+from common.tables import print_table
 
 from softcal.core.simulated_lot import GOOD
 from softcal.core.unit.estimate import estimate
@@ -19,8 +20,7 @@ SHARES = (0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 1.1, 1.25)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="four lots only")
+    parser = parser_of(__doc__, "four lots only")
     parser.add_argument("--seeds", type=int, nargs=2, default=(0, 24), metavar=("FIRST", "LAST"))
     parser.add_argument("--fit", action="store_true", help="print coverage by share instead")
     options = parser.parse_args()
@@ -38,13 +38,14 @@ def print_group(name: str, group: list[Case]) -> None:
     per_unit = [coverage(c.result, c.test) for c in group]
     low, middle, high = np.quantile(per_unit, (0.1, 0.5, 0.9))
     trusted = np.mean([coverage(c.result, c.test, trusted_only=True) for c in group])
-    print(f"\n**{name}**: {len(group)} units, mean {np.mean(per_unit):.1%}, unflagged rows {trusted:.1%}, ", end="")
+    print(f"**{name}**: {len(group)} units, mean {np.mean(per_unit):.1%}, unflagged rows {trusted:.1%}, ", end="")
     print(f"units' 10/50/90 %: {low:.0%} / {middle:.0%} / {high:.0%}\n")
-    thirds = ("lower third", "middle third", "upper third")
-    print("| direction | " + " | ".join(thirds) + " |\n|---|---|---|---|")
-    for d, direction in enumerate(DIRECTIONS):
-        cells = [np.mean(np.concatenate([hits(c, d, third) for c in group])) for third in range(3)]
-        print(f"| {direction} | " + " | ".join(f"{cell:.1%}" for cell in cells) + " |")
+    thirds = range(3)
+    rows = (
+        (direction, *(f"{np.mean(np.concatenate([hits(c, d, third) for c in group])):.1%}" for third in thirds))
+        for d, direction in enumerate(DIRECTIONS)
+    )
+    print_table("direction | lower third | middle third | upper third", rows)
 
 
 def hits(case: Case, direction: int, third: int) -> np.ndarray:

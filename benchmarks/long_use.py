@@ -9,8 +9,6 @@ the estimates err by more than the alarm's ratio times the error at calibration.
 are `followed` and nothing else. An alarm is false where nothing is due while it stands.
 """
 
-import argparse
-import json
 import secrets
 import sys
 import time
@@ -20,7 +18,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from common.followed import DATA, Unit, calibrate, follow, part_rmse
+from common.command import Kept, parser_of
+from common.followed import Unit, calibrate, follow, part_rmse
+from common.map_methods import DATA
 from common.simulated_streams import KINDS, Stream, draw
 from common.tables import print_table
 from numpy.typing import NDArray
@@ -240,21 +240,10 @@ def marked(found: list[tuple[int, int]], rows: int) -> NDArray[np.bool_]:
 
 def outcomes(count: int, with_beside: int, seed: int, cache: Path | None) -> Iterator[Outcome]:
     """Judge streams, those of an earlier run from its file."""
-    path = None
-    if cache is not None:
-        cache.mkdir(parents=True, exist_ok=True)
-        # Numbers of another method are not these.
-        path = cache / f"long-use-{seed}-{UseMethod().id[:12]}.jsonl"
-    known: dict[int, Outcome] = {}
-    if path is not None and path.exists():
-        known = {row.pop("number"): Outcome(**row) for row in map(json.loads, path.read_text().splitlines())}
+    # Numbers of another method are not these.
+    kept = Kept(cache and cache / f"long-use-{seed}-{UseMethod().id[:12]}.jsonl")
     for number in range(count):
-        if number not in known:
-            known[number] = outcome(draw(number, seed), number < with_beside)
-            if path is not None:
-                with path.open("a") as file:
-                    file.write(json.dumps({"number": number, **asdict(known[number])}) + "\n")
-        yield known[number]
+        yield Outcome(**kept.of(str(number), lambda n=number: asdict(outcome(draw(n, seed), n < with_beside))))  # type: ignore[misc]
 
 
 def is_silent(one: Outcome) -> bool:
@@ -380,7 +369,7 @@ def goals(found: list[Outcome], runs: dict[str, dict[str, float]]) -> Iterator[t
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--streams", type=int, default=528, metavar="N")
     parser.add_argument("--beside", type=int, default=44, metavar="N")
     parser.add_argument("--seed", type=int, default=400)

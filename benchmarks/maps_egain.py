@@ -4,10 +4,10 @@ python benchmarks/maps_egain.py [--quick]
 python benchmarks/maps_egain.py --motion    two known loads of the unit, read while it moves: 100 drawn pairs of rows
 """
 
-import argparse
 from dataclasses import replace
 
 import numpy as np
+from common.command import parser_of
 from common.map_methods import METHODS, egain, own_error
 from common.tables import print_table
 from scipy.optimize import minimize
@@ -27,8 +27,7 @@ LEAST_APART = 0.2
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="one seed instead of five")
+    parser = parser_of(__doc__, "one seed instead of five")
     parser.add_argument("--motion", action="store_true", help="with two known loads read in motion")
     options = parser.parse_args()
     if options.motion:

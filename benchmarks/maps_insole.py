@@ -8,36 +8,30 @@ python benchmarks/maps_insole.py [same|other] [--quick] [--every N] [--sources N
     [--seeds N]
 """
 
-import argparse
 from collections.abc import Mapping, Sequence
 from functools import cache
 
 import numpy as np
-from common.map_methods import METHODS, insole, own_error, summary, taxel, taxels
+from common.command import parser_of
+from common.map_methods import METHODS, SOURCES, insole, own_error, split, summary, taxel, taxels, verdict_word
 from common.tables import print_table
 
-from softcal.core.errors import UnitRefused
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
-from softcal.core.unit.calibrate import calibrate
-from softcal.core.unit.source_model import SourceModel, make_source_model
-from softcal.core.unit.unit_problem import UnitProblem
+from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.verdict import VERDICTS
 
-SOURCES = ("taxel_001", "taxel_030", "taxel_060", "taxel_061", "taxel_135")
 BEFORE, DEFAULT = "before (no map)", "softcal default"
 FAST = (BEFORE, DEFAULT, "label_shift", "monotone", "ot.da.EMDTransport", "ot.da.LinearTransport")
-STRETCHES = 32
 FLAGGED = 1.15
 """Units beyond this ratio are to be flagged: not passed."""
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__, "one source and every fifth unit")
     parser.add_argument("programme", nargs="?", choices=("same", "other"), default="same")
-    parser.add_argument("--quick", action="store_true", help="one source and every fifth unit")
     parser.add_argument("--sources", nargs="+", default=SOURCES)
     parser.add_argument("--every", type=int, default=1, metavar="N", help="every Nth unit only")
     parser.add_argument("--methods", nargs="+", default=FAST, choices=FAST, help="these only")
@@ -85,14 +79,6 @@ def run(source: str, programme: str, step: int, methods: Sequence[str], seeds: i
     print_verdicts(judged)
 
 
-def verdict_word(problem: FitProblem, model: SourceModel) -> str:
-    """Verdict on the unit against the default limit, made without a label of it."""
-    try:
-        return calibrate(UnitProblem(model, problem.target, anchors=problem.anchors)).decision.verdict
-    except UnitRefused:
-        return "refused"
-
-
 def print_verdicts(judged: Mapping[str, Sequence[tuple[float, float]]]) -> None:
     """Print what the verdicts of the default said, from after / before and after / own of every unit and seed."""
     rows = []
@@ -110,12 +96,6 @@ def own_of(name: str, programme: str, seed: int) -> float:
     train, test = split(len(day))
     own = taxel(day, name, train) if programme == "same" else taxel(insole("validation_1"), name)
     return own_error(own, taxel(day, name, test), NetworkConfig(seed=seed))
-
-
-def split(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Masks of the rows to fit and of the held-out quarter."""
-    held = np.arange(count) * STRETCHES // count % 4 == 2
-    return ~held, held
 
 
 if __name__ == "__main__":

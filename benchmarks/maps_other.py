@@ -10,7 +10,6 @@ a line would leave, chosen on the tested labels: no gain and no level can be bet
 python benchmarks/maps_other.py [egain|skin|insole ...] [--every N] [--without N] [--known] [--cache DIR]
 """
 
-import argparse
 import pickle
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -18,10 +17,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-import pandas as pd
-from common.map_methods import DATA, METHODS, egain, insole, score, summary, taxel, taxels
+from common.command import parser_of
+from common.map_methods import METHODS, NETWORK, SOURCES, egain, insole, score, skin, split, summary, taxel, taxels
 from common.tables import print_table
-from maps_insole import SOURCES, split
 
 from softcal.core.identity import content_sha256
 from softcal.core.maps.anchors import refine
@@ -31,12 +29,10 @@ from softcal.core.maps.config import MapConfig
 from softcal.core.maps.interface import Anchors, FitProblem
 from softcal.core.maps.monotone import shape_distance
 from softcal.core.metrics import rmse
-from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
 
-NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60, batch=128)
 DAYS = ("calibration", "validation_1")
 PLACES = ("left", "middle", "right")
 METHOD_NAMES = ("before (no map)", "label_shift", "monotone", "softcal default", "ot.da.EMDTransport")
@@ -89,7 +85,7 @@ class Networks:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("sets", nargs="*", default=list(SETS), choices=SETS)
     parser.add_argument("--every", type=int, default=4, metavar="N", help="every Nth taxel as a unit")
     parser.add_argument("--without", type=int, metavar="N", help="leave every Nth taxel out as a unit")
@@ -230,13 +226,6 @@ def insole_cases(every: int) -> Iterator[Case]:
                     use, test = (taxel(tested, name, rows) for rows in (train, held))
                     line = f"insole {day}, source {source}"
                     yield Case(line, taxel(tested, source, train), taxel(fitted, name).unlabelled, use, test)
-
-
-def skin(place: str) -> LabelledRecording:
-    """One place of the skin, its trials joined."""
-    table = pd.read_parquet(DATA / "skin_places" / f"{place}.parquet")
-    output = OutputRecording(place, np.arange(len(table)) / 50.0, table["output_V"].to_numpy(np.float64), 50.0)
-    return LabelledRecording(output, table["force_N"].to_numpy(np.float64))
 
 
 SETS: dict[str, Callable[[int], Iterator[Case]]] = {"egain": egain_cases, "skin": skin_cases, "insole": insole_cases}

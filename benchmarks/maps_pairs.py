@@ -6,12 +6,12 @@ are not read here. Maps are fitted on % 4 == 1 and 3 and judged on % 4 == 0, beh
 python benchmarks/maps_pairs.py [--sources NAME ...] [--every N]
 """
 
-import argparse
 from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from common.map_methods import insole, taxel, taxels
+from common.command import parser_of
+from common.map_methods import STRETCHES, insole, taxel, taxels
 from common.tables import print_table
 
 from softcal.core.maps.config import MapConfig, PairConfig
@@ -20,7 +20,6 @@ from softcal.core.maps.paired import fit_synchronous
 from softcal.core.metrics import rmse
 from softcal.core.network.training import fit_network
 
-STRETCHES = 32
 STIFFNESS = (5e-6, 2e-5, 8e-5)
 CURVE_STIFFNESS = (1.8e-8, 7e-8, 2.8e-7)
 KNOTS = (16, 24, 32)
@@ -28,7 +27,7 @@ SHAPES = (((1, 1.0), (5, 0.98), (15, 0.96)), ((1, 1.02), (5, 0.99), (15, 0.97)),
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--sources", nargs="+", default=("taxel_015", "taxel_092"))
     parser.add_argument("--every", type=int, default=4, metavar="N", help="every Nth unit only")
     options = parser.parse_args()

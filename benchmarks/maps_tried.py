@@ -12,13 +12,13 @@ The cases are those of maps_other.py, errors are after / own. No constant of sof
 - f trained on copies of the source with drawn gains and levels, without a map and with the default map.
 """
 
-import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import ot
+from common.command import parser_of
 from common.map_methods import METHODS, summary, thinned
 from common.tables import print_table
 from maps_other import SETS, Case, Networks
@@ -175,7 +175,7 @@ def ratios(case: Case, networks: Networks, names: Sequence[str]) -> dict[str, fl
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("sets", nargs="*", default=list(SETS), choices=SETS)
     parser.add_argument("--methods", nargs="+", default=list(TRIED), choices=TRIED, metavar="NAME", help="these only")
     parser.add_argument("--every", type=int, default=8, metavar="N", help="every Nth taxel as a unit")

@@ -1,6 +1,6 @@
 """Mistakes drawn on measured and simulated units: how many end as fail or retest, and how many good units are refused.
 
-python benchmarks/mistakes.py [--seed 0] [--draws 260] [--sets egain insole skin simulated] [--data ../shared/data]
+python benchmarks/mistakes.py [--seed 0] [--draws 260] [--sets egain insole skin simulated]
 
 A mistake is drawn for a unit in good order: the channel the wrong way round, output and reference exchanged, a rate
 that is declared wrongly (x 0.2 to 5) or that went by unseen, another physical unit, a clipped readout, another sensor.
@@ -9,15 +9,15 @@ of the mistakes end as fail or retest, more than 0.5 % of the good units are ref
 forecast is five times too small behind another word than these.
 """
 
-import argparse
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from pathlib import Path
+from functools import cache
 
 import numpy as np
 import pandas as pd
+from common.command import parser_of
+from common.map_methods import DATA
 from common.tables import print_table
 
 from softcal.core.errors import UnitRefused
@@ -56,9 +56,9 @@ def labelled(serial: str, output: object, reference: object, rate_Hz: float) -> 
     )
 
 
-@lru_cache
-def table(path: Path) -> pd.DataFrame:
-    return pd.read_csv(path) if path.suffix == ".csv" else pd.read_parquet(path)
+@cache
+def table(name: str) -> pd.DataFrame:
+    return pd.read_csv(DATA / name) if name.endswith(".csv") else pd.read_parquet(DATA / name)
 
 
 def trained(source: LabelledRecording) -> SourceModel:
@@ -66,9 +66,9 @@ def trained(source: LabelledRecording) -> SourceModel:
     return make_source_model(source, found.network, found.validation_rows)
 
 
-def egain(data: Path, rng: Rng) -> Iterator[Unit]:
+def egain(rng: Rng) -> Iterator[Unit]:
     for one, other in (("S1", "S2"), ("S2", "S1")):
-        model, unit = (table(data / f"egain_pair/{name}.csv") for name in (one, other))
+        model, unit = (table(f"egain_pair/{name}.csv") for name in (one, other))
         source = trained(labelled(one, model["output_V"][:800], model["force_N"][:800], 50.0))
         for _ in range(30):
             length = int(rng.integers(400, 1001))
@@ -77,8 +77,8 @@ def egain(data: Path, rng: Rng) -> Iterator[Unit]:
             yield Unit("egain", source, labelled(other, part["output_V"], part["force_N"], 50.0))
 
 
-def insole(data: Path, rng: Rng) -> Iterator[Unit]:
-    day, other_day = (table(data / f"insole_lot/{name}.parquet") for name in ("calibration", "validation_1"))
+def insole(rng: Rng) -> Iterator[Unit]:
+    day, other_day = (table(f"insole_lot/{name}.parquet") for name in ("calibration", "validation_1"))
     taxels = [str(name) for name in day if str(name).startswith("taxel")]
     for one in rng.choice(taxels, 2, replace=False):
         source = trained(labelled(one, day[one], day["pressure_bar"], 48.9))
@@ -89,8 +89,8 @@ def insole(data: Path, rng: Rng) -> Iterator[Unit]:
             yield Unit("insole", source, labelled(name, other_day[name], other_day["pressure_bar"], 48.9))
 
 
-def skin(data: Path, rng: Rng) -> Iterator[Unit]:
-    places = {name: table(data / f"skin_places/{name}.parquet") for name in ("left", "middle", "right")}
+def skin(rng: Rng) -> Iterator[Unit]:
+    places = {name: table(f"skin_places/{name}.parquet") for name in ("left", "middle", "right")}
     for one in places:
         source = trained(labelled(one, places[one]["output_V"], places[one]["force_N"], 50.0))
         for other in places:
@@ -100,7 +100,7 @@ def skin(data: Path, rng: Rng) -> Iterator[Unit]:
                 yield Unit("skin", source, labelled(other, part["output_V"], part["force_N"], 50.0))
 
 
-def simulated(data: Path, rng: Rng) -> Iterator[Unit]:
+def simulated(rng: Rng) -> Iterator[Unit]:
     for shift in SHIFTS:
         for _ in range(3):
             lot = simulate_lot(int(rng.integers(1_000_000)), LotDesign(good=8, shift=shift))
@@ -115,12 +115,7 @@ def _unlabelled(recording: OutputRecording) -> LabelledRecording:
     return LabelledRecording(recording, np.full(len(recording), np.nan_to_num(0.0)))
 
 
-SETS: dict[str, Callable[[Path, Rng], Iterator[Unit]]] = {
-    "egain": egain,
-    "insole": insole,
-    "skin": skin,
-    "simulated": simulated,
-}
+SETS: dict[str, Callable[[Rng], Iterator[Unit]]] = {one.__name__: one for one in (egain, insole, skin, simulated)}
 
 
 def reversed_channel(unit: Unit, others: list[Unit], rng: Rng) -> OutputRecording | None:
@@ -192,14 +187,13 @@ def judged(unit: Unit, recording: OutputRecording) -> tuple[str, set[str], float
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--draws", type=int, default=260, help="mistakes drawn")
     parser.add_argument("--sets", nargs="+", default=list(SETS), choices=list(SETS))
-    parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     options = parser.parse_args()
     rng = np.random.default_rng(options.seed)
-    units = [unit for name in options.sets for unit in SETS[name](options.data, rng)]
+    units = [unit for name in options.sets for unit in SETS[name](rng)]
     by_kind = defaultdict(list)
     for unit in units:
         by_kind[unit.kind].append(unit)

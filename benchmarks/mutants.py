@@ -239,17 +239,8 @@ class NamedTests:
     """Which long tests are about a module: those whose file names it most, then those whose own name shares words."""
 
     def __init__(self) -> None:
-        listed = [
-            sys.executable,
-            "-m",
-            "pytest",
-            "-q",
-            "--collect-only",
-            "-m",
-            LAYERS["long"],
-            "-p",
-            "no:cacheprovider",
-        ]
+        asked = ["-q", "--collect-only", "-m", LAYERS["long"], "-p", "no:cacheprovider"]
+        listed = [sys.executable, "-m", "pytest", *asked]
         printed = subprocess.run(listed, cwd=ROOT, capture_output=True, text=True, check=True).stdout
         self._of_file: dict[str, list[str]] = {}
         for name in printed.splitlines():
@@ -354,22 +345,9 @@ class Tree:
 
 FORKED = multiprocessing.get_context("forkserver")
 PRELOADED = (
-    "hypothesis.stateful",
-    "xdist.plugin",
-    "playwright.sync_api",
-    "alembic.command",
-    "streamlit.testing.v1",
-    "numpy",
-    "pandas",
-    "ot",
-    "torch",
-    "sqlalchemy",
-    "scipy.stats",
-    "scipy.optimize",
-    "plotly",
-    "serial",
-    "pytest",
-)
+    "hypothesis.stateful", "xdist.plugin", "playwright.sync_api", "alembic.command", "streamlit.testing.v1", "numpy",
+    "pandas", "ot", "torch", "sqlalchemy", "scipy.stats", "scipy.optimize", "plotly", "serial", "pytest",
+)  # fmt: skip
 """What a trial finds imported already; softcal is not among it."""
 
 

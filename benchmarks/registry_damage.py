@@ -9,7 +9,6 @@ edits: one cell, one row less or one row more each, over all tables. `documented
 cannot see. `--blind` turns the checks off, to see that the benchmark would tell.
 """
 
-import argparse
 import contextlib
 import random
 import sqlite3
@@ -21,6 +20,7 @@ from pathlib import Path
 from unittest import mock
 
 import numpy as np
+from common.command import parser_of
 from common.registries import begin_lot, record
 from common.tables import print_table
 from sqlalchemy import Connection
@@ -282,8 +282,7 @@ def blind() -> Iterator[None]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="40 flips and 40 edits")
+    parser = parser_of(__doc__, "40 flips and 40 edits")
     parser.add_argument("--flips", type=int, default=1000)
     parser.add_argument("--edits", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)

@@ -8,7 +8,6 @@ before; "browser CPU" is the time its page thread computed for a new one. The em
 the same Streamlit: what it takes is the floor. Needs Chromium and Playwright.
 """
 
-import argparse
 import os
 import statistics
 import sys
@@ -21,6 +20,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+from common.command import median_s, parser_of
 from common.desk_pictures import NAME, PIN, QUALITY, QUALITY_PIN, sign_in
 from common.screens import chromium, served, served_by, stated
 from common.tables import print_table
@@ -169,18 +169,8 @@ def queries(registry: Registry) -> Iterator[tuple[str, Callable[[], object]]]:
     yield "the whole view, once per change", lambda: lot_view(registry, LOT)
 
 
-def median_ms(action: Callable[[], object], rounds: int) -> float:
-    """Return the median of a few runs in ms."""
-    seconds = []
-    for _ in range(rounds):
-        start_s = time.perf_counter()
-        action()
-        seconds.append(time.perf_counter() - start_s)
-    return 1e3 * statistics.median(seconds)
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--units", type=int, default=10_000)
     parser.add_argument("--rounds", type=int, default=5)
     options = parser.parse_args()
@@ -188,7 +178,7 @@ def main() -> None:
         url = f"sqlite:///{Path(folder) / 'registry.db'}"
         with open_registry(url) as registry:
             fill(registry, options.units)
-            rows = ((name, median_ms(query, options.rounds)) for name, query in queries(registry))
+            rows = ((name, 1e3 * median_s(query, options.rounds)) for name, query in queries(registry))
             print_table((f"query, {options.units} units, SQLite", "ms"), rows)
             registry.order_queue.beat(Heartbeat("line-1", StationState.READY, datetime.now(UTC), process="rig:1"))
         print(flush=True)

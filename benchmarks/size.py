@@ -160,29 +160,12 @@ def shape(package: str, trees: Mapping[str, ast.Module]) -> str:
 
 
 def components(arrows: Arrows) -> list[frozenset[str]]:
-    """Return groups of rooms that reach one another (Tarjan 1972), those that the others stand on first."""
-    index: dict[str, int] = {}
-    low: dict[str, int] = {}
-    stack: list[str] = []
-    found: list[frozenset[str]] = []
-
-    def visit(room: str) -> None:
-        index[room] = low[room] = len(index)
-        stack.append(room)
-        for other in sorted(arrows[room]):
-            if other not in index:
-                visit(other)
-            if other in stack:
-                low[room] = min(low[room], low[other])
-        if low[room] == index[room]:
-            group = stack[stack.index(room) :]
-            del stack[stack.index(room) :]
-            found.append(frozenset(group))
-
-    for room in sorted(arrows):
-        if room not in index:
-            visit(room)
-    return found
+    """Return groups of rooms that reach one another, those that the others stand on first."""
+    reached = {room: {room} for room in arrows}
+    for _ in arrows:
+        reached = {room: {room}.union(*(reached[other] for other in arrows[room])) for room in arrows}
+    groups = {frozenset(o for o in reached[room] if room in reached[o]) for room in arrows}
+    return sorted(groups, key=lambda group: (len(reached[min(group)]), min(group)))
 
 
 def closing(circle: frozenset[str], arrows: Arrows) -> int:

@@ -6,17 +6,18 @@ The constants of station/record/proof.py and station/motion/safety.py were chose
 600 to 1099; other seeds test them.
 """
 
-import argparse
-import json
 import tempfile
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from common.command import Kept, parser_of, part_of
 from common.proof_trial import GoodRig, draw_good_rig, press_good_rig
+from common.tables import print_table
 
 from softcal.core.errors import SoftcalError
 from softcal.station.devices.simulated_station import SimulatedStation
@@ -44,49 +45,34 @@ EVERY = {"changed": 8, "broken": 16}
 
 def main() -> None:
     """Run what is not kept yet, then print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__, "six rigs", kept=True)
     parser.add_argument("--seeds", type=int, nargs=2, default=(100, 300), metavar=("A", "B"))
-    parser.add_argument("--kept", type=Path, metavar="FILE", help="keep results there, and go on where they end")
-    parser.add_argument("--part", type=int, nargs=2, default=(0, 1), metavar=("K", "N"), help="every N-th seed from K")
-    parser.add_argument("--quick", action="store_true", help="six rigs")
     options = parser.parse_args()
     first, end = (options.seeds[0], options.seeds[0] + 6) if options.quick else options.seeds
-    seeds = range(first + options.part[0], end, options.part[1])
-    kept = _Kept(options.kept)
+    kept, rows = Kept(options.kept), list[Row]()
     for what, trial in (("good", _press), ("changed", _change), ("broken", _break)):
-        for seed in seeds:
+        for seed in part_of(options, range(first, end)):
             if what == "good" or (seed - first) % EVERY[what] == 0:
-                kept.add(what, seed, trial)
-    _print([row for row in kept.rows if first <= row["seed"] < end])
+                rows += kept.of(f"{what} {seed}", partial(_tried, trial, seed))
+    _print(rows)
 
 
-class _Kept:
-    """What was found, in a file where one is named: a run that is cut off goes on where it ended."""
-
-    def __init__(self, path: Path | None) -> None:
-        self._path = path
-        lines = path.read_text().splitlines() if path is not None and path.exists() else []
-        self.rows: list[dict[str, Any]] = [json.loads(line) for line in lines]
-
-    def add(self, trial: str, seed: int, run: Callable[[GoodRig], Iterator[dict[str, Any]]]) -> None:
-        """Run one trial of one rig unless it is there already."""
-        if any((row["trial"], row["seed"]) == (trial, seed) for row in self.rows):
-            return
-        rig = draw_good_rig(seed)
-        about = {"trial": trial, "seed": seed, "unit": rig.unit, "cell_Hz": rig.cell_Hz, "late_s": rig.late_s}
-        new = [about | row for row in run(rig)]
-        self.rows += new
-        if self._path is not None:
-            with self._path.open("a") as file:
-                file.write("".join(json.dumps(row) + "\n" for row in new))
+Row = dict[str, Any]
 
 
-def _press(rig: GoodRig) -> Iterator[dict[str, Any]]:
+def _tried(trial: Callable[[GoodRig], Iterator[Row]], seed: int) -> list[Row]:
+    """Return what a trial of one rig shows, with what it is about."""
+    rig = draw_good_rig(seed)
+    about = {"seed": seed, "unit": rig.unit, "cell_Hz": rig.cell_Hz, "late_s": rig.late_s}
+    return [about | row for row in trial(rig)]
+
+
+def _press(rig: GoodRig) -> Iterator[Row]:
     said, behind_s = _said(lambda: press_good_rig(rig).alignment.force_behind_s)
     yield {"what": "good", "value": 0.0, "said": said, "behind_s": behind_s}
 
 
-def _change(rig: GoodRig) -> Iterator[dict[str, Any]]:
+def _change(rig: GoodRig) -> Iterator[Row]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.spool"
         if _said(lambda: press_good_rig(rig, path).zero_N)[0]:
@@ -102,7 +88,7 @@ def _change(rig: GoodRig) -> Iterator[dict[str, Any]]:
         yield {"what": what, "value": value, "said": _assembled(changed), "wrong": wrong}
 
 
-def _break(rig: GoodRig) -> Iterator[dict[str, Any]]:
+def _break(rig: GoodRig) -> Iterator[Row]:
     for what, values, breaks in (("stuck", STUCK_S, hang), ("slipped", SLIPPED_MM, _slip)):
         for value in values:
             yield {"what": what, "value": value, "said": _pressed(rig, breaks, value)}
@@ -180,7 +166,7 @@ def _slip(station: SimulatedStation, slipped_mm: float) -> None:
     station.rig.lose_steps(slipped_mm)
 
 
-def _print(rows: list[dict[str, Any]]) -> None:
+def _print(rows: list[Row]) -> None:
     good = [row for row in rows if row["what"] == "good"]
     refused = [row for row in good if row["said"]]
     off_ms = np.array([1000 * (row["behind_s"] - row["late_s"]) for row in good if row["behind_s"] is not None])
@@ -190,8 +176,6 @@ def _print(rows: list[dict[str, Any]]) -> None:
         f"How late the cell was is known in {100 * known:.0f} %; found minus true: median {np.median(off_ms):+.1f} ms, "
         f"from {off_ms.min():+.1f} to {off_ms.max():+.1f} ms.\n"
     )
-    print("| what is wrong | how much | rigs | noticed | share |")
-    print("|---|---|---|---|---|")
     table: dict[tuple[str, float], list[bool]] = defaultdict(list)
     for row in rows:
         is_harmless = row.get("wrong", 1.0) < 0.01  # Labels wrong by less than 1 % of their range.
@@ -206,10 +190,13 @@ def _print(rows: list[dict[str, Any]]) -> None:
         "stuck": "load cell stuck but noisy, s",
         "slipped": "motor loses steps in a press, mm",
     }
-    for (what, value), noticed in table.items():
-        print(f"| {names[what]} | {value:g} | {len(noticed)} | {sum(noticed)} | {100 * np.mean(noticed):.0f} % |")
+    cells = (
+        (names[what], f"{value:g}", len(noticed), sum(noticed), f"{100 * np.mean(noticed):.0f} %")
+        for (what, value), noticed in table.items()
+    )
+    print_table("what is wrong | how much | rigs | noticed | share", cells)
     if refused:
-        print("\nRefused although good:\n")
+        print("Refused although good:\n")
         for row in refused:
             print(f"- {row['seed']}: {row['unit']}, {row['cell_Hz']:g} Hz, {row['late_s']:.3f} s: {row['said']}")
 

@@ -3,19 +3,16 @@
 python benchmarks/station_safety.py [--quick] [--kept FILE] [--part K N] [--each]
 
 Time is simulated: it passes while the host waits, so a run takes seconds of the computer and is the same every time.
-With --kept every run is written down as it ends and is not run again; delete the file when the code has changed.
 """
 
-import argparse
 import itertools
-import json
-import signal
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
+from functools import partial
 
+from common.command import Kept, no_longer_than, parser_of, part_of
 from common.rig_trial import ForceLaw, RigCase, RigOutcome, press
+from common.tables import print_table
 
 from softcal.core.profiles import ramps
 from softcal.station.devices.config import LATEST_S, UNKNOWN_S, FixtureConfig
@@ -73,26 +70,18 @@ class Trial:
 
 def main() -> None:
     """Press what is asked for and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="the drive of a fresh GRBL, 24 runs")
-    parser.add_argument("--kept", type=Path, metavar="FILE", help="outcomes are kept here, one JSON line each")
-    parser.add_argument(
-        "--part", type=int, nargs=2, metavar=("K", "N"), help="press the K-th of N parts, print nothing"
-    )
+    parser = parser_of(__doc__, "the drive of a fresh GRBL, 24 runs", kept=True)
     parser.add_argument("--each", action="store_true", help="print a row for each run as well")
     options = parser.parse_args()
     trials = list(trials_of(*(QUICK if options.quick else (ACCELERATIONS, CELLS, STOPS, SPEEDS))))
-    run = kept(options.kept, pressed) if options.kept else pressed
-    if options.part:
-        k, n = options.part
-        for trial in trials[k - 1 :: n]:
-            run(trial)
-        return
-    outcomes = [(trial, run(trial)) for trial in trials]
+    kept = Kept(options.kept)
+    outcomes = [
+        (trial, RigOutcome(**kept.of(repr(trial), partial(pressed, trial)))) for trial in part_of(options, trials)
+    ]
     if options.each:
         print_each(outcomes)
     for place, is_stated in itertools.product((LAYER, IN_THE_WAY), (False, True)):
-        print_table(place, is_stated, [(t, o) for t, o in outcomes if (t.place, t.is_stated) == (place, is_stated)])
+        print_forces(place, is_stated, [(t, o) for t, o in outcomes if (t.place, t.is_stated) == (place, is_stated)])
     print_summary(outcomes)
 
 
@@ -109,78 +98,46 @@ def trials_of(
         yield Trial(IN_THE_WAY, is_stated, a, *cell, stop_N_mm, speeds[0])
 
 
-def pressed(trial: Trial) -> RigOutcome:
+def pressed(trial: Trial) -> dict[str, object]:
     """Return what became of one trial.
 
     Raises:
         TimeoutError: the run hangs.
     """
     with no_longer_than(HANG_S, trial):
-        return press(trial.case, ramps([1.4], trial.speed_mm_s, rest_s=0.5))
+        return asdict(press(trial.case, ramps([1.4], trial.speed_mm_s, rest_s=0.5)))
 
 
-@contextmanager
-def no_longer_than(seconds: int, what: object) -> Iterator[None]:
-    """Raise `TimeoutError` when the block takes more of the computer's time."""
-
-    def hang(signal_number: int, frame: object) -> None:
-        raise TimeoutError(f"{what} hangs")
-
-    signal.signal(signal.SIGALRM, hang)
-    signal.alarm(seconds)
-    try:
-        yield
-    finally:
-        signal.alarm(0)
-
-
-def kept(path: Path, run: Callable[[Trial], RigOutcome]) -> Callable[[Trial], RigOutcome]:
-    """Return `run` with its outcomes kept in a file."""
-    known: dict[str, RigOutcome] = {}
-    for line in path.read_text().splitlines() if path.exists() else ():
-        entry = json.loads(line)
-        known[json.dumps(entry["trial"])] = RigOutcome(**entry["outcome"])
-
-    def run_once(trial: Trial) -> RigOutcome:
-        key = json.dumps(asdict(trial))
-        if key not in known:
-            known[key] = run(trial)
-            with path.open("a") as file:
-                file.write(json.dumps({"trial": asdict(trial), "outcome": asdict(known[key])}) + "\n")
-        return known[key]
-
-    return run_once
-
-
-def print_table(place: str, is_stated: bool, outcomes: Sequence[tuple[Trial, RigOutcome]]) -> None:
+def print_forces(place: str, is_stated: bool, outcomes: Sequence[tuple[Trial, RigOutcome]]) -> None:
     """Print the largest force of each cell against its bound: of its speeds the one that came nearest."""
     stops = sorted({trial.stop_N_mm for trial, _ in outcomes})
     stated = "the station file states how late the cell is" if is_stated else "the cell's latency is not stated"
-    print(f"\nA hard stop {place}, {stated}: largest force of its bound, N.\n")
-    print("| mm/s² | cell, Hz | late, s | " + " | ".join(f"{stop:g} N/mm" for stop in stops) + " |")
-    print("|" + "---|" * (3 + len(stops)))
     rigs = dict.fromkeys((t.acceleration_mm_s2, t.cell_Hz, t.late_s) for t, _ in outcomes)
+    rows = []
     for rig in rigs:
         mine = [(t, o) for t, o in outcomes if (t.acceleration_mm_s2, t.cell_Hz, t.late_s) == rig]
         cells = [_nearest([(t, o) for t, o in mine if t.stop_N_mm == stop]) for stop in stops]
-        print("| " + " | ".join([*(f"{value:g}" for value in rig), *cells]) + " |")
+        rows.append((*(f"{value:g}" for value in rig), *cells))
+    print(f"A hard stop {place}, {stated}: largest force of its bound, N.\n")
+    print_table(("mm/s²", "cell, Hz", "late, s", *(f"{stop:g} N/mm" for stop in stops)), rows)
 
 
 def _nearest(outcomes: Sequence[tuple[Trial, RigOutcome]]) -> str:
+    if not outcomes:
+        return ""
     trial, outcome = min(outcomes, key=lambda pair: pair[0].bound_N() - pair[1].largest_N)
     return f"{outcome.largest_N:.2f} of {trial.bound_N():.1f}"
 
 
 def print_each(outcomes: Sequence[tuple[Trial, RigOutcome]]) -> None:
     """Print every run with what the operator reads."""
-    print(
-        "| place | stated | mm/s² | cell, Hz | late, s | N/mm | mm/s | bound, N | largest, N | ends | operator reads |"
-    )
-    print("|" + "---|" * 11)
+    rows = []
     for trial, outcome in outcomes:
-        facts = " | ".join(str(value) for value in asdict(trial).values())
         said = outcome.message.replace("|", "/") or "–"
-        print(f"| {facts} | {trial.bound_N():.1f} | {outcome.largest_N:.2f} | {outcome.ends} | {said} |")
+        forces = f"{trial.bound_N():.1f}", f"{outcome.largest_N:.2f}"
+        rows.append((*map(str, asdict(trial).values()), *forces, outcome.ends, said))
+    head = "place | stated | mm/s² | cell, Hz | late, s | N/mm | mm/s | bound, N | largest, N | ends | operator reads"
+    print_table(head, rows)
 
 
 def print_summary(outcomes: Sequence[tuple[Trial, RigOutcome]]) -> None:
@@ -192,7 +149,7 @@ def print_summary(outcomes: Sequence[tuple[Trial, RigOutcome]]) -> None:
     untrue = sum(not outcome.is_true for _, outcome in outcomes)
     counts = ", ".join(f"{ends.count(end)} {end}" for end in dict.fromkeys(sorted(ends)))
     print(
-        f"\n{len(outcomes)} runs: {counts}. Largest force {worst:.1f} N; {above} above the bound, "
+        f"{len(outcomes)} runs: {counts}. Largest force {worst:.1f} N; {above} above the bound, "
         f"{full} at or above the cell's capacity; {untrue} say something untrue of the stage."
     )
 

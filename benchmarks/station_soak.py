@@ -6,9 +6,7 @@ With --faults, N units drawn at random meet a fault drawn at random, and the res
 each stop a minute passes, an order without acknowledgement is tried, then somebody acknowledges.
 """
 
-import argparse
 import resource
-import signal
 import tempfile
 import time
 from collections import Counter
@@ -16,6 +14,8 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from common.command import no_longer_than, parser_of
+from common.tables import print_table
 
 from softcal.core.orders import Order, OrderKind, Progress, StationState
 from softcal.core.profiles import unit_profile
@@ -43,9 +43,8 @@ HANG_S = 120
 
 def main() -> None:
     """Press until the shift is over."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__, "a tenth of an hour")
     parser.add_argument("--hours", type=float, default=1.0, help="simulated hours (default 1)")
-    parser.add_argument("--quick", action="store_true", help="a tenth of an hour")
     parser.add_argument("--faults", type=int, metavar="N", help="break the station so often, at random")
     parser.add_argument("--seed", type=int, default=1, help="of the faults (default 1)")
     options = parser.parse_args()
@@ -63,18 +62,11 @@ def main() -> None:
             memory_MB.append(_resident_MB())
         hours = bench.clock.now_s() / 3600
     late_MB = memory_MB[-1] - memory_MB[len(memory_MB) // 5]
-    print(
-        "| simulated h | units | s per unit | units per h | samples | lost | memory now, MB | grown since a fifth, MB |"
-    )
-    print("|---|---|---|---|---|---|---|---|")
-    print(
-        f"| {hours:.2f} | {units} | {3600 * hours / units:.1f} | {units / hours:.0f} | {samples} | {lost} | "
-        f"{memory_MB[-1]:.1f} | {late_MB:+.1f} |"
-    )
-    print(
-        f"\nTook {time.perf_counter() - began_s:.0f} s of real time; peak memory "
-        f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB."
-    )
+    pace, memory = (3600 * hours / units, units / hours), (f"{memory_MB[-1]:.1f}", f"{late_MB:+.1f}")
+    head = "simulated h | units | s per unit | units per h | samples | lost | memory now, MB | grown since a fifth, MB"
+    print_table(head, [(f"{hours:.2f}", units, f"{pace[0]:.1f}", f"{pace[1]:.0f}", samples, lost, *memory)])
+    peak_MB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(f"Took {time.perf_counter() - began_s:.0f} s of real time; peak memory {peak_MB:.0f} MB.")
 
 
 class ShiftWithFaults:
@@ -100,11 +92,9 @@ class ShiftWithFaults:
             broken.discard(self._count)
             self._count += 1
         self._service.close()
-        print("| what | times |\n|---|---|")
-        for what, times in sorted(self._seen.items()):
-            print(f"| {what} | {times} |")
+        print_table("what | times", sorted(self._seen.items()))
         took_s = time.perf_counter() - began_s
-        print(f"\n{self._now_s / 3600:.2f} simulated h, {self._count} units, {took_s:.0f} s of the computer.")
+        print(f"{self._now_s / 3600:.2f} simulated h, {self._count} units, {took_s:.0f} s of the computer.")
 
     @property
     def _now_s(self) -> float:
@@ -124,12 +114,8 @@ class ShiftWithFaults:
     def _order(self) -> bool:
         """Press a unit; return whether there is a recording of it."""
         order = Order(f"o{time.monotonic_ns()}", "s1", OrderKind.UNIT, f"U{self._count}", "L1", "benchmark")
-        signal.signal(signal.SIGALRM, _hang)
-        signal.alarm(HANG_S)
-        try:
+        with no_longer_than(HANG_S, order):
             return self._service.perform(order) is not None
-        finally:
-            signal.alarm(0)
 
     def _press(self, is_broken: bool) -> None:
         fault = str(self._rng.choice(list(NAMES))) if is_broken else ""
@@ -178,10 +164,6 @@ class ShiftWithFaults:
         self._seen["stops after which it moved by itself"] += moved_mm > MOVED_MM
         if moved_mm > MOVED_MM:
             print(f"moved by {moved_mm:.3f} mm: {fault}")
-
-
-def _hang(signal_number: int, frame: object) -> None:
-    raise TimeoutError
 
 
 def _resident_MB() -> float:

@@ -7,7 +7,6 @@ The simulated rig runs at real time here. The clock starts when F8 is pressed in
 byte has crossed the wire of the stage.
 """
 
-import argparse
 import subprocess
 import sys
 import tempfile
@@ -21,7 +20,9 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from common.command import parser_of
 from common.screens import chromium, served
+from common.tables import print_table
 
 from softcal.app.line.host import StationHost
 from softcal.app.line.pressed_run import RunKeeper
@@ -82,7 +83,7 @@ class Rig:
 
 def main() -> None:
     """Stop runs in every phase and print the times."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--rounds", type=int, default=5, help="stops in each phase (default 5)")
     parser.add_argument("--browser", action="store_true", help="from the key in a real browser")
     parser.add_argument(
@@ -231,11 +232,10 @@ def acknowledge(rig: Rig) -> None:
 
 def report(times: list[tuple[str, list[float]]]) -> None:
     """Print a row for each phase."""
-    print("| phase | stops | median, s | largest, s |")
-    print("|---|---|---|---|")
-    for phase, took_s in [*times, ("all", [t for _, some in times for t in some])]:
-        print(f"| {phase} | {len(took_s)} | {np.median(took_s):.3f} | {np.max(took_s):.3f} |", flush=True)
-    print(f"\nGoal: {GOAL_S} s.")
+    every = [*times, ("all", [t for _, some in times for t in some])]
+    rows = ((phase, len(took_s), f"{np.median(took_s):.3f}", f"{np.max(took_s):.3f}") for phase, took_s in every)
+    print_table("phase | stops | median, s | largest, s", rows)
+    print(f"Goal: {GOAL_S} s.")
 
 
 if __name__ == "__main__":

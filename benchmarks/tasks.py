@@ -8,7 +8,6 @@ dropped. Seconds run from the first page of the job until what was wanted stands
 training) is in them. Needs Chromium and Playwright.
 """
 
-import argparse
 import os
 import re
 import signal
@@ -20,6 +19,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from common.command import parser_of
 from common.desk_pictures import columns
 from common.screens import chromium, served_by
 from common.tables import print_table
@@ -346,7 +346,7 @@ def done(browser: Browser, address: str, who: str, job: Callable[[Hand], object]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--only", type=int, nargs="*", help="jobs of these numbers; later ones may need earlier ones")
     parser.add_argument("--pictures", type=Path, help="folder for a picture of the end of each job")
     options = parser.parse_args()

@@ -13,7 +13,6 @@ the nearest load and slope. chemotools and diPLSlib are no dependency of softcal
 pip install chemotools diPLSlib. A baseline that is not installed, and one that fails, is named and left out.
 """
 
-import argparse
 import time
 import warnings
 from collections.abc import Callable, Mapping
@@ -26,6 +25,7 @@ import numpy as np
 import ot
 import plotly.graph_objects as go
 import sklearn.utils.validation
+from common.command import parser_of
 from common.map_methods import METHODS, Method, own_error, pot, summary, thinned
 from common.tables import print_table
 
@@ -68,7 +68,7 @@ class Score:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("lot", type=Path, help="lot folder with audits")
     parser.add_argument("--figure", type=Path, help="standalone page with the error of every unit")
     parser.add_argument("--seed", type=int, default=0)

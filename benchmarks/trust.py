@@ -1,21 +1,23 @@
 """What audits buy: lots whose truth is outside what the method was set on, released on 0 to 20 audited units.
 
-python benchmarks/trust.py [--quick] [--seeds FIRST LAST] [--cache DIR] [--measured | --days | --power]
-    [--figure FILE]
+python benchmarks/trust.py [--quick] [--seeds FIRST LAST] [--cache DIR] [--measured | --days | --power
+    | --golden] [--figure FILE]
 
 Each lot is fitted once and kept in the cache; which units are audited is drawn many times over. A release keeps the
 promise of `softcal lot release`: no more than the risk of the released units beyond the limit, at 90 % confidence.
 """
 
-import argparse
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import gettempdir
 
 import numpy as np
+from common.command import parser_of
+from common.map_methods import SOURCES
 from common.screens import write_figure
 from common.tables import print_table
+from common.trust_golden import print_golden
 from common.trust_lots import GOOD, FittedUnit, covered, day_lots, drawn_lots, fitted, measured_lots, power_lots
 from plotly.subplots import make_subplots
 from scipy.stats import beta
@@ -54,15 +56,18 @@ class Draw:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="one lot of each kind")
+    parser = parser_of(__doc__, "one lot of each kind")
     parser.add_argument("--seeds", type=int, nargs=2, default=(0, 24), metavar=("FIRST", "LAST"))
     parser.add_argument("--cache", type=Path, default=Path(gettempdir()) / "softcal-trust", help="fits are kept here")
     parser.add_argument("--measured", action="store_true", help="the recordings of shared/data in place of drawn lots")
     parser.add_argument("--days", action="store_true", help="lots read on another day, without and with a golden run")
     parser.add_argument("--power", action="store_true", help="lots whose audits or known loads show what differs")
     parser.add_argument("--figure", type=Path, help="draw what audits buy: .html, or .png by chromium")
+    parser.add_argument("--golden", action="store_true", help="taxels of the insole behind a golden run of another day")
     options = parser.parse_args()
+    if options.golden:
+        print_golden(SOURCES[:1] if options.quick else SOURCES, options.cache)
+        return
     if options.measured:
         report(by_lot(fitted(measured_lots, "measured", options.cache)))
         return

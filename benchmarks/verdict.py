@@ -4,13 +4,14 @@ python benchmarks/verdict.py [--quick] [--seeds FIRST LAST [STEP]]
 python benchmarks/verdict.py --fit --seeds 1000 1040     # how the constants of core/unit/forecast.py were found
 """
 
-import argparse
 from collections import Counter
 from collections.abc import Iterable
 
 import numpy as np
+from common.command import parser_of
 from common.planted import OPPOSITE_DIRECTION
 from common.simulated_cases import Case, cases, coverage, roc_auc
+from common.tables import print_table
 from scipy.optimize import minimize
 from scipy.stats import spearmanr
 
@@ -24,8 +25,7 @@ LARGEST, LARGEST_OWN = np.log(1.5), np.log(2.0)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="four lots only")
+    parser = parser_of(__doc__, "four lots only")
     parser.add_argument("--seeds", type=int, nargs="+", default=(0, 24), metavar="FIRST LAST [STEP]")
     parser.add_argument("--fit", action="store_true", help="fit the sensitivity coefficients and print them")
     options = parser.parse_args()
@@ -40,20 +40,14 @@ def main() -> None:
 def print_report(units: list[Case]) -> None:
     mapped = [c for c in units if c.calibration is not None]
     good = [c for c in mapped if c.kind == GOOD]
-    print("| over | units | after > 1.5 x own | ROC AUC (target 0.95) | Spearman (0.8) | coverage of good, mean |")
-    print("|---|---|---|---|---|---|")
     groups = {"all": units, "stage known": [c for c in units if c.has_stage], "stage unknown": []}
     groups["stage unknown"] = [c for c in units if not c.has_stage]
     groups |= {f"shift: {shift}": [c for c in units if c.shift == shift] for shift in sorted({c.shift for c in units})}
-    for name, group in groups.items():
-        if group:
-            print(group_row(name, group))
-    harms = "passed: > 1.5 x own | passed: > limit | passed: worse than before"
-    print("\n| kind | units | refused | " + " | ".join(VERDICTS) + f" | median after / own | {harms} |")
-    print("|---" * (7 + len(VERDICTS)) + "|")
-    for kind in dict.fromkeys(c.kind for c in units):
-        print(kind_row(kind, [c for c in units if c.kind == kind]))
-    print()
+    head = "over | units | after > 1.5 x own | ROC AUC (target 0.95) | Spearman (0.8) | coverage of good, mean"
+    print_table(head, (group_row(name, group) for name, group in groups.items() if group))
+    harms = ("passed: > 1.5 x own", "passed: > limit", "passed: worse than before")
+    kinds = (kind_row(kind, [c for c in units if c.kind == kind]) for kind in dict.fromkeys(c.kind for c in units))
+    print_table(("kind", "units", "refused", *VERDICTS, "median after / own", *harms), kinds)
     print_other_scores(units)
     paired = [c for c in good if is_paired(c)]
     placed = [c for c in good if c.has_stage and not is_paired(c)]
@@ -80,16 +74,16 @@ def print_log_ratio(name: str, good: list[Case]) -> None:
     print(f"log(true / forecast), {name}, {len(good)} good units: median {median:+.2f}, 95 % {low:+.2f} to {high:+.2f}")
 
 
-def group_row(name: str, group: list[Case]) -> str:
+def group_row(name: str, group: list[Case]) -> tuple[object, ...]:
     mapped = [c for c in group if c.calibration is not None]
     good = [coverage(c.result, c.test) for c in mapped if c.kind == GOOD and c.result is not None]
     auc = roc_auc([c.score for c in group], [c.is_bad for c in group])
     rank = spearmanr([c.calibration.predicted_rmse for c in mapped], [c.after for c in mapped]).statistic  # type: ignore[union-attr]
     bad = sum(c.is_bad for c in group)
-    return f"| {name} | {len(group)} | {bad} | {auc:.3f} | {rank:.3f} | {np.mean(good):.1%} |"
+    return name, len(group), bad, f"{auc:.3f}", f"{rank:.3f}", f"{np.mean(good):.1%}"
 
 
-def kind_row(kind: str, group: list[Case]) -> str:
+def kind_row(kind: str, group: list[Case]) -> tuple[object, ...]:
     words = Counter(c.calibration.decision.verdict for c in group if c.calibration is not None)
     refused = sum(c.calibration is None for c in group)
     ratios = [c.after / c.own for c in group if c.calibration is not None]
@@ -100,8 +94,7 @@ def kind_row(kind: str, group: list[Case]) -> str:
         sum(c.after > c.before for c in passed),
     )
     median = f"{np.median(ratios):.2f}" if ratios else "-"
-    counts = " | ".join(str(words[word]) for word in VERDICTS)
-    return f"| {kind} | {len(group)} | {refused} | {counts} | {median} | {' | '.join(map(str, harms))} |"
+    return kind, len(group), refused, *(words[word] for word in VERDICTS), median, *harms
 
 
 def print_fit(units: list[Case]) -> None:

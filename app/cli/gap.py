@@ -274,6 +274,7 @@ def _show_twin(diagnosis: "Diagnosis", target: str | None) -> None:
 
 
 def _show_result(diagnosis: "GapDiagnosis[Any]") -> None:
+    from softcal.core.gap.identifiability import reasons
 
     shrink = diagnosis.shrink
     print(f"verdict     {diagnosis.verdict}")
@@ -294,7 +295,7 @@ def _show_result(diagnosis: "GapDiagnosis[Any]") -> None:
     for pair in diagnosis.ambiguous_with:
         print(f"ambiguous   {' / '.join(pair)}")
     print(f"next        {diagnosis.next_experiment.profile}: {diagnosis.next_experiment.why}")
-    for line in () if diagnosis.told is None else sentences(diagnosis.told):
+    for line in () if diagnosis.told is None else reasons(diagnosis.told):
         print(f"not told    {line}")
 
 

@@ -1,8 +1,6 @@
 """What the long-term benchmarks share: a unit that is its own source, a stream followed, a table."""
 
-import os
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -17,8 +15,6 @@ from softcal.core.use.adapter import QUEUES, AdaptConfig, Adapter
 from softcal.core.use.batches import Batches, MapUpdate
 from softcal.core.use.method import OnlineConfig, UseMethod
 from softcal.core.use.queued import QueuedTransport
-
-DATA = Path(os.environ.get("SOFTCAL_DATA", Path(__file__).parents[3] / "shared" / "data"))
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,8 +19,15 @@ from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.source_model import SourceModel
 
 DATA = Path(os.environ.get("SOFTCAL_DATA", Path(__file__).parents[3] / "shared" / "data"))
+SOURCES = ("taxel_001", "taxel_030", "taxel_060", "taxel_061", "taxel_135")
+STRETCHES = 32
+NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60, batch=128)
+"""Smaller than the paper's for f and own calibrations alike, so that hundreds of units fit in minutes."""
+
 EXACT_ROWS = 1200
 """Windows per side for POT's exact solver where all of them would take hours."""
 
@@ -30,11 +37,18 @@ Method = Callable[[FitProblem, LabelledRecording], Array]
 
 def egain(serial: str) -> LabelledRecording:
     """One of the paper's two eGaIn sensors: 1,200 samples at 50 Hz."""
-    table = pd.read_csv(DATA / "egain_pair" / f"{serial}.csv")
-    t_s = np.arange(len(table)) / 50.0
-    return LabelledRecording(
-        OutputRecording(serial, t_s, table["output_V"].to_numpy(), 50.0), table["force_N"].to_numpy()
-    )
+    return labelled(serial, pd.read_csv(DATA / "egain_pair" / f"{serial}.csv"))
+
+
+def skin(place: str) -> LabelledRecording:
+    """One place of the skin, its trials joined, at the 50 Hz that fit its speeds."""
+    return labelled(place, pd.read_parquet(DATA / "skin_places" / f"{place}.parquet"))
+
+
+def labelled(serial: str, table: pd.DataFrame) -> LabelledRecording:
+    """Output and force of a table, sampled at 50 Hz."""
+    output_V, force_N = (table[name].to_numpy(np.float64) for name in ("output_V", "force_N"))
+    return LabelledRecording(OutputRecording(serial, np.arange(len(table)) / 50.0, output_V, 50.0), force_N)
 
 
 def insole(name: str) -> pd.DataFrame:
@@ -52,6 +66,20 @@ def taxel(table: pd.DataFrame, name: str, rows: Array | None = None) -> Labelled
     part = table if rows is None else table[rows]
     output = OutputRecording(name, part["t_s"].to_numpy(), part[name].to_numpy(np.float64), 48.9, "count")
     return LabelledRecording(output, part["pressure_bar"].to_numpy(), "bar")
+
+
+def split(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Masks of the insole's rows to fit and of its held-out quarter: eight stretches spread over the programme."""
+    held = np.arange(count) * STRETCHES // count % 4 == 2
+    return ~held, held
+
+
+def verdict_word(problem: FitProblem, model: SourceModel) -> str:
+    """Verdict on the unit against the default limit, made without a label of it."""
+    try:
+        return calibrate(UnitProblem(model, problem.target, anchors=problem.anchors)).decision.verdict
+    except UnitRefused:
+        return "refused"
 
 
 def score(network: Network, mapped: Array, test: LabelledRecording) -> float:

@@ -146,8 +146,5 @@ def coverage(result: Estimate, test: LabelledRecording, trusted_only: bool = Fal
 
 def roc_auc(scores: list[float], labels: list[bool]) -> float:
     """Return the area under the ROC curve: P(score of a bad unit > score of a good one), ties count half."""
-    bad = np.array([s for s, label in zip(scores, labels, strict=True) if label])
-    good = np.array([s for s, label in zip(scores, labels, strict=True) if not label])
-    if not len(bad) or not len(good):
-        return float("nan")
-    return float(np.mean((bad[:, None] > good) + 0.5 * (bad[:, None] == good)))
+    bad, good = (np.array(scores)[np.equal(labels, is_bad)] for is_bad in (True, False))
+    return float(np.mean((bad[:, None] > good) + 0.5 * (bad[:, None] == good))) if len(bad) and len(good) else np.nan

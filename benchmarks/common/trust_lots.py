@@ -7,8 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
-from common.map_methods import DATA, egain, insole, taxel, taxels
+from common.map_methods import egain, insole, skin, taxel, taxels
 from common.planted import LineEffects, planted
 from common.simulated_cases import NETWORK
 from numpy.typing import NDArray
@@ -287,15 +286,6 @@ def _in_turn(kind: str, recordings: Mapping[str, LabelledRecording]) -> Iterator
 
 def _part(recording: LabelledRecording, start: float, stop: float) -> LabelledRecording:
     return recording.part(int(start * len(recording)), int(stop * len(recording)))
-
-
-def skin(place: str) -> LabelledRecording:
-    """One place of the skin, its trials joined, at the 50 Hz that fit its speeds."""
-    table = pd.read_parquet(DATA / "skin_places" / f"{place}.parquet")
-    t_s = np.arange(len(table)) / 50.0
-    return LabelledRecording(
-        OutputRecording(place, t_s, table["output_V"].to_numpy(), 50.0), table["force_N"].to_numpy()
-    )
 
 
 def fitted(lots: Callable[[], Iterator[RawLot]], name: str, cache: Path) -> list[FittedUnit]:

@@ -24,7 +24,7 @@ BOMB = "unpack"
 @pytest.mark.parametrize(("kind", "files"), [("csv", 150), ("bytes", 150), ("xlsx", 10), ("parquet", 40)])
 def test_broken_files_are_refused_or_read_as_they_stand(kind, files, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(BENCHMARKS)
-    from import_fuzz import Fuzz
+    from fuzz import Fuzz
 
     fuzz = Fuzz(kind, tmp_path, random.Random(f"7 {kind}"))
     for _ in range(files):

@@ -1,10 +1,6 @@
 """Docs, reasons, help and docstrings read plainly: short sentences, known words; a reason is right for 0, 1 and 2."""
 
 import re
-import sys
-from functools import cache
-from pathlib import Path
-from types import ModuleType
 
 import pytest
 
@@ -12,55 +8,51 @@ from softcal.app.texts.catalogue import LANGUAGES, catalogue
 from softcal.app.texts.reasons import PREFIX
 from softcal.core.quality.audit_plan import AuditConfig, judge_lot, plan_audit
 from softcal.core.unit.verdict import Limit
-from softcal.core.words.reason import ENGLISH, PLAIN
+from softcal.core.words.reason import ENGLISH
+from tests.house.reading import (
+    BROKEN,
+    GOALS,
+    MOST_WORDS,
+    MOST_WORDS_OF_ALL,
+    PLURAL,
+    at_the_borders,
+    pages,
+    private_of,
+    reader_of,
+)
 
-ROOT = Path(__file__).parents[2]
 KINDS = ("docs", "reasons", "help", "docstrings")
 
 FILES = re.compile(r"[\w/]*\w\.(toml|json|ini|ya?ml)\b")
 
 
-@cache
-def reading() -> ModuleType:
-    sys.path.insert(0, str(ROOT / "benchmarks"))
-    try:
-        import readability
-    finally:
-        sys.path.remove(str(ROOT / "benchmarks"))
-    return readability
-
-
-def test_the_reader_reads_the_reasons_that_are_said() -> None:
-    assert reading().reasons(str(ROOT)) == {code: text for code, text in ENGLISH.items() if code != PLAIN}
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_few_sentences_are_long_and_few_words_unknown(kind: str) -> None:
-    goal, read = reading().GOALS[kind], reading().reader_of(kind)
+    goal, read = GOALS[kind], reader_of(kind)
     assert len(read.long) <= goal.long * read.sentences, sorted(read.long, key=len)[-15:]
     assert len(read.unknown) <= goal.unknown, sorted(read.unknown)
 
 
 def test_the_documents_are_short() -> None:
-    words = {name: len(text.split()) for name, text in reading().pages(str(ROOT)).items() if "decisions" not in name}
-    assert sum(words.values()) <= reading().MOST_WORDS_OF_ALL
-    assert {page: words[page] for page, most in reading().MOST_WORDS.items() if words[page] > most} == {}
+    words = {name: len(text.split()) for name, text in pages().items() if "decisions" not in name}
+    assert sum(words.values()) <= MOST_WORDS_OF_ALL
+    assert {page: words[page] for page, most in MOST_WORDS.items() if words[page] > most} == {}
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_text_has_a_word_that_nobody_outside_knows(kind: str) -> None:
-    assert reading().private_of(kind) == {}
+    assert private_of(kind) == {}
 
 
 def test_every_reason_is_right_where_its_counts_are_none_one_or_two() -> None:
-    wrong = {code: reading().at_the_borders(ENGLISH, code) for code in ENGLISH}
+    wrong = {code: at_the_borders(ENGLISH, code) for code in ENGLISH}
     assert {code: found for code, found in wrong.items() if found} == {}
 
 
 def test_every_text_of_a_page_is_right_where_its_counts_are_none_one_or_two() -> None:
     # How far something is may begin at 0 of 0, and "None" is a word where no value stands.
     texts = {key: said for key, said in catalogue()["en"].items() if "{" in said}
-    wrong = {key: reading().at_the_borders(texts, key) for key in texts}
+    wrong = {key: at_the_borders(texts, key) for key in texts}
     wrong = {key: [one for one in found if one != "0 of 0"] for key, found in wrong.items()}
     assert {key: found for key, found in wrong.items() if found} == {}
 
@@ -86,18 +78,18 @@ def test_what_an_audit_says_of_a_lot_is_right_for_every_number_of_units(units: i
     for doubtful, drawn in ((1, 0), (0, 1), (1, 1), (2, 10)):
         plan = plan_audit(forecasts, AuditConfig(doubtful=doubtful, random=drawn))
         said = judge_lot(plan, forecasts, dict.fromkeys(plan.serials, measured), Limit("N", 0.8)).text
-        assert not reading().BROKEN.search(said) and not reading().PLURAL.search(said), said
+        assert not BROKEN.search(said) and not PLURAL.search(said), said
 
 
 @pytest.mark.parametrize(
     "said", ["at most 0 of the 0 units", "1 units", "with 1 audited units", "3 {unit}", "nan N", "times inf"]
 )
 def test_the_reader_sees_what_is_wrong_at_the_borders(said: str) -> None:
-    assert reading().BROKEN.search(said) or reading().PLURAL.search(said)
+    assert BROKEN.search(said) or PLURAL.search(said)
 
 
 @pytest.mark.parametrize(
     "said", ["units: 1", "1 of 2 loads was read", "unit 1 moves", "10 of the 30 units", "0.1 units"]
 )
 def test_the_reader_lets_pass_what_is_right(said: str) -> None:
-    assert not reading().BROKEN.search(said) and not reading().PLURAL.search(said)
+    assert not BROKEN.search(said) and not PLURAL.search(said)

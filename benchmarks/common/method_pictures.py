@@ -1,15 +1,10 @@
-"""The figures of docs/method.md, from a simulated lot whose units rest for longer than their source.
+"""The figures of docs/method.md: a simulated lot whose units rest longer than their source. Run by screenshots.py."""
 
-python benchmarks/method_figures.py [--out docs/images]        # needs Chromium and Playwright
-"""
-
-import argparse
 from pathlib import Path
 
 import numpy as np
 import plotly.graph_objects as go
-from common.screens import chromium
-from playwright.sync_api import ViewportSize
+from playwright.sync_api import Browser, ViewportSize
 from plotly.subplots import make_subplots
 
 from softcal.core.maps.catalogue import family
@@ -31,22 +26,17 @@ FAMILIES = {
 SIZE = ViewportSize(width=1100, height=430)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("docs/images"))
-    out = parser.parse_args().out
-    out.mkdir(parents=True, exist_ok=True)
+def take_all(browser: Browser, out: Path) -> None:
+    """Draw both figures."""
     lot = simulate_lot(SEED, LotDesign(good=1, shift="other dwell", has_stage=True))
     network = fit_network(lot.source, NetworkConfig(hidden=(40, 20), max_epochs=60, batch=128)).network
     unit = lot.units[0]
     problem = FitProblem(lot.source, network, unit.recording)
-    figures = {"method-families": families(problem, unit), "method-pairs": pairs(problem)}
-    with chromium() as browser:
-        page = browser.new_page(viewport=SIZE, device_scale_factor=1.5)
-        for name, figure in figures.items():
-            page.set_content(figure.to_html(include_plotlyjs=True, config={"displayModeBar": False}))
-            page.locator(".main-svg").first.wait_for()
-            page.screenshot(path=out / f"{name}.png")
+    page = browser.new_page(viewport=SIZE, device_scale_factor=1.5)
+    for name, figure in {"method-families": families(problem, unit), "method-pairs": pairs(problem)}.items():
+        page.set_content(figure.to_html(include_plotlyjs=True, config={"displayModeBar": False}))
+        page.locator(".main-svg").first.wait_for()
+        page.screenshot(path=out / f"{name}.png")
 
 
 def families(problem: FitProblem, unit: SimulatedUnit) -> go.Figure:
@@ -123,7 +113,3 @@ def truth(unit: LabelledRecording, source: LabelledRecording) -> tuple[Array, Ar
         step = np.digitize(recording.reference, edges_N)
         means.append([float(recording.unlabelled.output[step == k].mean()) for k in range(1, len(edges_N))])
     return np.array(means[0]), np.array(means[1])
-
-
-if __name__ == "__main__":
-    main()

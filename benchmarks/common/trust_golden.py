@@ -1,24 +1,19 @@
 """The golden unit pressed in the units' sitting as a bridge: taxels of the insole fitted on another day's programme.
 
-python benchmarks/trust_golden.py [--quick] [--cache DIR]
-
 Each source is the golden unit of the others: its own run of that day is fitted to, once as its output alone, once with
 the pressure beside it. After / own as in maps_insole.py: own networks were trained on the other day as well, and all
-are tested on held-out stretches of the source's day. What is done is kept in the cache, a file a source.
+are tested on held-out stretches of the source's day.
 """
 
-import argparse
-import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from tempfile import gettempdir
 
 import numpy as np
-from common.map_methods import METHODS, insole, own_error, taxel, taxels
+from common.command import Kept
+from common.map_methods import METHODS, insole, own_error, split, taxel, taxels
 from common.simulated_cases import NETWORK
 from common.tables import print_table
-from maps_insole import SOURCES, split
 
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
@@ -35,36 +30,21 @@ WAYS = ("no golden run", "golden run, output alone", "golden run under the load 
 TOLD, FORECAST = (WAYS[0], WAYS[2]), "true / forecast, "
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="one source")
-    parser.add_argument(
-        "--cache", type=Path, default=Path(gettempdir()) / "softcal-trust", help="results are kept here"
-    )
-    options = parser.parse_args()
-    sources = SOURCES[:1] if options.quick else SOURCES
-    ratios = {source: of_source(source, options.cache) for source in sources}
+def print_golden(sources: Sequence[str], cache: Path) -> None:
+    """Print what a golden run brings; what is done is kept in a file of the cache."""
+    kept = Kept(cache / "golden.jsonl")
+    ratios = {source: kept.of(source, lambda source=source: fit_source(source)) for source in sources}
+    units = [unit for of_one in ratios.values() for unit in of_one]
     rows = []
     for way in WAYS:
-        pooled = np.array([unit[way] for units in ratios.values() for unit in units])
-        medians = [float(np.median([unit[way] for unit in units])) for units in ratios.values()]
-        rows.append((way, *np.quantile(pooled, (0.5, 0.95)).tolist(), min(medians), max(medians)))
-    count = sum(map(len, ratios.values()))
-    print(f"{len(ratios)} sources, {count} units fitted on the other day and programme, after / own:\n")
-    print_table(("fitted to", "median", "95 %", "best source", "worst source"), rows)
-    units = [unit for of_one in ratios.values() for unit in of_one]
-    rows = [(way, *np.quantile([unit[FORECAST + way] for unit in units], (0.1, 0.5, 0.9)).tolist()) for way in TOLD]
-    print_table(("true / forecast", "10 %", "median", "90 %"), rows)
-
-
-def of_source(source: str, folder: Path) -> list[dict[str, float]]:
-    """Return one record a unit: after / own and true / forecast error by way."""
-    file = folder / f"golden-{source}.json"
-    if not file.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        file.write_text(json.dumps(fit_source(source)))
-    found: list[dict[str, float]] = json.loads(file.read_text())
-    return found
+        medians = [float(np.median([unit[way] for unit in of_one])) for of_one in ratios.values()]
+        rows.append(
+            (way, *np.quantile([unit[way] for unit in units], (0.5, 0.95)).tolist(), min(medians), max(medians))
+        )
+    print(f"{len(ratios)} sources, {len(units)} units fitted on the other day and programme, after / own:\n")
+    print_table("fitted to | median | 95 % | best source | worst source", rows)
+    told = ((way, *np.quantile([unit[FORECAST + way] for unit in units], (0.1, 0.5, 0.9)).tolist()) for way in TOLD)
+    print_table("true / forecast | 10 % | median | 90 %", told)
 
 
 def fit_source(source: str) -> list[dict[str, float]]:
@@ -93,7 +73,3 @@ def own_of(name: str) -> float:
     """Error of the unit's own network, trained on the other day."""
     day = insole("calibration")
     return own_error(taxel(insole("validation_1"), name), taxel(day, name, split(len(day))[1]), NETWORK)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,21 +1,22 @@
-"""Whether the twin that a diagnosis writes shrinks the gap of another run as the report forecasts.
+"""A sealed case for the diagnosis, and whether its twin shrinks the gap of another run as the report forecasts.
 
 The twin goes through its file and is simulated along a path that no fit has seen. The recording, and the floor that the
 true rig itself leaves, are the examiner's.
 """
 
 import json
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from common.tables import print_table
 
 from softcal.core.challenge.cases import RunPlan, SealedCase
 from softcal.core.challenge.realised import left_over
-from softcal.core.gap.case import Case
+from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
 from softcal.core.gap.explained import explained_twin
+from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.twin.record import twin_from_record, twin_record
 from softcal.core.twin.simulate import Twin, simulate
 
@@ -24,6 +25,19 @@ LEAST_GAP = 0.05
 
 CLOSE = 0.10
 """Realised counts as foretold within this."""
+
+
+def as_case(sealed: SealedCase, plans: Sequence[RunPlan]) -> Case:
+    """Return the recordings of a sealed case as the diagnosis takes them, rounded like their files."""
+    rig = sealed.rig
+    readout = ReadoutMetadata(rig.vref_V, rig.adc_bits, rig.r_series_ohm, rig.sample_rate_Hz)
+    runs = []
+    for number, found in enumerate(sealed.written(plans), start=1):
+        measured, stated = found.measured, replace(readout, sample_rate_Hz=found.sample_rate_Hz)
+        columns = {name: np.round(values, 6) for name, values in measured.columns.items()}
+        kept = {"kind": measured.kind, "profile": measured.profile, "dummy_ohm": measured.dummy_ohm, **columns}
+        runs.append(Run(name=f"runs/{number}", readout=stated, **kept))  # type: ignore[arg-type]
+    return Case(sealed.name, tuple(runs))
 
 
 def realised_by(twin: Twin, base: Twin, sealed: SealedCase) -> float:
@@ -50,36 +64,32 @@ def through_file(twin: Twin) -> Twin:
     return twin_from_record(json.loads(json.dumps(twin_record(twin))), "file")
 
 
-def twin_table(cases: Sequence[SealedCase], as_case: Callable[[SealedCase, Sequence[RunPlan]], Case]) -> str:
-    """One row per case: the twin with its empirical terms, or with the forms of its causes."""
-    rows: list[str] = []
+def print_twins(cases: Sequence[SealedCase]) -> None:
+    """Print a row per case: the twin with its empirical terms, or with the forms of its causes."""
     far: list[tuple[float, float, bool]] = []
-    for sealed in cases:
-        found = diagnose(as_case(sealed, sealed.plans))
-        rows.append(_row(found, sealed, far))
-        print(rows[-1], file=sys.stderr, flush=True)
-    header = ("hidden", "verdict", "twin", "forecast, 90 % interval", "realised")
-    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header), *rows]
+    rows = (_row(diagnose(as_case(sealed, sealed.plans)), sealed, far) for sealed in cases)
+    print_table("hidden | verdict | twin | forecast, 90 % interval | realised", rows)
     hits, inside = sum(abs(f - r) <= CLOSE for f, r, _ in far), sum(is_in for *_, is_in in far)
-    said = f"{len(far)} twins: realised within {CLOSE:.2f} of the forecast in {hits}, within its interval in {inside}."
-    return "\n".join(lines) + f"\n\n{said}"
+    print(
+        f"{len(far)} twins: realised within {CLOSE:.2f} of the forecast in {hits}, within its interval in {inside}.\n"
+    )
 
 
-def _row(found: Diagnosis, sealed: SealedCase, far: list[tuple[float, float, bool]]) -> str:
+def _row(found: Diagnosis, sealed: SealedCase, far: list[tuple[float, float, bool]]) -> tuple[str, ...]:
     hidden = " + ".join(f"{c.effect} ({c.form})" for c in sealed.causes)
     if found.verdict == "data":
-        return f"| {hidden} | data | none | | |"
+        return hidden, "data", "none", "", ""
     forms = [f"{s.effect_id} ({s.form or 'catalogue'})" for s in found.explained.effects]
     twin, shrink, what = found.explained, found.shrink, ", ".join(forms)
     if sealed.line == "outside":
         if found.residual is None or found.empirical is None:
-            return f"| {hidden} | {found.verdict} | no empirical term | | |"
+            return hidden, found.verdict, "no empirical term", "", ""
         twin, shrink = found.empirical, found.residual.shrink
         what = "; ".join([*found.residual.beside, *(one.term.formula for one in found.residual.terms)])
     if not twin.effects and not twin.empirical:
-        return f"| {hidden} | {found.verdict} | the base alone | | |"
+        return hidden, found.verdict, "the base alone", "", ""
     got = realised_by(through_file(twin), explained_twin(found.base), sealed)
     if np.isfinite(got):
         far.append((shrink.predicted, got, shrink.low <= got <= shrink.high))
     told = f"{shrink.predicted:.2f} [{shrink.low:.2f}, {shrink.high:.2f}]"
-    return f"| {hidden} | {found.verdict} | {what} | {told} | {got:.2f} |"
+    return hidden, found.verdict, what, told, f"{got:.2f}"

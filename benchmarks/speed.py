@@ -1,0 +1,212 @@
+"""Speed: estimates per second through f∘γ, and seconds and memory to fit one map.
+
+python benchmarks/speed.py estimate|fit [--quick]
+"""
+
+import argparse
+import time
+import tracemalloc
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+import ot
+from common.command import Commands, median_s
+from common.tables import print_table
+
+from softcal.core.maps.affine_map import AffineMap
+from softcal.core.maps.choose import choose_map
+from softcal.core.maps.interface import FitProblem
+from softcal.core.metrics import rmse
+from softcal.core.network.config import NetworkConfig
+from softcal.core.network.network import Network
+from softcal.core.network.training import fit_network
+from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.estimate import estimate as estimated
+from softcal.core.unit.health import OutputLimits, run_lengths
+from softcal.core.unit.knowledge import known_by
+from softcal.core.unit.source_model import make_source_model
+from softcal.core.unit.uncertainty import ErrorForecast
+from softcal.core.unit.verdict import Decision, Judgement, Verdict
+from softcal.core.use.adapter import AdaptConfig, Adapter
+from softcal.core.windows import TAPS, windows
+
+SIZES = (TAPS, 120, 70, 35, 1)
+RATE_HZ = 50.0
+REPEATS = 7
+GAIN, OFFSET_V = 1.2, 0.05
+
+
+def estimate(options: argparse.Namespace) -> None:
+    """Estimates per second through f∘γ in batch and streaming, and where the time goes.
+
+    Recording and weights are made up; the network is the paper's 15-120-70-35-1, the map the catalogue's affine one.
+    """
+    count = 40_000 if options.quick else 400_000
+    rng = np.random.default_rng(0)
+    network, recording = made_up_network(rng), made_up_recording(rng, count)
+    calibration = made_up_calibration(network, recording.part(0, 20_000))
+    whole_s = median_s(lambda: estimated(network, calibration, recording), REPEATS)
+    print(f"batch: {count / whole_s:,.0f} windows/s ({count:,} windows, median of {REPEATS}; target 500,000)\n")
+    print_profile(network, calibration, recording, whole_s)
+    print_streaming(network, calibration, recording.part(0, 3_000))
+
+
+def print_profile(network: Network, calibration: Calibration, recording: OutputRecording, whole_s: float) -> None:
+    mapped = calibration.unit_map.apply_signal(recording.output)
+    interval = calibration.interval
+    value = network.evaluate(mapped)
+    shape = interval.support.shape(mapped)
+    distance = interval.support.distance(shape)
+    steps: dict[str, Callable[[], object]] = {
+        "map γ": lambda: calibration.unit_map.apply_signal(recording.output),
+        "network f": lambda: network.evaluate(mapped),
+        "window shape": lambda: interval.support.shape(mapped),
+        "distance from support": lambda: interval.support.distance(shape),
+        "interval": lambda: interval.half(value, shape, distance),
+        "run lengths": lambda: run_lengths(recording.output),
+    }
+    taken = {name: median_s(step, REPEATS) for name, step in steps.items()}
+    taken["flags and the rest"] = max(whole_s - sum(taken.values()), 0.0)
+    taken["*floor: the network's matrix products alone*"] = products_alone_s(network, len(mapped))
+    rows = (
+        (name, f"{1e3 * step_s:.1f}", f"{step_s / whole_s:.0%}", f"{1e9 * step_s / len(recording):.0f}")
+        for name, step_s in taken.items()
+    )
+    print_table("step | ms | share | ns per window", rows)
+
+
+def products_alone_s(network: Network, count: int) -> float:
+    """Return the seconds of the float32 matrix products of f, data in cache: what no arrangement goes below."""
+    block = 2048
+    pairs = [
+        (np.ones((block, w.shape[0]), np.float32), w.astype(np.float32), np.empty((block, w.shape[1]), np.float32))
+        for w in network.weights
+    ]
+
+    def products() -> None:
+        for _ in range(count // block):
+            for left, right, out in pairs:
+                np.matmul(left, right, out=out)
+
+    return median_s(products, REPEATS)
+
+
+def print_streaming(network: Network, calibration: Calibration, recording: OutputRecording) -> None:
+    estimator, taken_s = Adapter(network, calibration, recording, AdaptConfig("none")), []
+    for t_s, output in zip(recording.t_s, recording.output, strict=True):
+        start_s = time.perf_counter()
+        estimator.step(t_s, output)
+        taken_s.append(time.perf_counter() - start_s)
+    middle, late = 1e3 * np.quantile(taken_s, (0.5, 0.99))
+    print(f"streaming: {middle:.3f} ms per sample, 99th percentile {late:.3f} ms (target 1 ms)")
+
+
+def made_up_network(rng: np.random.Generator) -> Network:
+    weights = tuple(rng.normal(0, np.sqrt(2 / a), (a, b)) for a, b in zip(SIZES[:-1], SIZES[1:], strict=True))
+    return Network(weights, tuple(rng.normal(0, 0.1, b) for b in SIZES[1:]), 1.0, 0.3, 2.0, 1.0)
+
+
+def made_up_recording(rng: np.random.Generator, count: int) -> OutputRecording:
+    t_s = np.arange(count) / RATE_HZ
+    output_V = 1.0 + 0.3 * np.sin(0.7 * t_s) * np.sin(0.11 * t_s) + rng.normal(0, 0.002, count)
+    return OutputRecording("U1", t_s, output_V, RATE_HZ)
+
+
+def made_up_calibration(network: Network, recording: OutputRecording) -> Calibration:
+    source = LabelledRecording(
+        recording, np.concatenate([np.zeros(TAPS - 1), network.evaluate(windows(recording.output))])
+    )
+    model = make_source_model(source, network, np.arange(0, len(source.windows), 5))
+    return Calibration(
+        serial="U1",
+        network_id=network.id,
+        unit_map=AffineMap(1.02, -0.01),
+        interval=model.interval,
+        output_limits=OutputLimits(-np.inf, np.inf, 200),
+        forecast=ErrorForecast(0.1, 0.08, 0.12),
+        decision=Decision(Judgement(Verdict.PASS, ())),
+        knowledge=known_by({}, model.method.knowledge),
+        evidence={},
+        method=model.method,
+    )
+
+
+def fit(options: argparse.Namespace) -> None:
+    """Seconds and memory to fit one map, against POT's exact transport on the same windows in the same run."""
+    network = fit_network(unit(4000, 1, 1.0, 0.0), NetworkConfig(max_epochs=60)).network
+    versus_pot(network, 1500 if options.quick else 6250)
+    growth(network)
+
+
+def versus_pot(network: Network, count: int) -> None:
+    """Time and error of the default and of EMDTransport on equal windows."""
+    problem, test = pair(network, count), unit(4000, 9, GAIN, OFFSET_V)
+    ours_s = fit_s(network, count)
+    chosen = choose_map(problem)
+    transport = ot.da.EMDTransport(max_iter=100_000_000)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        windows_of_both = {"Xs": np.array(problem.target.windows), "Xt": np.array(problem.source.windows)}
+        theirs_s = median_s(lambda: transport.fit(**windows_of_both))
+        moved = transport.transform(Xs=np.array(test.windows))
+    rows = [
+        (
+            f"softcal default ({chosen.family})",
+            ours_s,
+            rmse(network.evaluate(chosen.unit_map.apply(test.windows)), test.window_reference),
+        ),
+        ("ot.da.EMDTransport", theirs_s, rmse(network.evaluate(moved), test.window_reference)),
+    ]
+    print(f"{count} x {count} windows, {theirs_s / ours_s:.0f} times faster:\n")
+    print_table(("method", "fit, s", "error, N"), rows)
+
+
+def growth(network: Network) -> None:
+    """Time and peak memory of the default against the number of samples, and the slope of log time over log samples."""
+    counts, rows = (3125, 6250, 12_500, 25_000, 50_000), []
+    for count in counts:
+        problem = pair(network, count)
+        tracemalloc.start()
+        choose_map(problem)
+        peak_MB = tracemalloc.get_traced_memory()[1] / 1e6
+        tracemalloc.stop()
+        rows.append((count, fit_s(network, count), peak_MB))
+    slope = float(np.polyfit(np.log(counts), np.log([row[1] for row in rows]), 1)[0])
+    print(f"Growth with samples, slope {slope:.2f} (1 is linear):\n")
+    print_table(("windows a side", "fit, s", "peak, MB"), rows)
+
+
+def fit_s(network: Network, count: int) -> float:
+    """Median wall time of a map, on recordings that nothing was computed of before."""
+    fresh = iter([pair(network, count) for _ in range(5)])
+    return median_s(lambda: choose_map(next(fresh)), 5)
+
+
+def pair(network: Network, count: int) -> FitProblem:
+    """Source and unit of so many windows, pressed independently."""
+    return FitProblem(unit(count + 14, 1, 1.0, 0.0), network, unit(count + 14, 2, GAIN, OFFSET_V).unlabelled)
+
+
+def unit(count: int, seed: int, gain: float, offset_V: float) -> LabelledRecording:
+    """Random presses to 0.5 ... 3 N at random speeds through a bending, slightly noisy sensor."""
+    rng, parts, length = np.random.default_rng(seed), [], 0
+    while length < count:
+        peak, up, down, rest = rng.uniform(0.5, 3.0), *rng.integers(10, 60, 3)
+        parts += [np.linspace(0, peak, up), np.linspace(peak, 0, down), np.zeros(rest)]
+        length += up + down + rest
+    force_N = np.concatenate(parts)[:count]
+    output_V = 0.5 + offset_V + gain * (0.1 * force_N + 0.02 * force_N**2) + rng.normal(0, 0.0008, count)
+    return LabelledRecording(OutputRecording(f"U{seed}", np.arange(count) / 50.0, output_V, 50.0), force_N)
+
+
+def main() -> None:
+    every = Commands(__doc__)
+    every.add(estimate, "a tenth of the samples")
+    every.add(fit, "POT at 1,500 windows instead of 6,250")
+    every.run()
+
+
+if __name__ == "__main__":
+    main()
