@@ -26,11 +26,10 @@ from common.tables import print_table
 
 from softcal.app.cli.main import main as softcal
 from softcal.app.gap.challenge import open_challenge
-from softcal.core.challenge.cases import SealedCase
+from softcal.core.challenge.cases import LotRun, SealedCase, press_lot
 from softcal.core.challenge.draw import SEED_BITS, draw_case
 from softcal.core.challenge.judge import Judged, read_answer
 from softcal.core.challenge.score import FLOORS, ScoreSheet, score_reports, shortfalls
-from softcal.core.challenge.sealed_lot import LotRun, press_lot
 from softcal.core.errors import InputError
 from softcal.core.gap.diagnosis import diagnose
 from softcal.core.gap.explained import explained_twin

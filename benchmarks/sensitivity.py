@@ -1,6 +1,6 @@
 """Which numbers of the method matter: each halved and doubled, and what that changes for units in order and mistakes.
 
-python benchmarks/sensitivity.py [--each 4] [--seed 0] [--only PREFIX] [--processes 1] [--data ../shared/data]
+python benchmarks/sensitivity.py [--each 4] [--seed 0] [--only PREFIX] [--processes 1]
 
 The units are those of benchmarks/mistakes.py, with simulated lots that know the stage's position beside them: `--each`
 in good order of every set, and every mistake once on a unit of every set. A number between a half and 1 is a share: its
@@ -8,23 +8,23 @@ distance from 1 is halved and doubled. Nothing is chosen here: the table says wh
 which the code could do without. Exit code 1: a number changes nothing although it was read.
 """
 
-import argparse
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, fields, is_dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from common.command import parser_of
 from common.tables import print_table
 from mistakes import MISTAKES, SETS, Rng, Unit, trained
 
 from softcal.core.errors import InputError, SoftcalError
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import LotDesign, simulate_lot
-from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel, make_source_model
+from softcal.core.unit.unit_problem import UnitProblem
 
 HELD = ("version", "taps", "levels", "confidence", "release.")
 """Parts of file formats, and the release of a lot: benchmarks/trust.py asks about that."""
@@ -43,14 +43,13 @@ class Outcome:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--each", type=int, default=4, help="units in good order of every set")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="", metavar="PREFIX", help="numbers whose name begins so")
     parser.add_argument("--processes", type=int, default=1)
-    parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     options = parser.parse_args()
-    chosen = list(cases(options.data, np.random.default_rng(options.seed), options.each))
+    chosen = list(cases(np.random.default_rng(options.seed), options.each))
     read = names_read(chosen)
     names = [name for name, _, _ in Method().numbers() if name.startswith(options.only) and not name.startswith(HELD)]
     asked = [(name, factor) for name in names if name in read for factor in (0.5, 2.0)]
@@ -67,9 +66,9 @@ def main() -> int:
     return int(bool(idle))
 
 
-def cases(data: Path, rng: Rng, each: int) -> Iterator[Case]:
+def cases(rng: Rng, each: int) -> Iterator[Case]:
     """Units in good order, then every mistake on one of each set."""
-    by_set = {name: list(make(data, rng)) for name, make in SETS.items()}
+    by_set = {name: list(make(rng)) for name, make in SETS.items()}
     by_set["stage known"] = list(placed(rng))
     everyone = [unit for units in by_set.values() for unit in units]
     for units in by_set.values():

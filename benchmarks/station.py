@@ -17,7 +17,7 @@ from common.station_runs import MOST_FAULTS, broken_property, explore
 from common.tables import print_table
 from scipy.optimize import brentq
 
-from softcal.app.line.rig import PressTimes, RecordedLot, press_simulated_lot
+from softcal.app.line.demo import PressTimes, RecordedLot, press_simulated_lot
 from softcal.core.errors import SafetyStop, UnitRefused
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
@@ -26,9 +26,10 @@ from softcal.core.recording import OutputRecording
 from softcal.core.simulated_lot import draw_twins
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import Twin, simulate
-from softcal.core.unit.calibrate import UnitProblem, calibrate
-from softcal.core.unit.scoring import score_map
+from softcal.core.unit.audit_reading import score_map
+from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.source_model import SourceModel, make_source_model
+from softcal.core.unit.unit_problem import UnitProblem
 from softcal.station.clock import residual_offset_s
 from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.devices.config import UNKNOWN_S

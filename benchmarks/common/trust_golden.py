@@ -6,7 +6,7 @@ are tested on held-out stretches of the source's day.
 """
 
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +33,7 @@ TOLD, FORECAST = (WAYS[0], WAYS[2]), "true / forecast, "
 def print_golden(sources: Sequence[str], cache: Path) -> None:
     """Print what a golden run brings; what is done is kept in a file of the cache."""
     kept = Kept(cache / "golden.jsonl")
-    ratios = {source: kept.of(source, lambda source=source: fit_source(source)) for source in sources}
+    ratios = {source: kept.of(source, partial(fit_source, source)) for source in sources}
     units = [unit for of_one in ratios.values() for unit in of_one]
     rows = []
     for way in WAYS:
