@@ -48,8 +48,8 @@ Limit = Annotated[int, Query(ge=1, le=MOST, description="rows of one answer")]
 
 
 def _registry(request: Request) -> Registry:
-    found: Registry = request.app.state.registry
-    return found
+    registry: Registry = request.app.state.registry
+    return registry
 
 
 Known = Annotated[Registry, Depends(_registry)]
@@ -156,8 +156,8 @@ def unit_of_lot(registry: Known, _: Looking, lot: LotId, serial: Serial) -> dict
 def revisions(registry: Known, _: Looking, lot: LotId, serial: Serial) -> dict[str, Any]:
     """Tell every calibration of a unit, and which one is in use."""
     _unit(registry, lot, serial)
-    found = [history_json(stored) for stored in registry.calibrations.history(serial, lot)]
-    return {"lot": lot, "serial": serial, "revisions": found}
+    history = [history_json(stored) for stored in registry.calibrations.history(serial, lot)]
+    return {"lot": lot, "serial": serial, "revisions": history}
 
 
 @routes.get(
@@ -316,10 +316,10 @@ def _unit(registry: Registry, lot_id: str, serial: str) -> Any:
 
 
 def _job(registry: Registry, job_id: str) -> Job:
-    found = registry.job_board.find(job_id)
-    if found is None:
+    job = registry.job_board.find(job_id)
+    if job is None:
         raise HTTPException(404, f"job {job_id!r} is not in the registry")
-    return found
+    return job
 
 
 def _job_json(job: Job) -> dict[str, Any]:

@@ -127,7 +127,7 @@ class CalibratedUnit:
     @cached_property
     def facts(self) -> UnitFacts:
         """What the device form is made from."""
-        found = estimate(self.network, self.calibration, self.recording)
+        estimates = estimate(self.network, self.calibration, self.recording)
         rows = self.recording.window_rows
         record = self.stored.record
         return UnitFacts(
@@ -137,8 +137,8 @@ class CalibratedUnit:
             time_s=int(self.stored.made_at.timestamp()),
             unit_map=self.calibration.unit_map,
             recording=self.recording,
-            lower=found.lower[rows],
-            upper=found.upper[rows],
+            lower=estimates.lower[rows],
+            upper=estimates.upper[rows],
             predicted_rmse=record.predicted_rmse,
         )
 

@@ -72,11 +72,11 @@ class DeviceSensor:
 
     def estimate_output(self, windows: Array) -> tuple[Array, Array, Array, Integers]:
         """Return estimate, lower, upper in reference units, and flags, of (n, TAPS) outputs."""
-        found = self.estimate(self.unit_file.scale.codes(windows))
+        estimates = self.estimate(self.unit_file.scale.codes(windows))
         value, lower, upper = (
-            counts.astype(np.float64) * self.count for counts in (found.value, found.lower, found.upper)
+            counts.astype(np.float64) * self.count for counts in (estimates.value, estimates.lower, estimates.upper)
         )
-        return value, lower, upper, found.flags
+        return value, lower, upper, estimates.flags
 
 
 def run_self_test(network: IntegerNetwork, device_map: DeviceMap, test: SelfTest) -> int:
@@ -113,10 +113,10 @@ def join(network_file: NetworkFile, unit_file: UnitFile, serial: str | None = No
     if serial is not None and serial_field(serial) != serial_field(unit_file.serial):
         raise FileRefused(RefusalCause.SERIAL, f"the file is for unit {unit_file.serial}, this is unit {serial}")
     for number, test in enumerate(unit_file.self_tests, 1):
-        found = run_self_test(network_file.network, unit_file.device_map, test)
-        if found != test.expected:
+        result = run_self_test(network_file.network, unit_file.device_map, test)
+        if result != test.expected:
             raise FileRefused(
                 RefusalCause.SELF_TEST,
-                f"self-test {number} of unit {unit_file.serial} gives {found}, {test.expected} was expected",
+                f"self-test {number} of unit {unit_file.serial} gives {result}, {test.expected} was expected",
             )
     return DeviceSensor(network_file, unit_file)

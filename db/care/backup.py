@@ -91,9 +91,11 @@ def _check_backup(source: Database, path: Path) -> None:
         schema = migrate(source)
     check_schema(source, schema)
     with source.reading():
-        found = list(faults(source))
-    if found:
-        raise RegistryError(f"backup {path} is damaged, nothing was restored: {found[0]} ({len(found)} faults in all)")
+        problems = list(faults(source))
+    if problems:
+        raise RegistryError(
+            f"backup {path} is damaged, nothing was restored: {problems[0]} ({len(problems)} faults in all)"
+        )
 
 
 def _fill(source: Database, target: Database) -> None:

@@ -46,8 +46,8 @@ def faults(
         try:
             # A query that fails ends a transaction of PostgreSQL; later checks go on.
             with database.reading() as connection, connection.begin_nested():
-                found = list(check)
-            yield from found
+                problems = list(check)
+            yield from problems
         except (ValueError, TypeError, KeyError, RegistryError, DBAPIError) as error:
             if is_denied(error):
                 raise
@@ -211,15 +211,15 @@ TRIGGERS = {
 def trigger_faults(database: Database) -> Iterator[str]:
     """Give a line for every table whose triggers are gone, off, or others."""
     rows = database.tuples(text(TRIGGERS[database.engine.dialect.name]))
-    found = {name: " ".join(str(definition).split()) for name, definition in rows}
+    definitions = {name: " ".join(str(definition).split()) for name, definition in rows}
     for table in tables.APPEND_ONLY:
         wanted = append_only.triggers_of(table, database.engine.dialect.name)
         for name, definition in wanted.items():
-            if name not in found:
+            if name not in definitions:
                 yield f"trigger {name}: is gone; rows of {table} can be changed"
-            elif found.pop(name) != definition:
+            elif definitions.pop(name) != definition:
                 yield f"trigger {name}: is not the one that was made; rows of {table} can be changed"
-    for name in found:
+    for name in definitions:
         yield f"trigger {name}: was put in; softcal made no such trigger"
 
 
@@ -290,9 +290,9 @@ def anchor_faults(database: Database, heads: Heads, where: str) -> Iterator[str]
     """Give a line for every chain without the row that was its last when it was written down."""
     for origin, (seq, sha256) in heads.items():
         query = select(audit.c.hash).where(audit.c.origin == origin, audit.c.seq == seq)
-        found = database.value(query)
-        if found != sha256:
-            what = "is gone" if found is None else "is another one"
+        stored = database.value(query)
+        if stored != sha256:
+            what = "is gone" if stored is None else "is another one"
             yield f"audit {origin} row {seq}: {what} than was written down {where}; the trail was cut or rewritten"
 
 
@@ -300,7 +300,7 @@ def alien_tables(database: Database) -> Iterator[str]:
     """Give a line for every table that softcal did not make: it may shadow one of its own."""
     known = {table.name for table in metadata.sorted_tables} | {"alembic_version"}
     with database.reading() as connection:
-        found = (*inspect(connection).get_table_names(), *inspect(connection).get_view_names())
-    for name in found:
+        names = (*inspect(connection).get_table_names(), *inspect(connection).get_view_names())
+    for name in names:
         if name not in known:
             yield f"table {name}: was put in; softcal made no such table"

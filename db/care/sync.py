@@ -17,8 +17,8 @@ from softcal.core.errors import InputError, RegistryError
 from softcal.db.entries import AuditRow
 from softcal.db.schema.arrays import copy_blob
 from softcal.db.schema.database import Database
-from softcal.db.schema.found import HAS_TOLD, forget
 from softcal.db.schema.tables import AUDITED, UtcTime, audit, blobs, limits, metadata
+from softcal.db.schema.transaction_cache import HAS_TOLD, forget
 from softcal.db.truth import history
 from softcal.db.truth.in_use import conflict_line, conflicts_of
 from softcal.db.truth.registry_base import RegistryBase

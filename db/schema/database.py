@@ -16,8 +16,8 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError, Operationa
 
 from softcal.core.errors import RegistryError
 from softcal.db.schema.engines import IN_MEMORY, postgresql_engine, sqlite_engine
-from softcal.db.schema.found import HAS_TOLD, Found, found_in
 from softcal.db.schema.tables import SCHEMA
+from softcal.db.schema.transaction_cache import HAS_TOLD, Found, found_in
 
 AGAIN_AFTER_S = 0.5
 """Wait before what was cut is done again: the server may be ending all connections."""

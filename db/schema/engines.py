@@ -11,7 +11,7 @@ from sqlalchemy import URL, Connection, Engine, create_engine, event
 from sqlalchemy.pool import StaticPool
 
 from softcal.core.errors import RegistryError
-from softcal.db.schema.found import forget
+from softcal.db.schema.transaction_cache import forget
 
 SQLITE_WAIT_S = 60
 """How long a writer waits for its turn before the registry counts as locked."""

@@ -16,8 +16,8 @@ from sqlalchemy import Table, bindparam, insert, select
 from softcal.core.errors import RegistryError
 from softcal.db.entries import AuditRow, Heads
 from softcal.db.schema.database import Database
-from softcal.db.schema.found import HAS_TOLD
 from softcal.db.schema.tables import LATER_COLUMNS, TOLD_BY_HASH, audit, canonical_json
+from softcal.db.schema.transaction_cache import HAS_TOLD
 
 FIRST_HASH = "0" * 64
 Values = Mapping[str, object]

@@ -190,8 +190,8 @@ class LotPages(RegistryBase):
             self._lot_row(lot_id)
             table = StandingQuery.of(self.database, lot_id).table(role="target")
             verdict = func.coalesce(table.c.verdict, "none")
-            found = {str(v): int(n) for v, n in self.database.tuples(select(verdict, func.count()).group_by(verdict))}
-        return {name: found.get(name, 0) for name in (*_severities(), "none")}
+            counts = {str(v): int(n) for v, n in self.database.tuples(select(verdict, func.count()).group_by(verdict))}
+        return {name: counts.get(name, 0) for name in (*_severities(), "none")}
 
     def lot_errors(self, lot_id: str) -> list[UnitErrors]:
         """Return the errors of every target unit with a map, by serial."""

@@ -8,8 +8,8 @@ import numpy as np
 from softcal.core.errors import BadReply, InputError
 from softcal.core.recording import Array
 from softcal.core.words.reason import Reason, reason
+from softcal.station.device_names import named
 from softcal.station.interfaces import Clock, ForceReader
-from softcal.station.named import named
 from softcal.station.wire.frames.force_unit import STANDARD_GRAVITY
 
 SETTLE_S, READ_S, TICK_S = 1.0, 2.0, 0.01

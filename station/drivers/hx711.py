@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, InputError
 from softcal.core.words.reason import Reason, reason
+from softcal.station.device_names import named
 from softcal.station.devices.config import ForceConfig
 from softcal.station.devices.driver import Driver, Simulated, Surroundings, opens
 from softcal.station.drivers.serial_cell import NAME
 from softcal.station.drivers.text_stream import WIRES, TextStream
-from softcal.station.named import named
 from softcal.station.simulated.text_stream import CELL_COUNTS_PER_N, CELL_ZERO_COUNTS, SimulatedTextStream
 from softcal.station.wire.link import Link
 

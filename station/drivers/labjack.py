@@ -11,9 +11,9 @@ from typing import Any
 
 from softcal.core.errors import BadReply, CommandRefused, NoReply
 from softcal.core.words.reason import reason
+from softcal.station.device_names import named
 from softcal.station.devices.config import ReadoutConfig, check_known, check_within
 from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings
-from softcal.station.named import named
 from softcal.station.simulated.labjack import SimulatedLabjack, SimulatedLjm
 from softcal.station.wire.threaded import Reading, ThreadedReader
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, InputError, NoReply
 from softcal.core.words.reason import Reason, reason
+from softcal.station.device_names import named
 from softcal.station.devices.config import ReadoutConfig, check_known, check_positive, check_within
 from softcal.station.devices.driver import Driver, Simulated, Surroundings, opens
-from softcal.station.named import named
 from softcal.station.simulated.scpi import SimulatedDmm, SimulatedLcr
 from softcal.station.wire.asked import AskedReader
 from softcal.station.wire.link import Link

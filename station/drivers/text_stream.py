@@ -5,8 +5,8 @@ from abc import ABC, abstractmethod
 from softcal.core.errors import BadReply, reason_of
 from softcal.core.words.reason import reason
 from softcal.station.clock import unwrap_ms
+from softcal.station.device_names import named
 from softcal.station.interfaces import Sample
-from softcal.station.named import named
 from softcal.station.wire.frames.text_stream import parse
 from softcal.station.wire.link import Line, Link
 from softcal.station.wire.transport import WireKind

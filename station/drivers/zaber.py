@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply
 from softcal.core.words.reason import reason
+from softcal.station.device_names import named
 from softcal.station.devices.config import StageConfig, check_positive
 from softcal.station.devices.driver import Driver, Simulated, opens
 from softcal.station.drivers.admission import admit
 from softcal.station.interfaces import Move, OnWait, StagePosition, ignore_wait
-from softcal.station.named import named
 from softcal.station.simulated.zaber import SimulatedZaber
 from softcal.station.wire.frames import zaber
 from softcal.station.wire.frames.zaber import ACCELERATION_UNIT, SPEED_UNIT

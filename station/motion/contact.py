@@ -184,11 +184,11 @@ def _fitted(stage_mm: Array, values: Array, start: _Start, is_straight: bool) ->
     first = [level, slope, start.at_mm]
     if not is_straight:
         first, low, high = [*first, power], [*low, POWERS[0]], [*high, POWERS[-1]]
-    found = least_squares(left, first, bounds=(low, high), x_scale="jac")
-    squares = float(2.0 * found.cost)
+    solution = least_squares(left, first, bounds=(low, high), x_scale="jac")
+    squares = float(2.0 * solution.cost)
     variance = squares / max(1, len(values) - len(first))
-    doubt_mm = float(np.sqrt(np.linalg.pinv(found.jac.T @ found.jac)[2, 2] * variance))
-    return Foot(float(found.x[2]), doubt_mm), squares
+    doubt_mm = float(np.sqrt(np.linalg.pinv(solution.jac.T @ solution.jac)[2, 2] * variance))
+    return Foot(float(solution.x[2]), doubt_mm), squares
 
 
 def slower_mm_s(speed_mm_s: float, doubt_mm: float) -> float:

@@ -8,9 +8,9 @@ import numpy as np
 from softcal.core.errors import BadReply, NoReply, SafetyStop
 from softcal.core.words.reason import reason
 from softcal.station.clock import CLOCK_SHARE
+from softcal.station.device_names import named
 from softcal.station.devices.config import SafetyConfig
 from softcal.station.interfaces import ForceReader, Readout, Sample
-from softcal.station.named import named
 
 PRESSED_MM, MISSING_S, RISEN_MM = 0.8, 0.15, 0.1
 """A unit pressed this deep for so long must show a force; but not where the stage has risen this far since it did: a

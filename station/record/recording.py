@@ -9,8 +9,8 @@ from softcal.core.errors import BadReply, InputError
 from softcal.core.recording import Array, Indices, LabelledRecording, OutputRecording
 from softcal.core.words.reason import reason
 from softcal.station.clock import CLOCK_SHARE, ClockFit, fit_clock, residual_offset_s
+from softcal.station.device_names import named
 from softcal.station.interfaces import Sample, StagePosition
-from softcal.station.named import named
 from softcal.station.record.proof import (
     LATE_S,
     check_bits,

@@ -24,11 +24,11 @@ from softcal.core.profiles import Profile
 from softcal.core.quality.gate import Gate, RigFacts
 from softcal.core.quality.reading_at_rest import ReadingConfig
 from softcal.core.words.reason import Reason, reason, root_of, several
+from softcal.station.device_names import named
 from softcal.station.devices.bench import Bench
 from softcal.station.devices.config import LATEST_S
 from softcal.station.interfaces import Reader
 from softcal.station.motion.motion import Cancelled
-from softcal.station.named import named
 from softcal.station.record.recording import StationRecording
 from softcal.station.record.spool import Spool
 from softcal.station.tasks.acquisition import RunProgress, ZeroMoved, record

@@ -11,8 +11,8 @@ from serial.tools import list_ports
 
 from softcal.core.errors import NoReply, reason_of
 from softcal.core.words.reason import Reason, reason
+from softcal.station.device_names import named
 from softcal.station.interfaces import Clock
-from softcal.station.named import named
 from softcal.station.wire.transport import open_transport, wire_of
 
 POLL_S = 0.002

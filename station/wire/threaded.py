@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 from softcal.core.errors import DeviceError, NoReply
 from softcal.core.words.reason import reason
+from softcal.station.device_names import named
 from softcal.station.interfaces import Clock, Sample
-from softcal.station.named import named
 
 
 @dataclass(frozen=True)

@@ -107,10 +107,10 @@ class TcpTransport:
     """A TCP socket, `tcp://host:port`: an instrument, a serial server, a controller."""
 
     def __init__(self, address: str) -> None:
-        found = _TCP.fullmatch(address)
-        if found is None or not 0 < int(found["port"]) < 65536:
+        match = _TCP.fullmatch(address)
+        if match is None or not 0 < int(match["port"]) < 65536:
             raise ValueError("an address as tcp://192.168.0.7:5025 was expected")
-        self._socket = socket.create_connection((found["host"].strip("[]"), int(found["port"])), CONNECT_S)
+        self._socket = socket.create_connection((match["host"].strip("[]"), int(match["port"])), CONNECT_S)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.settimeout(1.0)
 

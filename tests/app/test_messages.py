@@ -23,7 +23,7 @@ from softcal.core.use.observation import FOLLOWED, HELD, JUMPED, TRIED, UNWATCHE
 from softcal.core.words.reason import ENGLISH, PLAIN, Reason, packed, plain, reason, root_of
 from softcal.core.words.rig_sentences import SENTENCES
 from softcal.db.connection import open_registry
-from softcal.station.named import named
+from softcal.station.device_names import named
 from softcal.station.wire.frames import gcl2, grbl, zaber
 
 KOREAN, ENGLISH_WORDS = partial(text, "ko"), partial(text, "en")

@@ -328,14 +328,14 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
         InputError: the laboratory file cannot be used, or names another instrument.
     """
     record, lot = unit.stored.record, unit.lot
-    found = _at_two_sigma(estimate(unit.network, unit.calibration, unit.recording))
+    estimates = _at_two_sigma(estimate(unit.network, unit.calibration, unit.recording))
     output, mapped = _map_curve(unit)
     source = unit.shared.source.reference
     reference = record.reference
     bars = () if reference is None else reference.bars(float(source.max()))
     laboratory = read_laboratory(unit.options.laboratory)
     _check_cell(laboratory, reference)
-    low, high = _covered(found, source)
+    low, high = _covered(estimates, source)
     return Certificate(
         identifier=f"softcal-{record.serial}-r{unit.stored.revision}-{record.map_sha256[:8]}",
         made_on=unit.stored.made_at.date(),
@@ -376,10 +376,10 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
             ("unit's recording", record.recording_sha256),
             ("source recording", unit.shared.source_sha256),
         ),
-        bands=_bands(found, low, high),
+        bands=_bands(estimates, low, high),
         output=output,
         mapped=mapped,
-        estimated=found,
+        estimated=estimates,
         software=f"softcal {version('softcal')}",
     )
 

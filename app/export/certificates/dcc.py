@@ -237,9 +237,9 @@ def _conditions(facts: Certificate) -> ET.Element | None:
 
 
 def _errors(facts: Certificate) -> Iterator[ET.Element]:
-    for told, found in (("Predicted", facts.forecast), ("Measured", facts.measured)):
-        if found is not None:
-            yield _quantity(facts, f"{told} root mean square error", found.rmse, facts.interval_of(found))
+    for told, error in (("Predicted", facts.forecast), ("Measured", facts.measured)):
+        if error is not None:
+            yield _quantity(facts, f"{told} root mean square error", error.rmse, facts.interval_of(error))
     for name, value, note in facts.deciding:
         yield _quantity(facts, f"{name} ({note})" if note else name, value)
     if facts.bands:

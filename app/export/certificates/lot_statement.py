@@ -126,7 +126,7 @@ def _lot_rows(facts: LotStatementFacts, words: Words) -> list[tuple[str, str]]:
 
 
 def _evidence_rows(facts: LotStatementFacts, words: Words) -> list[tuple[str, str]]:
-    promise, found = facts.decided.promise, facts.decided.found
+    promise, release = facts.decided.promise, facts.decided.found
     drawn = words("paper.drawn.not")
     if facts.drawn is not None:
         drawn = words("paper.drawn.is", drawn=facts.drawn[0], population=facts.drawn[1])
@@ -135,9 +135,9 @@ def _evidence_rows(facts: LotStatementFacts, words: Words) -> list[tuple[str, st
         (words("paper.drawn"), drawn),
         (words("paper.promise"), words("paper.promise.is", risk=promise.risk, confidence=promise.confidence)),
     ]
-    if found is not None and np.isfinite(found.factor):
-        rows.append((words("paper.factor"), words("paper.factor.is", factor=found.factor)))
-    form = any_form(found) if found is not None and facts.decided.released else None
+    if release is not None and np.isfinite(release.factor):
+        rows.append((words("paper.factor"), words("paper.factor.is", factor=release.factor)))
+    form = any_form(release) if release is not None and facts.decided.released else None
     return rows if form is None else [*rows, (words("paper.any_form"), said(form, words))]
 
 

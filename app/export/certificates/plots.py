@@ -36,17 +36,17 @@ class Level(NamedTuple):
 
 def estimate_plot(facts: Certificate, width: float) -> Drawing:
     """Draw the estimates of the unit's own recording over time, with U_est around them."""
-    found = facts.estimated
-    rows = np.flatnonzero(np.isfinite(found.estimate))
-    rows = rows[found.t_s[rows] <= found.t_s[rows[0]] + SHOWN_S]
+    estimated = facts.estimated
+    rows = np.flatnonzero(np.isfinite(estimated.estimate))
+    rows = rows[estimated.t_s[rows] <= estimated.t_s[rows[0]] + SHOWN_S]
     rows = rows[:: max(1, math.ceil(len(rows) / MOST_POINTS))]
-    t_s, lower, upper = found.t_s[rows], found.lower[rows], found.upper[rows]
+    t_s, lower, upper = estimated.t_s[rows], estimated.lower[rows], estimated.upper[rows]
     labels = "t, s", f"{facts.quantity}, {facts.reference_unit}"
     axes = _Axes.around(t_s, np.concatenate([lower, upper]), width, labels)
     drawing = axes.drawing
     edge = axes.points(np.concatenate([t_s, t_s[::-1]]), np.concatenate([lower, upper[::-1]]))
     drawing.add(Polygon(edge, fillColor=BAND, strokeColor=None))
-    drawing.add(PolyLine(axes.points(t_s, found.estimate[rows]), strokeColor=CURVE, strokeWidth=0.7))
+    drawing.add(PolyLine(axes.points(t_s, estimated.estimate[rows]), strokeColor=CURVE, strokeWidth=0.7))
     return drawing
 
 

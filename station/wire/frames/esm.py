@@ -62,18 +62,18 @@ def to_gauge(command: str) -> bytes:
 
 def parse_status(line: bytes) -> StandStatus:
     """Return the answer to `p`; `BadReply` where it is none."""
-    found = _STATUS.fullmatch(line.decode("ascii", "replace").strip())
-    if not found:
+    match = _STATUS.fullmatch(line.decode("ascii", "replace").strip())
+    if not match:
         raise BadReply(reason("esm.status", line=repr(line[:40])))
-    return StandStatus(found[1], found[2], found[3] or "")
+    return StandStatus(match[1], match[2], match[3] or "")
 
 
 def parse_travel_mm(line: bytes) -> float:
     """Return the answer to `x` in mm, upward positive; `BadReply` where it is none."""
-    found = _TRAVEL.fullmatch(line.decode("ascii", "replace").strip())
-    if not found:
+    match = _TRAVEL.fullmatch(line.decode("ascii", "replace").strip())
+    if not match:
         raise BadReply(reason("esm.travel_line", line=repr(line[:40])))
-    return float(found[1]) * (MM_PER_INCH if found[2] == "in" else 1.0)
+    return float(match[1]) * (MM_PER_INCH if match[2] == "in" else 1.0)
 
 
 def _limit(travel_mm: float) -> bytes:
