@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.metrics import rms
 from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, Indices, LabelledRecording, Mask
@@ -60,7 +59,7 @@ def fit_network(
     unlabelled = source.unlabelled
     scales = (output_mean, output_scale, reference_mean, reference_scale)
     network = Network(weights, biases, *scales, unlabelled.output_unit, source.reference_unit)
-    rmse = rms(network.evaluate(inputs[validation]) - reference[validation])
+    rmse = float(np.sqrt(np.mean((network.evaluate(inputs[validation]) - reference[validation]) ** 2)))
     # Both scales: the held-out blocks may lie where the load hardly moves, and the mean is then a good estimate.
     if rmse > 0.95 * float(reference[validation].std()) and rmse > 0.5 * reference_scale:
         raise InputError(
