@@ -27,6 +27,7 @@ def newest_job(kind: str, **request: object) -> Job | None:
 
 
 def is_running(job: Job | None) -> bool:
+    """Whether there is a job that is not over yet."""
     return job is not None and job.state.is_active
 
 
