@@ -28,5 +28,5 @@ def wilson(count: int, of: int) -> tuple[float, float]:
 
     if not of:
         return 0.0, 1.0
-    found = binomtest(count, of).proportion_ci(0.95, method="wilson")
-    return float(found.low), float(found.high)
+    interval = binomtest(count, of).proportion_ci(0.95, method="wilson")
+    return float(interval.low), float(interval.high)

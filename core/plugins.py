@@ -1,6 +1,6 @@
 """What other installed packages bring along: entry points by group, loaded and checked.
 
-The core reads the list of installed packages here only: a plug-in that one process knows and another does not would
+The core reads the list of installed packages here only. A plug-in that one process knows and another does not would
 make the same result mean two things.
 """
 
@@ -19,8 +19,8 @@ Thing = TypeVar("Thing")
 
 def installed(group: str) -> list[EntryPoint]:
     """Return the entry points of all installed packages in a group, by name."""
-    found = _in_folders(group, tuple((folder, _changed_ns(folder)) for folder in sys.path))
-    return sorted(found, key=lambda point: point.name)
+    entries = _in_folders(group, tuple((folder, _changed_ns(folder)) for folder in sys.path))
+    return sorted(entries, key=lambda point: point.name)
 
 
 @lru_cache(maxsize=16)
@@ -79,8 +79,8 @@ class PluginKind(Generic[Thing]):
         """
         every = dict(own)
         for point in installed(self.group) if points is None else points:
-            found = loaded(point, self.kind)
-            for thing in [found] if self.is_kind(found) or not isinstance(found, Iterable) else list(found):
+            plugin = loaded(point, self.kind)
+            for thing in [plugin] if self.is_kind(plugin) or not isinstance(plugin, Iterable) else list(plugin):
                 if not self.is_kind(thing):
                     wrong = f"is {type(thing).__name__}; {self.expected}, or a list of them, was expected"
                     raise InputError(f"{who(point, self.kind)}: {wrong}")

@@ -210,7 +210,7 @@ BUILT_IN: Mapping[str, Callable[[np.random.Generator, float], Profile]] = {
 
 def pressed(name: str) -> Reason:
     """Return the name of a profile, as a recording keeps it, in words that every language has of its own."""
-    found = NAME_AND_SIZE.fullmatch(name)
-    if found is None:
+    match = NAME_AND_SIZE.fullmatch(name)
+    if match is None:
         return reason("gap.pressed", profile=name)
-    return reason("gap.pressed.sized", profile=found[1], size=found[2])
+    return reason("gap.pressed.sized", profile=match[1], size=match[2])

@@ -75,8 +75,8 @@ class NumberedMethod:
     @classmethod
     def of(cls, kept: Mapping[str, Any]) -> Self:
         """Read what `to_json` wrote; a number that came later has its default."""
-        found: Self = _of(cls, json.dumps(kept))  # type: ignore[arg-type]
-        return found
+        method: Self = _of(cls, json.dumps(kept))  # type: ignore[arg-type]
+        return method
 
 
 METHODS_KEPT = 32

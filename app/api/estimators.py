@@ -111,8 +111,8 @@ class MapTransformer(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         check_alive(target, known.unlabelled, method.health)
         is_rising = self.source.model.interval.slope_limit > 0
         limits = output_limits(target, known.unlabelled, is_rising, method.health)
-        for found in contradictions(known.unlabelled, target, limits, method, problem.synchrony):
-            raise UnitRefused(found.reason)
+        for contradiction in contradictions(known.unlabelled, target, limits, method, problem.synchrony):
+            raise UnitRefused(contradiction.reason)
         chosen = choose_map(problem).unit_map if self.family == DEFAULT else family(self.family).fit(problem)
         self.map_, self.family_ = chosen, chosen.family
         return self

@@ -134,15 +134,15 @@ class Unit:
         """
         import pandas as pd
 
-        found = estimate(self.network, self.calibration, self._recording(recording).unlabelled)
-        columns = {name: getattr(found, name) for name in ("t_s", "estimate", "lower", "upper", "flag")}
+        estimates = estimate(self.network, self.calibration, self._recording(recording).unlabelled)
+        columns = {name: getattr(estimates, name) for name in ("t_s", "estimate", "lower", "upper", "flag")}
         return pd.DataFrame(columns, index=recording.index if hasattr(recording, "iloc") else None)
 
     def rmse(self, recording: Any) -> float:
         """Return the error against the reference of a recording, in the reference unit, over rows with an estimate."""
         labelled = self._recording(recording).labelled
-        found, rows = estimate(self.network, self.calibration, labelled.unlabelled), labelled.unlabelled.window_rows
-        return rmse(found.estimate[rows], labelled.reference[rows])
+        estimates, rows = estimate(self.network, self.calibration, labelled.unlabelled), labelled.unlabelled.window_rows
+        return rmse(estimates.estimate[rows], labelled.reference[rows])
 
     def _recording(self, given: Any) -> Recording:
         facts = {"sample_rate_Hz": self.sample_rate_Hz, "serial": self.serial, "output_unit": self.network.output_unit}
@@ -303,8 +303,8 @@ def fit_map(
 
     Args:
         network: from `fit_network`.
-        target: `Recording` of the unit, a DataFrame with a column `output`, or the output itself at the source's rate;
-            a reference, if it has one, is not looked at.
+        target: `Recording` of the unit, a DataFrame with a column `output`, or the output itself at the source's
+            rate. A reference, if it has one, is not looked at.
         family: `auto` lets the recording choose; or a family such as `affine` (`softcal batch --help` lists them).
         limit_rmse: largest acceptable error in the reference unit; by default derived from the source's own error.
         anchors: a few known loads: (outputs, references), or a DataFrame with these columns.

@@ -199,7 +199,7 @@ class _Standing:
 class LineRelease:
     """Decides on units one by one as a line presses them.
 
-    The other units of the lot are read again only where the audits say something new; units that another station
+    The other units of the lot are read again only where the audits say something new. Units that another station
     presses meanwhile count from then on. `judge_lot` decides on the whole lot.
     """
 

@@ -48,18 +48,18 @@ def train_or_find(
     registry.lots.add(lot, actor=actor)
     recording_sha256 = registry.recordings.add(lot.id, source, "source", actor=actor)
     input_sha256 = content_sha256({}, {"source": recording_sha256, "config": asdict(config)})
-    found = registry.networks.find(input_sha256)
-    if found is not None:
-        return _registered(registry, found, False)
+    stored = registry.networks.find(input_sha256)
+    if stored is not None:
+        return _registered(registry, stored, False)
     with Claims(registry, WorkSet(lot.id, input_sha256, "train")) as claims:
         claims.queue.enqueue(claims.work, {source.serial: input_sha256})
         # Claim the training, or wait for the process that has it; nothing is claimed where that one has
         # finished it
         while not (mine := claims.take(1)) and claims.queue.counts(work=claims.work)["claimed"]:
             time.sleep(LOOK_EVERY_S)
-        found = registry.networks.find(input_sha256)
-        if found is not None:
-            return _registered(registry, found, False)
+        stored = registry.networks.find(input_sha256)
+        if stored is not None:
+            return _registered(registry, stored, False)
         start_s = time.perf_counter()
         trained = fit_network(source, config, on_epoch)
         metrics = {

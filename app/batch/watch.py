@@ -33,7 +33,7 @@ def watch_lot(
 ) -> Iterator[BatchReport]:
     """Give a report each time new recordings were calibrated.
 
-    A file is taken when its size and time were the same at two looks, so that a copy under way is not read by half. A
+    A file is taken when its size and time were the same at two looks. So a copy under way is not read by half. A
     file that is replaced by another recording is calibrated again, as a new revision.
 
     Raises:

@@ -29,9 +29,9 @@ def predicted_over_load(views: Sequence[UnitView], colours: Palette, words: Word
     """Draw the half width of the 90 % interval over the estimate, as medians of equal bins."""
     figure = go.Figure()
     for view, colour in zip(views, (colours.mapped, colours.raw), strict=False):
-        found = view.estimate
-        known = np.isfinite(found.estimate) & np.isfinite(found.upper) & np.isfinite(found.lower)
-        value, half = found.estimate[known], (found.upper - found.lower)[known] / 2
+        estimates = view.estimate
+        known = np.isfinite(estimates.estimate) & np.isfinite(estimates.upper) & np.isfinite(estimates.lower)
+        value, half = estimates.estimate[known], (estimates.upper - estimates.lower)[known] / 2
         if not len(value):
             continue
         edges = np.linspace(value.min(), value.max(), BINS + 1)

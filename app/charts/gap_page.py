@@ -150,11 +150,11 @@ def _note(words: str) -> str:
 
 
 def _partly(report: Mapping[str, Any], say: Words) -> str:
-    found = report.get("partial")
-    if not found:
+    partial = report.get("partial")
+    if not partial:
         return ""
-    causes = _effects(found["effects"], say)
-    return _note(_told(say, "gap.partial", causes=causes, share=_percent(found["share"])))
+    causes = _effects(partial["effects"], say)
+    return _note(_told(say, "gap.partial", causes=causes, share=_percent(partial["share"])))
 
 
 def _offsets(report: Mapping[str, Any], say: Words) -> str:

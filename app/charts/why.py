@@ -64,17 +64,17 @@ def why_figure(view: UnitView, colours: Palette, words: Words) -> go.Figure:
 
 
 def _parts(figure: go.Figure, view: UnitView, colours: Palette, words: Words) -> None:
-    found, parts = view.explanation, list(view.explanation.contributions.items())[::-1]
+    explanation, parts = view.explanation, list(view.explanation.contributions.items())[::-1]
     names, values = [phrase("part", name, words) for name, _ in parts], [value for _, value in parts]
     figure.add_bar(x=values, y=names, orientation="h", marker_color=colours.source, showlegend=False, **PARTS)
-    end = max(0.0, *values, *(found.forecast or ()), found.limit or 0.0)
-    if found.forecast is not None:
-        low, middle, high = found.forecast
+    end = max(0.0, *values, *(explanation.forecast or ()), explanation.limit or 0.0)
+    if explanation.forecast is not None:
+        low, middle, high = explanation.forecast
         spread = {"type": "data", "symmetric": False, "array": [high - middle], "arrayminus": [middle - low]}
         name = words("column.predicted")
         dots(figure, [middle], [name], colours.mapped, name, 12, symbol="diamond", error_x=spread, **PARTS)
-    if found.limit is not None:
-        figure.add_vline(found.limit, line={"color": colours.limit, "width": 2}, **PARTS)
+    if explanation.limit is not None:
+        figure.add_vline(explanation.limit, line={"color": colours.limit, "width": 2}, **PARTS)
         _key(figure, PARTS, words("chart.limit"), colours.limit, "solid")
     _titled(figure, PARTS, f"{words('chart.error')} [{view.lot.reference_unit}]", "")
     # Room behind the last of them, so that the line of the limit stands inside.
@@ -82,41 +82,45 @@ def _parts(figure: go.Figure, view: UnitView, colours: Palette, words: Words) ->
 
 
 def _loads(figure: go.Figure, view: UnitView, colours: Palette, words: Words) -> None:
-    found = view.explanation
+    explanation = view.explanation
     for name, density, colour, dash in (
-        (words("chart.source"), found.source_density, colours.source, "solid"),
-        (words("chart.mapped"), found.mapped_density, colours.mapped, "solid"),
-        (words("chart.raw"), found.unmapped_density, colours.raw, "dot"),
+        (words("chart.source"), explanation.source_density, colours.source, "solid"),
+        (words("chart.mapped"), explanation.mapped_density, colours.mapped, "solid"),
+        (words("chart.raw"), explanation.unmapped_density, colours.raw, "dot"),
     ):
         line = {"color": colour, "width": 2, "shape": "hv", "dash": dash}
-        figure.add_scatter(x=found.density_edges, y=steps(density), name=name, line=line, **LOADS)
+        figure.add_scatter(x=explanation.density_edges, y=steps(density), name=name, line=line, **LOADS)
     _titled(figure, LOADS, _load(view), words("chart.density"))
 
 
 def _interval(figure: go.Figure, view: UnitView, colours: Palette, words: Words) -> None:
-    found = view.explanation
-    for k, direction in enumerate(found.directions):
+    explanation = view.explanation
+    for k, direction in enumerate(explanation.directions):
         dash = ("solid", "dash", "dot")[k % 3]
         for half_width, colour, width in (
-            (found.source_half_width[k], colours.source, 1.5),
-            (found.half_width[k], colours.mapped, 2.5),
+            (explanation.source_half_width[k], colours.source, 1.5),
+            (explanation.half_width[k], colours.mapped, 2.5),
         ):
             line = {"color": colour, "dash": dash, "width": width}
-            figure.add_scatter(x=found.levels, y=half_width, line=line, showlegend=False, **INTERVAL)
+            figure.add_scatter(x=explanation.levels, y=half_width, line=line, showlegend=False, **INTERVAL)
         _key(figure, INTERVAL, words(f"chart.{direction}"), colours.text, dash)
     _titled(figure, INTERVAL, _load(view), f"± [{view.lot.reference_unit}]")
     figure.update_yaxes(rangemode="tozero", **INTERVAL)
 
 
 def _time(figure: go.Figure, view: UnitView, colours: Palette, words: Words) -> None:
-    found = view.explanation
-    at = thinned(found.t_s)
+    explanation = view.explanation
+    at = thinned(explanation.t_s)
     line = {"color": colours.mapped, "width": 1.2}
-    figure.add_scatter(x=found.t_s[at], y=found.estimate[at], line=line, name=words("chart.estimate"), **TIME)
-    strange = np.flatnonzero(found.distance > found.familiar_distance)
+    figure.add_scatter(
+        x=explanation.t_s[at], y=explanation.estimate[at], line=line, name=words("chart.estimate"), **TIME
+    )
+    strange = np.flatnonzero(explanation.distance > explanation.familiar_distance)
     if len(strange):
         rows = strange[thinned(strange)]
-        dots(figure, found.t_s[rows], found.estimate[rows], colours.limit, words("why.unfamiliar"), 5, **TIME)
+        dots(
+            figure, explanation.t_s[rows], explanation.estimate[rows], colours.limit, words("why.unfamiliar"), 5, **TIME
+        )
     _titled(figure, TIME, words("chart.time"), _load(view))
 
 
@@ -161,7 +165,7 @@ def why_page(view: UnitView, script: bool | str) -> str:
 
 def why_json(view: UnitView) -> dict[str, object]:
     """Return the numbers behind the verdict as JSON values: schema `softcal.explain/1`."""
-    found, decision, method = view.explanation, view.calibration.decision, view.calibration.method
+    explanation, decision, method = view.explanation, view.calibration.decision, view.calibration.method
     return {
         "schema": "softcal.explain/1",
         "serial": view.calibration.serial,
@@ -172,9 +176,11 @@ def why_json(view: UnitView) -> dict[str, object]:
         "reasons": [str(why) for why in decision.reasons],
         "knowledge": str(view.calibration.knowledge),
         "method": None if method is None else {"id": method.id, "numbers": dict(method.to_json())},
-        "predicted_rmse": None if found.forecast is None else found.forecast[1],
-        "predicted_interval": None if found.forecast is None else [found.forecast[0], found.forecast[2]],
-        "limit_rmse": found.limit,
-        "contributions": dict(found.contributions),
+        "predicted_rmse": None if explanation.forecast is None else explanation.forecast[1],
+        "predicted_interval": None
+        if explanation.forecast is None
+        else [explanation.forecast[0], explanation.forecast[2]],
+        "limit_rmse": explanation.limit,
+        "contributions": dict(explanation.contributions),
         "evidence": dict(view.calibration.evidence),
     }

@@ -34,7 +34,7 @@ def files_in_use() -> list[Path]:
 def configure(parser: argparse.ArgumentParser) -> None:
     """Take the defaults of options from the configuration files.
 
-    A key outside every table is the option of that name of every command that has it; a key in `[batch]` or
+    A key outside every table is the option of that name of every command that has it. A key in `[batch]` or
     `[station.check]` is an option of that command.
 
     Raises:

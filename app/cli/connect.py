@@ -63,9 +63,9 @@ def _status(options: argparse.Namespace) -> None:
     from softcal.app.connect.forwarder import status_json, status_rows
 
     with registry_of(options) as registry:
-        found = status_json(registry)
-    answer(options, "connect.status/1", {"destinations": found})
-    print_table(("destination", "sent", "waits", "failed", "next try", "why", "served by"), status_rows(found))
+        status = status_json(registry)
+    answer(options, "connect.status/1", {"destinations": status})
+    print_table(("destination", "sent", "waits", "failed", "next try", "why", "served by"), status_rows(status))
 
 
 def _secret(options: argparse.Namespace) -> None:

@@ -175,8 +175,8 @@ def _check(options: argparse.Namespace) -> tuple[dict[str, object], tuple[str, .
     from softcal.app.export.check import check_folder
     from softcal.app.export.signature import trusted_keys
 
-    found = check_folder(options.out, trusted_keys(options.public_key))
-    for problem in found.problems:
+    problems = check_folder(options.out, trusted_keys(options.public_key))
+    for problem in problems.problems:
         say(f"problem: {problem}")
-    print_table(("question", "answer"), found.answers)
-    return {**vars(found), "problems": found.problems, "answers": dict(found.answers)}, found.problems
+    print_table(("question", "answer"), problems.answers)
+    return {**vars(problems), "problems": problems.problems, "answers": dict(problems.answers)}, problems.problems

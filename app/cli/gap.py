@@ -124,13 +124,13 @@ def _check(options: argparse.Namespace) -> None:
 
     if options.simulator:
         _refuse_electronics(options)
-        found, told = check_with(options.case, load_simulator(options.simulator))
+        mistakes, told = check_with(options.case, load_simulator(options.simulator))
     else:
-        found, told = check_case(options.case, _table_readout(options))
-    data, identifiability = [one.record() for one in found], None if told is None else told.record()
+        mistakes, told = check_case(options.case, _table_readout(options))
+    data, identifiability = [one.record() for one in mistakes], None if told is None else told.record()
     if not answer(options, "gap.check/1", {"data": data, "identifiability": identifiability}):
         return
-    _show_mistakes(found)
+    _show_mistakes(mistakes)
     if told is None:
         print("check       repair the recordings and check again; nothing else was judged")
         return
@@ -218,9 +218,9 @@ def _apply(options: argparse.Namespace) -> None:
 def _apply_parameters(options: argparse.Namespace, report: Mapping[str, object], source: str) -> None:
     from softcal.app.gap.simulator import write_parameters
 
-    found = write_parameters(options.out, report, source, options.empirical)
+    parameters = write_parameters(options.out, report, source, options.empirical)
     is_bare = report["verdict"] == "unknown" and not options.empirical
-    told = ", ".join(f"{name} = {value:.4g}" for name, value in found.items())
+    told = ", ".join(f"{name} = {value:.4g}" for name, value in parameters.items())
     said = "nothing explains the gap, so they are those of the refitted base alone: " if is_bare else ""
     say(f"parameters of {report['simulator']} written to {options.out}: {said}{told}")
     write_json(options.json, dict(report))

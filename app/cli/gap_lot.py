@@ -47,11 +47,11 @@ def _lot(options: argparse.Namespace) -> None:
     """
     from softcal.app.gap.lot import diagnose_lot_folder
 
-    found = diagnose_lot_folder(options.folder, say)
-    write_json(options.json, found.record())
+    diagnosis = diagnose_lot_folder(options.folder, say)
+    write_json(options.json, diagnosis.record())
     if options.json != "-":
-        _show(found.diagnosis)
-        _show_worth(found.calibration)
+        _show(diagnosis.diagnosis)
+        _show_worth(diagnosis.calibration)
 
 
 def _show(found: "LotDiagnosis") -> None:
@@ -110,8 +110,8 @@ def _transfer(options: argparse.Namespace) -> None:
     """
     from softcal.app.gap.lot import check_transfer
 
-    found = check_transfer(options.report, options.lot, options.seed, say)
-    write_json(options.json, found.to_record())
+    transfer = check_transfer(options.report, options.lot, options.seed, say)
+    write_json(options.json, transfer.to_record())
     if options.json != "-":
         header = ("median over units", "rig", "base twin", "explained twin", "base off by", "explained off by")
-        print_table(header, [(_WORDS[n], *v, f"{b:.0%}", f"{e:.0%}") for n, *v, b, e in found.rows()])
+        print_table(header, [(_WORDS[n], *v, f"{b:.0%}", f"{e:.0%}") for n, *v, b, e in transfer.rows()])

@@ -76,25 +76,25 @@ def _bring(options: argparse.Namespace) -> int:
         opened = open_lot_folder(folder)
         lot = opened.lot
         _check_rate(options.sample_rate, lot.sample_rate_Hz)
-        found = look_at_audits(lot, opened.unit_paths.keys(), files, columns, options.sheet)
-        replaced, then = write_audits(folder, found), f"next: softcal batch {options.lot}"
+        looked = look_at_audits(lot, opened.unit_paths.keys(), files, columns, options.sheet)
+        replaced, then = write_audits(folder, looked), f"next: softcal batch {options.lot}"
     else:
         with registry_of(options) as registry:
             lot = registry.lots.get(options.lot)
             _check_rate(options.sample_rate, lot.sample_rate_Hz)
-            found = look_at_audits(lot, target_serials(registry, lot.id), files, columns, options.sheet)
-            store_audits(registry, lot.id, found)
+            looked = look_at_audits(lot, target_serials(registry, lot.id), files, columns, options.sheet)
+            store_audits(registry, lot.id, looked)
             judge_again(registry, [lot.id])
-    taken = [one.serial for one in found if one.recording is not None]
-    refused = {one.file: str(one.refusal) for one in found if one.recording is None}
+    taken = [one.serial for one in looked if one.recording is not None]
+    refused = {one.file: str(one.refusal) for one in looked if one.recording is None}
     facts = {"lot": lot.id, "audited": taken, "replaced": replaced, "refused": refused}
     if answer(options, "lot.audit-files/1", facts):
-        rows = [[one.file, one.serial, "taken" if one.recording else f"refused: {one.refusal}"] for one in found]
+        rows = [[one.file, one.serial, "taken" if one.recording else f"refused: {one.refusal}"] for one in looked]
         print_table(("file", "serial", "result"), rows)
     if replaced:
         say(f"an older audit of {', '.join(replaced)} was replaced")
-    say(f"{len(taken)} of {len(found)} files taken; {then}")
-    return DONE if len(taken) == len(found) else REFUSED
+    say(f"{len(taken)} of {len(looked)} files taken; {then}")
+    return DONE if len(taken) == len(looked) else REFUSED
 
 
 def _check_rate(stated_Hz: float | None, lot_Hz: float) -> None:

@@ -81,12 +81,12 @@ def _capability(options: argparse.Namespace) -> None:
         if options.column is None:
             raise InputError("--file needs --column NAME")
         chart = file_chart(options.file, options.column)
-        found = capability(chart, options.minimum, options.maximum)
+        process = capability(chart, options.minimum, options.maximum)
     else:
         with registry_of(options) as registry:
-            chart, found = lot_capability(registry, options.lot, options.maximum)
-    value = {"capability": asdict(found), "chart": chart_json(chart)}
-    row = [found.count, found.cp, found.cpk, found.cpk_lower, found.cpk_upper, found.pp, found.ppk]
+            chart, process = lot_capability(registry, options.lot, options.maximum)
+    value = {"capability": asdict(process), "chart": chart_json(chart)}
+    row = [process.count, process.cp, process.cpk, process.cpk_lower, process.cpk_upper, process.pp, process.ppk]
     header = ["values", "Cp", "Cpk", "lower 95 %", "upper 95 %", "Pp", "Ppk"]
     _show(options, "capability", value, header, [row], "the process is stable")
 
@@ -95,10 +95,10 @@ def _yield(options: argparse.Namespace) -> None:
     from softcal.app.registry.quality import lot_yields, named_shares, yields_json
 
     with registry_of(options) as registry:
-        found = lot_yields(registry, options.lot, conditional_is_good=options.conditional_is_good)
-    value = {"lot": options.lot} | yields_json(found)
-    rows = [[name.replace("_", " "), s.count, s.of, s.value, *s.interval] for name, s in named_shares(found)]
-    reasons = "; ".join(f"{count} x {reason}" for reason, count in found.reasons[:5])
+        yields = lot_yields(registry, options.lot, conditional_is_good=options.conditional_is_good)
+    value = {"lot": options.lot} | yields_json(yields)
+    rows = [[name.replace("_", " "), s.count, s.of, s.value, *s.interval] for name, s in named_shares(yields)]
+    reasons = "; ".join(f"{count} x {reason}" for reason, count in yields.reasons[:5])
     header = ["yield", "good", "of", "share", "lower 95 %", "upper 95 %"]
     _show(options, "yield", value, header, rows, f"not good: {reasons}" if reasons else "")
 

@@ -106,19 +106,19 @@ def _verify(options: argparse.Namespace) -> None:
             say(f"{time.monotonic() - start_s:5.1f} s  checking {name}")
 
     with registry_of(options) as registry:
-        found = verify(registry, is_quick=options.quick, files=options.against, on_step=on_step)
-    facts = {"faults": list(found.faults), "audit_rows": found.audit_rows, "heads": found.heads}
+        verified = verify(registry, is_quick=options.quick, files=options.against, on_step=on_step)
+    facts = {"faults": list(verified.faults), "audit_rows": verified.audit_rows, "heads": verified.heads}
     facts["is_quick"] = options.quick
-    if not found.faults:
-        ends = ", ".join(f"{origin} {seq} {sha256}" for origin, (seq, sha256) in found.heads.items())
+    if not verified.faults:
+        ends = ", ".join(f"{origin} {seq} {sha256}" for origin, (seq, sha256) in verified.heads.items())
         what = "what was looked at is whole" if options.quick else "the registry is whole"
-        line = f"{what}: {found.audit_rows} rows in the audit trail, ending with {ends or 'nothing'}"
+        line = f"{what}: {verified.audit_rows} rows in the audit trail, ending with {ends or 'nothing'}"
         _done(options, "verify", line, **facts)
         return
-    for fault in found.faults:
+    for fault in verified.faults:
         say(fault)
     answer(options, "registry.verify/1", facts)
-    raise RegistryError(f"{len(found.faults)} faults; keep the file as evidence and go back to a backup")
+    raise RegistryError(f"{len(verified.faults)} faults; keep the file as evidence and go back to a backup")
 
 
 def _backup(options: argparse.Namespace) -> None:

@@ -221,12 +221,12 @@ def run_calibrate_cell(options: argparse.Namespace) -> None:
         if not sys.stdin.readline():
             raise InputError("no Enter came; the station file is as it was")
 
-    found, config = calibrate_cell(read_station_file(options.station), options.weights, wait_for)
-    rows = zip(found.mass_kg.tolist(), found.reading.tolist(), found.noise.tolist(), strict=True)
+    scale, config = calibrate_cell(read_station_file(options.station), options.weights, wait_for)
+    rows = zip(scale.mass_kg.tolist(), scale.reading.tolist(), scale.noise.tolist(), strict=True)
     print_table(("weight, kg", "reading", "noise"), list(rows))
     write_text(options.station, station_toml(config))
-    say(f"{options.station}: {found.per_N:.6g} counts per N, off by {found.largest_error_N:.3g} N at most")
-    facts = {"per_N": found.per_N, "zero": found.zero, "largest_error_N": found.largest_error_N}
+    say(f"{options.station}: {scale.per_N:.6g} counts per N, off by {scale.largest_error_N:.3g} N at most")
+    facts = {"per_N": scale.per_N, "zero": scale.zero, "largest_error_N": scale.largest_error_N}
     answer(options, "station-cell/1", facts)
 
 
@@ -237,17 +237,17 @@ def run_drivers(options: argparse.Namespace) -> int:
     from softcal.station.devices.catalogue import SECTIONS, offers
     from softcal.station.devices.config import meanings
 
-    found = [offer for offer in offers() if options.kind in (None, offer.kind)]
-    if not found:
+    chosen = [offer for offer in offers() if options.kind in (None, offer.kind)]
+    if not chosen:
         raise InputError(f"no driver of kind {options.kind!r}; `softcal station drivers` lists them all")
-    answer(options, "station-drivers/1", {"drivers": [_driver_json(offer) for offer in found]})
+    answer(options, "station-drivers/1", {"drivers": [_driver_json(offer) for offer in chosen]})
     rows = []
-    for offer in found:
+    for offer in chosen:
         driver = offer.driver
         what, wires = ("cannot be loaded", "") if driver is None else (driver.what, "/".join(driver.wires))
         rows.append((f"[{SECTIONS[offer.role]}]", offer.kind, what, wires, f"{offer.package} {offer.version}"))
     print_table(("section", "kind", "for", "port", "from"), rows)
-    for offer in found:
+    for offer in chosen:
         if offer.driver is None:
             say(f"{offer.kind} of {offer.package}: {offer.fault}")
         elif options.kind:
@@ -256,7 +256,7 @@ def run_drivers(options: argparse.Namespace) -> int:
                 [(key, kind, default, unit) for key, kind, default, unit in offer.driver.described_keys],
             )
             say("\n".join(f"  {line.strip()}" for line in meanings(offer.driver.config)))
-    return 3 if any(offer.driver is None for offer in found) else 0
+    return 3 if any(offer.driver is None for offer in chosen) else 0
 
 
 def _driver_json(offer: "Offer") -> dict[str, object]:
@@ -272,15 +272,15 @@ def run_recover(options: argparse.Namespace) -> None:
     from softcal.app.line.recover import recover
     from softcal.app.line.rig import spool_folder
 
-    found = recover(spool_folder(options.spool), options.out)
-    rows = [(r.serial, r.profile, r.end[:60], r.samples, ", ".join(map(str, r.files))) for r in found]
+    recovered = recover(spool_folder(options.spool), options.out)
+    rows = [(r.serial, r.profile, r.end[:60], r.samples, ", ".join(map(str, r.files))) for r in recovered]
     print_table(("serial", "profile", "ended", "samples", "file"), rows)
-    runs = [vars(run) | {"spool": str(run.spool), "files": [str(file) for file in run.files]} for run in found]
+    runs = [vars(run) | {"spool": str(run.spool), "files": [str(file) for file in run.files]} for run in recovered]
     answer(options, "station-recover/1", {"runs": runs})
-    for run in found:
+    for run in recovered:
         if not run.files:
             say(run.end)
-    say(f"{len(found)} spool(s) read; they were left where they are")
+    say(f"{len(recovered)} spool(s) read; they were left where they are")
 
 
 def _progress() -> "OnProgress":

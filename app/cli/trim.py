@@ -26,14 +26,14 @@ def run(options: argparse.Namespace) -> None:
     from softcal.app.use.trim import trim_unit
 
     with registry_of(options) as registry:
-        found, revision = trim_unit(registry, options.serial, options.loads, options.lot)
-    gain, offset = found.unit_map.gain, found.unit_map.offset
+        trimmed, revision = trim_unit(registry, options.serial, options.loads, options.lot)
+    gain, offset = trimmed.unit_map.gain, trimmed.unit_map.offset
     facts = {"serial": options.serial, "revision": revision, "gain": gain, "offset": offset}
-    facts |= {name: getattr(found, name) for name in ("gain_error", "rest_error", "before_rmse", "after_rmse")}
+    facts |= {name: getattr(trimmed, name) for name in ("gain_error", "rest_error", "before_rmse", "after_rmse")}
     if answer(options, "trim/1", facts):
         print(
-            f"{options.serial} revision {revision}: gain times {gain:.4g} ± {found.gain_error:.1%}, "
-            f"offset {offset:+.4g}, estimate at rest ± {found.rest_error:.2g} (one standard uncertainty)"
+            f"{options.serial} revision {revision}: gain times {gain:.4g} ± {trimmed.gain_error:.1%}, "
+            f"offset {offset:+.4g}, estimate at rest ± {trimmed.rest_error:.2g} (one standard uncertainty)"
         )
-        print(f"error at the loads: RMSE {found.before_rmse:.3g} before, {found.after_rmse:.3g} after")
+        print(f"error at the loads: RMSE {trimmed.before_rmse:.3g} before, {trimmed.after_rmse:.3g} after")
     say("a trimmed unit is conditional at best, and one that failed its audit stays so, until it is audited again")

@@ -1,6 +1,6 @@
 """An OPC UA server over the registry: every station and lot now, and every event.
 
-A client that was away loses nothing: it keeps the cursor that `Events/Read` gave last and reads on
+A client that was away loses nothing. It keeps the cursor that `Events/Read` gave last and reads on
 from there, across restarts of this server, too. `Events/Cursor` changes with every event; a
 subscription to it says when to read.
 """

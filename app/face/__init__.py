@@ -67,15 +67,15 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module 'softcal' has no attribute {name!r}")
     module, _, attribute = _WHERE[name].partition(":")
     try:
-        found = getattr(import_module(module), attribute)
+        value = getattr(import_module(module), attribute)
     except ModuleNotFoundError as error:
         from softcal.app.extras import missing_extra
 
         if (line := missing_extra(error)) is None:
             raise
         raise ModuleNotFoundError(f"softcal.{name}: {line}", name=error.name) from error
-    globals()[name] = found
-    return found
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:

@@ -155,10 +155,10 @@ def _excel(file: BinaryIO, path: Path, sheet: str | None, most_cells: int, wante
     most_cells = int(most_cells * EXCEL_CELLS_SHARE)
     refuse_large(path, _unpacked_bytes(file, path) // EXCEL_BYTES_PER_CELL, most_cells)
     workbook = load_workbook(file, read_only=True, data_only=True)
-    found = workbook.worksheets[0] if sheet is None else workbook[sheet]
+    worksheet = workbook.worksheets[0] if sheet is None else workbook[sheet]
     # What the sheet says of its own size is not asked: it makes the reader fill up every row.
-    found.reset_dimensions()
-    rows = _counted(found.iter_rows(values_only=True), path, most_cells)
+    worksheet.reset_dimensions()
+    rows = _counted(worksheet.iter_rows(values_only=True), path, most_cells)
     header = ["" if name is None else str(name) for name in next(rows, ())]
     _check_names(header, path)
     names = _asked(header, wanted)

@@ -174,23 +174,23 @@ def look_through(plan: ImportPlan) -> list[LookedAt]:
 
     A plan with only the files that can be read, without the problems, can be imported.
     """
-    found: list[LookedAt] = []
+    looked: list[LookedAt] = []
     taken: set[str] = set()
     for k, path in enumerate(plan.files):
         try:
             table = read_table(path, plan.sheet, most_cells=plan.most_cells, wanted=plan.columns.asks_for)
             outputs = _outputs(plan, table, path)
         except InputError as error:
-            found.append(LookedAt(path.name, "", None, _without_folder(error, path)))
+            looked.append(LookedAt(path.name, "", None, _without_folder(error, path)))
             continue
         for output in outputs:
             serial = _serial(plan, k, path, output)
             try:
                 unit = _checked(plan, table, path, output, serial, taken)
-                found.append(LookedAt(path.name, serial, unit))
+                looked.append(LookedAt(path.name, serial, unit))
             except InputError as error:
-                found.append(LookedAt(path.name, serial, None, _without_folder(error, path)))
-    return found
+                looked.append(LookedAt(path.name, serial, None, _without_folder(error, path)))
+    return looked
 
 
 def _without_folder(error: InputError, path: Path) -> str:

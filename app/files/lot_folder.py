@@ -144,13 +144,13 @@ def open_lot_folder(folder: Path) -> LotFolder:
 
 
 def _golden(folder: Path, source: str) -> Path | None:
-    found = _recordings(folder)
-    if strangers := sorted(set(found) - {source}):
+    recordings = _recordings(folder)
+    if strangers := sorted(set(recordings) - {source}):
         raise InputError(
             f"{folder}: golden run of {', '.join(strangers[:5])}; the golden unit of this lot is its source {source}: "
             "press that in the units' sitting; nothing was fitted"
         )
-    return found.get(source)
+    return recordings.get(source)
 
 
 def _same_files(units: Mapping[str, Path], root: Path) -> Iterator[str]:
@@ -181,18 +181,18 @@ def same_recording(serials: Sequence[str]) -> str:
 
 
 def _recordings(folder: Path) -> dict[str, Path]:
-    found: dict[str, Path] = {}
+    paths: dict[str, Path] = {}
     if not folder.is_dir():
-        return found
+        return paths
     for path in sorted(folder.iterdir()):
         if path.name.startswith(".") or path.suffix.lower() not in CSV | PARQUET:
             continue
         with naming(path):
             serial = check_serial(path.stem)
-        if serial in found:
-            raise InputError(f"{path}: serial {serial!r} is given twice, also by {found[serial].name}; keep one")
-        found[serial] = path
-    return found
+        if serial in paths:
+            raise InputError(f"{path}: serial {serial!r} is given twice, also by {paths[serial].name}; keep one")
+        paths[serial] = path
+    return paths
 
 
 def _read_lot_toml(path: Path) -> tuple[Lot, LineSpread | None, Reference | None, tuple[str, ...], tuple[str, ...]]:

@@ -90,8 +90,8 @@ def _one_line(seed: int, count: int, line: str) -> list[SealedCase]:
 
 def write_case(folder: Path, case: SealedCase) -> str:
     """Record every run of a sealed case and return the content hash of the folder."""
-    for number, found in enumerate(case.written(case.plans), start=1):
-        write_run(folder / "runs" / str(number), case, found)
+    for number, written in enumerate(case.written(case.plans), start=1):
+        write_run(folder / "runs" / str(number), case, written)
     return folder_sha256(folder)
 
 
@@ -196,9 +196,9 @@ def score_challenge(folder: Path, reports: Path, seal_file: Path) -> ScoreSheet:
         InputError: the seal is broken, a case was changed, or the folder has no report.
     """
     labels = open_challenge(folder, seal_file)
-    found = {label.case.name: reports / f"{label.case.name}.json" for label in labels}
+    paths = {label.case.name: reports / f"{label.case.name}.json" for label in labels}
     read: dict[str, dict[str, Any]] = {}
-    for name, path in found.items():
+    for name, path in paths.items():
         if path.exists():
             read[name] = {}
             with suppress(InputError):

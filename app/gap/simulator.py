@@ -30,9 +30,9 @@ def load_simulator(reference: str) -> Simulator:
     module_name, _, name = reference.partition(":")
     if not module_name or not name:
         raise InputError(f"--simulator {reference}: module:name was expected, such as my_rig:SIMULATOR")
-    found = getattr(_imported(module_name, reference), name, None)
+    simulator = getattr(_imported(module_name, reference), name, None)
     try:
-        made = found() if callable(found) and not isinstance(found, Simulator) else found
+        made = simulator() if callable(simulator) and not isinstance(simulator, Simulator) else simulator
     except Exception as error:
         raise InputError(
             f"--simulator {reference}: {name}() raises {type(error).__name__}: {error}; it must return a Simulator"
@@ -93,10 +93,10 @@ def _tables(place: Path) -> list[Path]:
         return [place]
     if (place / RECORDING).is_file():
         return [place / RECORDING]
-    found = sorted((place / "runs").glob(f"*/{RECORDING}"), key=lambda path: (len(path.parent.name), path.parent.name))
-    if not found:
+    files = sorted((place / "runs").glob(f"*/{RECORDING}"), key=lambda path: (len(path.parent.name), path.parent.name))
+    if not files:
         raise InputError(f"{place}: neither a table nor runs/<n>/{RECORDING}; record the mechanism first")
-    return found
+    return files
 
 
 def _run(simulator: Simulator, path: Path, name: str) -> SimulatorRun:
@@ -125,17 +125,17 @@ def write_parameters(
     if content.get("verdict") == "data":
         raise InputError(f"{source}: the recordings hold a mistake, so there are no parameters; repair it first")
     # Where nothing explains the gap what comes nearest is no diagnosis: the refitted base alone goes on.
-    found = content.get("base" if content.get("verdict") == "unknown" else "parameters")
+    parameters = content.get("base" if content.get("verdict") == "unknown" else "parameters")
     described = content.get("residual") if empirical else {}
     if not isinstance(described, Mapping):
         raise InputError(f"{source}: {NO_TERMS}")
-    found, terms = described.get("parameters", found), described.get("added", [])
-    if not isinstance(found, Mapping) or not all(isinstance(v, int | float) for v in found.values()):
+    parameters, terms = described.get("parameters", parameters), described.get("added", [])
+    if not isinstance(parameters, Mapping) or not all(isinstance(v, int | float) for v in parameters.values()):
         raise InputError(f"{source}: holds no parameters; diagnose the simulator again with --json")
-    record = {"schema": PARAMETERS_SCHEMA, "simulator": content.get("simulator"), "parameters": dict(found)}
+    record = {"schema": PARAMETERS_SCHEMA, "simulator": content.get("simulator"), "parameters": dict(parameters)}
     record["terms"] = terms
     write_text(path, json.dumps(record, indent=2, allow_nan=False) + "\n")
-    return {name: float(value) for name, value in found.items()}
+    return {name: float(value) for name, value in parameters.items()}
 
 
 def read_parameters(path: str | Path, simulator: Simulator) -> dict[str, float]:
@@ -145,17 +145,17 @@ def read_parameters(path: str | Path, simulator: Simulator) -> dict[str, float]:
         InputError: the file cannot be read, is of another simulator, or lacks one of its parameters.
     """
     content = _written(path)
-    found = content.get("parameters")
-    if not isinstance(found, dict) or content.get("schema") != PARAMETERS_SCHEMA:
+    parameters = content.get("parameters")
+    if not isinstance(parameters, dict) or content.get("schema") != PARAMETERS_SCHEMA:
         raise InputError(f"{path}: holds no parameters of a simulator; write it with softcal gap apply")
     named = content.get("simulator")
     if named != simulator.name:
         raise InputError(f"{path}: parameters of simulator {named}; those of {simulator.name} were expected")
     wanted = simulator.parameter_names
-    if set(found) != set(wanted):
-        other = ", ".join(sorted(set(found) ^ set(wanted)))
+    if set(parameters) != set(wanted):
+        other = ", ".join(sorted(set(parameters) ^ set(wanted)))
         raise InputError(f"{path}: {other} stands on one side alone; diagnose simulator {simulator.name} again")
-    return {name: float(found[name]) for name in wanted}
+    return {name: float(parameters[name]) for name in wanted}
 
 
 def with_written_terms(path: str | Path, simulator: Simulator) -> Simulator:

@@ -1,6 +1,6 @@
 """What another process computes for a page: a lot, f, a comparison, a gap, a check, files.
 
-A job reads its request from the registry, tells how far it is, and leaves its result there; what it registers (a
+A job reads its request from the registry, tells how far it is, and leaves its result there. What it registers (a
 network) it registers as any command would.
 """
 
@@ -100,9 +100,9 @@ def train(registry: Registry, job: Job, tell: Teller) -> Outcome:
         tell(done, f"{report.epoch} / {report.max_epochs}, {report.best_validation_rmse:.4g}", trace)
 
     tell(0.0, "")
-    found = train_or_find(lot, newest_source(registry, lot.id), registry, config, job.actor, on_epoch)
-    result = {"network": found.network.id, "is_new": found.is_new, "trace": trace, **found.metrics}
-    return Outcome(found.network.id[:12], result)
+    network = train_or_find(lot, newest_source(registry, lot.id), registry, config, job.actor, on_epoch)
+    result = {"network": network.network.id, "is_new": network.is_new, "trace": trace, **network.metrics}
+    return Outcome(network.network.id[:12], result)
 
 
 def newest_source(registry: Registry, lot_id: str) -> LabelledRecording:
@@ -156,9 +156,9 @@ def check(registry: Registry, job: Job, tell: Teller) -> Outcome:
     request = job.request
     file = None if request["file"] is None else Path(request["file"])
     tell(0.1, "")
-    found = check_station(request["ports"], file, request["simulated"], request["may_move"])
+    checked = check_station(request["ports"], file, request["simulated"], request["may_move"])
     findings = [
-        [to_kept(f.device), to_kept(f.what), to_kept(f.value), f.cure and to_kept(f.cure)] for f in found.findings
+        [to_kept(f.device), to_kept(f.what), to_kept(f.value), f.cure and to_kept(f.cure)] for f in checked.findings
     ]
-    ports = [[d.port, d.role, d.kind, to_kept(d.says)] for d in found.devices]
-    return Outcome("", found.as_json() | {"ports": ports, "found": findings, "toml": station_toml(found.config)})
+    ports = [[d.port, d.role, d.kind, to_kept(d.says)] for d in checked.devices]
+    return Outcome("", checked.as_json() | {"ports": ports, "found": findings, "toml": station_toml(checked.config)})

@@ -34,5 +34,5 @@ def calibrate_cell(
         for mass_kg in masses_kg:
             wait_for(mass_kg)
             readings.append(read_steady(reader, clock))
-    found = fit_cell(masses_kg, [mean for mean, _ in readings], [noise for _, noise in readings])
-    return found, replace(config, force=replace(cell, counts_per_N=found.per_N, zero_counts=found.zero))
+    scale = fit_cell(masses_kg, [mean for mean, _ in readings], [noise for _, noise in readings])
+    return scale, replace(config, force=replace(cell, counts_per_N=scale.per_N, zero_counts=scale.zero))

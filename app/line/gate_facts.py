@@ -140,8 +140,8 @@ def _error(registry: Registry, recording: LabelledRecording, source: SourceModel
         widest = default_limit(recording.reference_unit, source.held_out_rmse, source.method.decision).maximum_rmse
         return rmse(source.network.evaluate(recording.windows), recording.window_reference), limit or widest
     lot, network, calibration = calibrated_unit(registry, recording.serial)
-    found = estimate(network, calibration, recording.unlabelled).estimate
-    value = float(np.sqrt(np.nanmean((found - recording.reference) ** 2)))
+    estimates = estimate(network, calibration, recording.unlabelled).estimate
+    value = float(np.sqrt(np.nanmean((estimates - recording.reference) ** 2)))
     # Without a limit of its lot, the one that its own verdict was given by.
     return value, lot.limit_rmse or float(str(calibration.evidence["limit_rmse"]))
 

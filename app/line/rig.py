@@ -84,17 +84,17 @@ def find_devices(ports: Sequence[str]) -> list[DeviceIdentity]:
     candidates = list(ports) or available_ports()
     if not candidates:
         raise NoReply(Reason("port.at.none"))
-    found: list[DeviceIdentity] = []
+    identities: list[DeviceIdentity] = []
     faults: list[Reason] = []
     for port in candidates:
         try:
-            found.append(identify(port, HostClock()))
+            identities.append(identify(port, HostClock()))
         except NoReply as error:
             faults.append(error.reason)
-            found.append(DeviceIdentity(port, "", "", error.reason))
+            identities.append(DeviceIdentity(port, "", "", error.reason))
     if faults and ports:
         raise NoReply(several(faults))
-    return found
+    return identities
 
 
 Choose = Callable[[Reason, Sequence[DeviceIdentity]], DeviceIdentity | None]
@@ -130,14 +130,14 @@ def _only(
     devices: Sequence[DeviceIdentity], role: str, taken: list[DeviceIdentity], choose: Choose | None
 ) -> DeviceIdentity | None:
     """Return the one device of a role; where two may be it, a person decides."""
-    found = [device for device in devices if device.role == role]
+    matching = [device for device in devices if device.role == role]
     streams = [device for device in devices if not device.role and device.channels and device not in taken]
-    if len(found) == 1 or not (found or (streams and role in BARE and choose)):
-        return found[0] if found else None
+    if len(matching) == 1 or not (matching or (streams and role in BARE and choose)):
+        return matching[0] if matching else None
     if choose is None:
-        first, second, *_ = (reason("port.at", port=device.port, why=device.says) for device in found)
+        first, second, *_ = (reason("port.at", port=device.port, why=device.says) for device in matching)
         raise NoReply(reason("port.one_of", first=first, second=second, part=PARTS[role]))
-    candidates = found or streams
+    candidates = matching or streams
     chosen = choose(PARTS[role], candidates)
     if chosen is None:
         return replace(candidates[0], port="", role=role, kind=BARE.get(role, candidates[0].kind))

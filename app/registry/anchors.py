@@ -36,15 +36,15 @@ def remembered(registry: Registry) -> list[Anchor]:
         lines = (data_folder() / NAME).read_text(encoding="utf-8").splitlines()
     except (OSError, ValueError, SoftcalError):
         return []
-    found = []
+    anchors = []
     for line in lines:
         try:
             value = json.loads(line)
             if value["registry"] == registry.origin:
-                found.append(Anchor(_heads(value), f"on this computer at {value['at']} ({value['why']})"))
+                anchors.append(Anchor(_heads(value), f"on this computer at {value['at']} ({value['why']})"))
         except (ValueError, TypeError, KeyError):
             continue
-    return found
+    return anchors
 
 
 def read_anchor(path: Path) -> Anchor:

@@ -1,6 +1,6 @@
 """Which golden run of the source a unit was pressed beside: kept with its recording, as known loads are.
 
-One home for it: a station finds it when a unit is pressed, a lot folder brings it, and every later calibration of that
+One home for it. A station finds it when a unit is pressed, a lot folder brings it, and every later calibration of that
 recording crosses the same bridge. They are rows of the audit trail.
 """
 

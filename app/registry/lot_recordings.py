@@ -56,5 +56,5 @@ def newest_audits(registry: Registry, lot_id: str, serial: str | None = None) ->
 
 def audit_of(registry: Registry, entry: RecordingEntry | None) -> LabelledRecording | None:
     """Read an audit; None where there is none."""
-    found = None if entry is None else registry.recordings.get(entry.sha256)
-    return found if isinstance(found, LabelledRecording) else None
+    recording = None if entry is None else registry.recordings.get(entry.sha256)
+    return recording if isinstance(recording, LabelledRecording) else None

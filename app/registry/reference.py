@@ -26,10 +26,10 @@ def state_reference(
     """
     if reference is None:
         return lot_reference(registry, lot_id)
-    found = reference if reference.is_simulated else _completed(registry, lot_id, reference)
-    facts = {"reference": found.to_json(), "source_rms": float(np.sqrt(np.mean(source.reference**2)))}
+    completed = reference if reference.is_simulated else _completed(registry, lot_id, reference)
+    facts = {"reference": completed.to_json(), "source_rms": float(np.sqrt(np.mean(source.reference**2)))}
     state(registry, ENTITY, (lot_id,), facts, actor=actor)
-    return found
+    return completed
 
 
 def lot_reference(registry: Registry, lot_id: str) -> Reference | None:

@@ -12,9 +12,9 @@ from softcal.db.registry import Registry
 
 def standing_of(registry: Registry, stored: StoredCalibration) -> UnitStanding:
     """Return how the unit of a calibration stands now; `made` is None after a refusal."""
-    found = registry.pages.standings(stored.lot_id, [stored.serial]).get(stored.serial)
+    standing_now = registry.pages.standings(stored.lot_id, [stored.serial]).get(stored.serial)
     nothing = UnitStanding(stored.serial, UNDECIDED, (plain("none of its calibrations is in use"),), stored.made_at)
-    return nothing if found is None else found
+    return nothing if standing_now is None else standing_now
 
 
 def caution(registry: Registry, stored: StoredCalibration, action: str) -> str:

@@ -19,9 +19,9 @@ def trim_unit(registry: Registry, serial: str, loads_file: Path, lot_id: str | N
         InputError: the loads cannot be of this unit, or the unit is not in the registry; nothing was changed.
     """
     stored = registry.calibrations.get(serial, lot_id=lot_id)
-    found = keep_trim(registry, stored, read_anchors(loads_file, [serial])[serial])
+    trimmed = keep_trim(registry, stored, read_anchors(loads_file, [serial])[serial])
     judge_again(registry, [stored.lot_id])
-    return found, registry.calibrations.get(serial, lot_id=stored.lot_id).revision
+    return trimmed, registry.calibrations.get(serial, lot_id=stored.lot_id).revision
 
 
 def trimmed_by(registry: Registry, serial: str, loads_file: Path, lot_id: str | None = None) -> int:

@@ -33,8 +33,8 @@ def words_for(report: Report, say: Words) -> Words:
 
 def untold_lines(report: Report, say: Words) -> list[str]:
     """Return one line for everything the runs of a report do not tell."""
-    found = report.get("identifiability") or {"untold": ()}
-    return [said(Reason.of(one), say) for one in found["untold"]]
+    identifiability = report.get("identifiability") or {"untold": ()}
+    return [said(Reason.of(one), say) for one in identifiability["untold"]]
 
 
 def plain_name(identifier: str) -> str:
@@ -106,14 +106,14 @@ def no_cause_words(report: Report, say: Words) -> str:
 
 def residual_rows(report: Report, say: Words) -> list[dict[str, str]]:
     """Return one row per empirical term: its standard error, and how often it was chosen."""
-    found = report.get("residual") or {"formula": (), "terms": ()}
+    residual = report.get("residual") or {"formula": (), "terms": ()}
     return [
         {
             "term": formula.removesuffix(term["variable"]) + phrase("gap.variable", term["variable"], say),
             "error": f"{term['standard_error']:.1g} {term['unit']}",
             "chosen": percent(term["chosen"]),
         }
-        for formula, term in zip(found["formula"], found["terms"], strict=True)
+        for formula, term in zip(residual["formula"], residual["terms"], strict=True)
     ]
 
 
@@ -131,13 +131,13 @@ def place_rows(report: Report, say: Words) -> list[dict[str, str]]:
 def mistake_rows(report: Report, say: Words) -> list[dict[str, str]]:
     """Return one row per mistake in the recordings, with what shows and what repairs it."""
     rows = []
-    for found in report.get("data", ()):
-        evidence, repair = _kept(found, ("evidence", "repair"), say)
-        runs = say("gap.data.all") if found["runs"] == "all" else ", ".join(map(str, found["runs"]))
+    for mistake in report.get("data", ()):
+        evidence, repair = _kept(mistake, ("evidence", "repair"), say)
+        runs = say("gap.data.all") if mistake["runs"] == "all" else ", ".join(map(str, mistake["runs"]))
         rows.append(
             {
-                "mistake": mistake_name(found["what"], say),
-                "channel": channel_name(found["channel"], say),
+                "mistake": mistake_name(mistake["what"], say),
+                "channel": channel_name(mistake["channel"], say),
                 "runs": runs,
                 "evidence": evidence,
                 "repair": repair,
@@ -159,8 +159,8 @@ def ambiguous_groups(report: Report, say: Words) -> list[str]:
 
 def next_experiment(report: Report) -> Mapping[str, Any] | None:
     """Return the proposed experiment, None where none is proposed."""
-    found: Mapping[str, Any] | None = report.get("next_experiment")
-    return found if found and found.get("profile") not in (None, "", "none") else None
+    experiment: Mapping[str, Any] | None = report.get("next_experiment")
+    return experiment if experiment and experiment.get("profile") not in (None, "", "none") else None
 
 
 def why_next(experiment: Mapping[str, Any], say: Words) -> str:

@@ -33,8 +33,8 @@ def units_in_use(registry: Registry) -> list[tuple[AdaptedUnit, str]]:
     units = {lot.id: lot.reference_unit for lot in registry.lots.all()}
     # Mostly all lots have one unit; then no lot of a unit is looked up.
     only = next(iter(units.values())) if len(set(units.values())) == 1 else ""
-    found = [(unit, only or units[_lot_of(registry, unit.serial)]) for unit in registry.adaptations.units()]
-    return sorted(found, key=lambda one: (not one[0].entry["alarm"], -float(one[0].entry["predicted_rmse"])))
+    followed = [(unit, only or units[_lot_of(registry, unit.serial)]) for unit in registry.adaptations.units()]
+    return sorted(followed, key=lambda one: (not one[0].entry["alarm"], -float(one[0].entry["predicted_rmse"])))
 
 
 def _lot_of(registry: Registry, serial: str) -> str:

@@ -166,7 +166,7 @@ def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> 
     by_unit: dict[str, list[UnitRun]] = {}
     for run in runs:
         by_unit.setdefault(run.serial, []).append(UnitRun(run.verdict, run.reasons))
-    found = yields(by_unit, golden)
+    shares = yields(by_unit, golden)
     errors, limit = registry.pages.lot_errors(lot_id), limit_or_none(registry, lot_id)
     if chosen is not None:
         kept = frozenset(chosen)
@@ -178,8 +178,8 @@ def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> 
         lot,
         counts if chosen is None else _counts(errors, runs),
         tuple(errors),
-        found,
-        found.reasons,
+        shares,
+        shares.reasons,
         process_view(runs, None if limit is None else limit.maximum_rmse),
         looks.units,
         yield_drop(runs),

@@ -77,8 +77,8 @@ def report_parts(view: LotView, units: Sequence[UnitEntry], title: str, words: W
                 _said(one.share),
                 f"{one.share.count} / {one.share.of}",
             )
-            for kind, found in (("days", view.days), ("stations", view.stations), ("operators", view.operators))
-            for one in found[-MOST_ROWS:]
+            for kind, groups in (("days", view.days), ("stations", view.stations), ("operators", view.operators))
+            for one in groups[-MOST_ROWS:]
         ]
         header = ("", "", words("lot.first_pass"), count)
         yield ReportPart(words("report.yields"), "", header, rows, (0.34, *[0.22] * 3))

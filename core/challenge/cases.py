@@ -193,7 +193,7 @@ _STEPS = {"u0_mm": 1e-3, "k1_N_mm": 1e-3, "k3_N_mm3": 1e-3, "r0_ohm": 1e-4, "kap
 def distance_sigma(case: SealedCase) -> float:
     """How far the causes stand out once the base is refitted: ‖what no base parameter can imitate‖ over the noise.
 
-    The clean signals with and without the causes are compared; the part that lies in the span of the base
+    The clean signals with and without the causes are compared. The part that lies in the span of the base
     parameters' derivatives is taken out (first-order refit). 5 is about the least that can be seen.
     """
     if "stage_mm" in case.withheld:

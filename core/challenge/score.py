@@ -74,7 +74,7 @@ class Probabilities:
 class Bin:
     """Named causes whose probability lies in one interval: how many there are, and how many are at work.
 
-    An effect that nobody names is right at 0 whatever the diagnosis does, 24 times out of 25; so only stated
+    An effect that nobody names is right at 0 whatever the diagnosis does, 24 times out of 25. So only stated
     probabilities from the first of `STATED_EDGES` on are counted.
     """
 

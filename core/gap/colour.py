@@ -111,8 +111,8 @@ def read_noise(stretches: Sequence[Stretch], config: ColourConfig) -> Noise:
     # Half a natural logarithm: less than the distance of two starts.
     simplex = start + 0.5 * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     options = {"xatol": 0.02, "fatol": 0.05, "initial_simplex": simplex}
-    found = minimize(lost, start, method="Nelder-Mead", options=options)
-    ratio, fading_s = float(np.exp(found.x[0])), float(np.exp(found.x[1]))
+    minimum = minimize(lost, start, method="Nelder-Mead", options=options)
+    ratio, fading_s = float(np.exp(minimum.x[0])), float(np.exp(minimum.x[1]))
     fading_s = float(np.clip(fading_s, config.shortest_s, config.longest_s))
     variance, log_likelihood = scale(ratio, fading_s)
     white = float(np.sqrt(variance))

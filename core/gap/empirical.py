@@ -78,7 +78,7 @@ class LearnedResidual(Generic[T]):
 
     Args:
         terms: the largest first.
-        shrink: of the gap of the base, by causes and terms together, on runs that neither saw; the forecast of another
+        shrink: of the gap of the base, by causes and terms together, on runs that neither saw. The forecast of another
             run is what runs held back have shown.
         without: the same by the causes alone.
     """
@@ -295,10 +295,10 @@ def _with_terms(parent: Fit, terms: Sequence[T], use: Array | None) -> tuple[Fit
     while True:
         effects = [term.effect for term in kept]
         start = np.append(parent.coordinates, start_coordinates(effects, [[0.0]] * len(kept)))
-        found = fit(problem, parent.hypothesis.adding(*effects), start, steps=12)
-        sizes = [abs(found.coordinates[found.hypothesis.place_of(e.id)]) / _error(found, e.id) for e in effects]
+        fitted = fit(problem, parent.hypothesis.adding(*effects), start, steps=12)
+        sizes = [abs(fitted.coordinates[fitted.hypothesis.place_of(e.id)]) / _error(fitted, e.id) for e in effects]
         if not sizes or min(sizes) >= CONFIG.errors:
-            return found, kept
+            return fitted, kept
         kept.pop(int(np.argmin(sizes)))
 
 

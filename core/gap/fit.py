@@ -144,8 +144,8 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20,
 
 def _finite_energy(residual: Array) -> float:
     """Return the sum of squares; infinite where it is not finite: a fit goes elsewhere."""
-    found = energy(residual)
-    return found if np.isfinite(found) else np.inf
+    cost = energy(residual)
+    return cost if np.isfinite(cost) else np.inf
 
 
 class _Space:

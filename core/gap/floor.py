@@ -161,10 +161,10 @@ def _is_even(found: Fit, channel: str, half: Halves) -> bool:
 
 def _with_own_white(part: Sequence[Stretch], white: float, colour: Colour) -> float:
     """Return the largest log likelihood of a part with this fading noise and any white one."""
-    found = minimize_scalar(
+    minimum = minimize_scalar(
         lambda x: -log_likelihood(part, white * float(np.exp(x)), colour), bounds=(-2.0, 2.0), method="bounded"
     )
-    return -float(found.fun)
+    return -float(minimum.fun)
 
 
 def _remembers(found: Fit, channel: str) -> float:

@@ -353,9 +353,9 @@ def regime_places(stage: str, seen: Sequence[Regime], code: str) -> list[GapPlac
 
 def partial_of(search: EffectSearch) -> Partial | None:
     """Return the causes that come nearest, and their share; None where none takes anything."""
-    found = nearest(search)
-    share = float(np.clip(search.share(found), 0.0, 1.0))
-    return Partial(found.hypothesis.ids, share) if found.hypothesis.ids and share > 0.0 else None
+    closest = nearest(search)
+    share = float(np.clip(search.share(closest), 0.0, 1.0))
+    return Partial(closest.hypothesis.ids, share) if closest.hypothesis.ids and share > 0.0 else None
 
 
 def ranked_causes(

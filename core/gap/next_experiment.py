@@ -96,12 +96,12 @@ def propose(case: Case, rivals: Sequence[Fit], extent: Extent) -> NextExperiment
 def most_telling(entries: Sequence[MenuEntry], rivals: Sequence[Fit]) -> NextExperiment:
     """Return the entry that tells most rivals from the first, and does so best per minute."""
     first, others = rivals[0], rivals[1:]
-    found: list[tuple[int, float, float, MenuEntry]] = []
+    candidates: list[tuple[int, float, float, MenuEntry]] = []
     for experiment in entries:
         parted = [d for d in (_apart(first, other, experiment.run) for other in others) if d >= ENOUGH_SIGMA]
         least = min(parted, default=0.0)
-        found.append((len(parted), min(least, 10 * ENOUGH_SIGMA) / experiment.minutes, least, experiment))
-    count, _, distance, experiment = max(found, key=lambda entry: entry[:2])
+        candidates.append((len(parted), min(least, 10 * ENOUGH_SIGMA) / experiment.minutes, least, experiment))
+    count, _, distance, experiment = max(candidates, key=lambda entry: entry[:2])
     causes = causes_of(rivals)
     if count == 0:
         remedies = dict.fromkeys(e.signs.remedy for f in rivals for e in f.hypothesis.effects if e.signs.remedy)

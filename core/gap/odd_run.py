@@ -75,8 +75,8 @@ _Fitted = tuple[Fit, int, _Oddity, float]
 
 def odd_run(base: Fit) -> DataMistake | None:
     """Return the mistake of one run that explains what a fit leaves, None where none does."""
-    found = [one for one in nearest(base)[:1] if one[3] >= SHARE]
-    return _finding(*found[0]) if found else None
+    outliers = [one for one in nearest(base)[:1] if one[3] >= SHARE]
+    return _finding(*outliers[0]) if outliers else None
 
 
 def odd_run_beside(search: EffectSearch) -> DataMistake | None:

@@ -123,7 +123,7 @@ class LooseNoise:
 def loose_noise(found: Fit) -> LooseNoise | None:
     """Return what is wrong with the noise, None where it is even.
 
-    A clock that jitters makes fast samples noisier than slow ones; a bad contact or a disturbed line throws single
+    A clock that jitters makes fast samples noisier than slow ones. A bad contact or a disturbed line throws single
     samples far off; a line picks up a tone. None of these leaves a structure that sums up.
     """
     tone = strongest_tone(found) if found.problem.dither_V is None else None

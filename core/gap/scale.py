@@ -44,8 +44,8 @@ class RigScale:
     def factor(self, unit: str) -> float:
         """Return by what a quantity of this unit, as `N/mm³`, is larger than on the common rig."""
         sizes, (over, _, under) = dict(self.sizes), unit.partition("/")
-        found = [FACTOR.fullmatch(part.strip()) for part in (over, under)]
-        times, per = (sizes.get(one[1], 1.0) ** POWERS[one[2]] if one else 1.0 for one in found)
+        matches = [FACTOR.fullmatch(part.strip()) for part in (over, under)]
+        times, per = (sizes.get(one[1], 1.0) ** POWERS[one[2]] if one else 1.0 for one in matches)
         return times / per
 
     def sized(self, parameter: Parameter) -> Parameter:

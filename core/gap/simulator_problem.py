@@ -158,33 +158,33 @@ class SimulatorProblem(Problem):
 
     def _with_terms(self, hypothesis: Hypothesis, coordinates: Array, raw: Array) -> Array:
         """Return what the simulator says, (samples,), with the empirical terms added."""
-        found = [(e.step.term, e.id) for e in hypothesis.effects if isinstance(e.step, TermStep)]
-        if not found or not np.all(np.isfinite(raw)):
+        terms = [(e.step.term, e.id) for e in hypothesis.effects if isinstance(e.step, TermStep)]
+        if not terms or not np.all(np.isfinite(raw)):
             return raw
-        out, sizes = raw.copy(), {i: coordinates[hypothesis.place_of(i)] for _, i in found}
+        out, sizes = raw.copy(), {i: coordinates[hypothesis.place_of(i)] for _, i in terms}
         for run in range(len(self.case.runs)):
             places = {b.channel: b.place for b in self.blocks if b.run == run}
             columns = {name: self.recorded(run, name) for name in self.of.inputs}
             columns |= {channel: raw[place] for channel, place in places.items()}
-            for term, i in found:
+            for term, i in terms:
                 out[places[term.place]] += sizes[i] * term.values(self.case.runs[run].t_s, columns)
         return out
 
     def _run_all(self, parameters: Mapping[str, float]) -> Array:
         out = np.empty(len(self.measured))
-        last, found = -1, {}
+        last, channels = -1, {}
         self.failures.of += 1
         for block in self.blocks:
             if block.run != last:
                 last = block.run
                 inputs = {name: self.recorded(last, name) for name in ("t_s", *self.of.inputs)}
                 try:
-                    found = dict(self.of(inputs, parameters))
+                    channels = dict(self.of(inputs, parameters))
                 except SimulatorFailed as error:
                     self.failures.count += 1
                     self.failures.first = self.failures.first or str(error)
                     return np.full(len(out), np.nan)
-            out[block.place] = found[block.channel]
+            out[block.place] = channels[block.channel]
         return out
 
     def followed(self, predicted: Array, channel: str) -> dict[str, dict[str, Array]]:

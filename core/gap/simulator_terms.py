@@ -1,7 +1,7 @@
 """Empirical terms for a simulator: a number times something its inputs and channels do, added to a channel.
 
-A term describes what no candidate explains. It is made from what the simulator is given and gives itself, never from a
-recording, so that it can be added to the simulator as such.
+A term describes what no candidate explains. It is made from what the simulator is given and gives itself, never from
+a recording. So it can be added to the simulator as such.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

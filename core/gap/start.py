@@ -29,11 +29,11 @@ def unfitted(case: Case) -> Fit:
 def base_fit(case: Case) -> Fit:
     """Fit the base alone to all runs, with noise levels taken from its own residual."""
     problem = Problem(case, _first_noise(case))
-    found = fit(problem, Hypothesis(), rough_start(case))
+    fitted = fit(problem, Hypothesis(), rough_start(case))
     for _ in range(2):
-        problem = with_driving_noise(problem.with_noise(noise_levels(found)), found)
-        found = fit(problem, Hypothesis(), found.coordinates)
-    return found
+        problem = with_driving_noise(problem.with_noise(noise_levels(fitted)), fitted)
+        fitted = fit(problem, Hypothesis(), fitted.coordinates)
+    return fitted
 
 
 @dataclass(frozen=True)
@@ -91,8 +91,8 @@ def likeliest(problem: Problem, hypothesis: Hypothesis, places: Sequence[Array])
     """Return places in the order of what a prediction at each leaves; those without one last."""
 
     def left(place: Array) -> float:
-        found = energy(problem.whitened(problem.measured - problem.predict(hypothesis, place)))
-        return found if np.isfinite(found) else np.inf
+        cost = energy(problem.whitened(problem.measured - problem.predict(hypothesis, place)))
+        return cost if np.isfinite(cost) else np.inf
 
     return sorted(places, key=left)
 

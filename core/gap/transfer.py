@@ -147,8 +147,8 @@ def lot_errors(lot: PressedLot) -> LotErrors:
         before = rmse(trained.network.evaluate(test.windows), test.window_reference)
         after = before
         try:
-            found = calibrate(UnitProblem(model, unit.recording))
-            after = rmse(estimate(trained.network, found, test.unlabelled).estimate, test.reference)
+            calibration = calibrate(UnitProblem(model, unit.recording))
+            after = rmse(estimate(trained.network, calibration, test.unlabelled).estimate, test.reference)
         except UnitRefused:
             # A unit without a map goes on as it is.
             pass

@@ -116,7 +116,7 @@ def _mean_slope(source: LabelledRecording) -> float:
 def source_level(source: LabelledRecording, load: float, config: AnchorConfig) -> tuple[float, float]:
     """Return the source's output under a load, and its standard uncertainty, both in the source's output unit.
 
-    A straight line through the samples whose load is near; their scatter about it is what lag, loop and drift of the
+    A straight line through the samples whose load is near. Their scatter about it is what lag, loop and drift of the
     source do not settle.
     """
     away = source.reference - load

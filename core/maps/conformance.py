@@ -26,14 +26,14 @@ def faults(family: MapFamily) -> list[str]:
         json.dumps([fitted.settings(), again.settings()], allow_nan=False)
     except (TypeError, ValueError) as error:
         return [f"settings are no JSON values: {error}"]
-    found = list(_of_map(family, fitted, problem))
+    problems = list(_of_map(family, fitted, problem))
     if not np.array_equal(before, problem.target.output):
-        found.append("fit changes the recording it was given")
+        problems.append("fit changes the recording it was given")
     if map_sha256(fitted) != map_sha256(again):
-        found.append("two fits of one problem give two maps; draw random numbers from problem.seed")
+        problems.append("two fits of one problem give two maps; draw random numbers from problem.seed")
     if fitted.family != family.name:
-        found.append(f"the map says family {fitted.family!r}, the family is called {family.name!r}")
-    return found
+        problems.append(f"the map says family {fitted.family!r}, the family is called {family.name!r}")
+    return problems
 
 
 def _of_map(family: MapFamily, fitted: UnitMap, problem: FitProblem) -> Iterator[str]:

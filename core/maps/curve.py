@@ -56,7 +56,7 @@ def continued(curve: CurveMap, source_span: float, config: CurveConfig) -> Curve
     """Give a curve ends that go on sanely beyond what the unit's recording has shown.
 
     The slope beyond an end is the mean one of the outer third, held within a factor of two of the whole curve's gain.
-    It is drawn to a gain of 1 as the recording covers less of the source's range: the less was seen, the less may
+    It is drawn to a gain of 1 as the recording covers less of the source's range. The less was seen, the less may
     follow from it. It is written as one far knot at either end.
 
     Args:

@@ -20,7 +20,7 @@ def fit_monotone(problem: FitProblem) -> CurveMap:
     """Carry each quantile of the target's samples onto the source's: exact where both ran the same programme.
 
     The monotone rearrangement is the optimal transport in one dimension for every convex cost (Santambrogio 2015,
-    section 2.2). Quantiles of quantised outputs are taken between the steps of the converter, so that the steps of one
+    section 2.2). Quantiles of quantised outputs are taken between the steps of the converter. So the steps of one
     unit do not become steps of the map.
     """
     config = problem.config.curve

@@ -85,7 +85,7 @@ def share_beyond(count: int, risk: float, confidence: float) -> float:
     The bound is the r-th smallest of k scores of audited units, r = ceil((1 - risk)(k + 1)): one more unit exceeds it
     with probability `risk` at most (Vovk, Gammerman and Shafer 2005; Lei et al. 2018), on average over audits that
     might have been drawn. For the audits that were drawn, the share beyond the r-th smallest of k is
-    Beta(k - r + 1, r) for continuous scores (Wilks 1941); this is its quantile. 1 where k is too small for the risk.
+    Beta(k - r + 1, r) for continuous scores (Wilks 1941). This is its quantile. 1 where k is too small for the risk.
     """
     _check_share("confidence", confidence)
     # A thousandth of a millionth: (1 - 0.1) * 10 must not be rounded up to 10.

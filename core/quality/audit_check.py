@@ -21,10 +21,10 @@ def doubtful_audits(readings: Readings) -> Doubts:
 
     Those that a person confirmed are not among the readings.
     """
-    found: Doubts = {}
+    doubts: Doubts = {}
     for look in (_one_recording, _exchanged, _out_of_line, _strangers):
-        found |= look({serial: one for serial, one in readings.items() if serial not in found})
-    return found
+        doubts |= look({serial: one for serial, one in readings.items() if serial not in doubts})
+    return doubts
 
 
 def _one_recording(readings: Readings) -> Doubts:
@@ -44,7 +44,7 @@ def _exchanged(readings: Readings) -> Doubts:
 
     How far units rest from where they did is what the other audits of the lot show.
     """
-    found: Doubts = {}
+    doubts: Doubts = {}
     for first, second in combinations(readings, 2):
         moved = [_moved(one) for name, one in readings.items() if name not in (first, second)]
         if len(moved) < ReleaseConfig.least_others:
@@ -62,8 +62,8 @@ def _exchanged(readings: Readings) -> Doubts:
         if min(nearer) > (ReleaseConfig.exchanged * spread) ** 2:
             for serial, other_serial in ((first, second), (second, first)):
                 rest, unit_rest = readings[serial].audit_rest, readings[serial].unit_rest
-                found[serial] = reason("doubt.exchanged", other=other_serial, rest=rest, unit_rest=unit_rest)
-    return found
+                doubts[serial] = reason("doubt.exchanged", other=other_serial, rest=rest, unit_rest=unit_rest)
+    return doubts
 
 
 def _moved(reading: AuditReading) -> float:
@@ -79,20 +79,20 @@ def _beside(values: Mapping[str, float]) -> Iterator[tuple[str, float, list[floa
 
 
 def _out_of_line(readings: Readings) -> Doubts:
-    found: Doubts = {}
+    doubts: Doubts = {}
     for serial, gain, others, usual in _beside({serial: one.gain for serial, one in readings.items()}):
         if usual > 0 and not usual / ReleaseConfig.most_gain <= gain <= usual * ReleaseConfig.most_gain:
-            found[serial] = reason("doubt.gain", gain=gain, usual=usual, others=len(others))
-    return found
+            doubts[serial] = reason("doubt.gain", gain=gain, usual=usual, others=len(others))
+    return doubts
 
 
 def _strangers(readings: Readings) -> Doubts:
     """Name an audit that rests far from where its unit does while the others rest where theirs do."""
-    found: Doubts = {}
+    doubts: Doubts = {}
     moved = {serial: _moved(one) / max(one.span, 1e-12) for serial, one in readings.items()}
     for serial, own, others, usual in _beside(moved):
         farthest = max(abs(other - usual) for other in others)
         if abs(own - usual) > max(ReleaseConfig.stranger_rest, ReleaseConfig.stranger_factor * farthest):
             one = readings[serial]
-            found[serial] = reason("doubt.stranger", rest=one.audit_rest, unit_rest=one.unit_rest, others=len(others))
-    return found
+            doubts[serial] = reason("doubt.stranger", rest=one.audit_rest, unit_rest=one.unit_rest, others=len(others))
+    return doubts

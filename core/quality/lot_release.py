@@ -171,9 +171,9 @@ def release_lot(
         least: number of units that must pass, or none is released.
         days: by serial, the error that another day adds as golden runs show it, in the forecasts' unit.
     """
-    found = release(forecasts, qualification.audits, limit, promise, least, days) if qualification.is_given else None
+    decided = release(forecasts, qualification.audits, limit, promise, least, days) if qualification.is_given else None
     days, doubts = days or {}, doubts or {}
-    return LotRelease(qualification, limit, promise, forecasts, found, widening, seen, days, doubts, common)
+    return LotRelease(qualification, limit, promise, forecasts, decided, widening, seen, days, doubts, common)
 
 
 def _audited(audits: Sequence[AuditedUnit], which: Reason, bound: Mapping[str, Value]) -> Reason:

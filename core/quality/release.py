@@ -145,7 +145,7 @@ def release(
 ) -> PromisedRelease:
     """Choose which unmeasured units to release so that the promise holds for the released ones.
 
-    A unit in a share r of all units exceeds its bound at most; were m of n released on it, a share r n / m of these
+    A unit in a share r of all units exceeds its bound at most. Were m of n released on it, a share r n / m of these
     might. So m units are released only where the bound at r = risk m / n lets m units pass (the step-up of Benjamini
     and Hochberg 1995; Jin and Candès 2023 for selection by forecasts). A choice of the smallest forecasts cannot make
     the promise cheaper.

@@ -17,9 +17,9 @@ def with_audit(
     network: Network, calibration: Calibration, audit: LabelledRecording, recording: OutputRecording
 ) -> Calibration:
     """Return the calibration with what an audit says beside the error; `recording` is the one it was made from."""
-    found = estimate(network, calibration, audit.unlabelled)
-    half, rest = found.upper - found.estimate, (calibration.method or Method()).decision.audit_rest
-    reading = read_audit(found.estimate, half, audit, recording, rest)
+    estimates = estimate(network, calibration, audit.unlabelled)
+    half, rest = estimates.upper - estimates.estimate, (calibration.method or Method()).decision.audit_rest
+    reading = read_audit(estimates.estimate, half, audit, recording, rest)
     return replace(
         calibration,
         audit=reading,
@@ -58,11 +58,11 @@ def measured(
         network, replace(calibration, scores=scores, grounds=grounds, decision=decision), audit, recording
     )
     identity = content_sha256({}, {"base": record.input_sha256, "audit": audit.sha256, "limit": limit.to_json()})
-    found = scored.to_record(identity, record.recording_sha256, record.fit_s)
+    audit_record = scored.to_record(identity, record.recording_sha256, record.fit_s)
     return replace(
-        found,
-        settings={**record.settings, **found.settings},
-        evidence={**record.evidence, **found.evidence, **limit_evidence(limit)},
+        audit_record,
+        settings={**record.settings, **audit_record.settings},
+        evidence={**record.evidence, **audit_record.evidence, **limit_evidence(limit)},
     )
 
 

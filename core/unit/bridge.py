@@ -99,8 +99,8 @@ def _least_squares(network: Network, run: LabelledRecording, rows: Indices) -> A
         gain = float(np.exp(theta[0]))
         return AffineMap(gain, centre * (1 - gain) + scale * float(theta[1]), "affine")
 
-    found = least_squares(lambda theta: network.evaluate(day(theta).apply(windows)) - load, np.zeros(2))
-    return day(found.x)
+    solution = least_squares(lambda theta: network.evaluate(day(theta).apply(windows)) - load, np.zeros(2))
+    return day(solution.x)
 
 
 def _misread(network: Network, run: LabelledRecording, day_map: AffineMap, rows: Indices) -> float:

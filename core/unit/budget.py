@@ -30,7 +30,7 @@ class Reference:
     """The instrument that the source of a lot was compared with, and what is known of its uncertainty.
 
     Every uncertainty is in the reference unit of the lot. What is None was not stated and is left out of the budget,
-    except the drift: nobody knows it to be smaller than U, so U stands for it.
+    except the drift. Nobody knows it to be smaller than U, so U stands for it.
 
     Args:
         certificate, laboratory: number of its calibration certificate, and who issued it.

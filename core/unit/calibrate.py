@@ -1,6 +1,6 @@
 """Calibrate one unit: from its recording to map, interval, forecast and decision. The only place where that is done.
 
-The line, a batch, its workers, a watched folder and the screens all call `calibrate`, and all know a calibration again
+The line, a batch, its workers, a watched folder and the screens all call `calibrate`. All know a calibration again
 by the `input_sha256` of its problem. No fit sees a reference of the unit; an audit decides, and fits nothing.
 """
 

@@ -140,7 +140,7 @@ def _stretched(model: SourceModel, target: OutputRecording, evidence: MapEvidenc
     """Return a finding where the unit would have to answer much less or more than the source.
 
     A unit pressed over a small part of the source's range looks like an insensitive one. The stage position, a common
-    load or known loads tell them apart; beyond what units of one kind differ by, they tell of another physical unit. A
+    load or known loads tell them apart. Beyond what units of one kind differ by, they tell of another physical unit. A
     readout that clips looks so, too, and is named for what it is.
     """
     if evidence.budget["clipping"]:
@@ -237,7 +237,7 @@ def _along_stage(recording: OutputRecording) -> float:
 def _not_better(model: SourceModel, evidence: MapEvidence) -> Finding | None:
     """Return a finding where the map may be worse than doing nothing.
 
-    It corrects less than it is uncertain by; or, where no position speaks for it, it makes the unit hardly more like
+    It corrects less than it is uncertain by. Or, where no position speaks for it, it makes the unit hardly more like
     the source than it was. A map that changes next to nothing does no harm either way.
     """
     config, unit = model.method.findings, model.network.reference_unit

@@ -2,7 +2,7 @@
 
 Sensitivity coefficients, chosen on simulated lots for each kind of knowledge about the loads (`knowledge.py`), combine
 the terms of the budget (`evidence.py`). What noise, clipping and creep leave with any calibration, one trained on the
-unit's own labels too, is forecast beside it: only the error beyond that is the map's.
+unit's own labels too, is forecast beside it. Only the error beyond that is the map's.
 """
 
 from collections.abc import Mapping

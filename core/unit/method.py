@@ -77,7 +77,7 @@ class HealthConfig:
         least_presses: so many of them at least.
         failing_share: more clipped samples than this and the unit fails.
         noise_steps, adc_steps, least_band: width of a flat stretch in standard deviations of the noise, in steps of the
-            converter and as a share of the span; the widest counts.
+            converter and as a share of the span. The widest counts.
         stuck_s: a reading that does not move for less than this is never called stuck.
         stuck_factor: nor one that the source shows a `stuck_factor`th of.
         noise_ratio: variance of the steps over twice the variance of the samples: 1 for white noise, near 0 for a

@@ -19,21 +19,21 @@ def faults(rule: Rule) -> list[str]:
     """
     if not is_rule(rule):
         return ["a rule has a text `name`, a text `version` and a method `look(facts)`"]
-    found = [f"`{part}` is empty" for part in ("name", "version") if not getattr(rule, part).strip()]
+    problems = [f"`{part}` is empty" for part in ("name", "version") if not getattr(rule, part).strip()]
     for facts in _examples():
         output, estimate = facts.recording.output.copy(), facts.estimate.copy()
         try:
             first, again = list(rule.look(facts)), list(rule.look(facts))
         except Exception as error:
-            found.append(f"look raises {type(error).__name__}: {error}")
+            problems.append(f"look raises {type(error).__name__}: {error}")
             continue
         if not all(isinstance(one, Objection) and str(one.sentence).strip() for one in first):
-            found.append("look gives something else than objections with a sentence")
+            problems.append("look gives something else than objections with a sentence")
         elif first != again:
-            found.append("look answers the same unit differently the second time")
+            problems.append("look answers the same unit differently the second time")
         if not (np.array_equal(output, facts.recording.output) and np.array_equal(estimate, facts.estimate)):
-            found.append("look changes what it was given")
-    return list(dict.fromkeys(found))
+            problems.append("look changes what it was given")
+    return list(dict.fromkeys(problems))
 
 
 def _examples() -> Iterator[RuleFacts]:

@@ -136,9 +136,9 @@ class Adapter(Batches):
             self._tracker.expire(self._intake.last_s)
         # After the trial may have ended: its shift is part of the doubt.
         now_s = None if self._config.mode == "none" else self._intake.last_s
-        found = Doubt(0.0, 0.0, {}) if now_s is None else self._tracker.doubt_at(now_s)
-        self._doubt = self._error_per_scale * found.widening
-        self._put(self._proposed(last, found))
+        doubt = Doubt(0.0, 0.0, {}) if now_s is None else self._tracker.doubt_at(now_s)
+        self._doubt = self._error_per_scale * doubt.widening
+        self._put(self._proposed(last, doubt))
 
     def _observe(self) -> list[Observation]:
         observations: list[Observation] = []

@@ -1,7 +1,7 @@
 """A stream worked through in batches of fixed size, counted from its first row: what all who follow a unit share.
 
 Each row is estimated with the map of its batch; what a batch shows changes the map of later ones only. So a row depends
-on no later row (the estimate is causal), single samples and whole arrays give the same rows, and memory does not grow.
+on no later row (the estimate is causal). Single samples and whole arrays give the same rows, and memory does not grow.
 """
 
 from abc import ABC, abstractmethod

@@ -2,7 +2,7 @@
 
 No use moves the output at rest. A cycle that took as long and swung as far as usual, but came to rest at another level,
 is therefore the first one of a re-seated sensor. If the sensor moved in mid-cycle, mean and standard deviation of that
-cycle mix both positions; its rest belongs to one of them and can be used.
+cycle mix both positions. Its rest belongs to one of them and can be used.
 """
 
 import math

@@ -79,7 +79,7 @@ class UseLearner:
         """Return how far the rest of strange cycles surely lies from where any known use rests, in scales.
 
         No use goes below the output of no load. One that stays above the known rests is as likely a preload as a sensor
-        that has moved; of a first use nobody knows yet whether it is preloaded.
+        that has moved. Of a first use nobody knows yet whether it is preloaded.
         """
         trust = self._method.trust
         if len(cycles) < self._method.activity.min_cycles:

@@ -1,7 +1,7 @@
 """The method of long use: every number that decides how a unit in use is followed or trimmed, each with its origin.
 
-A number that decides stands here, nowhere else in this folder. The whole is kept with every stream that is followed, so
-that an upgrade that changes a number shows in the record of the stream (`changes`).
+A number that decides stands here, nowhere else in this folder. The whole is kept with every stream that is followed.
+So an upgrade that changes a number shows in the record of the stream (`changes`).
 """
 
 from dataclasses import dataclass, field

@@ -62,7 +62,7 @@ class QueuedTransport(Batches):
     by itself is measured on the calibration recording, cut into queues: they differ from the whole by chance alone.
     That, and all that a swap has moved the estimates by, is in the interval.
 
-    A unit that was anchored by known loads keeps them: its first queue, as it is read by the anchored map, is the
+    A unit that was anchored by known loads keeps them. Its first queue, as it is read by the anchored map, is the
     source of the later ones.
 
     Args:
@@ -161,8 +161,8 @@ class QueuedTransport(Batches):
         return exact_map(queue, source.windows, source.placed, self._plan)
 
     def _fitted(self, queue: Array, source: SourcePairs) -> _Fitted:
-        found = self._mapped_onto(source, queue)
-        return _Fitted(found, self._moved_by(found, queue), self._chance)
+        mapped = self._mapped_onto(source, queue)
+        return _Fitted(mapped, self._moved_by(mapped, queue), self._chance)
 
     def _swap(self, fitted: _Fitted) -> None:
         """Put the map of the queue that waits in force."""

@@ -24,11 +24,11 @@ def learn_sensitivity(
     def estimates(moved: Array) -> Array:
         return network.evaluate(calibration.unit_map.apply(moved))
 
-    found = estimates(windows)
-    is_rising = np.cov(windows[:, -1], found)[0, 1] >= 0
+    estimated = estimates(windows)
+    is_rising = np.cov(windows[:, -1], estimated)[0, 1] >= 0
     curve = _curve(recording, estimates, method.cycle.swing, config)
     zero_output = _zero_load_output(curve, *np.quantile(recording.output, method.cycle.swing))
-    if (shown := _shown_zero(windows[:, -1], found, method)) is not None:
+    if (shown := _shown_zero(windows[:, -1], estimated, method)) is not None:
         zero_output, at_zero = shown, float(np.interp(shown, curve.output, curve.load))
         curve = RestCurve(curve.output, curve.load - at_zero)
     use = learn_use(recording, bool(is_rising), zero_output, method, curve if zero_output is not None else None)

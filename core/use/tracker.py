@@ -314,6 +314,6 @@ class DriftTracker:
         Raises:
             InputError: it was taken by a version that keeps other things in it.
         """
-        found = restored(TrackerState, state)
+        restored_state = restored(TrackerState, state)
         # The thresholds are this method's, not those the state was taken with.
-        self._now = replace(found, trust=replace(found.trust, config=self._method.trust))
+        self._now = replace(restored_state, trust=replace(restored_state.trust, config=self._method.trust))

@@ -120,8 +120,8 @@ def trim(
             f"{config.most_misfit * error[worst]:.3g} {unit} at most was expected; the loads contradict one another; "
             f"{NOTHING}; read them again"
         )
-    found = AnchoredMap(unit_map, gain, offset)
-    before, after = (rmse(network.evaluate(one.apply(resting(output))), load) for one in (unit_map, found))
+    anchored = AnchoredMap(unit_map, gain, offset)
+    before, after = (rmse(network.evaluate(one.apply(resting(output))), load) for one in (unit_map, anchored))
     if after > before:
         raise InputError(
             f"the unit reads these loads worse after the trim than before: RMSE {after:.3g} and {before:.3g} {unit}; "
@@ -133,8 +133,8 @@ def trim(
     covariance = np.asarray(np.linalg.inv(design.T @ design) * spread**2, np.float64)
     if isinstance(unit_map, AnchoredMap):
         # One gain and offset in place of two behind one another.
-        found = AnchoredMap(unit_map.inner, gain * unit_map.gain, offset + gain * unit_map.offset)
-    return Trimmed(found, covariance, before, after)
+        anchored = AnchoredMap(unit_map.inner, gain * unit_map.gain, offset + gain * unit_map.offset)
+    return Trimmed(anchored, covariance, before, after)
 
 
 def as_given_now(recording: OutputRecording, before: UnitMap, after: UnitMap) -> OutputRecording:

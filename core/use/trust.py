@@ -1,6 +1,6 @@
 """Which part of an estimated drift is applied: what is no chance, and what no change of use explains as well.
 
-A person who presses harder and a sensor whose gain rises give the same output: its amplitude grows about a level that
+A person who presses harder and a sensor whose gain rises give the same output. Its amplitude grows about a level that
 stands still, that of no load. Of a bent characteristic that level is worked out (`Activity.pivots`). A sensor that ages
 also shifts its rest; use does not. The choice is argued in docs/decisions/0060-use-or-gain.md.
 """

@@ -103,8 +103,8 @@ def plain(text: str) -> Reason:
 
 def to_kept(why: Reason | str) -> object:
     """Return what a table keeps of a reason: its code and values, or its sentence."""
-    found = Reason.of(why)
-    return str(found) if found.code == PLAIN else found.to_json()
+    cause = Reason.of(why)
+    return str(cause) if cause.code == PLAIN else cause.to_json()
 
 
 def packed(reasons: Iterable[Reason | str]) -> str:

@@ -1,6 +1,6 @@
 """Bring two registries together, both ways: a station's SQLite file and the PostgreSQL of the line.
 
-The audit trail is the list of what to send: a registry gets, per chain, the rows behind the last
+The audit trail is the list of what to send. A registry gets, per chain, the rows behind the last
 one it has, together with what they tell of. Each chunk is one transaction, so that a broken line
 loses nothing, and sending twice changes nothing. Work items, orders and people stay where they are.
 """

@@ -51,8 +51,8 @@ class _Joined(threading.local):
 class Database:
     """An open database: short read transactions, write transactions one after another.
 
-    A transaction of this thread is joined by every read inside it, a write transaction by every
-    write, too: several steps are seen, kept or lost together.
+    A transaction of this thread is joined by every read inside it, a write transaction by every write, too.
+    Several steps are seen, kept or lost together.
     """
 
     def __init__(self, engine: Engine) -> None:

@@ -1,7 +1,7 @@
 """Which calibration a unit uses: statements that follow one another.
 
 A unit is a serial of a lot. The newest statement holds. Two registries that were apart may both
-have made one; where they name different maps nobody can say which is right, and a person has to.
+have made one. Where they name different maps nobody can say which is right, and a person has to.
 """
 
 import json

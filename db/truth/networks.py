@@ -57,8 +57,8 @@ class NetworkTables(RegistryBase):
     ) -> str:
         """Store a shared network and return its id.
 
-        A network of the same input that is there already, from another worker, is kept and its id
-        returned: go on with the id you get.
+        A network of the same input that is there already, from another worker, is kept and its id returned. Go
+        on with the id you get.
         """
         with self.database.writing():
             self._lot_row(lot_id)

@@ -119,7 +119,7 @@ class GrblStage:
         """Brake with feed hold, then reset: both are real-time bytes that wait behind nothing.
 
         A reset after a complete hold keeps the position; one in motion would lose it. How long braking takes follows
-        from the speed and the deceleration of the drive; only a stage that is far beyond it is cut off in motion.
+        from the speed and the deceleration of the drive. Only a stage that is far beyond it is cut off in motion.
         """
         answers_before = 0 if self._asked_s is None else 1
         self._forget_motion()

@@ -42,7 +42,7 @@ class Alignment:
         sensor_drift, force_drift: rate of the device clocks against the host's, minus 1.
         sensor_late_s, force_late_s: median delay of a line behind its earliest possible arrival.
         force_offset_s, stage_offset_s: how much later the output shows what force and stage show, from their rates of
-            change; not applied, since the sensor's own lag is in it. NaN where there is no such channel.
+            change. Not applied, since the sensor's own lag is in it. NaN where there is no such channel.
         stage_residual_mm: root mean square of status polls against the reconstructed path.
         force_behind_s: how far the load cell was found behind the stage.
     """

@@ -83,7 +83,7 @@ def reconstruct(polls: Sequence[StagePosition], moves: Sequence[DrivenMove]) -> 
     """Return where the stage was at any time of a run.
 
     A controller answers ten polls a second at most, too few to draw a corner. So every move is the trapezoid it was
-    commanded as, shifted in time to where its polls say it was; one with too few polls moves with its neighbours. A
+    commanded as, shifted in time to where its polls say it was. One with too few polls moves with its neighbours. A
     poll whose line came late says nothing. A move that did not go as commanded (the host came late with the next
     piece) is drawn through its polls.
 

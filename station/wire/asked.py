@@ -15,7 +15,7 @@ LATE_S = 0.25
 class AskedReader:
     """Asks at a steady rate and takes every answer for a reading from the middle between question and answer.
 
-    One question is open at a time. An answer that never comes ends the readings: asking again could take a late answer
+    One question is open at a time. An answer that never comes ends the readings. Asking again could take a late answer
     for the next one, and the silence is seen by whoever watches. `start` begins anew.
 
     Args:

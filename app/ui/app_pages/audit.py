@@ -59,16 +59,16 @@ def _config() -> AuditConfig:
 
 
 def _stands(audit: LotAudit, lot_id: str) -> None:
-    unit, found = registry().lots.get(lot_id).reference_unit, audit.statement
+    unit, statement = registry().lots.get(lot_id).reference_unit, audit.statement
     numbers(
         (
             (say("audit.measured"), f"{len(audit.measured)} / {len(audit.plan.serials)}", None),
             (say("lot.limit"), number(audit.limit.maximum_rmse, unit), None),
-            (say("audit.says"), "–" if found is None else say(f"verdict.{found.word}"), None),
+            (say("audit.says"), "–" if statement is None else say(f"verdict.{statement.word}"), None),
         )
     )
-    if found is not None:
-        st.markdown(say("audit.statement", upper=found.nonconforming_upper, ratio=f"{found.error_ratio:.2g}"))
+    if statement is not None:
+        st.markdown(say("audit.statement", upper=statement.nonconforming_upper, ratio=f"{statement.error_ratio:.2g}"))
     rows = [
         {
             say("column.serial"): serial,
@@ -100,10 +100,10 @@ def _upload(lot_id: str) -> None:
             go_to("lot", lot=lot_id)
     st.caption(say("audit.bring.how"))
     files = dropped_files(ASKED)
-    found = first_readable(files) if files else None
-    if found is None:
+    readable = first_readable(files) if files else None
+    if readable is None:
         return
-    columns = choose_columns(found[1], wide=False)
+    columns = choose_columns(readable[1], wide=False)
     looked = look_at_audits(registry().lots.get(lot_id), target_serials(registry(), lot_id), files, columns)
     table([_row(one) for one in looked])
     taken = sum(one.recording is not None for one in looked)

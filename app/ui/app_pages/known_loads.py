@@ -31,8 +31,8 @@ def render(lot_id: str) -> None:
     if not newest and not has_units(lot_id):
         return
     st.markdown(say("known_loads.what"))
-    found = list(known_loads(registry(), lot_id).values())
-    table([_row(one, lot, newest) for one in reversed(found)], say("known_loads.none"))
+    loads = list(known_loads(registry(), lot_id).values())
+    table([_row(one, lot, newest) for one in reversed(loads)], say("known_loads.none"))
     st.caption(say("known_loads.line"))
     if allows("set_limit"):
         if st.button(say("known_loads.to_rules"), icon=":material/arrow_forward:", key="known-loads-rules"):
@@ -90,11 +90,11 @@ def _looked_at(lot: Lot, files: Sequence[Path], newest: Mapping[str, str]) -> tu
     refused: dict[str, str] = {}
     for file in files:
         try:
-            found = read_anchors(file, units)
+            anchors = read_anchors(file, units)
         except InputError as error:
             refused[file.name] = in_words(str(error).replace(f"{file}: ", ""))
             continue
-        for serial, loads in found.items():
+        for serial, loads in anchors.items():
             try:
                 if source is not None:
                     check_loads(source, loads, "nothing was kept", Method().map.anchors)

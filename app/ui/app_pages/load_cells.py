@@ -23,9 +23,9 @@ from softcal.db.entries import CellCertificate
 def render() -> None:
     heading("load_cells")
     say_finished("cells")
-    found = registry().stations.certificates()
-    if found:
-        table([_row(entry) for entry in reversed(found)])
+    certificates = registry().stations.certificates()
+    if certificates:
+        table([_row(entry) for entry in reversed(certificates)])
     else:
         empty("cells.none")
     if allows("set_up"):

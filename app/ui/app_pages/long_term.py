@@ -22,16 +22,16 @@ def render() -> None:
     table([_row(unit, reference_unit) for unit, reference_unit in units])
     streams = registry().adaptations.streams(serial)
     stream = streams[0] if len(streams) == 1 else str(st.selectbox(say("long_term.stream"), streams))
-    found = course(registry(), serial, stream)
+    stream_course = course(registry(), serial, stream)
     st.header(say("long_term.course", serial=serial))
-    if found.alarm:
-        why = phrase("adapt", found.alarm, say)
+    if stream_course.alarm:
+        why = phrase("adapt", stream_course.alarm, say)
         st.warning(why, icon=":material/notification_important:", title=say("long_term.due"))
-    if not found.steps:
+    if not stream_course.steps:
         st.caption(say("long_term.no_steps"))
         return
     if rest_may_follow():
-        show_figure(course_figure(found, colours(), say), f"course-{serial}")
+        show_figure(course_figure(stream_course, colours(), say), f"course-{serial}")
 
 
 def _row(unit: AdaptedUnit, reference_unit: str) -> dict[str, object]:

@@ -131,14 +131,14 @@ def _figures(view: LotView) -> None:
 def _audited(view: LotView) -> None:
     """Draw the audited units of a lot; nothing where none was audited."""
     marker = registry().pages.change_marker(view.lot.id)
-    found = _audited_view(str(registry().database.name), marker, view.lot.id, view.chosen, view)
-    if found is None:
+    audited = _audited_view(str(registry().database.name), marker, view.lot.id, view.chosen, view)
+    if audited is None:
         return
     figures_beside(
-        ("lot.audited.estimate", estimate_over_reference(found, colours(), say), "audited-estimate"),
-        ("lot.audited.load", error_over_load(found, colours(), say), "audited-load"),
+        ("lot.audited.estimate", estimate_over_reference(audited, colours(), say), "audited-estimate"),
+        ("lot.audited.load", error_over_load(audited, colours(), say), "audited-load"),
     )
-    st.caption(say("lot.audited.count", shown=len(found.units), of=found.of))
+    st.caption(say("lot.audited.count", shown=len(audited.units), of=audited.of))
 
 
 @st.cache_resource(max_entries=8, show_spinner=False)
@@ -169,17 +169,17 @@ def _calibrate_again(lot_id: str) -> None:
 def _capability(view: LotView) -> None:
     """Draw capability against the limit, or why it is refused, and the rules that points break."""
     process = view.process
-    found = process.capability
+    capability = process.capability
     if process.chart is None:
         return
     st.header(say("lot.capability"))
     if view.limit is None or not view.limit.is_stated:
         st.caption(say("lot.capability.no_limit"))
-    elif found is None:
+    elif capability is None:
         st.warning(in_words(process.refusal or ""), icon=":material/block:", title=say("lot.capability.refused"))
     else:
-        interval = say("lot.cpk.help", low=number(found.cpk_lower), high=number(found.cpk_upper))
-        numbers((("Cpk", number(found.cpk), interval), ("Ppk", number(found.ppk), say("lot.ppk.help"))))
+        interval = say("lot.cpk.help", low=number(capability.cpk_lower), high=number(capability.cpk_upper))
+        numbers((("Cpk", number(capability.cpk), interval), ("Ppk", number(capability.ppk), say("lot.ppk.help"))))
         st.caption(say("lot.cp.none"))
     st.markdown(f"**{say('lot.rules')}**")
     if not process.broken:

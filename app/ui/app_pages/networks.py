@@ -99,8 +99,8 @@ def training(lot: Lot) -> None:
         if job is None:
             st.caption(say("networks.train.how"))
         elif job_panel(job, lambda running: _loss(running, lot)):
-            found = say("networks.trained" if job.result["is_new"] else "networks.found", network=job.message)
-            st.success(found, icon=":material/check:")
+            message = say("networks.trained" if job.result["is_new"] else "networks.found", network=job.message)
+            st.success(message, icon=":material/check:")
             _loss(job, lot)
 
 
@@ -168,8 +168,8 @@ def _compare_form(lot: Lot, rows: Sequence[NetworkRow], is_busy: bool) -> None:
 
 def _compared(job: Job, lot: Lot) -> None:
     unit = lot.reference_unit
-    found = job.result["rows"]
-    show_figure(charts_compare.comparison(found, unit, colours(), say), f"compared-{job.job_id}")
+    rows = job.result["rows"]
+    show_figure(charts_compare.comparison(rows, unit, colours(), say), f"compared-{job.job_id}")
     table(
         [
             {
@@ -184,6 +184,6 @@ def _compared(job: Job, lot: Lot) -> None:
                 say("column.after"): number(row["after"], unit),
                 say("networks.after_95"): number(row["after_95"], unit),
             }
-            for row in found
+            for row in rows
         ]
     )

@@ -33,13 +33,13 @@ def render() -> None:
     with step("new_lot", 1):
         st.caption(say("new_lot.files.how"))
         files = dropped_files()
-        found = first_readable(files) if files else None
-    if found is None:
+        readable = first_readable(files) if files else None
+    if readable is None:
         return
     with step("new_lot", 2):
-        columns, rate_Hz = _columns(*found)
+        columns, rate_Hz = _columns(*readable)
     with step("new_lot", 3):
-        facts, has_audits = _facts(files, found[1], columns)
+        facts, has_audits = _facts(files, readable[1], columns)
     if not rate_Hz or not facts["id"]:
         st.info(say("new_lot.missing"), icon=":material/edit:")
         return

@@ -60,17 +60,17 @@ def _from_file() -> Profile | None:
 
 
 def _bounds(profile: Profile, safety: SafetyConfig) -> None:
-    found = bounds(profile, safety.deepest_mm, safety.speed_mm_s, FixtureConfig().approach_mm)
+    limits = bounds(profile, safety.deepest_mm, safety.speed_mm_s, FixtureConfig().approach_mm)
     numbers(
         (
             (say("column.duration"), f"{profile.duration_s:.0f} s", None),
             (say("profiles.presses"), str(profile.presses), None),
-            *((say(f"profiles.{REACHED[bound.name]}"), f"{bound.value:.3g} {bound.unit}", None) for bound in found),
+            *((say(f"profiles.{REACHED[bound.name]}"), f"{bound.value:.3g} {bound.unit}", None) for bound in limits),
         ),
         narrowest_px=185,
     )
-    for bound in (bound for bound in found if not bound.is_kept):
+    for bound in (bound for bound in limits if not bound.is_kept):
         limit = f"{bound.largest:g} {bound.unit}"
         st.error(say(f"profiles.{bound.name}.broken", limit=limit), icon=":material/block:")
-    if all(bound.is_kept for bound in found):
+    if all(bound.is_kept for bound in limits):
         st.caption(say("profiles.kept"))

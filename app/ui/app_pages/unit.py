@@ -106,11 +106,11 @@ def _revision(serial: str, history: list[StoredCalibration]) -> None:
 
 
 def _known(text: str) -> list[str]:
-    found = registry().pages.find_serials(text)
-    if not found and text:
+    serials = registry().pages.find_serials(text)
+    if not serials and text:
         st.caption(say("unit.find.none", text=text))
         return registry().pages.find_serials("")
-    return found
+    return serials
 
 
 def _files(serial: str, lot_id: str, revision: int, is_in_use: bool) -> None:

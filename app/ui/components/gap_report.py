@@ -154,12 +154,12 @@ def _next(report: Report, case: Path) -> None:
 
 def _truth(case: Path) -> None:
     if st.toggle(say("gap.truth"), key=f"truth-{case}"):
-        found = truth(case)
-        hidden = [gap.effect_name(effect, say) for effect in found.effects]
-        if found.mistake:
-            told = {"mistake": gap.mistake_name(found.mistake, say), "runs": ", ".join(map(str, found.runs))}
-            told |= {"channel": gap.channel_name(found.channel, say) if found.channel else "–"}
-            key = "gap.truth.mistake" if found.runs else "gap.truth.mistake.all"
+        label = truth(case)
+        hidden = [gap.effect_name(effect, say) for effect in label.effects]
+        if label.mistake:
+            told = {"mistake": gap.mistake_name(label.mistake, say), "runs": ", ".join(map(str, label.runs))}
+            told |= {"channel": gap.channel_name(label.channel, say) if label.channel else "–"}
+            key = "gap.truth.mistake" if label.runs else "gap.truth.mistake.all"
             hidden.append(say(key, **told))
         st.markdown(say("gap.truth.is", causes=", ".join(hidden) or say("trail.nothing")))
 

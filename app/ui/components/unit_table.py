@@ -29,12 +29,12 @@ def unit_table(lot: Lot, serials: Serials = None) -> None:
     """Draw the table of a lot, or of some serials, so that filters draw nothing else."""
     wanted = replace(_filter(lot.id), serials=serials)
     place = f"units-page-{lot.id}"
-    found = registry().pages.unit_page(lot.id, wanted, int(st.session_state.get(place, 1)), SIZE)
-    if found.total and not found.units:
+    page = registry().pages.unit_page(lot.id, wanted, int(st.session_state.get(place, 1)), SIZE)
+    if page.total and not page.units:
         # The filter leaves fewer pages than the one that was looked at.
         st.session_state[place] = 1
-        found = registry().pages.unit_page(lot.id, wanted, 1, SIZE)
-    units = found.units
+        page = registry().pages.unit_page(lot.id, wanted, 1, SIZE)
+    units = page.units
     if not units:
         st.caption(say("lot.table.none"))
         return
@@ -44,8 +44,8 @@ def unit_table(lot: Lot, serials: Serials = None) -> None:
     chosen = table_to_choose([row(unit) for unit in units], f"units-{lot.id}", columns)
     left, right = st.columns([3, 2], vertical_alignment="center")
     with left:
-        st.pagination(max(1, -(-found.total // SIZE)), key=place)
-        st.caption(say("lot.table.count", shown=len(units), count=found.total))
+        st.pagination(max(1, -(-page.total // SIZE)), key=place)
+        st.caption(say("lot.table.count", shown=len(units), count=page.total))
     with right, st.container(horizontal=True, horizontal_alignment="right"):
         download(say("lot.export.csv"), f"{lot.id}.csv", lambda: csv_of(_table(lot, serials)), "export.csv")
         download(say("lot.export.xlsx"), f"{lot.id}.xlsx", lambda: _excel(_table(lot, serials)), "export.xlsx")
