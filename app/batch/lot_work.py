@@ -317,8 +317,8 @@ class LotWork:
             work = None
             facts = {"lot": self._lot_id, "serial": unit.serial, "reason": str(result.reason)}
             note("unit_failed", trace=result.trace, **facts)
-        told = registry, self._lot_id, unit.serial, result, "batch"
-        keep_result(*told, actor=self._config.actor, reason="batch", work_sha256=work)
+        statement = registry, self._lot_id, unit.serial, result, "batch"
+        keep_result(*statement, actor=self._config.actor, reason="batch", work_sha256=work)
         if unit.recording is not None and not isinstance(result, Refusal):
             self._recordings[unit.serial] = unit.recording.sha256
         if not isinstance(result, Known):

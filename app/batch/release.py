@@ -330,8 +330,8 @@ def judged_record(base: CalibrationRecord, decided: LotRelease) -> CalibrationRe
         # Beyond a finite factor nothing is known; the forecast keeps the end it had.
         forecast = vars(ErrorForecast(rmse, old.lower * scale, upper if np.isfinite(upper) else old.upper * scale))
     arrays = {**base.arrays, "interval.half_width": widening(np.asarray(base.arrays["interval.half_width"]))}
-    told = {"forecast_rmse": base.predicted_rmse, "forecast_scale": scale}
-    told |= {"interval_scale": widening.scale, "interval_added": widening.added}
+    numbers = {"forecast_rmse": base.predicted_rmse, "forecast_scale": scale}
+    numbers |= {"interval_scale": widening.scale, "interval_added": widening.added}
     return replace(
         base,
         arrays=arrays,
@@ -339,8 +339,8 @@ def judged_record(base: CalibrationRecord, decided: LotRelease) -> CalibrationRe
         predicted_rmse=None if base.predicted_rmse is None else base.predicted_rmse * scale,
         verdict=str(decision.verdict),
         reasons=decision.reasons,
-        evidence={**base.evidence, **told},
-        input_sha256=content_sha256({}, {"base": base.input_sha256, "sampled": judgement.to_json(), **told}),
+        evidence={**base.evidence, **numbers},
+        input_sha256=content_sha256({}, {"base": base.input_sha256, "sampled": judgement.to_json(), **numbers}),
     )
 
 

@@ -173,5 +173,5 @@ def _legend(figure: go.Figure) -> Iterator[str]:
 
 
 def _text(x: float, y: float, text: str, anchor: str = "middle") -> str:
-    told = escape(text.replace("<br>", " "))
-    return f"<text x='{x:.1f}' y='{y:.1f}' text-anchor='{anchor}'>{told}</text>"
+    label = escape(text.replace("<br>", " "))
+    return f"<text x='{x:.1f}' y='{y:.1f}' text-anchor='{anchor}'>{label}</text>"

@@ -159,17 +159,17 @@ def _partly(report: Mapping[str, Any], say: Words) -> str:
 
 def _offsets(report: Mapping[str, Any], say: Words) -> str:
     """Say what was taken off every run before it was compared, at most; nothing shows as 0."""
-    told = (_own_offsets if report.get("simulator") else _rig_offsets)(report.get("offsets", ()), say)
-    return _note(_told(say, "gap.own", offsets="; ".join(told))) if told else ""
+    sentences = (_own_offsets if report.get("simulator") else _rig_offsets)(report.get("offsets", ()), say)
+    return _note(_told(say, "gap.own", offsets="; ".join(sentences))) if sentences else ""
 
 
 def _rig_offsets(offsets: Sequence[Mapping[str, float]], say: Words) -> list[str]:
-    told = []
+    sentences = []
     for name, scale, digits in (("force_N", 1.0, 3), ("resistance", 100.0, 2), ("seat_mm", 1000.0, 0)):
         size = f"{scale * max((abs(one[name]) for one in offsets), default=0.0):.{digits}f}"
         if float(size):
-            told.append(say(f"gap.own.{name}", size=size))
-    return told
+            sentences.append(say(f"gap.own.{name}", size=size))
+    return sentences
 
 
 def _own_offsets(offsets: Sequence[Mapping[str, Any]], say: Words) -> list[str]:
@@ -184,7 +184,7 @@ def _own_offsets(offsets: Sequence[Mapping[str, Any]], say: Words) -> list[str]:
 
 def _noise(report: Mapping[str, Any], say: Words) -> str:
     """Say which channels have noise that is not white, and that the floor holds it."""
-    told = [
+    sentences = [
         say(
             "gap.noise.one",
             channel=gap.channel_name(channel, say),
@@ -194,7 +194,7 @@ def _noise(report: Mapping[str, Any], say: Words) -> str:
         )
         for channel, found in report.get("noise", {}).items()
     ]
-    return _note(_told(say, "gap.noise", channels="; ".join(told))) if told else ""
+    return _note(_told(say, "gap.noise", channels="; ".join(sentences))) if sentences else ""
 
 
 def _missing(report: Mapping[str, Any], say: Words) -> str:

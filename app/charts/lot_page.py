@@ -20,8 +20,8 @@ dt { color: #55606c; font-size: 13px; } dd { margin: 0; font-size: 20px; }
 def lot_page(view: LotView, units: Sequence[UnitEntry], words: Words, made: str) -> str:
     """Return the page of a lot as HTML; `units` are all targets, `made` says when and with what."""
     facts = report_facts(view, words)
-    told = "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in facts.items())
-    head = f"<header><h1>{escape(view.lot.id)}</h1><dl>{told}</dl><p>{escape(made)}</p></header>"
+    listed = "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in facts.items())
+    head = f"<header><h1>{escape(view.lot.id)}</h1><dl>{listed}</dl><p>{escape(made)}</p></header>"
     parts = report_parts(view, units, words("lot.table"), words)
     sections = [section(part.title, _drawn(part, view, words)) for part in parts]
     return document(f"softcal: {view.lot.id}", [head, *sections], STYLE)

@@ -220,9 +220,9 @@ def _apply_parameters(options: argparse.Namespace, report: Mapping[str, object],
 
     parameters = write_parameters(options.out, report, source, options.empirical)
     is_bare = report["verdict"] == "unknown" and not options.empirical
-    told = ", ".join(f"{name} = {value:.4g}" for name, value in parameters.items())
+    listed = ", ".join(f"{name} = {value:.4g}" for name, value in parameters.items())
     said = "nothing explains the gap, so they are those of the refitted base alone: " if is_bare else ""
-    say(f"parameters of {report['simulator']} written to {options.out}: {said}{told}")
+    say(f"parameters of {report['simulator']} written to {options.out}: {said}{listed}")
     write_json(options.json, dict(report))
 
 
@@ -250,8 +250,8 @@ def _show(diagnosis: "GapDiagnosis[Any]") -> None:
             print(f"empirical   {one.term.formula}  (standard error {one.standard_error:.1g} {one.term.unit})")
         shrink, beside = diagnosis.residual.shrink, " + ".join(diagnosis.residual.beside)
         held = f"{shrink.held_out:.2f} [{shrink.low:.2f}, {shrink.high:.2f}] held out"
-        told = f", beside {beside}, which alone reach {diagnosis.residual.without:.2f}" if beside else ""
-        print(f"describes   {held}{told}: a description, no cause; softcal gap apply --empirical adds it")
+        addition = f", beside {beside}, which alone reach {diagnosis.residual.without:.2f}" if beside else ""
+        print(f"describes   {held}{addition}: a description, no cause; softcal gap apply --empirical adds it")
 
 
 def _show_twin(diagnosis: "Diagnosis", target: str | None) -> None:

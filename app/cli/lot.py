@@ -170,7 +170,7 @@ def _release(options: argparse.Namespace) -> int:
 
 
 def _folder(options: argparse.Namespace) -> None:
-    from softcal.app.registry.laid_out import write_lot_folder
+    from softcal.app.registry.lot_files import write_lot_folder
 
     with registry_of(options) as registry:
         written = write_lot_folder(registry, options.lot, options.out)

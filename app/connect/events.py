@@ -116,17 +116,17 @@ def kind_of(row: AuditRow) -> str:
 
 def _event(registry: Registry, row: AuditRow, after: Cursor) -> RegistryEvent:
     kind = kind_of(row)
-    key, told = json.loads(row.key), json.loads(row.after or "{}")
+    key, content = json.loads(row.key), json.loads(row.after or "{}")
     about = {"actor": row.actor, "reason": row.reason}
     if kind == VERDICT:
-        data = _verdict(registry, row.entity, told) | about
+        data = _verdict(registry, row.entity, content) | about
         subject = f"lots/{path_part(data['lot'])}/units/{path_part(data['serial'])}"
     elif kind == CHANGE:
         before = json.loads(row.before or "null")
-        data = {"action": row.action, "entity": row.entity, "key": key, "before": before, "after": told} | about
+        data = {"action": row.action, "entity": row.entity, "key": key, "before": before, "after": content} | about
         subject = "/".join([row.entity, *(path_part(str(part)) for part in key)])
     else:
-        data, subject = dict(told), f"{ALERTS}/{path_part(str(told['kind']))}"
+        data, subject = dict(content), f"{ALERTS}/{path_part(str(content['kind']))}"
     return RegistryEvent(f"{row.origin}:{row.seq}", kind, row.at, subject, data, after)
 
 

@@ -172,8 +172,8 @@ def alert_about(data: Any) -> str:
 def state_messages(registry: Registry) -> list[Message]:
     """Return what is published of every station."""
     # The time of the last sign of life would be another one every second.
-    told = [{name: value for name, value in one.items() if name != "at"} for one in stations_json(registry)]
-    return [(f"stations/{path_part(one['station'])}/state", json_text(one), True) for one in told]
+    stations = [{name: value for name, value in one.items() if name != "at"} for one in stations_json(registry)]
+    return [(f"stations/{path_part(one['station'])}/state", json_text(one), True) for one in stations]
 
 
 def json_text(value: object) -> str:

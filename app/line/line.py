@@ -217,8 +217,8 @@ def _start(facts: LineFacts, screen: Screen, who: str) -> Step:
     if refusal is not None:
         return Step(_told(facts, refusal))
     if facts.load is not None and facts.newest is not None:
-        pressed, told = facts.newest[0], load_order(facts.load_step, facts.load)
-        unit = (pressed.serial, pressed.lot_id, who, told)
+        pressed, loaded = facts.newest[0], load_order(facts.load_step, facts.load)
+        unit = (pressed.serial, pressed.lot_id, who, loaded)
         return Step(replace(facts.place, note=None), Order(uuid.uuid4().hex, facts.station, OrderKind.LOAD, *unit))
     lot_id = facts.lot.id if facts.lot and not facts.is_golden else ""
     kind = OrderKind.GOLDEN if facts.is_golden else OrderKind.UNIT

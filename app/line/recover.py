@@ -101,5 +101,5 @@ def _aborted_columns(run: SpooledRun, end: str) -> list[tuple[str, Any]]:
 def _serials(run: SpooledRun, channels: int) -> list[str]:
     """Return the serial of each channel: as the run was told, else numbered."""
     serial = run.header.get("serial", "unknown")
-    told = run.header.get("serials", serial).split(SERIALS_APART)
-    return told if len(told) == channels else [numbered(serial, channel) for channel in range(channels)]
+    serials = run.header.get("serials", serial).split(SERIALS_APART)
+    return serials if len(serials) == channels else [numbered(serial, channel) for channel in range(channels)]

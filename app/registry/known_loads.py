@@ -45,11 +45,11 @@ def known_loads(registry: Registry, lot_id: str, serials: Collection[str] | None
     found: dict[str, UnitLoads] = {}
     # Older versions kept those of several units in one row of the lot.
     for row in registry.trail.of_several(ENTITY, [(lot_id,), *((lot_id, serial) for serial in sorted(serials))]):
-        told: dict[str, Any] = json.loads(row.after or "{}")
-        for sha256, one in told["recordings"].items():
+        content: dict[str, Any] = json.loads(row.after or "{}")
+        for sha256, one in content["recordings"].items():
             if one["serial"] not in serials:
                 continue
-            found[sha256] = UnitLoads(one["serial"], sha256, loads_of(one), row.at, row.actor, told["where"])
+            found[sha256] = UnitLoads(one["serial"], sha256, loads_of(one), row.at, row.actor, content["where"])
     return found
 
 
@@ -70,8 +70,8 @@ def keep_loads(
         return 0
     with registry.transaction():
         for serial, facts in by_unit.items():
-            told = {"where": where, "recordings": facts}
-            registry.trail.add("state", ENTITY, (lot_id, serial), told, actor=actor)
+            content = {"where": where, "recordings": facts}
+            registry.trail.add("state", ENTITY, (lot_id, serial), content, actor=actor)
     return len(new)
 
 

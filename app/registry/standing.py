@@ -22,12 +22,12 @@ def caution(registry: Registry, stored: StoredCalibration, action: str) -> str:
     standing = standing_of(registry, stored)
     # An older calibration that passed is cautioned against where the unit does not pass any more.
     is_bad = standing.made is not None and stored.record.verdict != Verdict.PASS
-    told = stored.record if is_bad else standing
-    if told.verdict == Verdict.PASS:
+    shown = stored.record if is_bad else standing
+    if shown.verdict == Verdict.PASS:
         return ""
-    why = str(told.reasons[0]) if told.reasons else "no reason is stored"
-    warning = f"warning: unit {stored.serial} has the verdict {told.verdict}: {why}"
-    facts = {"verdict": told.verdict, "revision": stored.revision, "action": action}
+    why = str(shown.reasons[0]) if shown.reasons else "no reason is stored"
+    warning = f"warning: unit {stored.serial} has the verdict {shown.verdict}: {why}"
+    facts = {"verdict": shown.verdict, "revision": stored.revision, "action": action}
     try:
         key, reason = (stored.lot_id, stored.serial), f"{action} of a unit that did not pass"
         registry.trail.add("use", "unit", key, facts, reason=reason)

@@ -165,14 +165,14 @@ def _leave_out(
         decision = replace(decision, predicted=predicted)
         grounds = None if grounds is None else replace(grounds, told=(*grounds.told, why))
     judged_by = {"decision": decision.to_json(), "grounds": None if grounds is None else grounds.to_json()}
-    told = replace(
+    restated = replace(
         record,
         settings={**record.settings, **judged_by, LOADS: known.to_json()},
         verdict=str(decision.verdict),
         reasons=decision.reasons,
         input_sha256=content_sha256({}, {"base": record.input_sha256, "left_out": why.to_json(), **known.to_json()}),
     )
-    registry.calibrations.add(stored.lot_id, told, actor=actor, reason=why.code, decided_by=DECIDED_BY)
+    registry.calibrations.add(stored.lot_id, restated, actor=actor, reason=why.code, decided_by=DECIDED_BY)
 
 
 def _decided(decision: Decision, found: Trimmed, loads: Anchors) -> Decision:
@@ -204,7 +204,7 @@ def _record(
     if grounds is not None:
         kept = grounds.measured if decision.measured else None
         grounds = replace(grounds, measured=kept, bars=decision.bars, told=_trimless(grounds.told))
-    told: dict[str, float | str | None] = {
+    numbers: dict[str, float | str | None] = {
         UNTRIMMED: float(base.revision),
         "map_anchor_gain": found.unit_map.gain,
         "map_anchor_offset": found.unit_map.offset,
@@ -214,7 +214,7 @@ def _record(
     arrays = {name: array for name, array in record.arrays.items() if not name.startswith("map.")}
     arrays |= {f"map.{name}": array for name, array in found.unit_map.arrays().items()}
     arrays["interval.half_width"] = wider.half_width
-    told |= {name: before.evidence[name] for name in LIMIT_EVIDENCE if name in before.evidence}
+    numbers |= {name: before.evidence[name] for name in LIMIT_EVIDENCE if name in before.evidence}
     judged_by = {"decision": decision.to_json(), "grounds": None if grounds is None else grounds.to_json()}
     settings = {**record.settings, **judged_by, LOADS: known.to_json()}
     trimmed = replace(
@@ -224,7 +224,7 @@ def _record(
         settings=settings,
         verdict=str(decision.verdict),
         reasons=decision.reasons,
-        evidence={**record.evidence, **told},
+        evidence={**record.evidence, **numbers},
         input_sha256=content_sha256({}, {"base": record.input_sha256, **values(known.loads)}),
     )
     return trimmed if decision.is_audited else replace(trimmed, before_rmse=None, after_rmse=None, own_rmse=None)

@@ -62,12 +62,12 @@ def screen(seen: int | None = None, until_s: float | None = None) -> Screen:
 
 def keep() -> None:
     """Tell the browser what to remember, and ask what it has drawn; once at the end of a run."""
-    told = {_cookie(name): value for name, value in st.session_state.get(STATE, {}).items()}
+    cookies = {_cookie(name): value for name, value in st.session_state.get(STATE, {}).items()}
     # Registered here because a component needs a running server; the same again changes nothing.
     draw = st.components.v2.component("softcal_memory", html=HTML, js=JS)
     asks = bool(st.session_state.get(IS_AWAITED)) and not st.session_state.get(HAS_DRAWN)
     draw(
-        data={"told": told, "asks": asks, "place": PLACE, "longest_ms": LONGEST_MS},
+        data={"told": cookies, "asks": asks, "place": PLACE, "longest_ms": LONGEST_MS},
         key="browser-memory-component",
         on_drawn_change=in_one_piece(_has_drawn),
     )

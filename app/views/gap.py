@@ -123,8 +123,8 @@ def place_rows(report: Report, say: Words) -> list[dict[str, str]]:
     for place in sorted(report["where"], key=lambda place: -float(place["share"])):
         regime, detail = _kept(place, ("regime", "detail"), say)
         names = stage_name(place["stage"], say), channel_name(str(place["channel"]), say), regime
-        told = (*names, percent(float(place["share"])), detail)
-        rows.append(dict(zip(("stage", "channel", "regime", "share", "detail"), told, strict=True)))
+        row = (*names, percent(float(place["share"])), detail)
+        rows.append(dict(zip(("stage", "channel", "regime", "share", "detail"), row, strict=True)))
     return rows
 
 

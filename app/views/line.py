@@ -264,8 +264,8 @@ class _Card:
         is_known = network is not None and pressed and pressed[0] > network.since
         if network is None or not network.reason or is_known or not self.state.has_news:
             return ()
-        told = {"at": network.since, "actor": network.actor, "reason": network.reason}
-        return (self.words("line.network_changed", network=network.network.id[:8], **told),)
+        values = {"at": network.since, "actor": network.actor, "reason": network.reason}
+        return (self.words("line.network_changed", network=network.network.id[:8], **values),)
 
     def do(self, key: str = "", **values: object) -> str:
         """Return the instruction of the state; a key names another one."""

@@ -25,10 +25,11 @@ from softcal.core.gap.gap_diagnosis import (
     regime_places,
     under_its_floor,
 )
+from softcal.core.gap.generic_effects import stranger_of
 from softcal.core.gap.identifiability import Identifiability, identifiability, reasons
 from softcal.core.gap.next_experiment import NextExperiment, menu, propose
-from softcal.core.gap.odd_run import odd_run, odd_run_beside
 from softcal.core.gap.offsets import OFFSET_NAMES, Offsets, offsets
+from softcal.core.gap.outlier_run import outlier_run, outlier_run_beside
 from softcal.core.gap.place import likely_stages, loose_noise
 from softcal.core.gap.plausibility import doubts, mistakes
 from softcal.core.gap.posterior import confused_pairs, hidden_fraction
@@ -37,7 +38,6 @@ from softcal.core.gap.residual import Map, Regime, regimes, structure, three_map
 from softcal.core.gap.screen import is_told, visible_effects
 from softcal.core.gap.search import EffectSearch
 from softcal.core.gap.start import unfitted
-from softcal.core.gap.strangers import stranger_of
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS, OWN_EFFECTS
 from softcal.core.twin.effects import Alias
@@ -80,8 +80,8 @@ class Diagnosis(GapDiagnosis[EmpiricalTerm]):
             InputError: the recordings hold a mistake; a twin of them would hold it too.
         """
         if self.verdict == "data":
-            told = "; ".join(f"{f.evidence}: {f.repair}" for f in self.mistakes)
-            raise InputError(f"the recordings hold a mistake, so there is no twin of them: {told}")
+            repairs = "; ".join(f"{f.evidence}: {f.repair}" for f in self.mistakes)
+            raise InputError(f"the recordings hold a mistake, so there is no twin of them: {repairs}")
         return explained_twin(self.base if self.verdict == "unknown" else self.best)
 
     @property
@@ -157,12 +157,12 @@ def diagnose(
     runs_tell = told_by(search)
     for untold in reasons(runs_tell):
         say(str(untold))
-    if (odd := odd_run(search.base)) is not None:
+    if (odd := outlier_run(search.base)) is not None:
         return _stopped(search.base, (odd,))
     search.run()
     if not search.is_clean(search.best) or loose_noise(search.best) is not None:
         search = under_its_floor(search, lambda problem: EffectSearch(case, say, problem), is_noise, say)
-    if (odd := odd_run_beside(search)) is not None:
+    if (odd := outlier_run_beside(search)) is not None:
         return _stopped(search.base, (odd,))
     if search.stranger is None:
         search.hold_open()
@@ -305,6 +305,6 @@ def _next(case: Case, search: EffectSearch, group: tuple[Fit, ...], verdict: Dia
     if verdict == "no_gap":
         return NextExperiment("long_hold", Reason("gap.next.slow"))
     for effect_id, alias in _open_aliases(search.best).items():
-        told = {"alias": Reason.of(alias.detail), "advice": Reason.of(alias.advice)}
-        return NextExperiment(alias.told_by, reason("gap.next.alias", effect=effect_id, **told))
+        values = {"alias": Reason.of(alias.detail), "advice": Reason.of(alias.advice)}
+        return NextExperiment(alias.told_by, reason("gap.next.alias", effect=effect_id, **values))
     return NextExperiment("none", Reason("gap.next.separated"))

@@ -128,8 +128,8 @@ def identifiability(
             break
         also = [e for e in effects if any(one.name == e.id for one in left)]
         there = here.with_run(_Rows.of(base, base.problem.of_run(entry.run), also))
-        told = {one.name for one in left if there.shows(one.name)}
-        every = [replace(one, by=(*one.by, entry.name)) if one.name in told else one for one in every]
+        names = {one.name for one in left if there.shows(one.name)}
+        every = [replace(one, by=(*one.by, entry.name)) if one.name in names else one for one in every]
     ids = [e.id for e in effects]
     alike = [
         (one, other)

@@ -10,12 +10,12 @@ from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.episodes import PLACERS, placed_again
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.floor import noise_chance, noise_of
+from softcal.core.gap.generic_effects import imitated_causes, stranger
 from softcal.core.gap.posterior import Yardstick, log_evidences
 from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.gap.residual import structure
 from softcal.core.gap.screen import Probe, extent_of, hiding, joined, probes, screen, visible_effects
 from softcal.core.gap.start import base_fit, rough_start, with_driving_noise
-from softcal.core.gap.strangers import imitated_causes, stranger
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import FORMS
 from softcal.core.twin.effects import Effect, Form, Placing

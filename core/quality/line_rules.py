@@ -63,10 +63,10 @@ class LineRules:
         return max(0, self.retests.get(verdict, 0) - max(0, tests - 1))
 
     def settings(self) -> dict[str, object]:
-        told: dict[str, object] = {**vars(self), "retests": dict(self.retests)}
-        del told["loads"]
+        content: dict[str, object] = {**vars(self), "retests": dict(self.retests)}
+        del content["loads"]
         # Versions that know no loads can read rules without any.
-        return told | ({"loads": [[load.value, load.expanded] for load in self.loads]} if self.loads else {})
+        return content | ({"loads": [[load.value, load.expanded] for load in self.loads]} if self.loads else {})
 
 
 def rules_for(lot: Lot) -> LineRules:

@@ -103,8 +103,8 @@ def _ask(name: str, facts: RuleFacts) -> Iterator[Finding]:
         objections = [(str(one.sentence), bool(one.press_again)) for one in rule.look(facts)]
     except Exception as error:
         # A rule that cannot judge has not agreed: the unit waits, and the lot goes on.
-        told = f"{type(error).__name__}: {error}"
-        yield Finding(reason("rule.broken", rule=name, error=told), Verdict.RETEST)
+        message = f"{type(error).__name__}: {error}"
+        yield Finding(reason("rule.broken", rule=name, error=message), Verdict.RETEST)
         return
     for sentence, press_again in objections:
         best = Verdict.RETEST if press_again else Verdict.FAIL

@@ -100,8 +100,8 @@ class Limit:
         return float(np.sqrt(max(self.maximum_rmse**2 - self.reference_expanded**2, 0.0)))
 
     def to_json(self) -> dict[str, object]:
-        told = {"unit": self.unit, "maximum_rmse": self.maximum_rmse, "origin": self.origin.to_json()}
-        return told | ({"reference_expanded": self.reference_expanded} if self.reference_expanded else {})
+        content = {"unit": self.unit, "maximum_rmse": self.maximum_rmse, "origin": self.origin.to_json()}
+        return content | ({"reference_expanded": self.reference_expanded} if self.reference_expanded else {})
 
     @classmethod
     def of(cls, kept: Mapping[str, Any]) -> "Limit":
@@ -201,8 +201,8 @@ class Decision:
         if self.measured is None or self.measured.verdict == self.predicted.verdict:
             return (self.measured or self.predicted).reasons
         why = self.predicted.reasons[0]
-        told = reason("predicted_otherwise", verdict=str(self.predicted.verdict), why=why)
-        return (*self.measured.reasons, told)
+        overruled = reason("predicted_otherwise", verdict=str(self.predicted.verdict), why=why)
+        return (*self.measured.reasons, overruled)
 
     def to_json(self) -> dict[str, object]:
         others = {"measured": self.measured, "sampled": self.sampled}

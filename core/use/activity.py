@@ -12,8 +12,8 @@ import numpy as np
 
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.use.cycles import Cycle, CycleCutter
-from softcal.core.use.kept import array
 from softcal.core.use.method import ActivityConfig, UseMethod
+from softcal.core.use.state_json import array
 
 
 @dataclass(frozen=True, eq=False)

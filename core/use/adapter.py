@@ -16,10 +16,10 @@ from softcal.core.use.batches import START, UNSETTLED, Batches, MapUpdate
 from softcal.core.use.cycles import CycleCutter
 from softcal.core.use.doubt import Doubt, due
 from softcal.core.use.intake import Taken
-from softcal.core.use.kept import restored
 from softcal.core.use.method import UseMethod
 from softcal.core.use.observation import FOLLOWED, HELD, NOT_WATCHED, UNWATCHED, Observation
 from softcal.core.use.sensitivity import learn_sensitivity
+from softcal.core.use.state_json import restored
 from softcal.core.use.tracker import DriftTracker
 
 FILTERS = ("none", "basic", "improved")

@@ -19,10 +19,10 @@ from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import SATURATED, STUCK, Estimate, EstimateRow, Flags, check_fits, judge
 from softcal.core.unit.uncertainty import NORMAL_90
 from softcal.core.use.intake import WRONG_RATE, Intake, Taken
-from softcal.core.use.kept import restored
 from softcal.core.use.method import UseMethod
 from softcal.core.use.observation import FOLLOWED, HELD, UNWATCHED
 from softcal.core.use.sensitivity import calibrated_rmse
+from softcal.core.use.state_json import restored
 
 START = "start"
 NOT_EVIDENCE = (STUCK, SATURATED, WRONG_RATE)

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.core.use.kept import array, restored, state_of
 from softcal.core.use.method import CycleConfig
+from softcal.core.use.state_json import array, restored, state_of
 from softcal.core.windows import TAPS
 
 

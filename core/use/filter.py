@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from softcal.core.recording import Array, Indices
-from softcal.core.use.kept import array
+from softcal.core.use.state_json import array
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,9 +66,9 @@ class DriftFilter:
         """Return the filter with one activity more, whose zero is the drift as it is estimated now."""
         n = len(self.mean)
         # b = -(d - estimate of d) + error of the mean over the cycles it was learnt from.
-        told = np.vstack([np.eye(n), np.zeros((2, n))])
-        told[n:, :2] = -np.eye(2)
-        covariance = told @ self.covariance @ told.T
+        observed = np.vstack([np.eye(n), np.zeros((2, n))])
+        observed[n:, :2] = -np.eye(2)
+        covariance = observed @ self.covariance @ observed.T
         covariance[n:, n:] += variance
         return DriftFilter(np.append(self.mean, [0.0, 0.0]), covariance)
 

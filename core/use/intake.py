@@ -8,8 +8,8 @@ import numpy as np
 
 from softcal.core.recording import GAP_FACTOR, Array, Indices, Mask
 from softcal.core.unit.estimate import FLAG_TYPE, GAP, INVALID, WARM_UP, Flags
-from softcal.core.use.kept import restored, state_of
 from softcal.core.use.method import IntakeConfig
+from softcal.core.use.state_json import restored, state_of
 from softcal.core.windows import TAPS
 
 WRONG_RATE = "wrong rate"

@@ -8,7 +8,7 @@ from softcal.core.recording import Array
 from softcal.core.use.activity import Activity
 from softcal.core.use.cycles import Cycle
 from softcal.core.use.filter import DriftFilter
-from softcal.core.use.kept import array, part, parts
+from softcal.core.use.state_json import array, part, parts
 from softcal.core.use.trust import Trust
 
 FOLLOWED, HELD, TRIED, JUMPED, UNWATCHED = "followed", "held", "tried", "jumped", "unwatched"

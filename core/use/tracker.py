@@ -26,7 +26,6 @@ from softcal.core.use.cycles import Cycle
 from softcal.core.use.doubt import Doubt, Evidence, doubt
 from softcal.core.use.filter import DriftFilter
 from softcal.core.use.jumps import SuddenChanges
-from softcal.core.use.kept import restored, state_of
 from softcal.core.use.learning import UseLearner
 from softcal.core.use.method import UseMethod
 from softcal.core.use.observation import (
@@ -41,6 +40,7 @@ from softcal.core.use.observation import (
     Observation,
     TrackerState,
 )
+from softcal.core.use.state_json import restored, state_of
 from softcal.core.use.trust import Trust
 
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from softcal.core.recording import Array
 from softcal.core.use.activity import Activity, no_pivots
-from softcal.core.use.kept import array, not_kept
 from softcal.core.use.method import TrustConfig
+from softcal.core.use.state_json import array, not_kept
 
 
 @dataclass(frozen=True, eq=False)

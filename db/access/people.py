@@ -88,8 +88,8 @@ class People(RegistryBase):
             self.database.change(statement.values(**values))
             before = people_as_told(known) if known else None
             kept = self.database.rows(named)[0]
-            told = {"before": before, "after": people_as_told(kept)}
-            self._tell("set_user", "users", (name,), actor, reason=reason, **told)
+            content = {"before": before, "after": people_as_told(kept)}
+            self._tell("set_user", "users", (name,), actor, reason=reason, **content)
             return user_of(self.database, kept)
 
     def all(self) -> list[User]:
@@ -148,8 +148,8 @@ def user_of(database: Database, row: RowMapping) -> User:
 
 def people_as_told(row: RowMapping) -> dict[str, object]:
     """Return a person as the audit trail tells of one: of the PIN's hash only a hash."""
-    told = {name: row[name] for name in ("name", "role", "is_active", "version")}
-    return told | {"pin_sha256": hashlib.sha256(row["pin_hash"].encode()).hexdigest()}
+    content = {name: row[name] for name in ("name", "role", "is_active", "version")}
+    return content | {"pin_sha256": hashlib.sha256(row["pin_hash"].encode()).hexdigest()}
 
 
 def _is_pin(stored: str, pin: str) -> bool:

@@ -59,8 +59,8 @@ class TokenTable(RegistryBase):
             if before["is_withdrawn"]:
                 raise InputError(f"token {token_id} was withdrawn already")
             self.database.change(update(tokens).where(tokens.c.token_id == token_id).values(is_withdrawn=True))
-            told = {"before": token_as_told(before), "after": token_as_told(self._row(token_id))}
-            self._tell("withdraw", "tokens", (token_id,), actor, reason=reason, **told)
+            content = {"before": token_as_told(before), "after": token_as_told(self._row(token_id))}
+            self._tell("withdraw", "tokens", (token_id,), actor, reason=reason, **content)
 
     def all(self) -> list[Token]:
         """Return all tokens, the oldest first, without their secrets."""
@@ -82,8 +82,8 @@ class TokenTable(RegistryBase):
             of_token = select(audit.c.after).where(
                 audit.c.entity == "tokens", audit.c.key == canonical_json((row["token_id"],))
             )
-            told = self.database.value(of_token.order_by(audit.c.at.desc(), audit.c.seq.desc()).limit(1))
-            if told != canonical_json(history.plain(token_as_told(row))):
+            newest = self.database.value(of_token.order_by(audit.c.at.desc(), audit.c.seq.desc()).limit(1))
+            if newest != canonical_json(history.plain(token_as_told(row))):
                 raise damaged(f"token {row['token_id']} is not what the audit trail tells of it")
             return user_of(self.database, row)
 

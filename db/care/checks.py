@@ -82,22 +82,22 @@ def _checks(database: Database, is_quick: bool, anchors: Sequence[Anchor]) -> It
 
 def _row_faults(database: Database) -> Iterator[str]:
     # Two registries may have registered the same thing: the row is the one or the other.
-    told: dict[tuple[str, str], set[str]] = {}
+    entries: dict[tuple[str, str], set[str]] = {}
     for entry in history.rows(database):
         if entry.entity in AUDITED and entry.after is not None:
-            told.setdefault((entry.entity, entry.key), set()).add(hashlib.sha256(entry.after.encode()).hexdigest())
+            entries.setdefault((entry.entity, entry.key), set()).add(hashlib.sha256(entry.after.encode()).hexdigest())
     for name in AUDITED:
         table = metadata.tables[name]
         for row in database.stream(select(table)):
             key = canonical_json(history.row_key(table, dict(row)))
-            expected = told.pop((name, key), None)
+            expected = entries.pop((name, key), None)
             if expected is None:
                 yield f"{name} {key}: was put in without an entry in the audit trail"
             elif expected.isdisjoint(
                 hashlib.sha256(form.encode()).hexdigest() for form in history.forms(table, dict(row))
             ):
                 yield f"{name} {key}: was changed after it was written"
-    for name, key in told:
+    for name, key in entries:
         yield f"{name} {key}: is in the audit trail but was removed"
 
 
@@ -241,21 +241,21 @@ def people_faults(database: Database, origin: str) -> Iterator[str]:
     """Give a line for every person whose row is not what this registry's audit trail told last."""
     query = select(audit.c.key, audit.c.after).where(audit.c.entity == "users", audit.c.origin == origin)
     query = query.where(audit.c.action.in_(TOLD_OF_PEOPLE)).order_by(audit.c.seq)
-    told = {key: after for key, after in database.tuples(query)}
+    entries = {key: after for key, after in database.tuples(query)}
     rows = database.rows(select(users))
     here = {canonical_json((row["name"],)): canonical_json(people_as_told(row)) for row in rows}
-    yield from _untold("users", here, told, "role, PIN or rights")
-    for key in told.keys() - here.keys():
+    yield from _untold("users", here, entries, "role, PIN or rights")
+    for key in entries.keys() - here.keys():
         yield f"users {key}: is in the audit trail but was removed"
 
 
 def token_faults(database: Database) -> Iterator[str]:
     """Give a line for every token whose row is not what the audit trail told of last."""
     query = select(audit.c.key, audit.c.after).where(audit.c.entity == "tokens").order_by(audit.c.at, audit.c.seq)
-    told = {key: after for key, after in database.tuples(query)}
+    entries = {key: after for key, after in database.tuples(query)}
     rows = database.rows(select(tokens))
     here = {canonical_json((row["token_id"],)): canonical_json(history.plain(token_as_told(row))) for row in rows}
-    yield from _untold("tokens", here, told, "account, purpose, end or secret")
+    yield from _untold("tokens", here, entries, "account, purpose, end or secret")
 
 
 def _untold(table: str, here: Mapping[str, str], told: Mapping[str, str | None], facts: str) -> Iterator[str]:
@@ -270,11 +270,11 @@ def count_faults(database: Database) -> Iterator[str]:
     """Give a line for every table with more rows than the trail tells of; fewer where one chain is all."""
     is_alone = len(history.origins(database)) == 1
     query = select(audit.c.entity, func.count()).where(audit.c.entity.in_(AUDITED)).group_by(audit.c.entity)
-    told = {entity: count for entity, count in database.tuples(query)}
+    counts = {entity: count for entity, count in database.tuples(query)}
     for name in AUDITED:
         rows = database.value(select(func.count()).select_from(metadata.tables[name]))
-        if rows > told.get(name, 0) or (is_alone and rows < told.get(name, 0)):
-            yield f"{name}: {rows} rows, and the audit trail tells of {told.get(name, 0)}"
+        if rows > counts.get(name, 0) or (is_alone and rows < counts.get(name, 0)):
+            yield f"{name}: {rows} rows, and the audit trail tells of {counts.get(name, 0)}"
 
 
 def newest_faults(database: Database) -> Iterator[str]:

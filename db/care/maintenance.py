@@ -68,8 +68,8 @@ class Adoption(InUseTable):
         ranked = select(*columns).where(~is_stated).subquery()
         with self.database.writing():
             for row in self.database.rows(select(ranked).where(ranked.c.rank == 1)):
-                told = {"decided_by": "upgrade", "input_sha256": row["input_sha256"]}
-                self._state(row["lot_id"], row["serial"], dict(row), told, row["actor"], reason, row["made_at"])
+                content = {"decided_by": "upgrade", "input_sha256": row["input_sha256"]}
+                self._state(row["lot_id"], row["serial"], dict(row), content, row["actor"], reason, row["made_at"])
 
     def state_networks(self, reason: str) -> None:
         """State that networks from before releases were known stay released."""
@@ -78,8 +78,8 @@ class Adoption(InUseTable):
         with self.database.writing():
             for row in self.database.rows(select(networks).where(~is_decided).order_by(n.added_at, n.id)):
                 values = {"network_id": row["id"], "made_at": row["added_at"], "origin": self.origin}
-                told = {"lot_id": row["lot_id"], "state": "released", "actor": "softcal", "reason": reason}
-                self._store(network_releases, values | told, "release", "softcal", reason)
+                content = {"lot_id": row["lot_id"], "state": "released", "actor": "softcal", "reason": reason}
+                self._store(network_releases, values | content, "release", "softcal", reason)
 
     def state_restored(self, heads: Heads) -> None:
         """Begin this registry's own chain with the last row of each chain it comes from."""

@@ -74,13 +74,13 @@ def conflicts(registry: RegistryBase) -> list[str]:
             f"lot {lot_id!r} limit version {number} was set by two registries; the newer one holds"
             for lot_id, number in database.tuples(doubles)
         ]
-        told: dict[str, set[str]] = {}
+        chains: dict[str, set[str]] = {}
         for key, after in database.tuples(select(audit.c.key, audit.c.after).where(audit.c.entity == "lots")):
             facts = json.loads(after)
-            told.setdefault(key, set()).add(json.dumps([facts[name] for name in FACTS_OF_A_LOT]))
+            chains.setdefault(key, set()).add(json.dumps([facts[name] for name in FACTS_OF_A_LOT]))
     differing = [
         f"lot {json.loads(key)[0]!r} was registered with other facts elsewhere; give one of them another id"
-        for key, versions in sorted(told.items())
+        for key, versions in sorted(chains.items())
         if len(versions) > 1
     ]
     return [*used, *twice, *differing]

@@ -67,8 +67,8 @@ class CalibrationTables(InUseTable):
             values |= {"reasons": [to_kept(why) for why in record.reasons], "rolled_back_to": None}
             values["blob_sha256"] = put_arrays(self.database, record.arrays)
             asked = record.input_sha256 if decided_by in ASKING else None
-            told = {"decided_by": decided_by, "work_sha256": work_sha256, "input_sha256": asked}
-            return self._add_revision(values, told, "calibrate", actor, reason)
+            content = {"decided_by": decided_by, "work_sha256": work_sha256, "input_sha256": asked}
+            return self._add_revision(values, content, "calibrate", actor, reason)
 
     def decide(self, stored: StoredCalibration, decided_by: str, *, actor: str | None = None, reason: str = "") -> None:
         """Put a calibration that was made before into use, until another input is asked for."""
@@ -109,9 +109,9 @@ class CalibrationTables(InUseTable):
                 if (old["map_sha256"], old["blob_sha256"]) == (used["map_sha256"], used["blob_sha256"]):
                     raise InputError(f"revision {to} of {serial} is the one in use; nothing was changed")
                 before = {"revision": used["revision"], "map_sha256": used["map_sha256"]}
-            told = {"decided_by": "rollback"}
+            content = {"decided_by": "rollback"}
             again = {**old, "rolled_back_to": to}
-            return self._add_revision(again, told, "rollback", actor, reason, before)
+            return self._add_revision(again, content, "rollback", actor, reason, before)
 
     def find(self, serial: str, input_sha256: str, *, lot_id: str | None = None) -> StoredCalibration | None:
         """Return the newest calibration of a serial from this input; None: it is to be made."""

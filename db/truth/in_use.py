@@ -87,8 +87,8 @@ class InUseTable(RegistryBase):
                     return True
             again = {"revision": made["revision"], "made_by": made["origin"]}
             named = dict(heads[0]) if is_asked_again else again
-            told = {"work_sha256": work_sha256, "input_sha256": input_sha256, "decided_by": decided_by}
-            self._state(lot_id, serial, named, told, actor, "the same input again")
+            content = {"work_sha256": work_sha256, "input_sha256": input_sha256, "decided_by": decided_by}
+            self._state(lot_id, serial, named, content, actor, "the same input again")
             return True
 
     def decided_works(self, lot_id: str, serials: Sequence[str]) -> dict[str, str]:
@@ -117,8 +117,8 @@ class InUseTable(RegistryBase):
 
     def was_decided_by(self, decided_by: str, lot_id: str, serial: str) -> bool:
         """Return whether a trim, a release or a rollback ever put a unit's calibration into use."""
-        told = _of_unit(in_use, in_use.c.number).where(in_use.c.decided_by == decided_by).limit(1)
-        return self.database.row(told, {"lot": lot_id, "unit": serial}) is not None
+        query = _of_unit(in_use, in_use.c.number).where(in_use.c.decided_by == decided_by).limit(1)
+        return self.database.row(query, {"lot": lot_id, "unit": serial}) is not None
 
     def passed_once(self, lot_id: str) -> frozenset[str]:
         """Return the serials of a lot for which a calibration that passed was ever in use."""

@@ -287,8 +287,8 @@ class _Relay:
         if progress.output is not None:
             self._points.append((progress.t_s, progress.output, progress.stage_mm, progress.force_N))
             self._unit = progress.output_unit
-        told = (progress.phase, progress.fraction, progress.remaining_s)
-        self._hooks.report(Progress(self._order.order_id, RunState.RUNNING, *told, signal=self._signal()))
+        state = (progress.phase, progress.fraction, progress.remaining_s)
+        self._hooks.report(Progress(self._order.order_id, RunState.RUNNING, *state, signal=self._signal()))
 
     def on_reading(self, fraction: float, remaining_s: float) -> None:
         self.look()

@@ -34,8 +34,8 @@ from softcal.core.challenge.protocols import PROTOCOLS
 from softcal.core.gap import plausibility
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
+from softcal.core.gap.generic_effects import STRANGERS, WARM_DIVIDER
 from softcal.core.gap.next_experiment import SET_UP_min
-from softcal.core.gap.strangers import STRANGERS, WARM_DIVIDER
 from softcal.core.orders import RunState
 from softcal.core.twin.catalogue import FORMS, OWN_EFFECTS
 from softcal.core.twin.effects import Alias

@@ -17,7 +17,7 @@ from softcal.app.cli.main import main
 from softcal.app.files.recording_file import write_columns
 from softcal.app.line.pressed_run import RunKeeper
 from softcal.app.registry.golden import golden_of
-from softcal.app.registry.laid_out import write_lot_folder
+from softcal.app.registry.lot_files import write_lot_folder
 from softcal.core.errors import InputError
 from softcal.core.maps.config import MapConfig
 from softcal.core.network.config import NetworkConfig

@@ -18,7 +18,7 @@ from softcal.app.files.anchors import write_anchors
 from softcal.app.files.recording_file import write_columns
 from softcal.app.line.pressed_run import RunKeeper
 from softcal.app.registry.known_loads import known_loads
-from softcal.app.registry.laid_out import write_lot_folder
+from softcal.app.registry.lot_files import write_lot_folder
 from softcal.app.registry.lot_recordings import source_model, unlabelled
 from softcal.app.registry.reference import lot_reference
 from softcal.core.errors import InputError

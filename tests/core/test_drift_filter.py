@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softcal.core.use.filter import DriftFilter
-from softcal.core.use.kept import restored, state_of
+from softcal.core.use.state_json import restored, state_of
 
 NOISE = np.array([[0.04, -0.01], [-0.01, 0.02]])
 

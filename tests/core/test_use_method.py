@@ -9,8 +9,8 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.recording import Array
-from softcal.core.use.kept import array, not_kept, part, parts, restored, state_of
 from softcal.core.use.method import UseMethod
+from softcal.core.use.state_json import array, not_kept, part, parts, restored, state_of
 
 
 @dataclass(frozen=True)

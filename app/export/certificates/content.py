@@ -304,9 +304,9 @@ class Certificate:
         cell, chain = self.reference, f"Traced through source unit {self.source} of lot {self.lot}"
         if cell is None:
             named = self.laboratory.load_cell.certificate
-            told = "" if named == NOT_STATED else f" (the laboratory names {named}; the verdict was made without it)"
+            remark = "" if named == NOT_STATED else f" (the laboratory names {named}; the verdict was made without it)"
             return (
-                f"{chain} to a reference whose certificate nobody stated with the lot{told}: the results are not "
+                f"{chain} to a reference whose certificate nobody stated with the lot{remark}: the results are not "
                 "metrologically traceable."
             )
         if not self.is_traceable:
@@ -405,9 +405,9 @@ def _limit(record: CalibrationRecord, unit: str) -> Limit | None:
     """Return the limit the unit was judged by, as its calibration keeps it."""
     if record.limit_rmse is None:
         return None
-    told = record.evidence
-    expanded = float(str(told.get("reference_expanded") or 0.0))
-    return Limit(unit, record.limit_rmse, plain(str(told.get("limit_origin") or NOT_STATED)), expanded)
+    evidence = record.evidence
+    expanded = float(str(evidence.get("reference_expanded") or 0.0))
+    return Limit(unit, record.limit_rmse, plain(str(evidence.get("limit_origin") or NOT_STATED)), expanded)
 
 
 def _measured(record: CalibrationRecord) -> ErrorForecast | None:

@@ -285,8 +285,8 @@ def _budget(facts: Certificate) -> ET.Element | None:
 
 def _expanded(facts: Certificate) -> ET.Element:
     if facts.reference_unit not in SI_UNITS or not facts.bands:
-        told = "; ".join(f"{b.low:.4g} to {b.high:.4g}: U_est = {b.expanded:.3g}" for b in facts.bands)
-        return _text("text", f"{told} {facts.reference_unit}" if told else "no estimate lies in the calibrated range")
+        bands = "; ".join(f"{b.low:.4g} to {b.high:.4g}: U_est = {b.expanded:.3g}" for b in facts.bands)
+        return _text("text", f"{bands} {facts.reference_unit}" if bands else "no estimate lies in the calibrated range")
     factor, unit = SI_UNITS[facts.reference_unit]
     quantities = []
     for name, values in (

@@ -182,7 +182,7 @@ def archival(content: bytes, page: Document, attached: Attachment | None = None)
 def _describe(pdf: pikepdf.Pdf, page: Document, made_at: datetime) -> None:
     """Write the metadata as XMP and in the old dictionary: a reader may look at either."""
     stamp = f"D:{made_at:%Y%m%d%H%M%S}+00'00'"
-    told = {"/Title": page.title, "/Author": page.author, "/Creator": page.software, "/Producer": page.software}
+    information = {"/Title": page.title, "/Author": page.author, "/Creator": page.software, "/Producer": page.software}
     with pdf.open_metadata(set_pikepdf_as_editor=False, update_docinfo=False) as metadata:
         metadata["dc:title"] = page.title
         metadata["dc:creator"] = [page.author]
@@ -192,7 +192,7 @@ def _describe(pdf: pikepdf.Pdf, page: Document, made_at: datetime) -> None:
         metadata["pdfaid:part"], metadata["pdfaid:conformance"] = "3", "B"
     for key in list(pdf.docinfo.keys()):
         del pdf.docinfo[key]
-    for key, value in {**told, "/CreationDate": stamp, "/ModDate": stamp}.items():
+    for key, value in {**information, "/CreationDate": stamp, "/ModDate": stamp}.items():
         pdf.docinfo[key] = value
 
 

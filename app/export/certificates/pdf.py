@@ -73,8 +73,8 @@ def _verdict(facts: Certificate) -> Flowable:
     colour = VERDICT_COLOURS[facts.verdict if is_made else "retest"]
     word = facts.verdict.upper() if is_made else "NO STATEMENT OF CONFORMITY"
     lines = [Paragraph(f'<font color="{colour}">{marked_up(word)}</font>', parts.style(13, BOLD))]
-    told = [] if is_made else [facts.no_statement, facts.traceability]
-    lines += [parts.paragraph(each) for each in (*told, *(facts.reasons if is_made else ()))]
+    notes = [] if is_made else [facts.no_statement, facts.traceability]
+    lines += [parts.paragraph(each) for each in (*notes, *(facts.reasons if is_made else ()))]
     return Table([[lines]], colWidths=[parts.WIDTH], style=parts.marked(colour))
 
 

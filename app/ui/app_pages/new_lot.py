@@ -82,8 +82,8 @@ def _rate_Hz(path: Path, time_column: str | None) -> float:
     try:
         rate_Hz = median_rate_Hz(path, time_column)
     except InputError as error:
-        told = str(error).replace(f"{path}: ", "").split(";")[0]
-        st.error(say("new_lot.time.refused", why=told), icon=":material/error:")
+        message = str(error).replace(f"{path}: ", "").split(";")[0]
+        st.error(say("new_lot.time.refused", why=message), icon=":material/error:")
         return 0.0
     st.caption(say("new_lot.rate", rate=f"{rate_Hz:g}"))
     return rate_Hz

@@ -65,8 +65,8 @@ def gap_report(job: Job, case: Path) -> None:
 def _headline(report: Report) -> None:
     st.header(f":material/{ICONS[report['verdict']]}: {say('gap.verdict.' + report['verdict'])}")
     for row in gap.mistake_rows(report, say):
-        told = st.error if report["verdict"] == "data" else st.warning
-        told(say("gap.data.found", **row), icon=":material/report:")
+        announce = st.error if report["verdict"] == "data" else st.warning
+        announce(say("gap.data.found", **row), icon=":material/report:")
     if report["verdict"] == "data":
         return
     if causes := gap.named_causes(report, say):
@@ -157,10 +157,10 @@ def _truth(case: Path) -> None:
         label = truth(case)
         hidden = [gap.effect_name(effect, say) for effect in label.effects]
         if label.mistake:
-            told = {"mistake": gap.mistake_name(label.mistake, say), "runs": ", ".join(map(str, label.runs))}
-            told |= {"channel": gap.channel_name(label.channel, say) if label.channel else "–"}
+            values = {"mistake": gap.mistake_name(label.mistake, say), "runs": ", ".join(map(str, label.runs))}
+            values |= {"channel": gap.channel_name(label.channel, say) if label.channel else "–"}
             key = "gap.truth.mistake" if label.runs else "gap.truth.mistake.all"
-            hidden.append(say(key, **told))
+            hidden.append(say(key, **values))
         st.markdown(say("gap.truth.is", causes=", ".join(hidden) or say("trail.nothing")))
 
 

@@ -73,13 +73,13 @@ _Fitted = tuple[Fit, int, _Oddity, float]
 """A fit with a mistake, its run, what it is, and the share it explains."""
 
 
-def odd_run(base: Fit) -> DataMistake | None:
+def outlier_run(base: Fit) -> DataMistake | None:
     """Return the mistake of one run that explains what a fit leaves, None where none does."""
     outliers = [one for one in nearest(base)[:1] if one[3] >= SHARE]
     return _finding(*outliers[0]) if outliers else None
 
 
-def odd_run_beside(search: EffectSearch) -> DataMistake | None:
+def outlier_run_beside(search: EffectSearch) -> DataMistake | None:
     """Return the mistake of one run that, with one cause or none, explains more than all causes."""
     best, base = search.best, search.base
     if len(best.hypothesis.ids) < 2 and search.is_clean(best):
