@@ -52,7 +52,7 @@ def fit_identity(problem: FitProblem) -> AffineMap:
 
 def fit_affine(problem: FitProblem) -> AffineMap:
     """Match two robust extremes of the outputs: the level at rest and the level of the hardest presses."""
-    extremes = problem.config.choice.extremes
+    extremes = problem.config.crossing.robust_range
     low, high = np.quantile(problem.target.output, extremes)
     source_low, source_high = np.quantile(problem.source.unlabelled.output, extremes)
     if high <= low:

@@ -6,7 +6,7 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.identity import Settings
-from softcal.core.maps.config import AnchorConfig
+from softcal.core.maps.config import AnchorConfig, MapConfig
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
 from softcal.core.metrics import rms, rmse
 from softcal.core.recording import Array, Arrays, LabelledRecording
@@ -157,11 +157,11 @@ class SourceLevels:
         return cls(load, np.concatenate([before, output, after]))
 
 
-def source_bend(source: LabelledRecording, config: AnchorConfig) -> float:
+def source_bend(source: LabelledRecording, config: MapConfig) -> float:
     """Return how far the source's output over load is from a straight line, RMS, as a share of its rise."""
-    low, high = np.quantile(source.reference, config.bend_range)
-    loads = np.linspace(float(low), float(high), config.bend_levels)
-    levels = np.array([source_level(source, float(load), config)[0] for load in loads])
+    low, high = np.quantile(source.reference, config.curve.shares)
+    loads = np.linspace(float(low), float(high), config.anchors.bend_levels)
+    levels = np.array([source_level(source, float(load), config.anchors)[0] for load in loads])
     chord = levels[0] + (levels[-1] - levels[0]) * (loads - low) / (high - low)
     return rms((levels - chord)[1:-1]) / max(abs(float(levels[-1] - levels[0])), 1e-12)
 

@@ -162,7 +162,7 @@ def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple
     if dwell < config.same_programme:
         return MONOTONE, numbers | {"decision": "time is spent as in the source: sample quantiles matched"}
     known = 0 if problem.anchors is None else len(problem.anchors.reference)
-    if known > 1 and (bend := source_bend(problem.source, problem.config.anchors)) < problem.config.anchors.straight:
+    if known > 1 and (bend := source_bend(problem.source, problem.config)) < problem.config.anchors.straight:
         why = "known loads give gain and level, and the source is straight between them: so is the unit, of its kind"
         return LABEL_SHIFT, numbers | {"source_bend": bend, "decision": why}
     why = (

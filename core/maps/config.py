@@ -35,9 +35,9 @@ class EndConfig:
     """Rest and peak (`ends.py`).
 
     Args:
-        rest_share: quantile of the samples that stands for the level at rest: robust to a few outlying samples.
+        rest_share: quantile of the samples that stands for the level at rest: robust to a few outlying samples. As
+            far from the top lies the peak of a recording in pieces, which has no path, and a curve's last quantile.
         peak_shares: shares of the path whose mean level stands for the hardest presses, however short those were.
-        patch_peak_share: the same for a recording in pieces, which has no path.
         patch: a recording in pieces shorter than this many samples shows levels but no presses.
         patch_average: samples that are averaged in such pieces.
         stretches: stretches of the source that are looked at.
@@ -48,7 +48,6 @@ class EndConfig:
 
     rest_share: float = setting(0.005)
     peak_shares: tuple[float, ...] = setting((0.99, 0.995, 1.0))
-    patch_peak_share: float = setting(0.995)
     patch: int = setting(150)
     patch_average: int = setting(5)
     stretches: int = setting(8)
@@ -63,17 +62,16 @@ class CurveConfig:
 
     Args:
         gain_prior: units of one kind differ in gain by about this much (standard deviation of its logarithm).
-        blind_spread: how far the slope of a curve may change over a range that was not seen, in the same terms.
+            The slope of a curve changes as freely over a range that was not seen.
         far: the far knots of a continued curve lie this many spans beyond its ends.
         knots: of a curve between two distributions.
-        end_share: quantiles nearer to the ends than this are single samples, not a distribution.
+        shares: quantiles between which the shapes of two outputs, or a source and a straight line, are compared.
     """
 
     gain_prior: float = setting(0.5)
-    blind_spread: float = setting(0.5)
     far: float = setting(10.0)
     knots: int = setting(33)
-    end_share: float = setting(0.005)
+    shares: tuple[float, float] = setting((0.02, 0.98))
 
 
 @dataclass(frozen=True)
@@ -273,7 +271,7 @@ class AnchorConfig:
         same_load: loads nearer than this share of the source's range are one load stated twice.
         straight: beside two known loads a source that is bent by less than this share of its rise leaves its units a
             line: they are of its kind, and a curve would take another dwell for a bend.
-        bend_range, bend_levels: quantiles of the source's loads between which the bend is taken, at so many loads.
+        bend_levels: loads at which the bend is taken.
         levels: of the source that a straight line behind a map goes by, over its range; with two more at each end they
             reach a tenth of the range beyond it, as `beyond` allows.
     """
@@ -293,7 +291,6 @@ class AnchorConfig:
     straight: float = setting(
         0.1, "set between simulated sources (0.05 to 0.1, units are lines) and the skin (0.12 to 0.21)"
     )
-    bend_range: tuple[float, float] = setting((0.02, 0.98))
     bend_levels: int = setting(11)
     levels: int = setting(21, "docs/format.md")
 
@@ -310,9 +307,6 @@ class ChoiceConfig:
         unlike_rate: a unit that swings this many times more often than the source shows noise or another use.
         clear: a gain or level this many standard errors from the source's is worth correcting.
         sharp: only a recording that fixes the gain this well can show that there is nothing to correct.
-        curve_weight: of equal quantiles beside rest and peak where neither can be shown to be right (`monotone.py`).
-        shape_shares: quantiles between which two outputs are compared in shape (`monotone.py`).
-        extremes: quantiles both units share, for the affine family: rest below, the hardest presses above.
     """
 
     same_programme: float = setting(0.03)
@@ -320,9 +314,6 @@ class ChoiceConfig:
     unlike_rate: float = setting(6.0)
     clear: float = setting(2.0)
     sharp: float = setting(0.06)
-    curve_weight: float = setting(0.5, "set, not fitted: equal weights, since nothing tells which of the two is better")
-    shape_shares: tuple[float, float] = setting((0.02, 0.98))
-    extremes: tuple[float, float] = setting((0.02, 0.99))
 
 
 @dataclass(frozen=True)

@@ -70,8 +70,8 @@ def continued(curve: CurveMap, source_span: float, config: CurveConfig) -> Curve
     gain = max(float(thirds[3] - thirds[0]) / span, 1e-6)
     # Compared in the source's space, where both ranges have one unit.
     covered = min(1.0, float(thirds[3] - thirds[0]) / max(source_span, 1e-300))
-    prior = config.gain_prior**2
-    trust = prior / (prior + (config.blind_spread * (1 - covered)) ** 2)
+    # Over a range that was not seen a slope is as free as the gain of a unit nobody has seen.
+    trust = 1 / (1 + (1 - covered) ** 2)
     # Local slopes at the ends are noise; held near the whole gain they cannot run away beyond the recording.
     outer = np.clip(np.array([thirds[1] - thirds[0], thirds[3] - thirds[2]]) * 3 / span, gain / 2, gain * 2)
     # Trust scales the logarithm: no trust gives a gain of 1, whole trust the slope that was seen.

@@ -151,7 +151,7 @@ def _stretch_ends(
 def _peak(path: LevelPath | None, level: Array, sign: float, place: tuple[int, int], config: MapConfig) -> float:
     part = None if path is None else path.within(*place)
     if part is None or not part.swings:
-        return float(np.quantile(level, config.ends.patch_peak_share))
+        return float(np.quantile(level, 1 - config.ends.rest_share))
     upper = np.array(config.ends.peak_shares)
     # The path is kept in output units: under load a falling sensor goes towards its low end.
     shares = upper if sign > 0 else 1 - upper
@@ -168,6 +168,6 @@ def _patches(source: OutputRecording, target: OutputRecording, average: int, sig
 
 
 def _patch_ends(levels: list[Array], config: MapConfig) -> Ends:
-    shares = config.ends.rest_share, config.ends.patch_peak_share
+    shares = config.ends.rest_share, 1 - config.ends.rest_share
     ends = np.array([np.quantile(level, shares) for level in levels])
     return Ends(ends[:, 0], ends[:, 1])

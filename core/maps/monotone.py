@@ -5,7 +5,7 @@ from functools import lru_cache
 import numpy as np
 
 from softcal.core.errors import UnitRefused
-from softcal.core.maps.config import CurveConfig, MapConfig
+from softcal.core.maps.config import MapConfig
 from softcal.core.maps.crossing import KEPT, robust_range
 from softcal.core.maps.curve import CurveMap, continued
 from softcal.core.maps.ends import match_ends
@@ -24,10 +24,10 @@ def fit_monotone(problem: FitProblem) -> CurveMap:
     unit do not become steps of the map.
     """
     config = problem.config.curve
-    target = _quantiles(problem.target, config)
+    target = _quantiles(problem.target, problem.config)
     if np.ptp(target) <= 0:
         raise UnitRefused(reason("still", level=float(target[0]), unit=problem.target.output_unit))
-    source = _quantiles(problem.source.unlabelled, config)
+    source = _quantiles(problem.source.unlabelled, problem.config)
     # Quantised outputs repeat; a curve has one value at each of them.
     knots, place = np.unique(target, return_inverse=True)
     means = np.bincount(place, source) / np.bincount(place)
@@ -45,17 +45,17 @@ def fit_between(problem: FitProblem) -> CurveMap:
     1969). The weights are equal, since nothing tells which is better.
     """
     match, curve = problem.ends, fit_monotone(problem)
-    weight = problem.config.choice.curve_weight
     line = match.offset + match.gain * curve.knots
-    return CurveMap(curve.knots, weight * curve.values + (1 - weight) * line, BETWEEN)
+    return CurveMap(curve.knots, 0.5 * curve.values + 0.5 * line, BETWEEN)
 
 
 @lru_cache(maxsize=KEPT)
-def _quantiles(recording: OutputRecording, config: CurveConfig) -> Array:
+def _quantiles(recording: OutputRecording, config: MapConfig) -> Array:
     """Return the quantiles of a recording's output that become knots."""
     # Chebyshev spacing: the ends, where rest and peak levels lie, are resolved best.
-    spacing = (1 - np.cos(np.linspace(0, np.pi, config.knots))) / 2
-    return between_steps(recording.output, config.end_share + (1 - 2 * config.end_share) * spacing)
+    spacing = (1 - np.cos(np.linspace(0, np.pi, config.curve.knots))) / 2
+    end = config.ends.rest_share
+    return between_steps(recording.output, end + (1 - 2 * end) * spacing)
 
 
 def between_steps(samples: Array, shares: Array) -> Array:
@@ -76,7 +76,7 @@ def shape_distance(source: LabelledRecording, target: OutputRecording, config: M
         UnitRefused: the unit's output makes no swing that stands out of its noise.
     """
     match = match_ends(source, target, config)
-    shares = np.linspace(*config.choice.shape_shares, config.curve.knots)
+    shares = np.linspace(*config.curve.shares, config.curve.knots)
     mapped = match.offset + match.gain * between_steps(target.output, shares)
     known = source.unlabelled.output
     span = robust_range(known, config.crossing)

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from softcal.core.unit.audit_reading import AuditReading
-from softcal.core.unit.method import ReleaseConfig
+from softcal.core.unit.method import FindingConfig, ReleaseConfig
 from softcal.core.words.reason import Reason, reason
 
 Readings = Mapping[str, AuditReading]
@@ -81,7 +81,7 @@ def _beside(values: Mapping[str, float]) -> Iterator[tuple[str, float, list[floa
 def _out_of_line(readings: Readings) -> Doubts:
     doubts: Doubts = {}
     for serial, gain, others, usual in _beside({serial: one.gain for serial, one in readings.items()}):
-        if usual > 0 and not usual / ReleaseConfig.most_gain <= gain <= usual * ReleaseConfig.most_gain:
+        if usual > 0 and not usual / FindingConfig.stretch <= gain <= usual * FindingConfig.stretch:
             doubts[serial] = reason("doubt.gain", gain=gain, usual=usual, others=len(others))
     return doubts
 

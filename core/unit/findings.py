@@ -60,7 +60,7 @@ def contradictions(
         return (Finding(reason("reversed"), Verdict.FAIL),)
     if shared is not None and not shared.is_synchronous and (times := _times_as_fast(source, target, method)) != 1:
         return (Finding(reason("other_speed", times=times), Verdict.RETEST),)
-    (low, high), (least, most) = (_reach(recording.output, config.level_tails) for recording in (target, source))
+    (low, high), (least, most) = (_reach(recording.output, method.health.span) for recording in (target, source))
     apart = max(low - most, least - high)
     if apart > max(config.apart_spans * max(high - low, most - least), config.apart_level * abs(least + most) / 2):
         said = reason("elsewhere", low=low, high=high, least=least, most=most, unit=target.output_unit)
@@ -196,7 +196,7 @@ def _is_reversed(
     if shared is not None and shared.rank_correlation <= -method.map.synchrony.min_rank_correlation:
         return True
     # Wasserstein's distance of the levels, as they are and upside down. k presses leave 1 / sqrt(k) of it to chance.
-    unit, known = (_levels(recording, config) for recording in (target, source))
+    unit, known = (_levels(recording, method) for recording in (target, source))
     upright, mirrored = (float(np.mean(np.abs(levels - known))) for levels in (unit, 1 - unit[::-1]))
     presses = max(min(swings(recording, method.map.crossing) for recording in (target, source)) / 2, 1.0)
     is_nearer = (upright - mirrored) * presses**0.5 > config.upside_down
@@ -221,10 +221,10 @@ def _times_as_fast(source: OutputRecording, target: OutputRecording, method: Met
 
 
 @lru_cache(maxsize=KEPT)
-def _levels(recording: OutputRecording, config: FindingConfig) -> Array:
+def _levels(recording: OutputRecording, method: Method) -> Array:
     """Return the quantiles of the output, as shares of the span between its tails."""
-    low, high = _reach(recording.output, config.level_tails)
-    shares = np.linspace(*config.level_shares, config.levels)
+    low, high = _reach(recording.output, method.health.span)
+    shares = np.linspace(*method.forecast.reach, method.forecast.quantiles)
     return np.asarray((np.quantile(recording.output, shares) - low) / (high - low))
 
 

@@ -53,7 +53,7 @@ class Rail:
 
         Holds at one same depth end flat too, but then they do so in the source.
         """
-        return self.count >= config.least_presses and self.visits > source.visits + config.visits
+        return self.count >= config.few_presses and self.visits > source.visits + config.visits
 
 
 @lru_cache(maxsize=KEPT)

@@ -74,7 +74,6 @@ class HealthConfig:
         rail_run: samples in a row at the very end of the range that count as flat.
         pile: samples of a press at the rail over its samples beside it; a triangle leaves about as many in both.
         visits: share of presses that end at a rail, beyond what the source shows at the same end, that is clipping.
-        least_presses: so many of them at least.
         failing_share: more clipped samples than this and the unit fails.
         noise_steps, adc_steps, least_band: width of a flat stretch in standard deviations of the noise, in steps of the
             converter and as a share of the span. The widest counts.
@@ -83,7 +82,7 @@ class HealthConfig:
         noise_ratio: variance of the steps over twice the variance of the samples: 1 for white noise, near 0 for a
             pressed sensor; above this the channel is dead.
         dead_share: so is one that moves by less than this share of the source's span.
-        few_windows, few_presses: less than this is no firm verdict.
+        few_windows, few_presses: less than this is no firm verdict, and fewer presses at a rail are no clipping.
         span: quantiles between which an output is said to move.
         near_rail: a press reaches within this share of the range of its end.
         inner: this share of the range at either end is left out where a stuck reading is looked for.
@@ -93,7 +92,6 @@ class HealthConfig:
     rail_run: int = setting(5)
     pile: float = setting(3.0)
     visits: float = setting(0.2)
-    least_presses: int = setting(3)
     failing_share: float = setting(0.05)
     noise_steps: float = setting(6.0)
     adc_steps: float = setting(1.5)
@@ -123,7 +121,7 @@ class ForecastConfig:
         stretches: per left-out share.
         opening_parts: parts of an opening, each left out once.
         own_rows: windows the noise is carried through.
-        rest_level: quantile of the estimates that stands for the lowest load.
+        rest_level: quantile of the estimates, and of an output, that stands for the lowest load.
         rest_band: windows within this share of the source's range above it are at rest.
         clipped_part: a clipped load is anywhere in this part of the range: the upper third.
         smooth: load levels over which the disagreement of maps is averaged.
@@ -192,7 +190,8 @@ class FindingConfig:
         covered_share: of the source's range that a unit must be pressed over.
         enough_overlap, speed_factor: of the unit's loads and speeds with the source's.
         meaningless_overlap, meaningless_speed: beyond these no forecast rests on them; nearer it is only wider.
-        stretch: units of one kind do not differ by this factor in what they answer; loads can.
+        stretch: units of one kind do not differ by this factor in what they answer; loads can. An audit whose gain
+            differs so from the others' is doubtful.
         blind_stretch: where nothing but the output's distribution speaks for the loads, a factor of this is as likely
             a press that ends at half the range; nothing firm can be said.
         said_stretch: from this factor on the doubt is said, and widens the forecast.
@@ -205,7 +204,6 @@ class FindingConfig:
         upside_down: an output is the wrong way round where its levels lie nearer to the source's when mirrored, by this
             share of the span over the square root of the presses.
         clipped_likeness: one that seems to clip is the wrong way round only where mirroring leaves this part of it.
-        level_tails, level_shares, levels: quantiles between which levels lie, and the so many that are compared.
         apart_spans, apart_level: an output is none of this kind where its range and the source's are apart by so many
             spans and by this share of the source's level.
         late_s: units of one kind, started alike, follow each other within this; a third of a window is beyond it.
@@ -232,9 +230,6 @@ class FindingConfig:
         0.15, "between eGaIn, where a mirrored unit shows 0.20 or more, and the insole, whose good ones reach 0.10"
     )
     clipped_likeness: float = setting(0.5)
-    level_tails: tuple[float, float] = setting((0.01, 0.99))
-    level_shares: tuple[float, float] = setting((0.005, 0.995))
-    levels: int = setting(100)
     apart_spans: float = setting(0.5, f"{SET}: ranges of good units overlap, in eGaIn and insole throughout")
     apart_level: float = setting(0.5, f"{SET}: rest resistance differs by tens of per cent between units of a kind")
     late_s: float = setting(0.05)
@@ -250,14 +245,12 @@ class DecisionConfig:
         coverage_factor: k of the guard band around a measured error.
         test_share: last share of an audit by time that is tested; own calibration trains on what comes before it.
         least_own_windows: with fewer training windows a network of one's own says little and is left out.
-        audit_rest: quantile of the output that stands for rest where an audit is compared with the unit's recording.
     """
 
     default_factor: float = setting(3.0)
     coverage_factor: float = setting(2.0, "95 % of a normal distribution, ILAC-G8:09/2019")
     test_share: float = setting(0.25, "Kim et al. 2020, Table 1")
     least_own_windows: int = setting(400)
-    audit_rest: float = setting(0.02)
 
 
 @dataclass(frozen=True)
@@ -279,7 +272,6 @@ class ReleaseConfig:
         least_coverage, most_units: an interval covers at least the first share of the samples of all but the second
             share of the units (`widening.py`).
         least_gains: fewer audited units or golden runs than this show no spread of a line or its days.
-        most_gain: an audit whose gain differs from the others' by this factor is doubtful.
         least_others: an audit is out of line with at least so many others.
         exchanged, least_rest: two audits look exchanged where each rests nearer to the other unit than to its own by so
             many standard deviations of what the other audits of the lot moved, or of this share of the span.
@@ -301,7 +293,6 @@ class ReleaseConfig:
     least_coverage: float = setting(0.80)
     most_units: float = setting(0.10)
     least_gains: int = setting(3)
-    most_gain: float = setting(3.0, "as findings.stretch")
     least_others: int = setting(3)
     exchanged: float = setting(4.0, f"{SET}: by chance one pair of audits in millions")
     least_rest: float = setting(0.005)
