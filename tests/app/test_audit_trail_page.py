@@ -44,35 +44,65 @@ def busy(calibrated: str) -> str:
 
 
 def stated_events() -> set[tuple[str, str]]:
-    """Read every `trail.add(action, entity, ...)` of the application, names resolved in their module.
+    """Read every `trail.add(action, entity, ...)` and `state(registry, entity, ..., action=)` of the application.
 
     What a page offers to take along is written down for it: it gives `exported = (entity, ...)`.
     """
+    root = Path(__file__).parents[2]
+    modules = {path: ast.parse(path.read_text("utf-8")) for path in sorted((root / "app").rglob("*.py"))}
+    constants = {"softcal." + path.relative_to(root).with_suffix("").as_posix().replace("/", "."): _constants(module)
+                 for path, module in modules.items()}  # fmt: skip
     found = set()
-    for path in sorted((Path(__file__).parents[2] / "app").rglob("*.py")):
-        module = ast.parse(path.read_text("utf-8"))
-        known: dict[str, str] = {}
-        for node in module.body:
-            if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name | ast.Tuple):
-                names = [name.id for name in ast.walk(node.targets[0]) if isinstance(name, ast.Name)]
-                values = [part.value for part in ast.walk(node.value) if isinstance(part, ast.Constant)]
-                known |= dict(zip(names, map(str, values), strict=False))
+    for path, module in modules.items():
+        imported = {
+            name.name: constants[part.module][name.name]
+            for part in ast.walk(module)
+            if isinstance(part, ast.ImportFrom) and part.module in constants
+            for name in part.names
+            if name.name in constants[part.module]
+        }
+        known = imported | _constants(module)
         for call in ast.walk(module):
             is_tuple = isinstance(call, ast.Assign) and isinstance(call.value, ast.Tuple)
             if is_tuple and ast.unparse(call.targets[0]) == "exported":
                 found |= {("export", entity) for entity in _words(call.value.elts[0], known)}
-            if path.name == "actions.py":
+            if path.name in ("actions.py", "stated.py") or not isinstance(call, ast.Call):
                 continue
-            if isinstance(call, ast.Call) and ast.unparse(call.func).endswith("trail.add"):
+            if ast.unparse(call.func).endswith("trail.add"):
                 actions, entities = (_words(part, known) for part in call.args[:2])
-                found |= {(action, entity) for action in actions for entity in entities}
+            elif ast.unparse(call.func) == "state":
+                given = {word.arg: word.value for word in call.keywords}
+                actions, entities = (
+                    _words(given.get("action", ast.Constant("state")), known),
+                    _words(call.args[1], known),
+                )
+            else:
+                continue
+            found |= {(action, entity) for action in actions for entity in entities}
     return found
 
 
-def _words(part: ast.expr, known: dict[str, str]) -> list[str]:
+def _constants(module: ast.Module) -> dict[str, list[str]]:
+    """Return the texts that names of a module stand for: one, or the two of a choice."""
+    known = {}
+    for node in (node for node in ast.walk(module) if isinstance(node, ast.Assign)):
+        target, value = node.targets[0], node.value
+        if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
+            pairs = list(zip(target.elts, value.elts, strict=False))
+        else:
+            pairs = [(target, value)]
+        for name, part in pairs:
+            if isinstance(name, ast.Name):
+                choices = [part.body, part.orelse] if isinstance(part, ast.IfExp) else [part]
+                if all(isinstance(one, ast.Constant) and isinstance(one.value, str) for one in choices):
+                    known[name.id] = [one.value for one in choices]
+    return known
+
+
+def _words(part: ast.expr, known: dict[str, list[str]]) -> list[str]:
     if isinstance(part, ast.IfExp):
         return [*_words(part.body, known), *_words(part.orelse, known)]
-    return [str(part.value)] if isinstance(part, ast.Constant) else [known[part.id]]  # type: ignore[attr-defined]
+    return [str(part.value)] if isinstance(part, ast.Constant) else known[part.id]  # type: ignore[attr-defined]
 
 
 def test_every_event_that_the_application_states_has_a_sentence() -> None:

@@ -1,6 +1,7 @@
 """`softcal station recover`: whatever one spool is like, every other one is recovered, and nothing is written over."""
 
 import json
+import zlib
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from softcal.app.line.recover import recover
 from softcal.core.profiles import ramps
 from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.interfaces import Sample, StagePosition
-from softcal.station.record.spool import Spool, _line
+from softcal.station.record.spool import Spool
 from softcal.station.tasks.acquisition import record
 
 
@@ -20,6 +21,11 @@ def whole(tmp_path_factory):
     with open_simulated_bench(seed=2) as (bench, _), Spool(path, {"serial": "Z9", "profile": "ramps"}) as spool:
         record(bench, "Z9", ramps([2.0], 4.0, rest_s=0.5), True, spool=spool)
     return path.read_bytes()
+
+
+def _line(value):
+    text = json.dumps(value).encode()
+    return b"%08x %s\n" % (zlib.crc32(text), text)
 
 
 def changed_facts(whole, **changes):
