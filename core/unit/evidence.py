@@ -179,7 +179,7 @@ def gather_evidence(
     """
     config, network, interval, known = model.method.forecast, model.network, model.interval, _known_use(model)
     # Evenly spaced rows: every statistic below costs the same however long the recording is.
-    rows = np.unique(np.linspace(0, len(target.windows) - 1, config.rows).astype(np.int64))
+    rows = evenly(len(target.windows), config.rows)
     raw, mapped = target.windows[rows], _mapped(unit_map, target, rows)
     estimate, shape = network.evaluate(mapped), interval.support.shape(mapped)
     distance = interval.support.distance(shape)
