@@ -80,7 +80,7 @@ def turning_points(signal: Array, threshold: float) -> Indices:
     turns = moves[1:][np.diff(signal[moves + 1] > signal[moves])]
     candidates = np.concatenate([[0], turns, [len(signal) - 1]]).astype(np.int64)
     levels = signal[candidates].tolist()
-    found, extreme, rising = [0], 0, None
+    turning, extreme, rising = [0], 0, None
     for k, level in enumerate(levels):
         away = level - levels[extreme]
         if rising is None:
@@ -89,12 +89,12 @@ def turning_points(signal: Array, threshold: float) -> Indices:
         elif (away > 0) == rising:
             extreme = k if away else extreme
         elif abs(away) >= threshold:
-            found.append(extreme)
+            turning.append(extreme)
             extreme, rising = k, not rising
-    if extreme != found[-1]:
-        found.append(extreme)
+    if extreme != turning[-1]:
+        turning.append(extreme)
     # Indices of the candidates, not of the samples, were collected above.
-    return candidates[found]
+    return candidates[turning]
 
 
 @lru_cache(maxsize=KEPT)

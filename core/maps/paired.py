@@ -120,10 +120,10 @@ def _fit(pairs: "_Pairs") -> PairedMap:
         return pairs.fit(everything, 0)
     # Whole blocks of time are held out: neighbouring windows share samples, so single rows would be no test.
     block = everything * config.blocks // pairs.count
-    held, kept = np.flatnonzero(block % config.every == 1), np.flatnonzero(block % config.every != 1)
-    shapes, least = 0, pairs.error(pairs.fit(kept, 0), held)
+    held, fitted = np.flatnonzero(block % config.every == 1), np.flatnonzero(block % config.every != 1)
+    shapes, least = 0, pairs.error(pairs.fit(fitted, 0), held)
     for more, needed in config.shapes:
-        error = pairs.error(pairs.fit(kept, more), held)
+        error = pairs.error(pairs.fit(fitted, more), held)
         if error < needed * least:
             shapes, least = more, error
     return pairs.fit(everything, shapes)

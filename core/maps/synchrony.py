@@ -51,18 +51,16 @@ def find_synchrony(source: OutputRecording, target: OutputRecording, config: Map
     if until_s is None:
         return whole
     opening = _compared(source, target, config.synchrony, until_s=until_s)
-    if whole.is_synchronous:
-        agrees_better = opening.rank_correlation > whole.rank_correlation
-        return opening if agrees_better and _parts_after(source, target, opening, config.synchrony) else whole
-    return opening if opening.is_synchronous else whole
-
-
-def _parts_after(source: OutputRecording, target: OutputRecording, opening: Synchrony, config: SynchronyConfig) -> bool:
-    """Return whether the recordings go on under loads of their own; False where too little follows to decide."""
-    left = _compared(source, target, config, from_s=opening.until_s + config.guard_s)
-    if left is NONE or left.is_synchronous:
-        return False
-    return 1 - left.rank_correlation > config.parted * (1 - opening.rank_correlation)
+    if not whole.is_synchronous:
+        return opening if opening.is_synchronous else whole
+    if opening.rank_correlation <= whole.rank_correlation:
+        return whole
+    after = _compared(source, target, config.synchrony, from_s=until_s + config.synchrony.guard_s)
+    # NONE: too little follows to decide.
+    if after is NONE or after.is_synchronous:
+        return whole
+    parts = 1 - after.rank_correlation > config.synchrony.parted * (1 - opening.rank_correlation)
+    return opening if parts else whole
 
 
 def _compared(

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -63,24 +64,23 @@ class _Training:
         self._batch = max(config.batch, len(self._x) // 100)
         self._random = torch.Generator().manual_seed(config.seed + member)
         sizes = [x.shape[1], *config.hidden, 1]
-        self._layers = [self._layer(a, b) for a, b in zip(sizes[:-1], sizes[1:], strict=True)]
+        self._layers = []
+        for inputs, outputs in pairwise(sizes):
+            # He et al. 2015, eq. 10: keeps the variance through ReLU layers.
+            weight = torch.randn(inputs, outputs, generator=self._random) * (2.0 / inputs) ** 0.5
+            self._layers.append((weight.requires_grad_(), torch.zeros(outputs).requires_grad_()))
         parameters = [p for layer in self._layers for p in layer]
         self._optimiser = torch.optim.Adam(parameters, lr=config.learning_rate, fused=True)
 
-    def _layer(self, inputs: int, outputs: int) -> tuple[torch.Tensor, torch.Tensor]:
-        # He et al. 2015, eq. 10: keeps the variance through ReLU layers.
-        weight = torch.randn(inputs, outputs, generator=self._random) * (2.0 / inputs) ** 0.5
-        return weight.requires_grad_(), torch.zeros(outputs).requires_grad_()
-
     def run(self, on_epoch: Callable[[EpochReport], None] | None) -> tuple[Layers, int]:
-        best, best_epoch, plateau, kept = float("inf"), 0, 0, self._state()
+        best, best_epoch, plateau, layers = float("inf"), 0, 0, self._state()
         epoch = 0
         for epoch in range(1, self._config.max_epochs + 1):
             train = self._epoch()
             with torch.no_grad():
                 error = float(torch.nn.functional.mse_loss(self._forward(self._vx), self._vy) ** 0.5)
             if error < best:
-                best, best_epoch, plateau, kept = error, epoch, 0, self._state()
+                best, best_epoch, plateau, layers = error, epoch, 0, self._state()
             else:
                 plateau += 1
                 # Three smaller rates are tried before training stops.
@@ -92,7 +92,7 @@ class _Training:
                 on_epoch(EpochReport(self._member, epoch, self._config.max_epochs, *errors))
             if epoch - best_epoch >= self._config.patience:
                 break
-        return kept, epoch
+        return layers, epoch
 
     def _forward(self, x: torch.Tensor) -> torch.Tensor:
         for weight, bias in self._layers[:-1]:

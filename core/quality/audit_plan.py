@@ -113,12 +113,12 @@ def judge_lot(
     word = "fail" if failed else "pass" if upper <= allowed else "conditional"
     ratios = [measured[serial] / forecasts[serial] for serial in plan.serials]
     ratio = float(np.sqrt(np.mean(np.square(ratios)))) if ratios else float("nan")
-    text = _told(plan, len(failed), upper - random_failed, limit)
+    text = _statement(plan, len(failed), upper - random_failed, limit)
     process = failing_share(len(plan.random), random_failed, CONFIDENCE)
     return LotStatement(word, failed, upper - random_failed, process, ratio, text)
 
 
-def _told(plan: AuditPlan, failed: int, most: int, limit: Limit) -> str:
+def _statement(plan: AuditPlan, failed: int, most: int, limit: Limit) -> str:
     """Say what was checked and what that leaves open, in words that are right for every count."""
     bound, unchecked = f"{limit.maximum_rmse:.3g} {limit.unit}", plan.population - len(plan.random)
     checked = f"units checked: {len(plan.serials)}, of these beyond {bound}: {failed}"

@@ -69,12 +69,12 @@ class ControlChart:
         """Every point that breaks one of Nelson's eight rules, in time order."""
         if self.sigma == 0:
             return ()
-        found, z = [], (self.values - self.centre) / self.sigma
+        signals, z = [], (self.values - self.centre) / self.sigma
         for number, (text, length, find) in enumerate(RULES, 1):
             if len(z) >= length:
                 at = np.flatnonzero(find(np.lib.stride_tricks.sliding_window_view(z, length)))
-                found += [ChartSignal(int(k) + length - 1, number, str(text)) for k in at]
-        return tuple(sorted(found, key=lambda signal: (signal.index, signal.rule)))
+                signals += [ChartSignal(int(k) + length - 1, number, str(text)) for k in at]
+        return tuple(sorted(signals, key=lambda signal: (signal.index, signal.rule)))
 
     @property
     def instabilities(self) -> tuple[ChartSignal, ...]:

@@ -70,27 +70,27 @@ class LotRelease:
         return several(said)
 
     def _promised(self) -> Reason:
-        found, here, which = self.found, self.qualification.here, self.qualification.reason
+        promised, here, which = self.found, self.qualification.here, self.qualification.reason
         bound: Mapping[str, Value] = {"limit": self.limit.maximum_rmse, "unit": self.limit.unit}
         if not self.forecasts and here:
             return reason("release.none_left", seen=_audited(here, reason("part.here", audits=len(here)), bound))
-        if found is None:
+        if promised is None:
             return reason("release.unqualified", why=which)
         seen = _audited(self.qualification.audits, which, bound)
         if not self.forecasts:
             return reason("release.none_left", seen=seen)
         count = len(self.forecasts)
-        if not found.released:
-            part, factor = ReleaseConfig.least_part, found.factor
+        if not promised.released:
+            part, factor = ReleaseConfig.least_part, promised.factor
             return reason("release.poor", seen=seen, part=part, open=count, factor=factor)
         return reason(
             "release.promised",
             seen=seen,
             risk=self.promise.risk,
             confidence=self.promise.confidence,
-            released=len(found.released),
+            released=len(promised.released),
             open=count,
-            any_form=any_form(found),
+            any_form=any_form(promised),
             **bound,
         )
 
@@ -116,16 +116,16 @@ class LotRelease:
             )
         return Judgement(Verdict.CONDITIONAL, (reason("sampled.open", factor=factor, **facts),))
 
-    def _audits(self, found: PromisedRelease) -> Reason:
-        ratios = found.ratios
+    def _audits(self, promised: PromisedRelease) -> Reason:
+        ratios = promised.ratios
         if ratios.lots > 1:
             return reason("part.of_lots", audits=ratios.audits, lots=ratios.lots)
         return reason("part.here", audits=ratios.audits)
 
     def to_json(self) -> dict[str, object]:
         """Return it as the JSON of `softcal batch --json` and `softcal lot release --json`."""
-        found = self.found
-        ratios = None if found is None else {**vars(found.ratios)}
+        promised = self.found
+        ratios = None if promised is None else {**vars(promised.ratios)}
         return {
             "audits": len(self.qualification.audits),
             "audited": len(self.qualification.here),
@@ -138,10 +138,10 @@ class LotRelease:
             "wanted": self.qualification.wanted,
             "considered": len(self.forecasts),
             "released": list(self.released),
-            "factor": None if found is None or not np.isfinite(found.factor) else found.factor,
+            "factor": None if promised is None or not np.isfinite(promised.factor) else promised.factor,
             "ratios": ratios,
-            "share_any_form": None if found is None else found.share_any_form,
-            "risk_any_form": None if found is None else found.risk_any_form,
+            "share_any_form": None if promised is None else promised.share_any_form,
+            "risk_any_form": None if promised is None else promised.risk_any_form,
             "interval_scale": self.widening.scale,
             "interval_added": self.widening.added,
             "gains": None if self.seen is None else vars(self.seen),
@@ -181,8 +181,8 @@ def _audited(audits: Sequence[AuditedUnit], which: Reason, bound: Mapping[str, V
     return reason("part.audits_beyond", audits=which, beyond=beyond, **bound)
 
 
-def any_form(found: PromisedRelease) -> Reason:
+def any_form(promised: PromisedRelease) -> Reason:
     """Return what holds for the released units for ratios of any distribution."""
-    if found.share_any_form < 1:
-        return reason("part.any_form", share=found.share_any_form, risk=found.risk_any_form)
-    return reason("part.any_form_mean", risk=found.risk_any_form)
+    if promised.share_any_form < 1:
+        return reason("part.any_form", share=promised.share_any_form, risk=promised.risk_any_form)
+    return reason("part.any_form_mean", risk=promised.risk_any_form)

@@ -74,8 +74,8 @@ class LotStanding:
     @property
     def counts(self) -> dict[str, int]:
         """Units by verdict, the worst last; `none` has no result yet."""
-        found = Counter(unit.verdict or "none" for unit in self.units)
-        return {word: found[word] for word in (*reversed(VERDICTS), "none")}
+        units = Counter(unit.verdict or "none" for unit in self.units)
+        return {word: units[word] for word in (*reversed(VERDICTS), "none")}
 
     @property
     def withdrawn(self) -> tuple[UnitInLot, ...]:

@@ -52,19 +52,19 @@ class UnitRun:
 
 def yields(runs: Mapping[str, Sequence[UnitRun]], golden: Collection[str] = (), good: Collection[str] = GOOD) -> Yields:
     """Count the yields of a lot from the runs of each unit in time order; golden units are left out."""
-    kept = [unit for serial, unit in runs.items() if unit and serial not in golden]
-    verdicts = [[run.verdict in good for run in unit] for unit in kept]
+    units = [unit for serial, unit in runs.items() if unit and serial not in golden]
+    verdicts = [[run.verdict in good for run in unit] for unit in units]
     firsts = [
         unit[-1].reasons[0] if unit[-1].reasons else plain("no reason given")
-        for unit in kept
+        for unit in units
         if unit[-1].verdict not in good
     ]
     kinds = {kind(first): first for first in firsts}
     counts = Counter(map(kind, firsts))
     return Yields(
-        first_pass=Share(sum(unit[0] for unit in verdicts), len(kept)),
-        second_pass=Share(sum(any(unit[:2]) for unit in verdicts), len(kept)),
-        last_pass=Share(sum(unit[-1] for unit in verdicts), len(kept)),
+        first_pass=Share(sum(unit[0] for unit in verdicts), len(units)),
+        second_pass=Share(sum(any(unit[:2]) for unit in verdicts), len(units)),
+        last_pass=Share(sum(unit[-1] for unit in verdicts), len(units)),
         runs=Share(sum(sum(unit) for unit in verdicts), sum(map(len, verdicts))),
         reasons=tuple(
             (kinds[name], count) for name, count in sorted(counts.items(), key=lambda item: (-item[1], item[0]))

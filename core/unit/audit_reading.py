@@ -15,6 +15,7 @@ from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.method import DecisionConfig
+from softcal.core.windows import evenly
 
 KEPT = 201
 """Instants of an audit that are kept, evenly spaced: enough for shares of its samples."""
@@ -83,7 +84,7 @@ def read_audit(
         rest: share of the samples at whose quantile a unit is at rest.
     """
     rows = np.flatnonzero(np.isfinite(value))
-    kept = rows[np.unique(np.linspace(0, len(rows) - 1, KEPT).astype(np.int64))]
+    spread = rows[evenly(len(rows), KEPT)]
     unit, now = (output_level(one, is_rising=audit.direction > 0, rest=rest) for one in (recording, audit.unlabelled))
     gain, zero = line_of(value, audit.reference)
     return AuditReading(
@@ -93,8 +94,8 @@ def read_audit(
         unit_rest=unit.rest,
         audit_rest=now.rest,
         span=unit.span,
-        residual=_short(np.abs(value - audit.reference)[kept]),
-        half=_short(half[kept]),
+        residual=_short(np.abs(value - audit.reference)[spread]),
+        half=_short(half[spread]),
         recording_sha256=audit.sha256,
         zero=zero,
     )

@@ -16,6 +16,7 @@ from softcal.core.network.network import Network
 from softcal.core.recording import Array, Indices, LabelledRecording, OutputRecording
 from softcal.core.unit.method import BridgeConfig
 from softcal.core.unit.source_model import SourceModel
+from softcal.core.windows import evenly
 
 SAME_DAY = AffineMap(1.0, 0.0, "identity")
 
@@ -79,11 +80,11 @@ def make_bridge(model: SourceModel, run: OutputRecording | LabelledRecording) ->
 
 def _fit_day(network: Network, run: LabelledRecording, config: BridgeConfig) -> AffineMap:
     """Fit gain and zero of a day by least squares on f; the same day where that reads held-out stretches no better."""
-    rows = np.unique(np.linspace(0, len(run.windows) - 1, config.rows).astype(np.int64))
+    rows = evenly(len(run.windows), config.rows)
     # Whole stretches of time are held out: neighbouring windows share samples.
     is_held = np.arange(len(rows)) * config.stretches // len(rows) % 2 == 1
-    held, kept = rows[is_held], rows[~is_held]
-    trial = _least_squares(network, run, kept)
+    held, fitted = rows[is_held], rows[~is_held]
+    trial = _least_squares(network, run, fitted)
     if _misread(network, run, trial, held) >= _misread(network, run, SAME_DAY, held):
         return SAME_DAY
     return _least_squares(network, run, rows)

@@ -100,19 +100,19 @@ class Reference:
         """Return what the reference adds to the budget of an estimate at a load in the reference unit."""
         if self.is_simulated:
             return ()
-        found = []
+        terms = []
         if self.uncertainty is not None:
-            found.append(Contribution("reference calibration", self.uncertainty, "normal", self.coverage_factor))
+            terms.append(Contribution("reference calibration", self.uncertainty, "normal", self.coverage_factor))
         drift = self.uncertainty if self.drift is None else self.drift
         if drift is not None:
-            found.append(Contribution("reference drift", drift, "rectangular"))
+            terms.append(Contribution("reference drift", drift, "rectangular"))
         if self.temperature_per_K is not None and self.temperature_K is not None:
             by_load = abs(load) * self.temperature_per_K
-            found.append(Contribution("reference temperature", self.temperature_K, "rectangular", sensitivity=by_load))
+            terms.append(Contribution("reference temperature", self.temperature_K, "rectangular", sensitivity=by_load))
         for name, value in (("contact", self.contact), ("repeatability", self.repeatability)):
             if value is not None:
-                found.append(Contribution(name, value, "normal"))
-        return tuple(found)
+                terms.append(Contribution(name, value, "normal"))
+        return tuple(terms)
 
     def variance(self, loads: Array) -> Array:
         """Return the squared standard uncertainty of the reference at each load, in the reference unit squared."""

@@ -103,12 +103,12 @@ def common_misreading(lines: Mapping[str, LoadLine]) -> CommonMisreading | None:
     return _common(gain, zero, len(lines)) if is_seen else None
 
 
-def without(lines: Mapping[str, LoadLine], serial: str, found: CommonMisreading) -> CommonMisreading:
+def without(lines: Mapping[str, LoadLine], serial: str, common: CommonMisreading) -> CommonMisreading:
     """Return what the other audited units misread alike, where all together do."""
     if serial not in lines:
-        return found
+        return common
     others = {name: line for name, line in lines.items() if name != serial}
-    slopes = [bool(trend and trend.slope) for trend in (found.gain, found.zero)]
+    slopes = [bool(trend and trend.slope) for trend in (common.gain, common.zero)]
     return _common(*_trends(others, slopes), len(others))
 
 
@@ -146,7 +146,7 @@ def _trend(values: Array, at: Sequence[float | None], has_slope: bool | None) ->
     return Trend(mean, slope, float(x.mean()), float(x.min()), float(x.max()), spread, degrees)
 
 
-def corrected(record: CalibrationRecord, source: LabelledRecording, found: CommonMisreading) -> CalibrationRecord:
+def corrected(record: CalibrationRecord, source: LabelledRecording, common: CommonMisreading) -> CalibrationRecord:
     """Return a calibration whose map takes off what the lot's audited units misread alike.
 
     A straight line behind the map, through the source's levels at both ends of its range: a device trims so, too.
@@ -154,13 +154,13 @@ def corrected(record: CalibrationRecord, source: LabelledRecording, found: Commo
     calibration = Calibration.from_record(record)
     levels = SourceLevels.of(source, (calibration.method or Method()).map.anchors)
     read = np.array([calibration.interval.low, calibration.interval.high])
-    was, now = levels.at(read), levels.at((read - found.line.zero) / found.line.gain)
+    was, now = levels.at(read), levels.at((read - common.line.zero) / common.line.gain)
     gain = float((now[1] - now[0]) / (was[1] - was[0]))
     unit_map = AnchoredMap(calibration.unit_map, gain, float(now[0] - gain * was[0]))
     arrays = {name: array for name, array in record.arrays.items() if not name.startswith("map.")}
     arrays |= {f"map.{name}": array for name, array in unit_map.arrays().items()}
-    line = found.line
-    said = reason("common", gain=line.gain, zero=line.zero, audits=found.audits, unit=source.reference_unit)
+    line = common.line
+    said = reason("common", gain=line.gain, zero=line.zero, audits=common.audits, unit=source.reference_unit)
     grounds = record.grounds
     settings = dict(record.settings)
     if grounds is not None:
@@ -171,5 +171,5 @@ def corrected(record: CalibrationRecord, source: LabelledRecording, found: Commo
         arrays=arrays,
         settings=settings,
         evidence={**record.evidence, COMMON_GAIN: line.gain, COMMON_ZERO: line.zero},
-        input_sha256=content_sha256({}, {"base": record.input_sha256, "common": [line.gain, line.zero, found.audits]}),
+        input_sha256=content_sha256({}, {"base": record.input_sha256, "common": [line.gain, line.zero, common.audits]}),
     )

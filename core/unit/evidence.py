@@ -116,21 +116,18 @@ def other_maps(fit: FitProblem, chosen: ChosenMap, method: Method, floor: float)
     trials = _trials(fit, chosen, method.forecast.opening_parts, floor) if chosen.family == SYNCHRONOUS else []
     # Where the stage position or a common load is known, that tells more than leaving shares out.
     is_measured = bool(trials) or chosen.family == PHASE
+    gain_error = float(chosen.evidence.get("gain_error", 0.0))
+    log_gain = float(np.log(float(chosen.evidence.get("gain", 1.0))))
+    # A gain far from the source's is itself a doubt unless loads were given.
+    if "anchor_gain" not in chosen.evidence and abs(log_gain) > np.log(method.findings.said_stretch):
+        gain_error = float(np.hypot(gain_error, log_gain))
     return OtherMaps(
         alternatives=[other for name, other in chosen.alternatives.items() if name != IDENTITY],
         resampled=[] if is_measured else _refitted(fit, chosen, method),
         trials=trials,
-        gain_error=_gain_error(chosen, method),
+        gain_error=gain_error,
         straight=chosen.alternatives.get(LABEL_SHIFT) if chosen.family == BETWEEN else None,
     )
-
-
-def _gain_error(chosen: ChosenMap, method: Method) -> float:
-    """Return the standard error of log gain; a gain far from the source's is a doubt unless loads were given."""
-    error, gain = float(chosen.evidence.get("gain_error", 0.0)), float(chosen.evidence.get("gain", 1.0))
-    far = abs(float(np.log(gain)))
-    is_doubtful = "anchor_gain" not in chosen.evidence and far > np.log(method.findings.said_stretch)
-    return float(np.hypot(error, far)) if is_doubtful else error
 
 
 def _trials(fit: FitProblem, chosen: ChosenMap, parts: int, floor: float) -> list[Trial]:
@@ -152,22 +149,18 @@ def _trials(fit: FitProblem, chosen: ChosenMap, parts: int, floor: float) -> lis
 
 def _refitted(fit: FitProblem, chosen: ChosenMap, method: Method) -> list[UnitMap]:
     """Fit the chosen family again with one share of the recording left out at a time."""
-    config, refits = method.forecast, []
-    for part in range(config.parts):
-        target = _without_share(fit.target, part, config.parts, config.stretches)
+    parts, target, refits = method.forecast.parts, fit.target, []
+    # Each share is made of many stretches, so that what is left still covers the whole programme.
+    length = max(len(target) // (parts * method.forecast.stretches), TAPS)
+    part_of = np.arange(len(target)) // length % parts
+    for is_used in (part_of != part for part in range(parts)):
+        stage_mm = None if target.stage_mm is None else target.stage_mm[is_used]
+        rest = replace(target, t_s=target.t_s[is_used], output=target.output[is_used], stage_mm=stage_mm)
         try:
-            refits.append(fit_family(replace(fit, target=target), chosen.family))
+            refits.append(fit_family(replace(fit, target=rest), chosen.family))
         except UnitRefused:
             continue
     return refits
-
-
-def _without_share(target: OutputRecording, part: int, parts: int, stretches: int) -> OutputRecording:
-    """Leave out every parts-th of many stretches, so that what is left still covers the whole programme."""
-    length = max(len(target) // (parts * stretches), TAPS)
-    keep = (np.arange(len(target)) // length) % parts != part
-    stage_mm = None if target.stage_mm is None else target.stage_mm[keep]
-    return replace(target, t_s=target.t_s[keep], output=target.output[keep], stage_mm=stage_mm)
 
 
 def gather_evidence(
@@ -186,7 +179,7 @@ def gather_evidence(
     """
     config, network, interval, known = model.method.forecast, model.network, model.interval, _known_use(model)
     # Evenly spaced rows: every statistic below costs the same however long the recording is.
-    rows = np.unique(np.linspace(0, len(target.windows) - 1, config.rows).astype(np.int64))
+    rows = evenly(len(target.windows), config.rows)
     raw, mapped = target.windows[rows], _mapped(unit_map, target, rows)
     estimate, shape = network.evaluate(mapped), interval.support.shape(mapped)
     distance = interval.support.distance(shape)

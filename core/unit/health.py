@@ -144,7 +144,18 @@ def health_findings(
     target: OutputRecording, source: OutputRecording, limits: OutputLimits, config: HealthConfig
 ) -> tuple[Finding, ...]:
     """Say in words what is wrong with the raw output, if anything."""
-    return (*_clipped(target, limits, config), *_frozen(target, source, config), *_short(target, source, config))
+    findings = _clipped(target, limits, config)
+    longest, allowed = (_longest_inner_run(recording, config.inner) for recording in (target, source))
+    if longest > max(config.stuck_factor * allowed, config.stuck_s * target.sample_rate_Hz):
+        findings.append(Finding(reason("stuck", seconds=longest / target.sample_rate_Hz), Verdict.RETEST))
+    windows, presses = len(target.window_rows), count_presses(target, config)
+    # A slow programme may have but two presses in the source too.
+    enough = min(config.few_presses, count_presses(source, config))
+    if windows < config.few_windows or presses < enough:
+        seen = {"windows": windows, "presses": presses}
+        too_little = reason("too_little_data", **seen, enough_windows=config.few_windows, enough_presses=enough)
+        findings.append(Finding(too_little))
+    return tuple(findings)
 
 
 def _clipped(target: OutputRecording, limits: OutputLimits, config: HealthConfig) -> list[Finding]:
@@ -161,13 +172,6 @@ def _clipped(target: OutputRecording, limits: OutputLimits, config: HealthConfig
     return [Finding(reason("saturated", level=level, share=share), best)]
 
 
-def _frozen(target: OutputRecording, source: OutputRecording, config: HealthConfig) -> list[Finding]:
-    longest, allowed = (_longest_inner_run(recording, config.inner) for recording in (target, source))
-    if longest <= max(config.stuck_factor * allowed, config.stuck_s * target.sample_rate_Hz):
-        return []
-    return [Finding(reason("stuck", seconds=longest / target.sample_rate_Hz), Verdict.RETEST)]
-
-
 @lru_cache(maxsize=KEPT)
 def _longest_run(recording: OutputRecording) -> int:
     return int(run_lengths(recording.output).max())
@@ -180,16 +184,6 @@ def _longest_inner_run(recording: OutputRecording, edge: float) -> int:
     # At rest and at the peak every output stands still; frozen is what does so in between.
     inner = (output > output.min() + edge * span) & (output < output.max() - edge * span)
     return int(np.max(run_lengths(output)[inner], initial=0))
-
-
-def _short(target: OutputRecording, source: OutputRecording, config: HealthConfig) -> list[Finding]:
-    windows, presses = len(target.window_rows), count_presses(target, config)
-    # A slow programme may have but two presses in the source too.
-    enough = min(config.few_presses, count_presses(source, config))
-    if windows >= config.few_windows and presses >= enough:
-        return []
-    seen = {"windows": windows, "presses": presses}
-    return [Finding(reason("too_little_data", **seen, enough_windows=config.few_windows, enough_presses=enough))]
 
 
 @lru_cache(maxsize=KEPT)

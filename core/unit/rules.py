@@ -4,7 +4,7 @@ A rule can only hold a unit back, whatever was forecast or measured. Its name an
 every calibration it looked at, so that another version makes older results anew.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -88,24 +88,23 @@ def rule_findings(asked: Sequence[str], facts: RuleFacts) -> tuple[Finding, ...]
     Raises:
         InputError: a rule is not installed where the unit is calibrated.
     """
-    return tuple(finding for name in asked for finding in _ask(name, facts))
-
-
-def _ask(name: str, facts: RuleFacts) -> Iterator[Finding]:
-    rule = RULES.get(name)
-    if rule is None:
-        here = ", ".join(RULES) or "none"
-        raise InputError(
-            f"rule {name!r} is not installed where unit {facts.recording.serial} is calibrated (there: {here}); "
-            "nothing was decided: install one version of its package on every machine"
-        )
-    try:
-        objections = [(str(one.sentence), bool(one.press_again)) for one in rule.look(facts)]
-    except Exception as error:
-        # A rule that cannot judge has not agreed: the unit waits, and the lot goes on.
-        message = f"{type(error).__name__}: {error}"
-        yield Finding(reason("rule.broken", rule=name, error=message), Verdict.RETEST)
-        return
-    for sentence, press_again in objections:
-        best = Verdict.RETEST if press_again else Verdict.FAIL
-        yield Finding(reason("rule.held", sentence=sentence, rule=name), best)
+    findings: list[Finding] = []
+    for name in asked:
+        rule = RULES.get(name)
+        if rule is None:
+            here = ", ".join(RULES) or "none"
+            raise InputError(
+                f"rule {name!r} is not installed where unit {facts.recording.serial} is calibrated (there: {here}); "
+                "nothing was decided: install one version of its package on every machine"
+            )
+        try:
+            objections = [(str(one.sentence), bool(one.press_again)) for one in rule.look(facts)]
+        except Exception as error:
+            # A rule that cannot judge has not agreed: the unit waits, and the lot goes on.
+            message = f"{type(error).__name__}: {error}"
+            findings.append(Finding(reason("rule.broken", rule=name, error=message), Verdict.RETEST))
+            continue
+        for sentence, press_again in objections:
+            best = Verdict.RETEST if press_again else Verdict.FAIL
+            findings.append(Finding(reason("rule.held", sentence=sentence, rule=name), best))
+    return tuple(findings)

@@ -198,8 +198,8 @@ def _pivots(activity: Activity, rest_is_low: bool, curve: RestCurve, shares: tup
 def timing_scatter(log_durations: Array, config: ActivityConfig) -> float:
     """Return the standard deviation of (n,) log durations without the few that are furthest from the median."""
     distance = np.abs(log_durations - np.median(log_durations))
-    kept = np.argsort(distance, kind="stable")[: len(distance) - max(1, len(distance) // config.outliers)]
-    return float(log_durations[kept].std())
+    nearest = np.argsort(distance, kind="stable")[: len(distance) - max(1, len(distance) // config.outliers)]
+    return float(log_durations[nearest].std())
 
 
 def _trend(values: Array) -> tuple[Array, Array]:

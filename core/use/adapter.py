@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -144,16 +145,17 @@ class Adapter(Batches):
         observations: list[Observation] = []
         if self._config.mode == "none":
             return observations
-        for stretch in _stretches(self._evidence):
-            if stretch is None:
+        for is_break, pairs in groupby(self._evidence, key=lambda pair: pair is None):
+            if is_break:
                 self._cutter.restart()
                 continue
+            stretch = np.array(list(pairs))
             for cycle in self._cutter.advance(stretch[:, 0], stretch[:, 1]):
                 observations.append(self._tracker.observe(cycle))
             self._cutter.join(self._tracker.least_s * self._sample_rate_Hz)
         return observations
 
-    def _proposed(self, last: Observation | None, found: Doubt) -> MapUpdate:
+    def _proposed(self, last: Observation | None, doubt: Doubt) -> MapUpdate:
         """Return what holds from the next row on."""
         gain, offset = self._tracker.correction()
         ends = np.array([self._use.low, self._use.high])
@@ -163,7 +165,7 @@ class Adapter(Batches):
             gain, offset = self._current.gain, self._current.offset
         # An open jump makes the predicted error large for two cycles: that alone decides nothing.
         if not self._tracker.is_unsettled:
-            self._of_use = self._overdue(self._of_use, found.of_use)
+            self._of_use = self._overdue(self._of_use, doubt.of_use)
         seen = self._last = last or self._last
         verdict, reason = seen.verdict, seen.reason
         if self._of_use.why and verdict == FOLLOWED:
@@ -180,7 +182,7 @@ class Adapter(Batches):
             log_gain=seen.log_gain,
             shift_sd=seen.shift_sd,
             log_gain_sd=seen.log_gain_sd,
-            predicted_rmse=self._predicted_rmse(found.growth),
+            predicted_rmse=self._predicted_rmse(doubt.growth),
             verdict=verdict,
             reason=reason,
             alarm=self._alarm() or self._tracker.alarm,
@@ -223,18 +225,3 @@ class Adapter(Batches):
         self._last = restored(Observation, state["last"])
         self._cutter, self._tracker, self._of_use = cutter, tracker, of_use
         self._evidence = [None if pair is None else (pair[0], pair[1]) for pair in state["evidence"]]
-
-
-def _stretches(evidence: list[tuple[float, float] | None]) -> list[Array | None]:
-    """Return unbroken stretches as (n, 2) arrays of time and output, with None between them where the use broke off."""
-    stretches: list[Array | None] = []
-    pending: list[tuple[float, float]] = []
-    for pair in [*evidence, None]:
-        if pair is not None:
-            pending.append(pair)
-            continue
-        if pending:
-            stretches.append(np.array(pending))
-            pending = []
-        stretches.append(None)
-    return stretches[:-1]

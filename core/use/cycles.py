@@ -120,29 +120,24 @@ class CycleCutter:
 
     def advance(self, t_s: Array, output: Array) -> list[Cycle]:
         """Take (n,) further samples that follow the last ones without a gap; return the cycles that ended in them."""
-        now, found, start = self._now, [], 0
+        now, ended, start = self._now, [], 0
         for end in self._turns(output):
             self._collect(t_s[start:end], output[start:end])
             start = end
             if now.has_start and now.count >= now.least:
-                found.append(self._finish(is_complete=True))
+                ended.append(self._finish(is_complete=True))
             elif not now.has_start:
                 self._begin()
         self._collect(t_s[start:], output[start:])
         now.silent = len(output) - start + (0 if start else now.silent)
+        usual = max(self._patience, self._config.overdue * now.usual)
+        # Twice as long each time until a cycle is found: one that lasts longer than the wait is never seen whole.
+        wait = min(usual * 2.0**now.waits, max(usual, self._longest))
         if now.count >= max(self._longest, 2 * now.least):
-            found.append(self._finish(is_complete=False))
-        elif now.silent > self._wait():
+            ended.append(self._finish(is_complete=False))
+        elif now.silent > wait:
             self._take_swing()
-        return found
-
-    def _wait(self) -> float:
-        """Return the samples without a turn after which the swing is taken anew.
-
-        Twice as many each time until a cycle is found: cycles that last longer than the wait would never be seen whole.
-        """
-        usual = max(self._patience, self._config.overdue * self._now.usual)
-        return min(usual * 2.0**self._now.waits, max(usual, self._longest))
+        return ended
 
     def _take_swing(self) -> None:
         """Estimate the turning points anew from the samples since the last turn."""

@@ -50,9 +50,9 @@ class DriftFilter:
         sight = self._sight(index)
         expected, covariance = self.seen_by(index)
         gain = self.covariance @ sight.T @ np.linalg.inv(covariance + noise)
-        kept = np.eye(len(self.mean)) - gain @ sight
+        retained = np.eye(len(self.mean)) - gain @ sight
         # Joseph's form stays symmetric and positive however often it is applied.
-        left = kept @ self.covariance @ kept.T + gain @ noise @ gain.T
+        left = retained @ self.covariance @ retained.T + gain @ noise @ gain.T
         return DriftFilter(self.mean + gain @ (value - expected), left)
 
     def with_independent(self, variance: Array) -> "DriftFilter":
@@ -74,8 +74,8 @@ class DriftFilter:
 
     def without(self, index: int) -> "DriftFilter":
         """Return the filter with one activity less."""
-        kept = np.delete(np.arange(len(self.mean)), self._places(index))
-        return DriftFilter(self.mean[kept], self.covariance[np.ix_(kept, kept)])
+        others = np.delete(np.arange(len(self.mean)), self._places(index))
+        return DriftFilter(self.mean[others], self.covariance[np.ix_(others, others)])
 
     def _sight(self, index: int) -> Array:
         """Return the (2, n) measurement matrix of an activity: drift plus its bias."""

@@ -61,8 +61,13 @@ class UseLearner:
         more = [count for count in self._method.cycle.joined if count > now.joined]
         if more:
             if now.joined == 1:
-                now.single_s = float(np.median([cycle.duration_s for cycle in now.strangers]))
-                now.opening, now.opening_sd = _mean_level(now.strangers)
+                durations_s = np.array([cycle.duration_s for cycle in now.strangers])
+                levels = np.array([cycle.level for cycle in now.strangers])
+                now.single_s = float(np.median(durations_s))
+                # The mean level over the time of the cycles, and its standard deviation.
+                now.opening = float(np.average(levels, weights=durations_s))
+                variance = float(np.average((levels - now.opening) ** 2, weights=durations_s))
+                now.opening_sd = math.sqrt(variance / len(levels))
             now.joined = more[0]
             now.strangers.clear()
 
@@ -109,11 +114,3 @@ class UseLearner:
         end = slice(0, config.end_quantiles) if use.rest_is_low else slice(-config.end_quantiles, None)
         turning = float(np.mean([cycle.scale * np.ptp(cycle.shape[end]) for cycle in cycles]))
         return away if use.rest_is_low else -away, float(rests.std()) / len(rests) ** 0.5, turning
-
-
-def _mean_level(cycles: list[Cycle]) -> tuple[float, float]:
-    """Return the mean level over the time of cycles, and its standard deviation."""
-    levels, weights = np.array([c.level for c in cycles]), np.array([c.duration_s for c in cycles])
-    mean = float(np.average(levels, weights=weights))
-    variance = float(np.average((levels - mean) ** 2, weights=weights))
-    return mean, math.sqrt(variance / len(cycles))

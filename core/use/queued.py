@@ -143,19 +143,15 @@ class QueuedTransport(Batches):
             self._filling = self._filling[-self._queue :]
         else:
             while len(self._filling) >= self._queue:
-                self._take_queue()
+                full, self._filling = self._filling[: self._queue], self._filling[self._queue :]
+                if self._source is None:
+                    self._source = self._as_calibrated(full)
+                    continue
+                if len(self._waiting):
+                    self._swap(self._fitted(self._waiting, self._source) if self._fit is None else self._fit.result())
+                self._waiting = full
+                self._fit = None if self._pool is None else self._pool.submit(self._fitted, full, self._source)
         self._put(replace(self._current, row=self._row, alarm=self._alarm() or self._due))
-
-    def _take_queue(self) -> None:
-        """Put the map of the queue that waits in force, and begin that of the one that is full."""
-        full, self._filling = self._filling[: self._queue], self._filling[self._queue :]
-        if self._source is None:
-            self._source = self._as_calibrated(full)
-            return
-        if len(self._waiting):
-            self._swap(self._fitted(self._waiting, self._source) if self._fit is None else self._fit.result())
-        self._waiting = full
-        self._fit = None if self._pool is None else self._pool.submit(self._fitted, full, self._source)
 
     def _mapped_onto(self, source: SourcePairs, queue: Array) -> TransportMap:
         return exact_map(queue, source.windows, source.placed, self._plan)
@@ -211,17 +207,15 @@ class QueuedTransport(Batches):
     def _restore_own(self, state: Mapping[str, Any]) -> None:
         if (queue := UseMethod.of(state["method"]).online.queue) != self._queue:
             raise InputError(f"its queues have {queue} windows, this one {self._queue}; {queue} was expected")
-        kept = {name: _rows(name, rows) for name, rows in state["arrays"].items()}
-        self._filling, self._waiting, self._fit = kept["filling"], kept["waiting"], None
+        arrays: dict[str, Array] = {}
+        for name, rows in state["arrays"].items():
+            try:
+                arrays[name] = np.array(rows, np.float64).reshape(-1, TAPS)
+            except (TypeError, ValueError) as error:
+                raise InputError(f"its state does not fit this version: {name} holds no windows") from error
+        self._filling, self._waiting, self._fit = arrays["filling"], arrays["waiting"], None
         self._due = str(state["due"])
-        if "placed" in kept:
-            self._source = SourcePairs(kept["windows"], kept["placed"])
-        if "stored" in kept:
-            self._use(TransportMap(kept["stored"], kept["displacement"], EXACT, self._plan.neighbours))
-
-
-def _rows(name: str, kept: Any) -> Array:
-    try:
-        return np.array(kept, np.float64).reshape(-1, TAPS)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"its state does not fit this version: {name} holds no windows") from error
+        if "placed" in arrays:
+            self._source = SourcePairs(arrays["windows"], arrays["placed"])
+        if "stored" in arrays:
+            self._use(TransportMap(arrays["stored"], arrays["displacement"], EXACT, self._plan.neighbours))

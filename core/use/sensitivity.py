@@ -1,7 +1,5 @@
 """What one unit's calibration says about its errors: how far an estimate moves when its output drifts."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from softcal.core.metrics import rms
@@ -10,7 +8,7 @@ from softcal.core.recording import Array, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.uncertainty import NORMAL_90
 from softcal.core.use.activity import CalibratedUse, RestCurve, learn_use
-from softcal.core.use.method import DoubtConfig, UseMethod
+from softcal.core.use.method import UseMethod
 from softcal.core.windows import resting
 
 
@@ -26,25 +24,19 @@ def learn_sensitivity(
 
     estimated = estimates(windows)
     is_rising = np.cov(windows[:, -1], estimated)[0, 1] >= 0
-    curve = _curve(recording, estimates, method.cycle.swing, config)
-    zero_output = _zero_load_output(curve, *np.quantile(recording.output, method.cycle.swing))
+    low, high = np.quantile(recording.output, method.cycle.swing)
+    # Constant outputs up to a swing beyond the recording.
+    levels = np.linspace(2 * low - high, 2 * high - low, config.zero_levels)
+    curve = RestCurve(levels, estimates(resting(levels)))
+    zero_output = _zero_load_output(curve, low, high)
     if (shown := _shown_zero(windows[:, -1], estimated, method)) is not None:
-        zero_output, at_zero = shown, float(np.interp(shown, curve.output, curve.load))
-        curve = RestCurve(curve.output, curve.load - at_zero)
+        zero_output, at_zero = shown, float(np.interp(shown, levels, curve.load))
+        curve = RestCurve(levels, curve.load - at_zero)
     use = learn_use(recording, bool(is_rising), zero_output, method, curve if zero_output is not None else None)
     # A difference over a finite step, not the derivative: f is piecewise linear with kinks close together.
     step = config.slope_step * use.scale
     rise = (estimates(windows + step) - estimates(windows - step)) / (2 * config.slope_step)
     return use, rms(rise)
-
-
-def _curve(
-    recording: OutputRecording, estimates: Callable[[Array], Array], swing: tuple[float, float], config: DoubtConfig
-) -> RestCurve:
-    """Return what constant outputs are estimated as, up to a swing beyond the recording."""
-    low, high = np.quantile(recording.output, swing)
-    levels = np.linspace(2 * low - high, 2 * high - low, config.zero_levels)
-    return RestCurve(levels, estimates(resting(levels)))
 
 
 def _zero_load_output(curve: RestCurve, low: float, high: float) -> float | None:

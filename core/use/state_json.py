@@ -77,19 +77,19 @@ def _written(one: "Field[Any]", value: Any) -> object:
     return list(value) if isinstance(value, list) else value
 
 
-def _read(kind: type, one: "Field[Any]", kept: Any, lengths: dict[str, int]) -> Any:
+def _read(kind: type, one: "Field[Any]", value: Any, lengths: dict[str, int]) -> Any:
     if "shape" in one.metadata:
-        return _array(f"{kind.__name__}.{one.name}", one.metadata["shape"], kept, lengths)
+        return _array(f"{kind.__name__}.{one.name}", one.metadata["shape"], value, lengths)
     if "kind" in one.metadata:
-        return restored(one.metadata["kind"], kept)
+        return restored(one.metadata["kind"], value)
     if "kinds" in one.metadata:
-        return [restored(one.metadata["kinds"], each) for each in kept]
-    return list(kept) if isinstance(kept, list) else kept
+        return [restored(one.metadata["kinds"], each) for each in value]
+    return list(value) if isinstance(value, list) else value
 
 
-def _array(name: str, shape: tuple[int | str, ...], kept: Any, lengths: dict[str, int]) -> Array:
+def _array(name: str, shape: tuple[int | str, ...], value: Any, lengths: dict[str, int]) -> Array:
     try:
-        values = np.array(kept, dtype=np.float64)
+        values = np.array(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise InputError(f"its state does not fit this version: {name} is no array of numbers") from error
     expected = tuple(lengths.get(axis, axis) if isinstance(axis, str) else axis for axis in shape)

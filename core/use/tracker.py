@@ -249,17 +249,15 @@ class DriftTracker:
             now.stray = now.stray_before = 0.0
         activity = now.activities[index]
         # A person may go on with what a machine was calibrated with.
-        known = replace(activity, is_imposed=activity.is_imposed and self._is_timed())
+        config = self._method.activity
+        is_timed = (
+            len(now.timing) >= config.min_cycles
+            and timing_scatter(np.array(now.timing), config) < config.still_timed * config.machine_timing
+        )
+        known = replace(activity, is_imposed=activity.is_imposed and is_timed)
         now.trust = now.trust.after(known, measured.drift, now.seen, 1 / self._settling)
         now.jumps.clear()
         now.alarm, now.unresolved = "", 0.0
-
-    def _is_timed(self) -> bool:
-        """Return whether a machine times the use now."""
-        timing, config = self._now.timing, self._method.activity
-        if len(timing) < config.min_cycles:
-            return False
-        return timing_scatter(np.array(timing), config) < config.still_timed * config.machine_timing
 
     def _pace(self, surprise: Array, expected: Array) -> float:
         """Return the factor on the process noise: above 1 while innovations keep one sign beyond chance."""

@@ -96,10 +96,10 @@ class Trust:
 
     def levels(self, log_gain: float) -> Array:
         """Return the levels, one of which a change of use leaves where it was: rest, zero load, and the pivot."""
-        found = [level for level in (self.rest, self.zero) if level is not None]
+        levels = [level for level in (self.rest, self.zero) if level is not None]
         if self.pivots.size:
-            found.append(float(np.interp(log_gain, *self.pivots)))
-        return np.array(found)
+            levels.append(float(np.interp(log_gain, *self.pivots)))
+        return np.array(levels)
 
     def jumped(self, activity: Activity, drift: Array, step: Array) -> float:
         """Return how far a step of a drift, both (2,), moved the output at rest and at zero load alike: no use does."""

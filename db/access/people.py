@@ -75,9 +75,9 @@ class People(RegistryBase):
         named = select(users).where(users.c.name == name)
         with self.database.writing():
             known = self.database.row(named)
-            found = known["version"] if known else 0
-            if found != version:
-                raise InputError(Reason("account.changed", {"name": repr(name), "found": found, "version": version}))
+            current = known["version"] if known else 0
+            if current != version:
+                raise InputError(Reason("account.changed", {"name": repr(name), "found": current, "version": version}))
             if known is None and pin is None:
                 raise InputError(Reason("account.needs_pin", {"name": repr(name)}))
             values = {"name": name, "role": role, "is_active": is_active, "version": version + 1}
@@ -87,10 +87,10 @@ class People(RegistryBase):
             statement = insert(users) if known is None else update(users).where(users.c.name == name)
             self.database.change(statement.values(**values))
             before = people_as_told(known) if known else None
-            kept = self.database.rows(named)[0]
-            content = {"before": before, "after": people_as_told(kept)}
+            row = self.database.rows(named)[0]
+            content = {"before": before, "after": people_as_told(row)}
             self._tell("set_user", "users", (name,), actor, reason=reason, **content)
-            return user_of(self.database, kept)
+            return user_of(self.database, row)
 
     def all(self) -> list[User]:
         with self.database.reading():

@@ -132,10 +132,10 @@ class JobBoard(RegistryBase):
 
     def job(self, job_id: str) -> Job:
         """Return one job with its trace and result (`InputError`: there is none of this id)."""
-        found = self.find(job_id)
-        if found is None:
+        job = self.find(job_id)
+        if job is None:
             raise InputError(f"job {job_id!r} is not in the registry")
-        return found
+        return job
 
     def find(self, job_id: str) -> Job | None:
         """Return one job with its trace and result, None where there is none of this id."""

@@ -58,19 +58,16 @@ class UtcTime(TypeDecorator[datetime]):
         return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
 
     def result_processor(self, dialect: sa.Dialect, coltype: object) -> Any:
-        return _read_or_damaged(_of_text(super().result_processor(dialect, coltype)))
+        process: Any = super().result_processor(dialect, coltype)
 
+        def read(value: Any) -> Any:
+            instant = process(value)
+            # SQLite would read an instant in other words as the same and sort it as another.
+            if isinstance(value, str) and value != instant.strftime("%Y-%m-%d %H:%M:%S.%f"):
+                raise ValueError(value)
+            return instant
 
-def _of_text(process: Any) -> Any:
-    """Refuse an instant in other words: SQLite would read it as the same and sort it as another."""
-
-    def read(value: Any) -> Any:
-        instant = process(value)
-        if isinstance(value, str) and value != instant.strftime("%Y-%m-%d %H:%M:%S.%f"):
-            raise ValueError(value)
-        return instant
-
-    return read
+        return _read_or_damaged(read)
 
 
 class CanonicalJson(TypeDecorator[Any]):

@@ -65,13 +65,13 @@ def row_hash(row: AuditRow) -> str:
 def origins(database: Database) -> list[str]:
     """Return the registries whose chains are here."""
     # One look into the index per registry; DISTINCT would read the whole trail.
-    found: list[str] = []
+    names: list[str] = []
     query = select(audit.c.origin).order_by(audit.c.origin).limit(1)
     name = database.value(query)
     while name is not None:
-        found.append(name)
+        names.append(name)
         name = database.value(query.where(audit.c.origin > name))
-    return found
+    return names
 
 
 def rows(

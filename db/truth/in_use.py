@@ -197,11 +197,11 @@ def names_several(database: Database, heads: Sequence[RowMapping]) -> bool:
     if len({(head["revision"], head["made_by"]) for head in heads}) < 2:
         return False
     c = calibrations.c
-    found = set()
+    named = set()
     for head in heads:
         is_named = (c.serial == head["serial"], c.revision == head["revision"], c.origin == head["made_by"])
-        found.add(tuple(database.tuples(select(c.blob_sha256, c.verdict).where(*is_named))[0]))
-    return len(found) > 1
+        named.add(tuple(database.tuples(select(c.blob_sha256, c.verdict).where(*is_named))[0]))
+    return len(named) > 1
 
 
 def conflicts_of(

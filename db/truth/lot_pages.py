@@ -145,7 +145,7 @@ class LotPages(RegistryBase):
         A unit with a conflict is to be decided by a person: its verdict is retest. So is that of
         one judged against another limit than the one in force.
         """
-        found: dict[str, UnitStanding] = {}
+        standings: dict[str, UnitStanding] = {}
         c = calibrations.c
         columns = [*(c[name] for name in PLAIN_FIELDS), c.revision, c.settings, c.reasons, c.evidence]
         for part in parts(serials):
@@ -161,8 +161,8 @@ class LotPages(RegistryBase):
                     if is_made and row is not None:
                         made = MadeCalibration.of(record_of(row, {}, row["settings"]), row["revision"])
                     stated = (unit.verdict, unit.reasons, unit.made_at)
-                    found[unit.serial] = UnitStanding(unit.serial, *stated, made)
-        return found
+                    standings[unit.serial] = UnitStanding(unit.serial, *stated, made)
+        return standings
 
     def find_serials(self, text: str, count: int = 50) -> list[str]:
         """Return serials of target units with a result that hold a text, best match first."""

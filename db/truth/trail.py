@@ -34,12 +34,12 @@ class AuditTrail(RegistryBase):
 
     def of_several(self, entity: str, keys: Sequence[tuple[str | int, ...]]) -> list[AuditRow]:
         """Return what the audit trail tells of several entities of a kind, in time order."""
-        found: list[RowMapping] = []
+        rows: list[RowMapping] = []
         with self.database.reading():
             for part in parts(keys):
                 names = [canonical_json(key) for key in part]
-                found += self.database.rows(select(audit).where(audit.c.entity == entity, audit.c.key.in_(names)))
-        return sorted((AuditRow(**row) for row in found), key=lambda row: (row.at, row.origin, row.seq))
+                rows += self.database.rows(select(audit).where(audit.c.entity == entity, audit.c.key.in_(names)))
+        return sorted((AuditRow(**row) for row in rows), key=lambda row: (row.at, row.origin, row.seq))
 
     def of_kind(self, entity: str) -> list[AuditRow]:
         """Return what the audit trail tells of all entities of a kind, in time order."""
@@ -52,13 +52,13 @@ class AuditTrail(RegistryBase):
 
     def newest(self, count: int) -> list[AuditRow]:
         """Return the newest rows of the audit trail, whoever wrote them, the newest first."""
-        found: list[RowMapping] = []
+        newest: list[RowMapping] = []
         with self.database.reading():
             # The index finds the newest of each chain; sorted by time, all would be read.
             for origin in history.origins(self.database):
                 chain = select(audit).where(audit.c.origin == origin)
-                found += self.database.rows(chain.order_by(audit.c.seq.desc()).limit(count))
-        rows = sorted((AuditRow(**row) for row in found), key=lambda row: (row.at, row.origin, row.seq), reverse=True)
+                newest += self.database.rows(chain.order_by(audit.c.seq.desc()).limit(count))
+        rows = sorted((AuditRow(**row) for row in newest), key=lambda row: (row.at, row.origin, row.seq), reverse=True)
         return rows[:count]
 
     def heads(self) -> Heads:
