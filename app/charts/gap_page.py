@@ -60,7 +60,7 @@ def gap_page(report: Mapping[str, Any], runs: Sequence[RunView], serial: str, sa
             *([section(say("gap.told"), f"<ul>{untold}</ul>")] if untold else []),
             section(say("gap.sure"), _hidden_words(report, say), drawings(figures.hidden_figure(report, say))),
             *([section(say("gap.left"), *_left(report["residual"], report, say))] if report.get("residual") else []),
-            section(say("gap.next"), _next(report["next_experiment"], say)),
+            section(say("gap.next"), _next(report, say)),
             section(say("gap.runs"), *_traces(runs, say)),
         ]
     return document(say("gap.page.title", serial=serial), parts, STYLE, say("gap.page.lang"), has_plots=False)
@@ -86,15 +86,16 @@ def _gain_rows(report: Mapping[str, Any], runs: Sequence[RunView], say: Words) -
     return _rows(rows, "", say)
 
 
-def _left(found: Mapping[str, Any], report: Mapping[str, Any], say: Words) -> tuple[str, str]:
+def _left(residual: Mapping[str, Any], report: Mapping[str, Any], say: Words) -> tuple[str, str]:
     """Describe what no cause explains by its empirical terms, where they hold on runs held back."""
-    shrink = {name: _percent(found["shrink"][name]) for name in ("held_out", "low", "high")}
+    shrink = {name: _percent(residual["shrink"][name]) for name in ("held_out", "low", "high")}
     words = [_told(say, "gap.left.is", **shrink)]
-    if found["beside"]:
-        causes = _effects(found["beside"], say)
-        words.append(_told(say, "gap.left.beside", causes=causes, without=_percent(found["without"])))
-    if "load_N" in found:
-        words.append(_told(say, "gap.left.span", load_N=f"{found['load_N']:.3g}", depth_mm=f"{found['depth_mm']:.3g}"))
+    if residual["beside"]:
+        causes = _effects(residual["beside"], say)
+        words.append(_told(say, "gap.left.beside", causes=causes, without=_percent(residual["without"])))
+    if "load_N" in residual:
+        span = {name: f"{residual[name]:.3g}" for name in ("load_N", "depth_mm")}
+        words.append(_told(say, "gap.left.span", **span))
     return f"<p>{' '.join(words)}</p>", _rows(gap.residual_rows(report, say), say("gap.left"), say)
 
 
@@ -105,11 +106,11 @@ def _rows(rows: Sequence[Mapping[str, str]], otherwise: str, say: Words) -> str:
     return table(header, [[_cell(*cell) for cell in row.items()] for row in rows])
 
 
-def _cell(name: str, told: str) -> str:
+def _cell(name: str, text: str) -> str:
     if name != "share":
-        return escape(told)
-    width = told.strip("<> ").replace(" ", "")
-    return f"<div class='bar'><i style='width:{width}'></i><span>{escape(told)}</span></div>"
+        return escape(text)
+    width = text.strip("<> ").replace(" ", "")
+    return f"<div class='bar'><i style='width:{width}'></i><span>{escape(text)}</span></div>"
 
 
 def _told(say: Words, key: str, **values: str) -> str:
@@ -267,8 +268,8 @@ def _hidden_words(report: Mapping[str, Any], say: Words) -> str:
     return _note(_told(say, "gap.hidden.most", effects=names))
 
 
-def _next(experiment: Mapping[str, Any] | None, say: Words) -> str:
-    why = escape(gap.why_next(experiment or {}, say))
-    if not experiment or experiment.get("profile") in (None, "", "none"):
+def _next(report: Mapping[str, Any], say: Words) -> str:
+    why, proposed = escape(gap.why_next(report["next_experiment"] or {}, say)), gap.next_experiment(report)
+    if proposed is None:
         return f"<p>{_told(say, 'gap.next.none')} {gap.begun(why)}</p>"
-    return f"<div class='next'><b>{escape(gap.pressed_name(str(experiment['profile']), say))}</b><p>{why}</p></div>"
+    return f"<div class='next'><b>{escape(gap.pressed_name(str(proposed['profile']), say))}</b><p>{why}</p></div>"
