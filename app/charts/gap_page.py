@@ -75,13 +75,13 @@ def _gain_rows(report: Mapping[str, Any], runs: Sequence[RunView], say: Words) -
     """Return the gap of every channel in its unit and as a share of its range."""
     rows = []
     for column in figures.channels_of(runs):
-        found, (times, unit) = report["gap"].get(figures.reported(column)), figures.unit_of(column)
-        if not found or found["rmse_before"] is None:
+        channel, (times, unit) = report["gap"].get(figures.reported(column)), figures.unit_of(column)
+        if not channel or channel["rmse_before"] is None:
             continue
         span = max(figures.span_of(runs, column), 1e-300)
         row = {"channel": gap.channel_name(figures.reported(column), say)}
         for name, key in (("base", "rmse_before"), ("causes", "rmse_after"), ("floor", "noise_floor")):
-            row[name] = f"{times * found[key]:.3g} {unit} ({100 * found[key] / span:.2g} %)"
+            row[name] = f"{times * channel[key]:.3g} {unit} ({100 * channel[key] / span:.2g} %)"
         rows.append(row)
     return _rows(rows, "", say)
 
@@ -167,7 +167,7 @@ def _offsets(report: Mapping[str, Any], say: Words) -> str:
 def _rig_offsets(offsets: Sequence[Mapping[str, float]], say: Words) -> list[str]:
     sentences = []
     for name, scale, digits in (("force_N", 1.0, 3), ("resistance", 100.0, 2), ("seat_mm", 1000.0, 0)):
-        size = f"{scale * max((abs(one[name]) for one in offsets), default=0.0):.{digits}f}"
+        size = f"{scale * max((abs(run[name]) for run in offsets), default=0.0):.{digits}f}"
         if float(size):
             sentences.append(say(f"gap.own.{name}", size=size))
     return sentences
@@ -175,10 +175,10 @@ def _rig_offsets(offsets: Sequence[Mapping[str, float]], say: Words) -> list[str
 
 def _own_offsets(offsets: Sequence[Mapping[str, Any]], say: Words) -> list[str]:
     most: dict[tuple[str, str], float] = {}
-    for one in offsets:
-        for kind in OWN_KINDS & one.keys():
-            key = (one["channel"], kind)
-            most[key] = max(most.get(key, 0.0), abs(one[kind]))
+    for offset in offsets:
+        for kind in OWN_KINDS & offset.keys():
+            key = (offset["channel"], kind)
+            most[key] = max(most.get(key, 0.0), abs(offset[kind]))
     named = ((gap.channel_name(channel, say), kind, size) for (channel, kind), size in sorted(most.items()))
     return [f"{channel}: {say(f'gap.own.{kind}')} {size:.3g}" for channel, kind, size in named]
 
@@ -189,11 +189,11 @@ def _noise(report: Mapping[str, Any], say: Words) -> str:
         say(
             "gap.noise.one",
             channel=gap.channel_name(channel, say),
-            size=f"{figures.unit_of(channel)[0] * found['fading']:.3g}",
+            size=f"{figures.unit_of(channel)[0] * noise['fading']:.3g}",
             unit=figures.unit_of(channel)[1],
-            fading=f"{found['fading_s']:.2g}",
+            fading=f"{noise['fading_s']:.2g}",
         )
-        for channel, found in report.get("noise", {}).items()
+        for channel, noise in report.get("noise", {}).items()
     ]
     return _note(_told(say, "gap.noise", channels="; ".join(sentences))) if sentences else ""
 
