@@ -102,14 +102,14 @@ def _axis(values: Sequence[Any], axis: Any, start: float, end: float) -> _Axis:
 def _frame(x: _Axis, y: _Axis, x_layout: Any, y_layout: Any) -> Iterator[str]:
     for axis, other, is_level in ((x, y, False), (y, x, True)):
         is_share = bool((y_layout if is_level else x_layout).tickformat)
-        for value, told in axis.ticks():
+        for value, label in axis.ticks():
             at = float(axis.at([axis.names[int(value)]] if axis.names else [value])[0])
             ends = (other.start, other.end)
             place = f"x1='{ends[0]:.1f}' x2='{ends[1]:.1f}' y1='{at:.1f}' y2='{at:.1f}'"
             if not is_level:
                 place = f"y1='{ends[0]:.1f}' y2='{ends[1]:.1f}' x1='{at:.1f}' x2='{at:.1f}'"
             yield f"<line {place} stroke='{LIGHT.grid}'/>" if not axis.names else ""
-            text = f"{100 * value:.0f} %" if is_share else told
+            text = f"{100 * value:.0f} %" if is_share else label
             yield _text(other.start - 6, at + 4, text, "end") if is_level else _text(at, other.start + 16, text)
     if x_layout.title.text:
         yield _text(0.5 * (x.start + x.end), y.start + 34, x_layout.title.text)

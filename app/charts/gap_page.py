@@ -60,7 +60,7 @@ def gap_page(report: Mapping[str, Any], runs: Sequence[RunView], serial: str, sa
             *([section(say("gap.told"), f"<ul>{untold}</ul>")] if untold else []),
             section(say("gap.sure"), _hidden_words(report, say), drawings(figures.hidden_figure(report, say))),
             *([section(say("gap.left"), *_left(report["residual"], report, say))] if report.get("residual") else []),
-            section(say("gap.next"), _next(report["next_experiment"], say)),
+            section(say("gap.next"), _next(report, say)),
             section(say("gap.runs"), *_traces(runs, say)),
         ]
     return document(say("gap.page.title", serial=serial), parts, STYLE, say("gap.page.lang"), has_plots=False)
@@ -75,26 +75,27 @@ def _gain_rows(report: Mapping[str, Any], runs: Sequence[RunView], say: Words) -
     """Return the gap of every channel in its unit and as a share of its range."""
     rows = []
     for column in figures.channels_of(runs):
-        found, (times, unit) = report["gap"].get(figures.reported(column)), figures.unit_of(column)
-        if not found or found["rmse_before"] is None:
+        channel, (times, unit) = report["gap"].get(figures.reported(column)), figures.unit_of(column)
+        if not channel or channel["rmse_before"] is None:
             continue
         span = max(figures.span_of(runs, column), 1e-300)
         row = {"channel": gap.channel_name(figures.reported(column), say)}
         for name, key in (("base", "rmse_before"), ("causes", "rmse_after"), ("floor", "noise_floor")):
-            row[name] = f"{times * found[key]:.3g} {unit} ({100 * found[key] / span:.2g} %)"
+            row[name] = f"{times * channel[key]:.3g} {unit} ({100 * channel[key] / span:.2g} %)"
         rows.append(row)
     return _rows(rows, "", say)
 
 
-def _left(found: Mapping[str, Any], report: Mapping[str, Any], say: Words) -> tuple[str, str]:
+def _left(residual: Mapping[str, Any], report: Mapping[str, Any], say: Words) -> tuple[str, str]:
     """Describe what no cause explains by its empirical terms, where they hold on runs held back."""
-    shrink = {name: _percent(found["shrink"][name]) for name in ("held_out", "low", "high")}
+    shrink = {name: _percent(residual["shrink"][name]) for name in ("held_out", "low", "high")}
     words = [_told(say, "gap.left.is", **shrink)]
-    if found["beside"]:
-        causes = _effects(found["beside"], say)
-        words.append(_told(say, "gap.left.beside", causes=causes, without=_percent(found["without"])))
-    if "load_N" in found:
-        words.append(_told(say, "gap.left.span", load_N=f"{found['load_N']:.3g}", depth_mm=f"{found['depth_mm']:.3g}"))
+    if residual["beside"]:
+        causes = _effects(residual["beside"], say)
+        words.append(_told(say, "gap.left.beside", causes=causes, without=_percent(residual["without"])))
+    if "load_N" in residual:
+        span = {name: f"{residual[name]:.3g}" for name in ("load_N", "depth_mm")}
+        words.append(_told(say, "gap.left.span", **span))
     return f"<p>{' '.join(words)}</p>", _rows(gap.residual_rows(report, say), say("gap.left"), say)
 
 
@@ -105,11 +106,11 @@ def _rows(rows: Sequence[Mapping[str, str]], otherwise: str, say: Words) -> str:
     return table(header, [[_cell(*cell) for cell in row.items()] for row in rows])
 
 
-def _cell(name: str, told: str) -> str:
+def _cell(name: str, text: str) -> str:
     if name != "share":
-        return escape(told)
-    width = told.strip("<> ").replace(" ", "")
-    return f"<div class='bar'><i style='width:{width}'></i><span>{escape(told)}</span></div>"
+        return escape(text)
+    width = text.strip("<> ").replace(" ", "")
+    return f"<div class='bar'><i style='width:{width}'></i><span>{escape(text)}</span></div>"
 
 
 def _told(say: Words, key: str, **values: str) -> str:
@@ -166,7 +167,7 @@ def _offsets(report: Mapping[str, Any], say: Words) -> str:
 def _rig_offsets(offsets: Sequence[Mapping[str, float]], say: Words) -> list[str]:
     sentences = []
     for name, scale, digits in (("force_N", 1.0, 3), ("resistance", 100.0, 2), ("seat_mm", 1000.0, 0)):
-        size = f"{scale * max((abs(one[name]) for one in offsets), default=0.0):.{digits}f}"
+        size = f"{scale * max((abs(run[name]) for run in offsets), default=0.0):.{digits}f}"
         if float(size):
             sentences.append(say(f"gap.own.{name}", size=size))
     return sentences
@@ -174,10 +175,10 @@ def _rig_offsets(offsets: Sequence[Mapping[str, float]], say: Words) -> list[str
 
 def _own_offsets(offsets: Sequence[Mapping[str, Any]], say: Words) -> list[str]:
     most: dict[tuple[str, str], float] = {}
-    for one in offsets:
-        for kind in OWN_KINDS & one.keys():
-            key = (one["channel"], kind)
-            most[key] = max(most.get(key, 0.0), abs(one[kind]))
+    for offset in offsets:
+        for kind in OWN_KINDS & offset.keys():
+            key = (offset["channel"], kind)
+            most[key] = max(most.get(key, 0.0), abs(offset[kind]))
     named = ((gap.channel_name(channel, say), kind, size) for (channel, kind), size in sorted(most.items()))
     return [f"{channel}: {say(f'gap.own.{kind}')} {size:.3g}" for channel, kind, size in named]
 
@@ -188,11 +189,11 @@ def _noise(report: Mapping[str, Any], say: Words) -> str:
         say(
             "gap.noise.one",
             channel=gap.channel_name(channel, say),
-            size=f"{figures.unit_of(channel)[0] * found['fading']:.3g}",
+            size=f"{figures.unit_of(channel)[0] * noise['fading']:.3g}",
             unit=figures.unit_of(channel)[1],
-            fading=f"{found['fading_s']:.2g}",
+            fading=f"{noise['fading_s']:.2g}",
         )
-        for channel, found in report.get("noise", {}).items()
+        for channel, noise in report.get("noise", {}).items()
     ]
     return _note(_told(say, "gap.noise", channels="; ".join(sentences))) if sentences else ""
 
@@ -267,8 +268,8 @@ def _hidden_words(report: Mapping[str, Any], say: Words) -> str:
     return _note(_told(say, "gap.hidden.most", effects=names))
 
 
-def _next(experiment: Mapping[str, Any] | None, say: Words) -> str:
-    why = escape(gap.why_next(experiment or {}, say))
-    if not experiment or experiment.get("profile") in (None, "", "none"):
+def _next(report: Mapping[str, Any], say: Words) -> str:
+    why, proposed = escape(gap.why_next(report["next_experiment"] or {}, say)), gap.next_experiment(report)
+    if proposed is None:
         return f"<p>{_told(say, 'gap.next.none')} {gap.begun(why)}</p>"
-    return f"<div class='next'><b>{escape(gap.pressed_name(str(experiment['profile']), say))}</b><p>{why}</p></div>"
+    return f"<div class='next'><b>{escape(gap.pressed_name(str(proposed['profile']), say))}</b><p>{why}</p></div>"

@@ -107,7 +107,7 @@ def _flagged(
     for signal in chart.signals:
         if signal.index >= first and signal.rule in FORBIDDING:
             rules.setdefault(signal.index, []).append(signal.rule)
-    text = [f"{names[k - first]}: {', '.join(words(f'rule.{rule}') for rule in found)}" for k, found in rules.items()]
+    text = [f"{names[k - first]}: {', '.join(words(f'rule.{n}') for n in broken)}" for k, broken in rules.items()]
     look: dict[str, Any] = {"symbol": "diamond", "text": text, "hovertemplate": "%{text}<extra></extra>"}
     style.dots(figure, [k + 1 for k in rules], [chart.values[k] for k in rules], colours.limit, None, 10, 1, **look)
 
@@ -143,20 +143,21 @@ WITH_COUNTS = 8
 """Up to so many bars say how many units they are of; more would be written over one another."""
 
 
-def yield_figure(found: Sequence[YieldAt], title: str, colours: Palette, words: Words) -> go.Figure:
+def yield_figure(places: Sequence[YieldAt], title: str, colours: Palette, words: Words) -> go.Figure:
     """Draw the yield at each place with its 95 % interval and the number of units."""
-    names = [one.name if one.name != DESK else words("lot.yield.desk") for one in found]
-    counts = [words("lot.yield.count", good=one.share.count, of=one.share.of) for one in found]
-    value = [100 * (one.share.value or 0.0) for one in found]
-    up = [100 * one.share.interval[1] - at for one, at in zip(found, value, strict=True)]
-    down = [at - 100 * one.share.interval[0] for one, at in zip(found, value, strict=True)]
+    names = [place.name if place.name != DESK else words("lot.yield.desk") for place in places]
+    shares = [place.share for place in places]
+    counts = [words("lot.yield.count", good=share.count, of=share.of) for share in shares]
+    value = [100 * (share.value or 0.0) for share in shares]
+    up = [100 * share.interval[1] - at for share, at in zip(shares, value, strict=True)]
+    down = [at - 100 * share.interval[0] for share, at in zip(shares, value, strict=True)]
     spread = {"array": up, "arrayminus": down, "color": colours.text, "thickness": 1.5, "width": 5}
     hover = "%{x}: %{y:.1f} % (%{customdata})<extra></extra>"
-    look = {"width": 0.6 if len(found) > 2 else 0.25, "marker_color": colours.verdict["none"], "error_y": spread}
+    look = {"width": 0.6 if len(places) > 2 else 0.25, "marker_color": colours.verdict["none"], "error_y": spread}
     figure = go.Figure(go.Bar(x=names, y=value, customdata=counts, hovertemplate=hover, **look))
-    if len(found) <= WITH_COUNTS:
-        said = [f"{name}<br>{count}" for name, count in zip(names, counts, strict=True)]
-        figure.update_xaxes(tickmode="array", tickvals=names, ticktext=said)
+    if len(places) <= WITH_COUNTS:
+        labels = [f"{name}<br>{count}" for name, count in zip(names, counts, strict=True)]
+        figure.update_xaxes(tickmode="array", tickvals=names, ticktext=labels)
     figure.update_xaxes(type="category").update_yaxes(range=[0, 104], dtick=20)
     style.styled(figure, colours, title, f"{words('lot.first_pass')} [%]")
     return figure.update_layout(showlegend=False, margin_t=20)

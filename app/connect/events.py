@@ -130,14 +130,14 @@ def _event(registry: Registry, row: AuditRow, after: Cursor) -> RegistryEvent:
     return RegistryEvent(f"{row.origin}:{row.seq}", kind, row.at, subject, data, after)
 
 
-def _verdict(registry: Registry, entity: str, told: Mapping[str, Any]) -> dict[str, Any]:
-    lot_id, serial = told["lot_id"], told["serial"]
-    made, revision = dict(told), None
+def _verdict(registry: Registry, entity: str, content: Mapping[str, Any]) -> dict[str, Any]:
+    lot_id, serial = content["lot_id"], content["serial"]
+    made, revision = dict(content), None
     if entity == "in_use":
-        revision = told["revision"]
-        rows = registry.trail.of("calibrations", (serial, revision, told["made_by"]))
+        revision = content["revision"]
+        rows = registry.trail.of("calibrations", (serial, revision, content["made_by"]))
         made = json.loads(rows[0].after or "{}")
-    reasons = [Reason.of(kept) for kept in made["reasons"]]
+    reasons = [Reason.of(reason) for reason in made["reasons"]]
     data = {
         "lot": lot_id,
         "serial": serial,
@@ -148,7 +148,7 @@ def _verdict(registry: Registry, entity: str, told: Mapping[str, Any]) -> dict[s
         "family": made.get("family"),
         "map_sha256": made.get("map_sha256"),
         **{name: made.get(name) for name in ERRORS},
-        "decided_by": told.get("decided_by", "batch"),
+        "decided_by": content.get("decided_by", "batch"),
         "is_conflict": False,
     }
     return data | _undecided(registry, lot_id, serial)

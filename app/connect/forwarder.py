@@ -142,18 +142,18 @@ def status_json(registry: Registry) -> list[dict[str, Any]]:
     end = registry.outbox.end()
     return [
         {
-            "destination": one.destination,
-            "sent": one.delivered,
-            "waits": sum(seq - one.cursor.get(origin, 0) for origin, seq in end.items()),
-            "failures": one.failures,
-            "next_try": one.not_before and one.not_before.isoformat(),
-            "error": one.error or None,
-            "served_by": one.holder,
+            "destination": delivery.destination,
+            "sent": delivery.delivered,
+            "waits": sum(seq - delivery.cursor.get(origin, 0) for origin, seq in end.items()),
+            "failures": delivery.failures,
+            "next_try": delivery.not_before and delivery.not_before.isoformat(),
+            "error": delivery.error or None,
+            "served_by": delivery.holder,
         }
-        for one in registry.outbox.deliveries()
+        for delivery in registry.outbox.deliveries()
     ]
 
 
-def status_rows(found: list[dict[str, Any]]) -> list[list[object]]:
+def status_rows(deliveries: list[dict[str, Any]]) -> list[list[object]]:
     """Return the rows of the table a person reads."""
-    return [list(one.values()) for one in found]
+    return [list(delivery.values()) for delivery in deliveries]

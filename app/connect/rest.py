@@ -89,8 +89,8 @@ def openapi_document(app: FastAPI) -> dict[str, Any]:
 
 def problem(status: int, detail: str, headers: Any = None) -> JSONResponse:
     """Return an error as RFC 9457 writes it."""
-    told = ProblemAnswer(title=TITLES.get(status, "Error"), status=status, detail=detail)
-    return JSONResponse(told.model_dump(), status, headers, PROBLEM)
+    answer = ProblemAnswer(title=TITLES.get(status, "Error"), status=status, detail=detail)
+    return JSONResponse(answer.model_dump(), status, headers, PROBLEM)
 
 
 def _answer(_: Request, error: Exception) -> JSONResponse:

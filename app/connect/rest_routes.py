@@ -104,8 +104,8 @@ def lots(registry: Known, _: Looking, after: str = "", limit: Limit = 50) -> dic
     """List the lots by id."""
     behind = [lot_id for lot_id in registry.lots.ids() if lot_id > after]
     shown = behind[:limit]
-    found = [_lot_json(registry, registry.lots.get(lot_id)) for lot_id in shown]
-    return {"lots": found, "next": shown[-1] if len(behind) > limit else None}
+    lots = [_lot_json(registry, registry.lots.get(lot_id)) for lot_id in shown]
+    return {"lots": lots, "next": shown[-1] if len(behind) > limit else None}
 
 
 @routes.get("/lots/{lot}", response_model=answers.LotAnswer, responses=_may_fail(404), tags=["lots"])
@@ -136,9 +136,9 @@ def units(
     limit: Limit = 50,
 ) -> dict[str, Any]:
     """List the target units of a lot with their verdicts, filtered and sorted."""
-    found = registry.pages.unit_page(lot, UnitFilter(tuple(verdict), text, sort, descending), page, limit)
-    following = page + 1 if page * limit < found.total else None
-    return {"units": [unit_json(unit) for unit in found.units], "total": found.total, "next": following}
+    rows = registry.pages.unit_page(lot, UnitFilter(tuple(verdict), text, sort, descending), page, limit)
+    following = page + 1 if page * limit < rows.total else None
+    return {"units": [unit_json(unit) for unit in rows.units], "total": rows.total, "next": following}
 
 
 @routes.get("/lots/{lot}/units/{serial}", response_model=answers.UnitAnswer, responses=_may_fail(404), tags=["units"])
@@ -207,7 +207,7 @@ def results(registry: Known, _: Looking, lot: LotId) -> Response:
 @routes.get("/units/{serial}", response_model=answers.UnitsAnswer, responses=_may_fail(404), tags=["units"])
 def unit(registry: Known, _: Looking, serial: Serial) -> dict[str, Any]:
     """Tell of a serial in every lot it stands in."""
-    return {"units": [unit_json(one) for one in registry.lots.units(serial=serial)]}
+    return {"units": [unit_json(unit) for unit in registry.lots.units(serial=serial)]}
 
 
 @routes.post(
@@ -309,10 +309,10 @@ def _lot_json(registry: Registry, lot: Lot) -> dict[str, Any]:
 
 def _unit(registry: Registry, lot_id: str, serial: str) -> Any:
     registry.lots.get(lot_id)
-    found = next(iter(registry.lots.units(lot_id, serial)), None)
-    if found is None:
+    unit = next(iter(registry.lots.units(lot_id, serial)), None)
+    if unit is None:
         raise HTTPException(404, f"serial {serial!r} is not in lot {lot_id!r}")
-    return found
+    return unit
 
 
 def _job(registry: Registry, job_id: str) -> Job:

@@ -54,7 +54,13 @@ def person() -> User:
     claims = _claims()
     if role := role_of(claims, role_claim()):
         return User(_name_of(claims), role, True, 1)
-    return _by_pin() or User("", "operator", True, 0)
+    entry = _sign_ins().get(recall(SESSION))
+    if entry is not None and entry.until >= datetime.now(UTC):
+        # Asked anew each time: who was made inactive, or has another role since, is so at once.
+        for user in registry().people.all():
+            if user.name == entry.name and user.is_active:
+                return user
+    return User("", "operator", True, 0)
 
 
 def is_signed_in() -> bool:
@@ -179,12 +185,3 @@ def _claims() -> dict[str, object]:
 
 def _name_of(claims: dict[str, object]) -> str:
     return str(claims.get("email") or claims.get("name") or claims.get("sub"))
-
-
-def _by_pin() -> User | None:
-    entry = _sign_ins().get(recall(SESSION))
-    if entry is None or entry.until < datetime.now(UTC):
-        return None
-    # Asked anew each time: who was made inactive, or has another role since, is so at once.
-    user = next((user for user in registry().people.all() if user.name == entry.name), None)
-    return user if user is not None and user.is_active else None

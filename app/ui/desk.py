@@ -101,21 +101,20 @@ def readable() -> None:
     # Korean is broken between words, as its readers are used to: else a narrow column stands its words upright.
     cells = "[data-testid=stTable] :is(th, td)"
     words_whole = f"{cells}, {cells} * {{ word-break: keep-all !important }}"
+    # Streamlit's own words in fields for files are English.
+    texts = {
+        "button [data-testid=stMarkdownContainer]": say("choose.files"),
+        "[data-testid=stFileUploaderDropzoneInstructions]": say(
+            "choose.files.size", size=st.get_option("server.maxUploadSize")
+        ),
+    }
+    fields = {f"[data-testid=stFileUploaderDropzone] {part}": text for part, text in texts.items()}
+    files = " ".join(f'{at} > * {{ display: none }} {at}::after {{ content: "{text}" }}' for at, text in fields.items())
     chosen_too = f"{chosen} {{ color: {colours().chosen} !important }}"
-    style = f"<style>{words_whole} {_file_fields()} {pale} {small} {chosen_too} {UNSEEN}</style>"
+    style = f"<style>{words_whole} {files} {pale} {small} {chosen_too} {UNSEEN}</style>"
     # With something to draw the script behind every piece of HTML is asked for before those of the page's fields.
     with st.container(key=FIRST):
         st.html(f"{style}<span></span>")
-
-
-def _file_fields() -> str:
-    """Return the style of fields for files: Streamlit's own words in them are English."""
-    size = say("choose.files.size", size=st.get_option("server.maxUploadSize"))
-    texts = {
-        "[data-testid=stFileUploaderDropzone] button [data-testid=stMarkdownContainer]": say("choose.files"),
-        "[data-testid=stFileUploaderDropzone] [data-testid=stFileUploaderDropzoneInstructions]": size,
-    }
-    return " ".join(f'{at} > * {{ display: none }} {at}::after {{ content: "{text}" }}' for at, text in texts.items())
 
 
 def choose_language() -> None:

@@ -76,16 +76,13 @@ class Guard:
         elif scope["path"].rstrip("/").endswith(CLOSED):
             await _refuse(scope, receive, send, 404, b"")
         else:
-            await self._app(scope, receive, _with_headers(send))
 
+            async def send_with_headers(message: Message) -> None:
+                if message["type"] == "http.response.start":
+                    message = {**message, "headers": [*message.get("headers", ()), *HEADERS]}
+                await send(message)
 
-def _with_headers(send: Send) -> Send:
-    async def sent(message: Message) -> None:
-        if message["type"] == "http.response.start":
-            message = {**message, "headers": [*message.get("headers", ()), *HEADERS]}
-        await send(message)
-
-    return sent
+            await self._app(scope, receive, send_with_headers)
 
 
 async def _refuse(scope: Scope, receive: Receive, send: Send, status: int, said: bytes) -> None:

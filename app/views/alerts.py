@@ -6,7 +6,7 @@ from datetime import datetime, timedelta
 from softcal.app.views.common import percent
 from softcal.app.views.lot import LotView
 from softcal.core.orders import StationState
-from softcal.db.entries import CellCertificate, GoldenRun
+from softcal.db.entries import CellCertificate
 from softcal.db.queues.order_queue import SILENT_AFTER
 from softcal.db.registry import Registry
 
@@ -33,8 +33,14 @@ def alerts(registry: Registry, view: LotView, now: datetime) -> tuple[Alert, ...
 def plant_alerts(registry: Registry, now: datetime) -> list[Alert]:
     """Return what should be looked at now, whichever lot is made."""
     due = [unit.serial for unit in registry.adaptations.units() if unit.entry.get("alarm")]
+    golden = {run.station: run for run in sorted(registry.stations.golden_runs(), key=lambda run: run.made_at)}
     return [
-        *_golden(registry.stations.golden_runs()),
+        # Of each station the newest check with a golden unit counts.
+        *(
+            Alert("golden", {"station": run.station, "serial": run.serial, "at": run.made_at}, True)
+            for run in golden.values()
+            if not run.passed
+        ),
         # Who said goodbye is not missed.
         *(
             Alert("station", {"station": beat.station, "at": beat.at})
@@ -59,16 +65,6 @@ def lot_alerts(view: LotView) -> list[Alert]:
         last = next(rule for rule in view.process.broken if rule.forbids)
         found.append(Alert("process", {"last": last.last, "count": last.count}))
     return found
-
-
-def _golden(runs: list[GoldenRun]) -> list[Alert]:
-    """Return the stations whose newest check with a golden unit failed."""
-    newest = {run.station: run for run in sorted(runs, key=lambda run: run.made_at)}
-    return [
-        Alert("golden", {"station": run.station, "serial": run.serial, "at": run.made_at}, True)
-        for run in newest.values()
-        if not run.passed
-    ]
 
 
 def _certificates(found: list[CellCertificate], now: datetime) -> list[Alert]:

@@ -121,7 +121,7 @@ def place_rows(report: Report, say: Words) -> list[dict[str, str]]:
     """Return one row per place where the gap shows, the largest share first."""
     rows = []
     for place in sorted(report["where"], key=lambda place: -float(place["share"])):
-        regime, detail = _kept(place, ("regime", "detail"), say)
+        regime, detail = _sentences(place, ("regime", "detail"), say)
         names = stage_name(place["stage"], say), channel_name(str(place["channel"]), say), regime
         row = (*names, percent(float(place["share"])), detail)
         rows.append(dict(zip(("stage", "channel", "regime", "share", "detail"), row, strict=True)))
@@ -132,7 +132,7 @@ def mistake_rows(report: Report, say: Words) -> list[dict[str, str]]:
     """Return one row per mistake in the recordings, with what shows and what repairs it."""
     rows = []
     for mistake in report.get("data", ()):
-        evidence, repair = _kept(mistake, ("evidence", "repair"), say)
+        evidence, repair = _sentences(mistake, ("evidence", "repair"), say)
         runs = say("gap.data.all") if mistake["runs"] == "all" else ", ".join(map(str, mistake["runs"]))
         rows.append(
             {
@@ -165,7 +165,7 @@ def next_experiment(report: Report) -> Mapping[str, Any] | None:
 
 def why_next(experiment: Mapping[str, Any], say: Words) -> str:
     """Return why a run is proposed, or none."""
-    (why,) = _kept(experiment, ("why",), say)
+    (why,) = _sentences(experiment, ("why",), say)
     return why
 
 
@@ -174,7 +174,7 @@ def ranked(report: Report) -> Sequence[Mapping[str, Any]]:
     return sorted(report["causes"], key=lambda cause: -cause["probability"])
 
 
-def _kept(entry: Mapping[str, Any], names: Sequence[str], say: Words) -> list[str]:
+def _sentences(entry: Mapping[str, Any], names: Sequence[str], say: Words) -> list[str]:
     """Return what an entry says under some names; an older version kept English alone."""
     return [said(Reason.of(one), say) for one in entry.get("reasons") or [entry.get(name) or "" for name in names]]
 

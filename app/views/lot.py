@@ -169,8 +169,8 @@ def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> 
     shares = yields(by_unit, golden)
     errors, limit = registry.pages.lot_errors(lot_id), limit_or_none(registry, lot_id)
     if chosen is not None:
-        kept = frozenset(chosen)
-        errors = [row for row in errors if row.serial in kept]
+        serials = frozenset(chosen)
+        errors = [row for row in errors if row.serial in serials]
     looks = registry.pages.unit_page(lot_id, UnitFilter(NEEDS_A_LOOK, sort="severity", serials=chosen), size=LOOKS)
     counts = registry.pages.verdict_counts(lot_id)
     of_units = [one for one in placed_runs if one.run.serial not in golden]
@@ -206,8 +206,8 @@ def _withdrawn(registry: Registry, lot_id: str, passing: int) -> tuple[str, ...]
 def _counts(errors: Sequence[UnitErrors], runs: Sequence[RunEntry]) -> dict[str, int]:
     """Count units by the verdict of their map in use, without one by their newest run."""
     standing = {run.serial: run.verdict for run in runs} | {row.serial: row.verdict for row in errors}
-    found = Counter(standing.values())
-    return {word: found[word] for word in (*reversed(VERDICTS), "none")}
+    counts = Counter(standing.values())
+    return {word: counts[word] for word in (*reversed(VERDICTS), "none")}
 
 
 def yield_drop(runs: Sequence[RunEntry]) -> YieldDrop | None:

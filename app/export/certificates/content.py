@@ -449,10 +449,10 @@ def _by_audits(record: CalibrationRecord, unit: str) -> str:
     )
 
 
-def _covered(found: Estimate, source: Array) -> tuple[float, float]:
+def _covered(estimates: Estimate, source: Array) -> tuple[float, float]:
     """Return the part of the source's range that the unit's recording reaches; all where none."""
     low, high = float(source.min()), float(source.max())
-    inside = found.estimate[(found.estimate >= low) & (found.estimate <= high)]
+    inside = estimates.estimate[(estimates.estimate >= low) & (estimates.estimate <= high)]
     return (float(inside.min()), float(inside.max())) if len(inside) else (low, high)
 
 
@@ -472,20 +472,20 @@ def _budget(unit: CalibratedUnit, load: float) -> Budget | None:
     return forecast_budget(terms, record.knowledge, record.predicted_rmse, record.reference, load)
 
 
-def _at_two_sigma(found: Estimate) -> Estimate:
+def _at_two_sigma(estimates: Estimate) -> Estimate:
     """Return estimates with U_est (k = 2) around them in place of the 90 % interval."""
     share = COVERAGE / NORMAL_90
-    lower = found.estimate - share * (found.estimate - found.lower)
-    return replace(found, lower=lower, upper=found.estimate + share * (found.upper - found.estimate))
+    lower = estimates.estimate - share * (estimates.estimate - estimates.lower)
+    return replace(estimates, lower=lower, upper=estimates.estimate + share * (estimates.upper - estimates.estimate))
 
 
-def _bands(found: Estimate, low: float, high: float) -> tuple[Uncertainty, ...]:
+def _bands(estimates: Estimate, low: float, high: float) -> tuple[Uncertainty, ...]:
     """Mean U_est in equal bands of a range; empty bands are left out."""
     edges = np.linspace(low, high, BANDS + 1)
-    half = (found.upper - found.lower) / 2
+    half = (estimates.upper - estimates.lower) / 2
     bands = []
     for k in range(BANDS):
-        inside = (found.estimate >= edges[k]) & (found.estimate <= edges[k + 1])
+        inside = (estimates.estimate >= edges[k]) & (estimates.estimate <= edges[k + 1])
         if inside.any():
             bands.append(Uncertainty(float(edges[k]), float(edges[k + 1]), float(half[inside].mean())))
     return tuple(bands)

@@ -83,10 +83,11 @@ def lot_statement_pdf(facts: LotStatementFacts, words: Words = ENGLISH) -> bytes
 
 
 def _story(facts: LotStatementFacts, words: Words) -> list[Flowable]:
+    colour, word = (GIVEN, "paper.given") if facts.decided.released else (NOT_GIVEN, "paper.not_given")
     return [
         Paragraph(marked_up(words("paper.title", lot=facts.lot.id)), parts.style(18, BOLD)),
         Spacer(1, 4 * mm),
-        _promise(facts.decided, words),
+        parts.marked(words(word), colour, [said(facts.decided.statement, words)], 10),
         *parts.section(words("paper.lot"), parts.facts_table(_lot_rows(facts, words))),
         *parts.section(words("paper.evidence"), parts.facts_table(_evidence_rows(facts, words))),
         *parts.section(words("paper.audited"), _audit_table(facts, words)),
@@ -94,15 +95,6 @@ def _story(facts: LotStatementFacts, words: Words) -> list[Flowable]:
         *parts.section(words("paper.means"), parts.paragraph(words("paper.means.is"), 7)),
         *parts.section(words("paper.assumes"), parts.paragraph(words("paper.assumes.is"), 7)),
     ]
-
-
-def _promise(decided: LotRelease, words: Words) -> Flowable:
-    colour, word = (GIVEN, "paper.given") if decided.released else (NOT_GIVEN, "paper.not_given")
-    lines = [
-        Paragraph(f'<font color="{colour}">{marked_up(words(word))}</font>', parts.style(13, BOLD)),
-        parts.paragraph(said(decided.statement, words), 10),
-    ]
-    return Table([[lines]], colWidths=[parts.WIDTH], style=parts.marked(colour))
 
 
 def _lot_rows(facts: LotStatementFacts, words: Words) -> list[tuple[str, str]]:
@@ -127,11 +119,17 @@ def _lot_rows(facts: LotStatementFacts, words: Words) -> list[tuple[str, str]]:
 
 def _evidence_rows(facts: LotStatementFacts, words: Words) -> list[tuple[str, str]]:
     promise, release = facts.decided.promise, facts.decided.found
+    audits, limit = facts.decided.audits, facts.decided.limit.maximum_rmse
+    lots = sorted({audit.lot_id or facts.lot.id for audit in audits})
+    counts = {"audits": len(audits), "beyond": sum(audit.measured_rmse > limit for audit in audits)}
+    audited = words("paper.audits.here", **counts)
+    if lots not in ([], [facts.lot.id]):
+        audited = words("paper.audits.lots", lots=", ".join(lots), **counts)
     drawn = words("paper.drawn.not")
     if facts.drawn is not None:
         drawn = words("paper.drawn.is", drawn=facts.drawn[0], population=facts.drawn[1])
     rows = [
-        (words("paper.audits"), _audited(facts, words)),
+        (words("paper.audits"), audited),
         (words("paper.drawn"), drawn),
         (words("paper.promise"), words("paper.promise.is", risk=promise.risk, confidence=promise.confidence)),
     ]
@@ -139,15 +137,6 @@ def _evidence_rows(facts: LotStatementFacts, words: Words) -> list[tuple[str, st
         rows.append((words("paper.factor"), words("paper.factor.is", factor=release.factor)))
     form = any_form(release) if release is not None and facts.decided.released else None
     return rows if form is None else [*rows, (words("paper.any_form"), said(form, words))]
-
-
-def _audited(facts: LotStatementFacts, words: Words) -> str:
-    audits, limit = facts.decided.audits, facts.decided.limit.maximum_rmse
-    lots = sorted({audit.lot_id or facts.lot.id for audit in audits})
-    counts = {"audits": len(audits), "beyond": sum(audit.measured_rmse > limit for audit in audits)}
-    if lots in ([], [facts.lot.id]):
-        return words("paper.audits.here", **counts)
-    return words("paper.audits.lots", lots=", ".join(lots), **counts)
 
 
 def _audit_table(facts: LotStatementFacts, words: Words) -> Flowable:
@@ -162,12 +151,9 @@ def _audit_table(facts: LotStatementFacts, words: Words) -> Flowable:
         rows.append([a.serial, a.lot_id or facts.lot.id, *numbers, word])
     if len(audits) > MOST_AUDITS:
         rows.append([words("paper.more", count=len(audits) - MOST_AUDITS), *[""] * 5])
-    return Table([[_cell(text) for text in row] for row in rows], colWidths=[parts.WIDTH / 6] * 6, style=parts.grid(7))
-
-
-def _cell(text: str) -> str | Flowable:
-    """Return a text as it stands, lower than a paragraph, where the page's font has its letters."""
-    return text if has_all(PLAIN, text) else parts.paragraph(text, 7)
+    # A text as it stands is lower than a paragraph; it needs a font that has its letters.
+    cells = [[text if has_all(PLAIN, text) else parts.paragraph(text, 7) for text in row] for row in rows]
+    return Table(cells, colWidths=[parts.WIDTH / 6] * 6, style=parts.grid(7))
 
 
 def _serials(serials: Sequence[str], words: Words, most: int = MOST_SERIALS) -> str:

@@ -140,10 +140,12 @@ def flush() -> TableStyle:
     return TableStyle([EMBEDDED, ("LEFTPADDING", (0, 0), (-1, -1), 0), ("VALIGN", (0, 0), (-1, -1), "TOP")])
 
 
-def marked(colour: str) -> TableStyle:
-    """Return a table with a bar of this colour on its left."""
+def marked(word: str, colour: str, texts: Sequence[str], size: float = 8) -> Table:
+    """Return a word and what is said of it, with a bar of the word's colour on their left."""
+    heading = Paragraph(f'<font color="{colour}">{marked_up(word)}</font>', style(13, BOLD))
     bar = ("LINEBEFORE", (0, 0), (0, -1), 3, colors.HexColor(colour))
-    return TableStyle([EMBEDDED, bar, ("LEFTPADDING", (0, 0), (-1, -1), 8)])
+    look = TableStyle([EMBEDDED, bar, ("LEFTPADDING", (0, 0), (-1, -1), 8)])
+    return Table([[[heading, *(paragraph(text, size) for text in texts)]]], colWidths=[WIDTH], style=look)
 
 
 def paragraph(text: str, size: float = 8, colour: colors.Color = INK) -> Paragraph:

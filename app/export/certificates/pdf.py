@@ -8,7 +8,7 @@ from reportlab.platypus import Flowable, Paragraph, Spacer, Table
 from softcal.app.export.certificates import parts
 from softcal.app.export.certificates.content import DECISION_RULE, ONLY_THIS, Certificate
 from softcal.app.export.certificates.dcc import certificate_xml
-from softcal.app.export.certificates.fonts import BOLD, marked_up
+from softcal.app.export.certificates.fonts import BOLD
 from softcal.app.export.certificates.laboratory import NO_COUNTRY, NOT_STATED, Party
 from softcal.app.export.certificates.plots import SHOWN_S, estimate_plot, map_plot
 from softcal.core.unit.uncertainty import ErrorForecast
@@ -72,10 +72,7 @@ def _verdict(facts: Certificate) -> Flowable:
     is_made = bool(facts.conformity)
     colour = VERDICT_COLOURS[facts.verdict if is_made else "retest"]
     word = facts.verdict.upper() if is_made else "NO STATEMENT OF CONFORMITY"
-    lines = [Paragraph(f'<font color="{colour}">{marked_up(word)}</font>', parts.style(13, BOLD))]
-    notes = [] if is_made else [facts.no_statement, facts.traceability]
-    lines += [parts.paragraph(each) for each in (*notes, *(facts.reasons if is_made else ()))]
-    return Table([[lines]], colWidths=[parts.WIDTH], style=parts.marked(colour))
+    return parts.marked(word, colour, facts.reasons if is_made else (facts.no_statement, facts.traceability))
 
 
 def _unit_rows(facts: Certificate) -> list[tuple[str, str]]:

@@ -15,8 +15,6 @@ from softcal.app.ui.desk import in_words, instant, registry, say
 from softcal.app.ui.panels import for_lot, go_to, has_units, numbers, table
 from softcal.app.views.common import number
 from softcal.core.quality.audit_plan import AuditConfig
-from softcal.core.quality.lot_standing import UnitInLot
-from softcal.core.words.reason import Reason
 
 ASKED, ACTION = "audit", "set_up"
 MOST_ROWS = 200
@@ -132,26 +130,22 @@ def _audited(lot_id: str) -> None:
     if not rows:
         return
     st.markdown(f"## {say('audit.units')}")
-    table([_audited_row(row, unit) for row in rows[:MOST_ROWS]])
-    for row in rows:
-        if row.doubt is not None:
-            _doubt(lot_id, row.serial, row.doubt)
-
-
-def _audited_row(row: UnitInLot, unit: str) -> dict[str, object]:
-    return {
-        say("column.serial"): row.serial,
-        say("release.forecast"): number(row.forecast_rmse, unit),
-        say("release.measured"): number(row.measured_rmse, unit),
-        say("column.verdict"): say(f"verdict.{row.verdict or 'none'}"),
-        say("audit.brought"): instant(row.audited_at),
-    }
-
-
-def _doubt(lot_id: str, serial: str, doubt: Reason) -> None:
-    with st.container(border=True):
-        st.warning(in_words(doubt), title=serial, icon=":material/rule:")
-        reason = ask_reason(f"confirm-{serial}", say("audit.confirm", serial=serial), "release")
-    if reason is not None:
-        confirm(registry(), lot_id, serial, reason=reason, actor=actor())
-        st.rerun()
+    table(
+        [
+            {
+                say("column.serial"): row.serial,
+                say("release.forecast"): number(row.forecast_rmse, unit),
+                say("release.measured"): number(row.measured_rmse, unit),
+                say("column.verdict"): say(f"verdict.{row.verdict or 'none'}"),
+                say("audit.brought"): instant(row.audited_at),
+            }
+            for row in rows[:MOST_ROWS]
+        ]
+    )
+    for serial, doubt in ((row.serial, row.doubt) for row in rows if row.doubt is not None):
+        with st.container(border=True):
+            st.warning(in_words(doubt), title=serial, icon=":material/rule:")
+            reason = ask_reason(f"confirm-{serial}", say("audit.confirm", serial=serial), "release")
+        if reason is not None:
+            confirm(registry(), lot_id, serial, reason=reason, actor=actor())
+            st.rerun()

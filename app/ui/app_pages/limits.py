@@ -1,6 +1,6 @@
 """The limit and the rules of a lot in versions, and what another limit would do."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import streamlit as st
@@ -38,7 +38,12 @@ def render(lot_id: str) -> None:
     with right:
         figure_under("lot.distribution", charts_lot.predicted_errors(view, colours(), say), "limit-distribution")
     st.header(say("limits.versions"))
-    table([_row(entry, view.lot.reference_unit) for entry in reversed(versions)], say("limits.none"))
+    unit, automatic = view.lot.reference_unit, say("lot.limit.none")
+    rows = [
+        _row(entry, {say("lot.limit"): number(entry.rmse, unit) if entry.rmse else automatic})
+        for entry in reversed(versions)
+    ]
+    table(rows, say("limits.none"))
     st.header(say("rules.title"))
     say_finished("rules")
     rules = registry().lots.line_rules_versions(lot_id)
@@ -52,10 +57,10 @@ def _seen(looked_at: str, versions: Sequence[LimitEntry | LineRulesEntry]) -> in
     return int(st.session_state.setdefault(looked_at, versions[-1].version if versions else 0))
 
 
-def _row(entry: LimitEntry, unit: str) -> dict[str, object]:
+def _row(entry: LimitEntry | LineRulesEntry, facts: Mapping[str, object]) -> dict[str, object]:
     return {
         say("limits.version"): entry.version,
-        say("lot.limit"): number(entry.rmse, unit) if entry.rmse else say("lot.limit.none"),
+        **facts,
         say("column.made"): instant(entry.made_at),
         say("column.actor"): entry.actor,
         say("column.reason"): entry.reason,
@@ -136,7 +141,7 @@ def _asked(now: LineRules, unit: str, mark: str) -> dict[str, Any]:
 def _loads(now: LineRules, unit: str, mark: str) -> tuple[tuple[float, float], ...]:
     """Draw the known loads the line asks for; return each as (load, U) in the lot's unit."""
     st.markdown(say("rules.loads"), help=say("rules.loads.help"))
-    found = []
+    loads = []
     cells = st.columns(2 * MOST_LOADS)
     for place, columns in enumerate(zip(cells[::2], cells[1::2], strict=True), 1):
         load = now.loads[place - 1] if place <= len(now.loads) else None
@@ -147,21 +152,18 @@ def _loads(now: LineRules, unit: str, mark: str) -> tuple[tuple[float, float], .
         key = f"rules-load-u-{place}-{mark}"
         expanded = columns[1].number_input(label, 0.0, value=usual, format="%.5g", key=key)
         if value is not None:
-            found.append((float(value), float(expanded or 0.0)))
-    return tuple(found)
+            loads.append((float(value), float(expanded or 0.0)))
+    return tuple(loads)
 
 
 def _rule_row(entry: LineRulesEntry) -> dict[str, object]:
     rules = entry.rules
     retests = ", ".join(f"{say(f'verdict.{verdict}')} {times}" for verdict, times in rules.retests.items())
-    return {
-        say("limits.version"): entry.version,
+    facts = {
         say("rules.pattern"): rules.serial_pattern or say("rules.pattern.any"),
         say("rules.letters"): say(f"rules.letters.{rules.letters.replace(' ', '_')}"),
         say("rules.target"): rules.target,
         say("rules.retests.column"): retests,
         say("page.known_loads"): ", ".join(f"{load.value:.5g} ± {load.expanded:.2g}" for load in rules.loads),
-        say("column.made"): instant(entry.made_at),
-        say("column.actor"): entry.actor,
-        say("column.reason"): entry.reason,
     }
+    return _row(entry, facts)

@@ -64,15 +64,11 @@ def _golden() -> None:
         st.caption(say("golden.none"))
     if allows("set_up"):
         with st.container(border=True):
-            _check()
-
-
-def _check() -> None:
-    station = choose_station()
-    serial = str(st.text_input(say("golden.serial"), key="golden-serial")).strip()
-    if st.button(say("golden.do"), disabled=not (station and serial), icon=":material/verified:") and station:
-        if place(station, OrderKind.GOLDEN, serial):
-            st.info(say("golden.ordered"), icon=":material/hourglass:")
+            station = choose_station()
+            serial = str(st.text_input(say("golden.serial"), key="golden-serial")).strip()
+            if st.button(say("golden.do"), disabled=not (station and serial), icon=":material/verified:") and station:
+                if place(station, OrderKind.GOLDEN, serial):
+                    st.info(say("golden.ordered"), icon=":material/hourglass:")
 
 
 LARGEST_BYTES = 20_000_000

@@ -21,7 +21,16 @@ def render() -> None:
         st.info(say("people.parted", role=say(f"role.{person().role}")), icon=":material/group_add:")
     left, right = st.columns([3, 2])
     with left:
-        table([_row(user) for user in people])
+        table(
+            [
+                {
+                    say("sign_in.name"): user.name,
+                    say("people.role"): say(f"role.{user.role}"),
+                    say("column.state"): say("people.active" if user.is_active else "people.inactive"),
+                }
+                for user in people
+            ]
+        )
         for role in ROLES:
             st.caption(f"**{say(f'role.{role}')}** · {say(f'role.{role}.may')}")
         if person().is_alone:
@@ -29,11 +38,6 @@ def render() -> None:
     if rest_may_follow():
         with right, st.container(border=True):
             _change(people)
-
-
-def _row(user: User) -> dict[str, str]:
-    state = say("people.active") if user.is_active else say("people.inactive")
-    return {say("sign_in.name"): user.name, say("people.role"): say(f"role.{user.role}"), say("column.state"): state}
 
 
 def _change(people: list[User]) -> None:

@@ -72,22 +72,18 @@ def _actions(station: str) -> None:
     if held := quarantine(registry(), station, datetime.now(UTC)):
         st.error(say("station.quarantine", count=len(held), first=held[0]), icon=":material/front_hand:")
     if allows("set_up"):
-        _orders(station)
+        with st.container(horizontal=True):
+            if st.button(say("station.check"), icon=":material/fact_check:"):
+                place(station, OrderKind.CHECK)
+            if st.button(say("station.acknowledge"), icon=":material/done_all:"):
+                place(station, OrderKind.ACKNOWLEDGE)
+        if run := newest_run(station, (OrderKind.CHECK,)):
+            if run_panel(run):
+                st.success(in_words(run[1].message) or say("station.check.done"), icon=":material/check:")
     with st.expander(say("station.override"), icon=":material/lock_open:"):
         why = ask_reason(f"override-{station}", say("station.override"), "override")
     if why is not None:
         place(station, OrderKind.OVERRIDE, reason=why)
-
-
-def _orders(station: str) -> None:
-    with st.container(horizontal=True):
-        if st.button(say("station.check"), icon=":material/fact_check:"):
-            place(station, OrderKind.CHECK)
-        if st.button(say("station.acknowledge"), icon=":material/done_all:"):
-            place(station, OrderKind.ACKNOWLEDGE)
-    if run := newest_run(station, (OrderKind.CHECK,)):
-        if run_panel(run):
-            st.success(in_words(run[1].message) or say("station.check.done"), icon=":material/check:")
 
 
 def _runs(station: str) -> None:
@@ -127,7 +123,16 @@ def _found(result: Mapping[str, Any]) -> None:
     if result["is_good"]:
         st.success(say("setup.good", station=result["station"]), icon=":material/check:")
     if result.get("ports"):
-        table([_port_row(*port) for port in result["ports"]])
+        table(
+            [
+                {
+                    say("setup.port"): port,
+                    say("setup.is"): say(f"setup.role.{role or 'none'}") + (f" ({kind})" if kind else ""),
+                    say("setup.says"): in_words(Reason.of(answer)),
+                }
+                for port, role, kind, answer in result["ports"]
+            ]
+        )
     table(
         [
             {
@@ -143,11 +148,3 @@ def _found(result: Mapping[str, Any]) -> None:
     with st.expander(say("setup.file"), icon=":material/description:"):
         st.code(result["toml"], language="toml")
         st.download_button(say("setup.save"), result["toml"], "station.toml", "application/toml", on_click="ignore")
-
-
-def _port_row(port: str, role: str, kind: str, says: object) -> dict[str, str]:
-    return {
-        say("setup.port"): port,
-        say("setup.is"): " ".join(filter(None, (say(f"setup.role.{role or 'none'}"), kind and f"({kind})"))),
-        say("setup.says"): in_words(Reason.of(says)),
-    }

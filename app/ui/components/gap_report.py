@@ -122,15 +122,15 @@ def _gain(report: Report) -> None:
             _figure(figure, "hidden")
 
 
-def _left(found: Report, report: Report) -> None:
+def _left(residual: Report, report: Report) -> None:
     st.header(say("gap.left"))
-    shrink = {name: percent(found["shrink"][name]) for name in ("held_out", "low", "high")}
+    shrink = {name: percent(residual["shrink"][name]) for name in ("held_out", "low", "high")}
     st.markdown(say("gap.left.is", **shrink))
     _rows(gap.residual_rows(report, say), say("gap.left"))
-    if found["beside"]:
-        causes = gap.listed([gap.effect_name(effect, say) for effect in found["beside"]], "gap.and", say)
-        st.caption(say("gap.left.beside", causes=causes, without=percent(found["without"])))
-    st.caption(say("gap.left.span", load_N=f"{found['load_N']:.3g}", depth_mm=f"{found['depth_mm']:.3g}"))
+    if residual["beside"]:
+        causes = gap.listed([gap.effect_name(effect, say) for effect in residual["beside"]], "gap.and", say)
+        st.caption(say("gap.left.beside", causes=causes, without=percent(residual["without"])))
+    st.caption(say("gap.left.span", **{name: f"{residual[name]:.3g}" for name in ("load_N", "depth_mm")}))
 
 
 def _next(report: Report, case: Path) -> None:

@@ -33,7 +33,14 @@ LONGEST_VALUE, LONGEST_CHIP = 36, 17
 def style() -> str:
     """Return the style of the screen; once per page."""
     css = Path(__file__).with_suffix(".css").read_text(encoding="utf-8")
-    marks = "".join(f'.sc-mark-{tone}{{--sc-mark:url("{_data_url(paths)}")}}' for tone, paths in MARKS.items())
+    drawing = (
+        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 64 64" fill="none" stroke="#000" stroke-width="5" '
+        'stroke-linecap="round" stroke-linejoin="round">'
+    )
+    drawings = {tone: quote(f"{drawing}{paths}</svg>") for tone, paths in MARKS.items()}
+    marks = "".join(
+        f'.sc-mark-{tone}{{--sc-mark:url("data:image/svg+xml,{quoted}")}}' for tone, quoted in drawings.items()
+    )
     return f"<style>{css}{marks}</style>"
 
 
@@ -103,14 +110,6 @@ def chips_row(chips: Sequence[Chip]) -> str:
 def _mark(name: str) -> str:
     # Streamlit takes SVG out of HTML: the mark is a mask over the colour of the text.
     return f'<i class="sc-mark sc-mark-{name}" aria-hidden="true"></i>'
-
-
-def _data_url(paths: str) -> str:
-    drawing = (
-        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 64 64" fill="none" stroke="#000" stroke-width="5" '
-        f'stroke-linecap="round" stroke-linejoin="round">{paths}</svg>'
-    )
-    return f"data:image/svg+xml,{quote(drawing)}"
 
 
 def _progress(view: LineView) -> str:

@@ -84,8 +84,8 @@ def _table(lot: Lot, serials: Serials) -> list[dict[str, object]]:
     """Return the whole table."""
     units = [unit for unit in registry().lots.units(lot.id) if unit.role == "target"]
     if serials is not None:
-        kept = frozenset(serials)
-        units = [unit for unit in units if unit.serial in kept]
+        chosen = frozenset(serials)
+        units = [unit for unit in units if unit.serial in chosen]
     with in_one_language():
         return [row(unit) for unit in units]
 
