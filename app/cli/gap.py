@@ -15,7 +15,7 @@ from softcal.core.errors import InputError
 if TYPE_CHECKING:
     from softcal.core.gap.data_mistake import DataMistake
     from softcal.core.gap.diagnosis import Diagnosis
-    from softcal.core.gap.gap_diagnosis import GapDiagnosis, RankedCause
+    from softcal.core.gap.gap_diagnosis import GapDiagnosis
     from softcal.core.twin.parameters import ReadoutMetadata
     from softcal.core.twin.simulate import Twin
 
@@ -141,12 +141,12 @@ def _check(options: argparse.Namespace) -> None:
         print(f"not told    {line}")
 
 
-def _show_mistakes(found: "tuple[DataMistake, ...]") -> None:
-    for one in found:
-        runs = ", ".join(map(str, one.runs)) or "all"
-        kind = one.what.replace("_", " ")
-        print(f"data        {kind}{f' of {one.channel}' if one.channel else ''}, runs {runs}: {one.evidence}")
-        print(f"repair      {one.repair}")
+def _show_mistakes(mistakes: "tuple[DataMistake, ...]") -> None:
+    for mistake in mistakes:
+        runs = ", ".join(map(str, mistake.runs)) or "all"
+        kind = mistake.what.replace("_", " ") + (f" of {mistake.channel}" if mistake.channel else "")
+        print(f"data        {kind}, runs {runs}: {mistake.evidence}")
+        print(f"repair      {mistake.repair}")
 
 
 def _refuse_electronics(options: argparse.Namespace) -> None:
@@ -288,7 +288,10 @@ def _show_result(diagnosis: "GapDiagnosis[Any]") -> None:
     named = [c for c in diagnosis.causes if c.probability > 0.01]
     if named:
         hidden = diagnosis.hidden_fraction
-        rows = [[c.effect, c.stage, c.probability, c.shrink, hidden.get(c.effect), _values(c)] for c in named]
+        rows = []
+        for c in named:
+            values = ", ".join(f"{name} = {p.value:.3g} {p.unit}".rstrip() for name, p in c.parameters.items())
+            rows.append([c.effect, c.stage, c.probability, c.shrink, hidden.get(c.effect), values])
         print_table(["effect", "stage", "probability", "shrink", "hidden", "parameters"], rows)
     for place in diagnosis.places:
         print(f"where       {place.stage}, {place.channel}, {place.regime}: {place.share:.0%}  {place.detail}")
@@ -297,7 +300,3 @@ def _show_result(diagnosis: "GapDiagnosis[Any]") -> None:
     print(f"next        {diagnosis.next_experiment.profile}: {diagnosis.next_experiment.why}")
     for line in () if diagnosis.told is None else reasons(diagnosis.told):
         print(f"not told    {line}")
-
-
-def _values(cause: "RankedCause") -> str:
-    return ", ".join(f"{name} = {p.value:.3g} {p.unit}".rstrip() for name, p in cause.parameters.items())

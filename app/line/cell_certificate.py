@@ -46,7 +46,7 @@ def _facts(document: bytes, path: Path | None) -> dict[str, Any]:
         raise InputError(f"{path}: is no XML: {error}") from error
     if _local(root) != "digitalCalibrationCertificate":
         raise InputError(f"{path}: is no Digital Calibration Certificate, its root is {_local(root)!r}")
-    found: dict[str, Callable[[], Any]] = {
+    readers: dict[str, Callable[[], Any]] = {
         "cell_serial": lambda: _serial(root),
         "number": lambda: _text(_first(root, "uniqueIdentifier")),
         "laboratory": lambda: _text(_first(_first(root, "calibrationLaboratory"), "content")),
@@ -56,7 +56,7 @@ def _facts(document: bytes, path: Path | None) -> dict[str, Any]:
         "uncertainty_N": lambda: _largest(_uncertainties_N(root)),
     }
     facts = {}
-    for name, read in found.items():
+    for name, read in readers.items():
         try:
             value = read()
         except ValueError as error:
