@@ -124,20 +124,21 @@ def _check(options: argparse.Namespace) -> None:
 
     if options.simulator:
         _refuse_electronics(options)
-        mistakes, told = check_with(options.case, load_simulator(options.simulator))
+        mistakes, identifiability = check_with(options.case, load_simulator(options.simulator))
     else:
-        mistakes, told = check_case(options.case, _table_readout(options))
-    data, identifiability = [one.record() for one in mistakes], None if told is None else told.record()
-    if not answer(options, "gap.check/1", {"data": data, "identifiability": identifiability}):
+        mistakes, identifiability = check_case(options.case, _table_readout(options))
+    record = None if identifiability is None else identifiability.record()
+    data = [mistake.record() for mistake in mistakes]
+    if not answer(options, "gap.check/1", {"data": data, "identifiability": record}):
         return
     _show_mistakes(mistakes)
-    if told is None:
+    if identifiability is None:
         print("check       repair the recordings and check again; nothing else was judged")
         return
     for kind, is_base in (("base parameters", True), ("causes", False)):
-        every = [one for one in told.every if one.is_base == is_base]
-        print(f"told        {sum(one.is_told for one in every)} of {len(every)} {kind}")
-    for line in reasons(told):
+        is_told = [each.is_told for each in identifiability.every if each.is_base == is_base]
+        print(f"told        {sum(is_told)} of {len(is_told)} {kind}")
+    for line in reasons(identifiability):
         print(f"not told    {line}")
 
 
@@ -246,8 +247,9 @@ def _show(diagnosis: "GapDiagnosis[Any]") -> None:
     for cause in (c for c in diagnosis.causes if c.form and c.probability >= 0.5):
         print(f"form        {cause.effect}: the twin has it as {cause.form}; the values above are the catalogue's")
     if diagnosis.residual is not None:
-        for one in diagnosis.residual.terms:
-            print(f"empirical   {one.term.formula}  (standard error {one.standard_error:.1g} {one.term.unit})")
+        for fitted in diagnosis.residual.terms:
+            error = f"standard error {fitted.standard_error:.1g} {fitted.term.unit}"
+            print(f"empirical   {fitted.term.formula}  ({error})")
         shrink, beside = diagnosis.residual.shrink, " + ".join(diagnosis.residual.beside)
         held = f"{shrink.held_out:.2f} [{shrink.low:.2f}, {shrink.high:.2f}] held out"
         addition = f", beside {beside}, which alone reach {diagnosis.residual.without:.2f}" if beside else ""

@@ -106,8 +106,8 @@ def tables_of(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
     folders = [path, path / "source", path / "units"]
-    found = [file for folder in folders if folder.is_dir() for file in sorted(folder.iterdir())]
-    tables = [file for file in found if file.suffix.lower() in SUFFIXES and not file.name.startswith(".")]
+    files = [file for folder in folders if folder.is_dir() for file in sorted(folder.iterdir())]
+    tables = [file for file in files if file.suffix.lower() in SUFFIXES and not file.name.startswith(".")]
     if not tables:
         raise InputError(f"{path}: there is no table in this folder; {', '.join(sorted(SUFFIXES))} were looked for")
     return tables

@@ -81,7 +81,15 @@ def check_with(place: Path, simulator: Simulator) -> tuple[tuple[DataMistake, ..
 
 
 def _recorded(place: Path, simulator: Simulator) -> tuple[list[SimulatorRun], str]:
-    paths = _tables(place)
+    if place.is_file():
+        paths = [place]
+    elif (place / RECORDING).is_file():
+        paths = [place / RECORDING]
+    else:
+        tables = (place / "runs").glob(f"*/{RECORDING}")
+        paths = sorted(tables, key=lambda path: (len(path.parent.name), path.parent.name))
+    if not paths:
+        raise InputError(f"{place}: neither a table nor runs/<n>/{RECORDING}; record the mechanism first")
     runs = []
     for path in paths:
         name = str(path.parent.relative_to(place)) if place.is_dir() else path.stem
@@ -90,17 +98,6 @@ def _recorded(place: Path, simulator: Simulator) -> tuple[list[SimulatorRun], st
         columns = {c: column(table, c, path) for c in names}
         runs.append(recorded(simulator, name, columns, str(_said(path).get("profile", ""))))
     return runs, str(_said(paths[0]).get("serial", place.stem))
-
-
-def _tables(place: Path) -> list[Path]:
-    if place.is_file():
-        return [place]
-    if (place / RECORDING).is_file():
-        return [place / RECORDING]
-    files = sorted((place / "runs").glob(f"*/{RECORDING}"), key=lambda path: (len(path.parent.name), path.parent.name))
-    if not files:
-        raise InputError(f"{place}: neither a table nor runs/<n>/{RECORDING}; record the mechanism first")
-    return files
 
 
 def _said(path: Path) -> dict[str, object]:

@@ -122,9 +122,9 @@ class RunKeeper:
             unit = self._registry.lots.get(order.lot_id).reference_unit
             return replace(done, message=(self._loads.begin(order, units[0], loads, unit),), recording_sha256=sha256)
         tell(Progress(order.order_id, RunState.RUNNING, CALIBRATING, 0.99, 1.0))
-        kept = [self._keep_unit(order, unit) for unit in units]
-        sha256 = kept[0][0]
-        verdicts = [verdict for _, verdict in kept if verdict is not None]
+        outcomes = [self._keep_unit(order, unit) for unit in units]
+        sha256 = outcomes[0][0]
+        verdicts = [verdict for _, verdict in outcomes if verdict is not None]
         if not verdicts:
             message = (reason("run.no_network", lot=order.lot_id),)
             return replace(done, message=message, recording_sha256=sha256)
