@@ -67,8 +67,8 @@ class Line:
 
 def register(registry, lot_id: str, serial: str) -> None:
     """Put a unit into a lot by its name alone."""
-    with registry.database.writing() as connection:
-        registry.lots._add_unit(connection, lot_id, serial, "target", None)
+    with registry.database.writing():
+        registry.lots._add_unit(lot_id, serial, "target", None)
 
 
 @pytest.fixture

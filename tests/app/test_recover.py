@@ -23,9 +23,8 @@ def whole(tmp_path_factory):
     return path.read_bytes()
 
 
-def spool_line(value):
-    """A line as spools have it: the checksum of the text, and the text."""
-    text = json.dumps(value, separators=(",", ":")).encode()
+def _line(value):
+    text = json.dumps(value).encode()
     return b"%08x %s\n" % (zlib.crc32(text), text)
 
 
@@ -35,7 +34,7 @@ def changed_facts(whole, **changes):
     for k, line in enumerate(lines):
         if b'"facts"' in line:
             facts = json.loads(line.partition(b" ")[2])["facts"] | changes
-            lines[k] = spool_line({"facts": {key: value for key, value in facts.items() if value is not None}}).rstrip()
+            lines[k] = _line({"facts": {key: value for key, value in facts.items() if value is not None}}).rstrip()
     return b"\n".join(lines)
 
 
@@ -48,9 +47,9 @@ BAD = {
     "torn in its last line": lambda whole: whole[:-3],
     "header alone": lambda whole: whole[: whole.index(b"\n") + 1],
     "noise": lambda whole: np.random.default_rng(1).bytes(5000),
-    "a serial that is none": lambda whole: spool_line({"schema": "softcal.spool/1", "serial": "../x"}),
-    "a header that is no table": lambda whole: spool_line([1, 2]),
-    "rows that are none": lambda whole: whole[: whole.index(b"\n") + 1] + spool_line({"output": [[1.0]], "polls": [3]}),
+    "a serial that is none": lambda whole: _line({"schema": "softcal.spool/1", "serial": "../x"}),
+    "a header that is no table": lambda whole: _line([1, 2]),
+    "rows that are none": lambda whole: whole[: whole.index(b"\n") + 1] + _line({"output": [[1.0]], "polls": [3]}),
     "facts of another version": lambda whole: changed_facts(whole, moves=None, new_fact=1),
     "facts that do not fit": lambda whole: changed_facts(whole, span_s=[1e9, 2e9]),
     "a recording that is refused today": lambda whole: changed_facts(whole, sample_rate_Hz=200.0),
