@@ -10,7 +10,7 @@ from softcal.core.errors import InputError
 from softcal.core.quality.audit_plan import AuditConfig, AuditPlan, LotStatement, judge_lot, plan_audit
 from softcal.core.unit.verdict import Limit, Verdict
 from softcal.core.words.reason import DOUBT
-from softcal.db.entries import MadeCalibration, UnitEntry
+from softcal.db.entries import UnitEntry
 from softcal.db.registry import Registry
 
 PLAN, STATEMENT, CONFIRMED = "audit_plan", "audit_result", "audit_doubt"
@@ -64,10 +64,15 @@ def draw_plan(
     # Forecasts of the units that audits can speak for; their forecast alone may speak against them
     units = {unit.serial: unit for unit in _targets(registry, lot_id) if unit.predicted_rmse is not None}
     standings = registry.pages.standings(lot_id, list(units))
+    unchecked = {
+        serial
+        for serial, standing in standings.items()
+        if (made := standing.made) is not None and made.is_open and made.decision.measured is None
+    }
     accepted = {
         serial: float(unit.predicted_rmse or 0.0)
         for serial, unit in units.items()
-        if unit.verdict in ACCEPTED or (serial in standings and _is_open(standings[serial].made))
+        if unit.verdict in ACCEPTED or serial in unchecked
     }
     if not accepted:
         raise InputError(f"lot {lot_id!r} has no accepted unit yet; calibrate its units first")
@@ -154,10 +159,6 @@ def _standing(registry: Registry, lot_id: str, facts: Mapping[str, object]) -> L
 
 def _targets(registry: Registry, lot_id: str) -> list[UnitEntry]:
     return [unit for unit in registry.lots.units(lot_id) if unit.role == "target"]
-
-
-def _is_open(made: MadeCalibration | None) -> bool:
-    return made is not None and made.is_open and made.decision.measured is None
 
 
 def confirmed_audits(registry: Registry, lot_id: str) -> dict[str, str]:

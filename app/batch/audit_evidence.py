@@ -8,7 +8,7 @@ import numpy as np
 
 from softcal.app.batch.audit import confirmed_audits, lot_audit
 from softcal.app.registry.limit import lot_limit
-from softcal.app.registry.lot_recordings import audit_of, newest_audits
+from softcal.app.registry.lot_recordings import audit_of, newest_audits, unlabelled
 from softcal.core.lot import Lot
 from softcal.core.quality.acceptance import Promise, least_units, tolerance_factor
 from softcal.core.quality.audit_check import doubtful_audits
@@ -180,26 +180,26 @@ class AuditReader:
         plan = lot_audit(self._registry, lot.id)
         at = {serial: entry.added_at for serial, entry in newest_audits(self._registry, lot.id).items()}
         doubtful = set() if plan is None else set(plan.plan.doubtful)
-        found = {}
+        audited = {}
         for serial, standing in self._registry.pages.standings(lot.id, sorted(set(at) - doubtful)).items():
             made = standing.made
             if made is None or made.decision.measured is None or not made.is_open:
                 continue
             if made.forecast_rmse and made.after_rmse:
-                found[serial] = AuditedUnit(serial, made.forecast_rmse, made.after_rmse, lot.id), at[serial], made
-        return found
+                audited[serial] = AuditedUnit(serial, made.forecast_rmse, made.after_rmse, lot.id), at[serial], made
+        return audited
 
     def _past(self, lot: Lot) -> list[PastAudit]:
         """Return the audits of all other lots of the sensor model."""
-        found = []
+        audits = []
         for other in self._registry.lots.all():
             if other.id == lot.id or not lot.sensor_model or other.sensor_model != lot.sensor_model:
                 continue
             for audit, at, made in self._audited(other).values():
                 failed = made.verdict == Verdict.FAIL and made.decision.predicted.verdict == Verdict.PASS
                 if made.is_audited:
-                    found.append(PastAudit(audit, other.sensor_model, made.method_id, at, failed))
-        return found
+                    audits.append(PastAudit(audit, other.sensor_model, made.method_id, at, failed))
+        return audits
 
     def _widening(self, qualification: Qualification, lot_id: str) -> Widening:
         """Return what the audited units ask for."""
@@ -216,17 +216,14 @@ class AuditReader:
 
     def _reading(self, lot_id: str, made: MadeCalibration) -> AuditReading | None:
         key = lot_id, made.serial, made.revision
-        if made.audit is None and key not in self._older:
-            self._older[key] = self._read(lot_id, made.serial)
-        return made.audit or self._older[key]
-
-    def _read(self, lot_id: str, serial: str) -> AuditReading | None:
-        registry = self._registry
-        recording = audit_of(registry, newest_audits(registry, lot_id, serial).get(serial))
-        if recording is None:
-            return None
-        record = registry.calibrations.get(serial, lot_id=lot_id).record
-        fitted_on = registry.recordings.get(record.recording_sha256)
-        unlabelled = fitted_on.unlabelled if isinstance(fitted_on, LabelledRecording) else fitted_on
-        network, calibration = registry.networks.get(record.network_id), Calibration.from_record(record)
-        return with_audit(network, calibration, recording, unlabelled).audit
+        if made.audit is not None or key in self._older:
+            return made.audit or self._older[key]
+        registry, reading = self._registry, None
+        audit = audit_of(registry, newest_audits(registry, lot_id, made.serial).get(made.serial))
+        if audit is not None:
+            record = registry.calibrations.get(made.serial, lot_id=lot_id).record
+            recording = unlabelled(registry.recordings.get(record.recording_sha256))
+            network, calibration = registry.networks.get(record.network_id), Calibration.from_record(record)
+            reading = with_audit(network, calibration, audit, recording).audit
+        self._older[key] = reading
+        return reading

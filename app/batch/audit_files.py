@@ -37,31 +37,31 @@ def look_at_audits(
         files: one per unit, called by its serial, or wide ones with a column per unit.
     """
     plan = ImportPlan(files, columns, lot, audit=True, sheet=sheet)
-    return tuple(_looked(one, units) for one in look_through(plan))
+    return tuple(_looked(look, units) for look in look_through(plan))
 
 
-def _looked(one: LookedAt, units: Collection[str]) -> AuditFile:
-    if one.unit is None:
-        return AuditFile(one.file, one.serial, None, plain(one.problem))
-    if one.serial not in units:
-        return AuditFile(one.file, one.serial, None, reason("audit.stranger", serial=one.serial))
-    if one.unit.reference is None:
-        return AuditFile(one.file, one.serial, None, Reason("audit.no_reference"))
+def _looked(look: LookedAt, units: Collection[str]) -> AuditFile:
+    if look.unit is None:
+        return AuditFile(look.file, look.serial, None, plain(look.problem))
+    if look.serial not in units:
+        return AuditFile(look.file, look.serial, None, reason("audit.stranger", serial=look.serial))
+    if look.unit.reference is None:
+        return AuditFile(look.file, look.serial, None, Reason("audit.no_reference"))
     try:
-        return AuditFile(one.file, one.serial, LabelledRecording(one.unit.recording, one.unit.reference))
+        return AuditFile(look.file, look.serial, LabelledRecording(look.unit.recording, look.unit.reference))
     except InputError as error:
-        return AuditFile(one.file, one.serial, None, error.reason)
+        return AuditFile(look.file, look.serial, None, error.reason)
 
 
-def write_audits(folder: Path, found: Sequence[AuditFile]) -> list[str]:
+def write_audits(folder: Path, audits: Sequence[AuditFile]) -> list[str]:
     """Write the recordings that are taken into audit/; return the serials of those replaced."""
-    taken = {one.serial: one.recording for one in found if one.recording is not None}
-    return [serial for serial, one in taken.items() if replace_recording(folder / "audit", serial, ".csv", one)]
+    taken = {audit.serial: audit.recording for audit in audits if audit.recording is not None}
+    return [s for s, recording in taken.items() if replace_recording(folder / "audit", s, ".csv", recording)]
 
 
-def store_audits(registry: Registry, lot_id: str, found: Sequence[AuditFile], actor: str | None = None) -> int:
+def store_audits(registry: Registry, lot_id: str, audits: Sequence[AuditFile], actor: str | None = None) -> int:
     """Keep the recordings that are taken, and return how many; the next calibration has them."""
-    taken = [one.recording for one in found if one.recording is not None]
+    taken = [audit.recording for audit in audits if audit.recording is not None]
     with registry.transaction():
         for recording in taken:
             registry.recordings.add(lot_id, recording, "audit", actor=actor)

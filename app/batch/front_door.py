@@ -45,19 +45,19 @@ class Expected:
 
 def expect(plan: ImportPlan) -> tuple[Expected, ...]:
     """Say what would become of every unit of a plan; nothing is written and nothing is fitted."""
-    looked = look_through(plan)
-    source = next((one for one in looked if one.serial == plan.lot.source), None)
-    return tuple(_expected(one, source, plan) for one in looked)
+    looks = look_through(plan)
+    source = next((look for look in looks if look.serial == plan.lot.source), None)
+    return tuple(_expected(look, source, plan) for look in looks)
 
 
-def _expected(one: LookedAt, source: LookedAt | None, plan: ImportPlan) -> Expected:
-    if one.unit is None:
-        return Expected(one.file, one.serial, problem=one.problem)
-    recording, reference = one.unit.recording, one.unit.reference
-    facts = (one.file, one.serial, len(recording), len(recording) / plan.lot.sample_rate_Hz)
-    if source is one:
+def _expected(look: LookedAt, source: LookedAt | None, plan: ImportPlan) -> Expected:
+    if look.unit is None:
+        return Expected(look.file, look.serial, problem=look.problem)
+    recording, reference = look.unit.recording, look.unit.reference
+    facts = (look.file, look.serial, len(recording), len(recording) / plan.lot.sample_rate_Hz)
+    if source is look:
         if reference is None:
-            return Expected(*facts, problem=f"the source {one.serial} has no reference")
+            return Expected(*facts, problem=f"the source {look.serial} has no reference")
         try:
             LabelledRecording(recording, reference)
         except InputError as error:

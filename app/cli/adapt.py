@@ -10,7 +10,6 @@ from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
     from softcal.app.use.adapt import AdaptOptions, AdaptReport
-    from softcal.core.use.method import UseMethod
     from softcal.db.registry import Registry
 
 EXAMPLES = """examples:
@@ -74,27 +73,21 @@ MODE_HELP = (
 def run(options: argparse.Namespace) -> None:
     """Follow the stream, and say what was followed, held and flagged."""
     from softcal.app.use.adapt import AdaptOptions
-    from softcal.core.use.adapter import AdaptConfig
+    from softcal.core.use.adapter import QUEUES, AdaptConfig
+    from softcal.core.use.method import OnlineConfig, UseMethod
 
-    config = AdaptConfig(options.mode, _method(options))
+    method = UseMethod()
+    if options.queue is not None:
+        if options.mode not in QUEUES:
+            raise InputError(f"--queue is for --mode {' and '.join(QUEUES)}; this is --mode {options.mode}")
+        method = UseMethod(online=OnlineConfig(options.queue))
+    config = AdaptConfig(options.mode, method)
     with registry_of(options) as registry:
         revision = options.revision if options.loads is None else _trimmed(registry, options)
         adapt = AdaptOptions(config, revision, options.stream, options.resume, lot_id=options.lot)
         report = _follow(registry, options, adapt)
         say_caution(registry, (report.serial, report.revision, report.lot.id), "adapt")
         _report(registry, options, report)
-
-
-def _method(options: argparse.Namespace) -> "UseMethod":
-    """Return the numbers of the method, with the queue that was asked for."""
-    from softcal.core.use.adapter import QUEUES
-    from softcal.core.use.method import OnlineConfig, UseMethod
-
-    if options.queue is None:
-        return UseMethod()
-    if options.mode not in QUEUES:
-        raise InputError(f"--queue is for --mode {' and '.join(QUEUES)}; this is --mode {options.mode}")
-    return UseMethod(online=OnlineConfig(options.queue))
 
 
 def _trimmed(registry: "Registry", options: argparse.Namespace) -> int:

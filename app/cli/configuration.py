@@ -41,16 +41,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         InputError: a file cannot be read, no command has an option of that name, or it does not take that value.
     """
     for path in files_in_use():
-        _apply(path, _read(path), parser)
-
-
-def _read(path: Path) -> dict[str, object]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); mend it or move it away") from error
-    except ValueError as error:
-        raise InputError(f"{path}: is not TOML ({error}); mend it or move it away") from error
+        try:
+            table = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error.strerror}); mend it or move it away") from error
+        except ValueError as error:
+            raise InputError(f"{path}: is not TOML ({error}); mend it or move it away") from error
+        _apply(path, table, parser)
 
 
 def _apply(path: Path, table: Mapping[str, object], parser: argparse.ArgumentParser, command: str = "") -> None:

@@ -102,8 +102,15 @@ def run(options: argparse.Namespace) -> int:
     elif not options.check:
         raise InputError("nothing to do: give --serial or --lot with --format, or --check to check a folder")
     if options.check:
-        result["check"], problems = _check(options)
-        code = 2 if problems else code
+        from softcal.app.export.check import check_folder
+        from softcal.app.export.signature import trusted_keys
+
+        check = check_folder(options.out, trusted_keys(options.public_key))
+        for problem in check.problems:
+            say(f"problem: {problem}")
+        print_table(("question", "answer"), check.answers)
+        result["check"] = {**vars(check), "problems": check.problems, "answers": dict(check.answers)}
+        code = 2 if check.problems else code
     write_json(options.json, result)
     return code
 
@@ -169,14 +176,3 @@ def _say_cost(devices: Sequence[Mapping[str, object]]) -> None:
         f"on a Cortex-M0+ at 48 MHz: network {dearest['network_bytes']} B, code 1.9 KB, RAM {dearest['ram_bytes']} B, "
         f"about {ms:.2f} ms per estimate (at most {1000 / ms:.0f} Hz)"
     )
-
-
-def _check(options: argparse.Namespace) -> tuple[dict[str, object], tuple[str, ...]]:
-    from softcal.app.export.check import check_folder
-    from softcal.app.export.signature import trusted_keys
-
-    problems = check_folder(options.out, trusted_keys(options.public_key))
-    for problem in problems.problems:
-        say(f"problem: {problem}")
-    print_table(("question", "answer"), problems.answers)
-    return {**vars(problems), "problems": problems.problems, "answers": dict(problems.answers)}, problems.problems

@@ -15,7 +15,7 @@ from softcal.core.errors import InputError
 if TYPE_CHECKING:
     from softcal.core.gap.data_mistake import DataMistake
     from softcal.core.gap.diagnosis import Diagnosis
-    from softcal.core.gap.gap_diagnosis import GapDiagnosis, RankedCause
+    from softcal.core.gap.gap_diagnosis import GapDiagnosis
     from softcal.core.twin.parameters import ReadoutMetadata
     from softcal.core.twin.simulate import Twin
 
@@ -124,29 +124,30 @@ def _check(options: argparse.Namespace) -> None:
 
     if options.simulator:
         _refuse_electronics(options)
-        mistakes, told = check_with(options.case, load_simulator(options.simulator))
+        mistakes, identifiability = check_with(options.case, load_simulator(options.simulator))
     else:
-        mistakes, told = check_case(options.case, _table_readout(options))
-    data, identifiability = [one.record() for one in mistakes], None if told is None else told.record()
-    if not answer(options, "gap.check/1", {"data": data, "identifiability": identifiability}):
+        mistakes, identifiability = check_case(options.case, _table_readout(options))
+    record = None if identifiability is None else identifiability.record()
+    data = [mistake.record() for mistake in mistakes]
+    if not answer(options, "gap.check/1", {"data": data, "identifiability": record}):
         return
     _show_mistakes(mistakes)
-    if told is None:
+    if identifiability is None:
         print("check       repair the recordings and check again; nothing else was judged")
         return
     for kind, is_base in (("base parameters", True), ("causes", False)):
-        every = [one for one in told.every if one.is_base == is_base]
-        print(f"told        {sum(one.is_told for one in every)} of {len(every)} {kind}")
-    for line in reasons(told):
+        is_told = [each.is_told for each in identifiability.every if each.is_base == is_base]
+        print(f"told        {sum(is_told)} of {len(is_told)} {kind}")
+    for line in reasons(identifiability):
         print(f"not told    {line}")
 
 
-def _show_mistakes(found: "tuple[DataMistake, ...]") -> None:
-    for one in found:
-        runs = ", ".join(map(str, one.runs)) or "all"
-        kind = one.what.replace("_", " ")
-        print(f"data        {kind}{f' of {one.channel}' if one.channel else ''}, runs {runs}: {one.evidence}")
-        print(f"repair      {one.repair}")
+def _show_mistakes(mistakes: "tuple[DataMistake, ...]") -> None:
+    for mistake in mistakes:
+        runs = ", ".join(map(str, mistake.runs)) or "all"
+        kind = mistake.what.replace("_", " ") + (f" of {mistake.channel}" if mistake.channel else "")
+        print(f"data        {kind}, runs {runs}: {mistake.evidence}")
+        print(f"repair      {mistake.repair}")
 
 
 def _refuse_electronics(options: argparse.Namespace) -> None:
@@ -246,8 +247,9 @@ def _show(diagnosis: "GapDiagnosis[Any]") -> None:
     for cause in (c for c in diagnosis.causes if c.form and c.probability >= 0.5):
         print(f"form        {cause.effect}: the twin has it as {cause.form}; the values above are the catalogue's")
     if diagnosis.residual is not None:
-        for one in diagnosis.residual.terms:
-            print(f"empirical   {one.term.formula}  (standard error {one.standard_error:.1g} {one.term.unit})")
+        for fitted in diagnosis.residual.terms:
+            error = f"standard error {fitted.standard_error:.1g} {fitted.term.unit}"
+            print(f"empirical   {fitted.term.formula}  ({error})")
         shrink, beside = diagnosis.residual.shrink, " + ".join(diagnosis.residual.beside)
         held = f"{shrink.held_out:.2f} [{shrink.low:.2f}, {shrink.high:.2f}] held out"
         addition = f", beside {beside}, which alone reach {diagnosis.residual.without:.2f}" if beside else ""
@@ -288,7 +290,10 @@ def _show_result(diagnosis: "GapDiagnosis[Any]") -> None:
     named = [c for c in diagnosis.causes if c.probability > 0.01]
     if named:
         hidden = diagnosis.hidden_fraction
-        rows = [[c.effect, c.stage, c.probability, c.shrink, hidden.get(c.effect), _values(c)] for c in named]
+        rows = []
+        for c in named:
+            values = ", ".join(f"{name} = {p.value:.3g} {p.unit}".rstrip() for name, p in c.parameters.items())
+            rows.append([c.effect, c.stage, c.probability, c.shrink, hidden.get(c.effect), values])
         print_table(["effect", "stage", "probability", "shrink", "hidden", "parameters"], rows)
     for place in diagnosis.places:
         print(f"where       {place.stage}, {place.channel}, {place.regime}: {place.share:.0%}  {place.detail}")
@@ -297,7 +302,3 @@ def _show_result(diagnosis: "GapDiagnosis[Any]") -> None:
     print(f"next        {diagnosis.next_experiment.profile}: {diagnosis.next_experiment.why}")
     for line in () if diagnosis.told is None else reasons(diagnosis.told):
         print(f"not told    {line}")
-
-
-def _values(cause: "RankedCause") -> str:
-    return ", ".join(f"{name} = {p.value:.3g} {p.unit}".rstrip() for name, p in cause.parameters.items())

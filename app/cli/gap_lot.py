@@ -54,14 +54,14 @@ def _lot(options: argparse.Namespace) -> None:
         _show_worth(diagnosis.calibration)
 
 
-def _show(found: "LotDiagnosis") -> None:
-    print(f"verdict     {found.verdict}")
-    word = "nearest" if found.verdict == "unknown" else "shared"
-    for cause in found.causes:
-        print(f"{word:<11} {cause}: probability {found.probability[cause]:.3g} over the lot")
-    for ids in found.rivals[1:]:
-        print(f"ambiguous   {' + '.join(found.rivals[0]) or 'no cause'} / {' + '.join(ids) or 'no cause'}")
-    for member in found.members:
+def _show(diagnosis: "LotDiagnosis") -> None:
+    print(f"verdict     {diagnosis.verdict}")
+    word = "nearest" if diagnosis.verdict == "unknown" else "shared"
+    for cause in diagnosis.causes:
+        print(f"{word:<11} {cause}: probability {diagnosis.probability[cause]:.3g} over the lot")
+    for ids in diagnosis.rivals[1:]:
+        print(f"ambiguous   {' + '.join(diagnosis.rivals[0]) or 'no cause'} / {' + '.join(ids) or 'no cause'}")
+    for member in diagnosis.members:
         own = " + ".join(member.diagnosis.best.hypothesis.ids) or "no cause"
         if member.is_left_out:
             print(f"left out    {member.name}: {'; '.join(str(m.evidence) for m in member.diagnosis.mistakes)}")
@@ -70,7 +70,7 @@ def _show(found: "LotDiagnosis") -> None:
             print(f"outlier     {member.name}: does not share the lot's causes; {alone}")
     rows = [
         [m.name, m.diagnosis.verdict, effect, name, p.value, p.low, p.high, p.unit]
-        for m in found.members
+        for m in diagnosis.members
         for effect, values in m.sizes.items()
         for name, p in values.items()
     ]

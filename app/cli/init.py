@@ -112,6 +112,14 @@ def _device(section: str, role: "Role") -> dict[str, Any]:
     return {"kind": kind, **_answers(section, config, {f.name for f in fields(config)} - {"kind"})}
 
 
+READERS: dict[object, Callable[[str], Any]] = {
+    bool: {"true": True, "false": False}.__getitem__,
+    float: float,
+    int: int,
+}
+"""What reads the answer for a key of a type; every other is text."""
+
+
 def _answers(section: str, config: type[Any], names: set[str]) -> dict[str, Any]:
     """Ask for the keys of a section, in the order and with the meaning of their declaration."""
     from softcal.station.devices.config import meanings
@@ -120,9 +128,10 @@ def _answers(section: str, config: type[Any], names: set[str]) -> dict[str, Any]
         if line.strip().partition(":")[0].partition(",")[0] in names or line.startswith(" " * 8):
             say(f"    {line.strip()}")
     types = get_type_hints(config)
-    asked_for = [each for each in fields(config) if each.name in names]
     return {
-        each.name: asked(f"{section}: {each.name}", _converter(types[each.name]), _default(each)) for each in asked_for
+        each.name: asked(f"{section}: {each.name}", READERS.get(types[each.name], str), _default(each))
+        for each in fields(config)
+        if each.name in names
     }
 
 
@@ -130,12 +139,6 @@ def _default(each: "Field[Any]") -> str | None:
     if each.default is MISSING:
         return None
     return str(each.default).lower() if isinstance(each.default, bool) else str(each.default)
-
-
-def _converter(kind: object) -> Callable[[str], Any]:
-    if kind is bool:
-        return lambda text: {"true": True, "false": False}[text]
-    return {float: float, int: int}.get(kind, str)  # type: ignore[call-overload,no-any-return]
 
 
 def asked(question: str, kind: Callable[[str], T], default: str | None, is_silent: bool = False) -> T:

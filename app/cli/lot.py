@@ -270,7 +270,12 @@ def _rules(options: argparse.Namespace) -> None:
     with registry_of(options) as registry:
         rules = registry.lots.line_rules(registry.lots.get(options.lot))
         if options.retests:
-            changes["retests"] = {**rules.retests, **dict(_retest(text) for text in options.retests)}
+            changes["retests"] = dict(rules.retests)
+            for text in options.retests:
+                verdict, _, times = text.partition("=")
+                if not times.isdigit():
+                    raise InputError(f"--retests {text!r}: VERDICT=N was expected, for example fail=1")
+                changes["retests"][verdict] = int(times)
         if changes:
             registry.lots.set_line_rules(options.lot, replace(rules, **changes), reason=options.reason)
         versions = registry.lots.line_rules_versions(options.lot)
@@ -284,10 +289,3 @@ def _rules(options: argparse.Namespace) -> None:
         )
         rows = [[e.version, here(e.made_at), e.actor, e.reason] for e in versions]
         print_table(("version", "set", "by", "reason"), rows)
-
-
-def _retest(text: str) -> tuple[str, int]:
-    verdict, _, times = text.partition("=")
-    if not times.isdigit():
-        raise InputError(f"--retests {text!r}: VERDICT=N was expected, for example fail=1")
-    return verdict, int(times)

@@ -85,11 +85,13 @@ def _bring(options: argparse.Namespace) -> int:
             looked = look_at_audits(lot, target_serials(registry, lot.id), files, columns, options.sheet)
             store_audits(registry, lot.id, looked)
             judge_again(registry, [lot.id])
-    taken = [one.serial for one in looked if one.recording is not None]
-    refused = {one.file: str(one.refusal) for one in looked if one.recording is None}
+    taken = [audit.serial for audit in looked if audit.recording is not None]
+    refused = {audit.file: str(audit.refusal) for audit in looked if audit.recording is None}
     facts = {"lot": lot.id, "audited": taken, "replaced": replaced, "refused": refused}
     if answer(options, "lot.audit-files/1", facts):
-        rows = [[one.file, one.serial, "taken" if one.recording else f"refused: {one.refusal}"] for one in looked]
+        rows = [
+            [audit.file, audit.serial, "taken" if audit.recording else f"refused: {audit.refusal}"] for audit in looked
+        ]
         print_table(("file", "serial", "result"), rows)
     if replaced:
         say(f"an older audit of {', '.join(replaced)} was replaced")

@@ -23,12 +23,12 @@ class Parser(argparse.ArgumentParser):
         self, args: Sequence[str] | None = None, namespace: Any = None
     ) -> tuple[argparse.Namespace, list[str]]:
         """Parse; an unknown option is refused here, by the command that knows its own options."""
-        found, left = super().parse_known_args(args, namespace)
+        options, left = super().parse_known_args(args, namespace)
         if left:
             unknown = next((word for word in left if word.startswith("-")), left[0]).partition("=")[0]
             near = suggestion(unknown, self._option_string_actions)
             self.error(f"unrecognized arguments: {' '.join(left)}{near}")
-        return found, left
+        return options, left
 
 
 def suggestion(word: str, known: Iterable[object]) -> str:

@@ -108,7 +108,7 @@ def _golden(options: argparse.Namespace) -> None:
 
     with registry_of(options) as registry:
         charts = golden_charts(registry, options.station, options.serial, options.baseline)
-    found = [{"station": key[0], "serial": key[1]} | chart_json(chart) for key, chart in charts.items()]
+    records = [{"station": key[0], "serial": key[1]} | chart_json(chart) for key, chart in charts.items()]
     header = ["station", "unit", "checks", "centre", "lower", "upper", "newest", "state"]
     rows = []
     for key, chart in charts.items():
@@ -116,7 +116,7 @@ def _golden(options: argparse.Namespace) -> None:
         state = f"check {newest.index + 1}: {newest.text}" if newest else "in control"
         limits = (chart.centre, chart.lower, chart.upper)
         rows.append([*key, len(chart.values), *limits, float(chart.values[-1]), state])
-    _show(options, "golden", {"charts": found}, header, rows, "")
+    _show(options, "golden", {"charts": records}, header, rows, "")
 
 
 def _show(

@@ -61,7 +61,9 @@ def _csv(file: BinaryIO, path: Path, most_cells: int) -> "pd.DataFrame":
 
     separator = "\t" if path.suffix.lower() == ".tsv" else ","
     _check_text(file, path, separator.encode(), most_cells)
-    names = _header(file, separator)
+    header = next((line for line in file if line.strip()), b"").splitlines()
+    file.seek(0)
+    names = next(csv.reader([header[0].decode("utf-8-sig")], delimiter=separator), []) if header else []
     if len(names) == 1 and ";" in names[0]:
         raise InputError(f"{path}: its cells are separated by ';'; save it with ',' between cells and decimal points")
     _check_names(names, path)
@@ -81,13 +83,6 @@ def _check_text(file: BinaryIO, path: Path, separator: bytes, most_cells: int) -
         cells += part.count(separator) + max(part.count(b"\n"), part.count(b"\r"))
         refuse_large(path, max(cells, size // CSV_BYTES_PER_CELL), most_cells)
     file.seek(0)
-
-
-def _header(file: BinaryIO, separator: str) -> list[str]:
-    """Return the names of the first line that is not empty, and go back to the beginning."""
-    line = next((line for line in file if line.strip()), b"").splitlines()
-    file.seek(0)
-    return next(csv.reader([line[0].decode("utf-8-sig")], delimiter=separator), []) if line else []
 
 
 def _parquet(file: BinaryIO, path: Path, most_cells: int, wanted: Wanted | None) -> "pd.DataFrame":
@@ -163,10 +158,10 @@ def _excel(file: BinaryIO, path: Path, sheet: str | None, most_cells: int, wante
     _check_names(header, path)
     names = _asked(header, wanted)
     places = [header.index(name) for name in names]
-    kept = [[row[k] if k < len(row) else None for k in places] for row in rows]
-    while kept and all(cell is None for cell in kept[-1]):
-        kept.pop()
-    table = pd.DataFrame(kept, columns=names)
+    cells = [[row[k] if k < len(row) else None for k in places] for row in rows]
+    while cells and all(cell is None for cell in cells[-1]):
+        cells.pop()
+    table = pd.DataFrame(cells, columns=names)
     table.attrs[NAMES] = header
     return table
 

@@ -106,8 +106,8 @@ def tables_of(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
     folders = [path, path / "source", path / "units"]
-    found = [file for folder in folders if folder.is_dir() for file in sorted(folder.iterdir())]
-    tables = [file for file in found if file.suffix.lower() in SUFFIXES and not file.name.startswith(".")]
+    files = [file for folder in folders if folder.is_dir() for file in sorted(folder.iterdir())]
+    tables = [file for file in files if file.suffix.lower() in SUFFIXES and not file.name.startswith(".")]
     if not tables:
         raise InputError(f"{path}: there is no table in this folder; {', '.join(sorted(SUFFIXES))} were looked for")
     return tables
@@ -222,9 +222,18 @@ def _checked(
         check_serial(serial)
         if serial in taken:
             raise InputError(f"serial {serial!r} comes twice; every unit needs its own")
-        unit = _read_unit(table, path, output, serial, plan)
+        columns, rate_Hz = plan.columns, plan.lot.sample_rate_Hz
+        values = column(table, output, path)
+        t_s = timed(table, columns.time, rate_Hz, path)
+        is_still = columns.stage is None or (columns.stage == STAGE and STAGE not in table.columns)
+        stage_mm = None if is_still else column(table, str(columns.stage), path)
+        reference = None
+        is_read = serial in plan.sources or (plan.audit and columns.reference in table.columns)
+        if columns.reference is not None and is_read:
+            reference = column(table, columns.reference, path)
+        recording = OutputRecording(serial, t_s, values, rate_Hz, plan.lot.output_unit, stage_mm)
     taken.add(serial)
-    return unit
+    return ImportedUnit(recording, reference)
 
 
 def _read_units(plan: ImportPlan) -> dict[str, ImportedUnit]:
@@ -244,19 +253,6 @@ def _read_units(plan: ImportPlan) -> dict[str, ImportedUnit]:
     return units
 
 
-def _read_unit(table: "pd.DataFrame", path: Path, output: str, serial: str, plan: ImportPlan) -> ImportedUnit:
-    columns, rate_Hz = plan.columns, plan.lot.sample_rate_Hz
-    values = column(table, output, path)
-    t_s = timed(table, columns.time, rate_Hz, path)
-    is_still = columns.stage is None or (columns.stage == STAGE and STAGE not in table.columns)
-    stage_mm = None if is_still else column(table, str(columns.stage), path)
-    reference = None
-    is_kept = plan.audit and columns.reference in table.columns
-    if columns.reference is not None and (serial in plan.sources or is_kept):
-        reference = column(table, columns.reference, path)
-    return ImportedUnit(OutputRecording(serial, t_s, values, rate_Hz, plan.lot.output_unit, stage_mm), reference)
-
-
 OTHER_TIMES = re.compile(r"(?:^|[^A-Za-z])(ms|us|µs|μs|ns|msec|usec|min|millis|micros)(?:$|[^A-Za-z])", re.IGNORECASE)
 """Names of time columns that are not in seconds."""
 
@@ -270,9 +266,9 @@ def median_rate_Hz(path: Path, time_column: str, sheet: str | None = None, most_
     Raises:
         InputError: the column never advances, or is not in seconds by its name or by its steps.
     """
-    if found := OTHER_TIMES.search(time_column):
+    if unit := OTHER_TIMES.search(time_column):
         raise InputError(
-            f"{path}: column {time_column!r} is in {found[1]} by its name, not in s; convert it, or leave out "
+            f"{path}: column {time_column!r} is in {unit[1]} by its name, not in s; convert it, or leave out "
             "the time column and give the sample rate"
         )
     t_s = timed(read_table(path, sheet, most_cells=most_cells, wanted=time_column.__eq__), time_column, 1.0, path)

@@ -25,7 +25,14 @@ def read_profile(path: Path) -> Profile:
     if unknown or not isinstance(rows, list) or not rows:
         what = f"unknown key {min(unknown)!r}" if unknown else "no moves"
         raise InputError(f"{path}: {what}; expected are name and moves = [[target mm, speed mm/s, hold s], ...]")
-    targets, speeds, holds = zip(*(_move(path, k, row) for k, row in enumerate(rows, start=1)), strict=True)
+    for k, row in enumerate(rows, start=1):
+        is_row = isinstance(row, list) and len(row) == 3 and all(isinstance(x, (int, float)) for x in row)
+        if not is_row or not all(math.isfinite(x) for x in row):
+            raise InputError(f"{path}: move {k} is {row!r}; [target mm, speed mm/s, hold s] was expected")
+        if float(row[1]) <= 0 or float(row[2]) < 0:
+            what = "a speed above 0 mm/s and a hold of 0 s or more were expected"
+            raise InputError(f"{path}: move {k} is {row!r}; {what}")
+    targets, speeds, holds = zip(*([float(x) for x in row] for row in rows), strict=True)
     return moves(str(content.get("name", path.stem)), targets, speeds, holds)
 
 
@@ -47,13 +54,3 @@ def profile_toml(profile: Profile) -> str:
     document.add(tomlkit.comment(f"target mm, speed mm/s, hold s; {profile.duration_s:.1f} s in all"))
     document["moves"] = tomlkit.item(rows).multiline(True)
     return tomlkit.dumps(document)
-
-
-def _move(path: Path, k: int, row: object) -> tuple[float, float, float]:
-    is_row = isinstance(row, list) and len(row) == 3 and all(isinstance(x, (int, float)) for x in row)
-    if not is_row or not all(math.isfinite(x) for x in row):  # type: ignore[attr-defined]
-        raise InputError(f"{path}: move {k} is {row!r}; [target mm, speed mm/s, hold s] was expected")
-    target_mm, speed_mm_s, hold_s = (float(x) for x in row)  # type: ignore[attr-defined]
-    if speed_mm_s <= 0 or hold_s < 0:
-        raise InputError(f"{path}: move {k} is {row!r}; a speed above 0 mm/s and a hold of 0 s or more were expected")
-    return target_mm, speed_mm_s, hold_s

@@ -183,13 +183,11 @@ def _recording(
     output = column(table, names.output, path)
     t_s = timed(table, names.time, names.rate_Hz or 1.0, path)
     stage_mm = column(table, STAGE, path) if STAGE in table.columns else None
+    if not sample_rate_Hz:
+        steps = np.diff(t_s)
+        sample_rate_Hz = 1.0 / float(np.median(steps[steps > 0])) if np.any(steps > 0) else float("nan")
     with naming(path):
-        return OutputRecording(serial, t_s, output, sample_rate_Hz or _median_rate_Hz(t_s), output_unit, stage_mm)
-
-
-def _median_rate_Hz(t_s: Array) -> float:
-    steps = np.diff(t_s)
-    return 1.0 / float(np.median(steps[steps > 0])) if np.any(steps > 0) else float("nan")
+        return OutputRecording(serial, t_s, output, sample_rate_Hz, output_unit, stage_mm)
 
 
 class naming:

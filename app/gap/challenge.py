@@ -18,7 +18,6 @@ from softcal.core.challenge.cases import EXPERIMENTS, RunPlan, SealedCase, press
 from softcal.core.challenge.draw import LINES, SEED_BITS, draw_case, draw_challenge, drawn_seed
 from softcal.core.challenge.mistakes import RunOnFile
 from softcal.core.challenge.realised import realised_shrink
-from softcal.core.challenge.rig import Measured
 from softcal.core.challenge.score import ScoreSheet, score_reports
 from softcal.core.challenge.seal import Label, open_seal, seal_labels
 from softcal.core.errors import InputError
@@ -95,9 +94,9 @@ def write_case(folder: Path, case: SealedCase) -> str:
     return folder_sha256(folder)
 
 
-def write_run(folder: Path, case: SealedCase, found: RunOnFile) -> None:
+def write_run(folder: Path, case: SealedCase, run: RunOnFile) -> None:
     """Write one run as `recording.csv` and `recording.json`."""
-    measured = found.measured
+    measured = run.measured
     metadata: dict[str, object] = {
         "serial": case.name.upper(),
         "kind": measured.kind,
@@ -105,18 +104,15 @@ def write_run(folder: Path, case: SealedCase, found: RunOnFile) -> None:
         "vref_V": case.rig.vref_V,
         "adc_bits": case.rig.adc_bits,
         "r_series_ohm": case.rig.r_series_ohm,
-        "sample_rate_Hz": found.sample_rate_Hz,
+        "sample_rate_Hz": run.sample_rate_Hz,
     }
     if measured.dummy_ohm is not None:
         metadata["dummy_ohm"] = measured.dummy_ohm
-    write_text(folder / "recording.csv", _csv(measured))
-    write_text(folder / "recording.json", json.dumps(metadata, indent=2) + "\n")
-
-
-def _csv(measured: Measured) -> str:
     names = list(measured.columns)
     columns = [[f"{value:.{DECIMALS[name]}f}" for value in measured.columns[name].tolist()] for name in names]
-    return "\n".join([",".join(names), *(",".join(row) for row in zip(*columns, strict=True))]) + "\n"
+    lines = [",".join(names), *(",".join(row) for row in zip(*columns, strict=True))]
+    write_text(folder / "recording.csv", "\n".join(lines) + "\n")
+    write_text(folder / "recording.json", json.dumps(metadata, indent=2) + "\n")
 
 
 def folder_sha256(folder: Path) -> str:

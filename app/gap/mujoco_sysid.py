@@ -7,7 +7,7 @@
 Needs the package mujoco with its extra: pip install 'mujoco[sysid]'.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -71,12 +71,18 @@ def from_sysid(
         run=model,
         inputs=(RUN,),
         channels=tuple(_channels(measured)),
-        base=tuple(one for p in free if p.name not in neutral for one in _parameters(p)),
+        base=tuple(each for p in free if p.name not in neutral for each in _parameters(p)),
         candidates=tuple(_candidate(p, neutral[p.name]) for p in free if p.name in neutral),
         per_run=per_run or {},
     )
     names = [n for s in models_sequences for n in s.sequence_name]
-    return SysidProblem(simulator, tuple(_recorded(simulator, model, start, k, n) for k, n in enumerate(names)))
+    runs = []
+    for k, sequence in enumerate(names):
+        _, measured = model.both(k, start)
+        t_s = np.asarray(measured.times, dtype=np.float64)
+        columns = {"t_s": t_s, RUN: np.full(len(t_s), float(k)), **_channels(measured)}
+        runs.append(recorded(simulator, sequence, columns))
+    return SysidProblem(simulator, tuple(runs))
 
 
 def _sysid() -> Any:
@@ -128,14 +134,15 @@ class _Rollout:
         return predicted[0][0], measured[0][0]
 
     def __call__(self, inputs: Columns, p: Mapping[str, float]) -> Columns:
-        vector = [v for one in self.params.parameters.values() if not one.frozen for v in self._values(one, p)]
+        vector: list[float] = []
+        for parameter in self.params.parameters.values():
+            if parameter.frozen:
+                continue
+            if parameter.name in self.neutral:
+                vector.append(self.neutral[parameter.name] + p[f"{parameter.name}.change"])
+            else:
+                vector += [p[name] for name in _names(parameter)]
         return _channels(self.both(int(inputs[RUN][0]), np.array(vector))[0])
-
-    def _values(self, parameter: Any, p: Mapping[str, float]) -> Iterator[float]:
-        if parameter.name in self.neutral:
-            yield self.neutral[parameter.name] + p[f"{parameter.name}.change"]
-        else:
-            yield from (p[name] for name in _names(parameter))
 
 
 @dataclass(frozen=True)
@@ -159,21 +166,15 @@ def _names(parameter: Any) -> list[str]:
 
 def _parameters(parameter: Any) -> list[Parameter]:
     low, high, usual = (v.flatten() for v in (parameter.min_value, parameter.max_value, parameter.nominal))
-    found = []
+    parameters = []
     for name, least, most, nominal in zip(_names(parameter), low, high, usual, strict=True):
         scale: Scale = "log" if least > 0.0 and most > LOG * least else "linear"
         size = float(nominal) or USUAL * float(most - least)
-        found.append(Parameter(name, "", float(least), float(most), size, scale=scale))
-    return found
+        parameters.append(Parameter(name, "", float(least), float(most), size, scale=scale))
+    return parameters
 
 
 def _candidate(parameter: Any, neutral: float) -> Any:
     low, high = (float(v.flatten()[0]) - neutral for v in (parameter.min_value, parameter.max_value))
     far = high if high >= -low else low
     return candidate(parameter.name, "model", Parameter("change", "", low, high, USUAL * far, neutral=0.0))
-
-
-def _recorded(simulator: Simulator, model: _Rollout, start: Array, run: int, name: str) -> SimulatorRun:
-    _, measured = model.both(run, start)
-    t_s = np.asarray(measured.times, dtype=np.float64)
-    return recorded(simulator, name, {"t_s": t_s, RUN: np.full(len(t_s), float(run)), **_channels(measured)})

@@ -81,28 +81,23 @@ def check_with(place: Path, simulator: Simulator) -> tuple[tuple[DataMistake, ..
 
 
 def _recorded(place: Path, simulator: Simulator) -> tuple[list[SimulatorRun], str]:
-    paths = _tables(place)
-    runs = [
-        _run(simulator, path, str(path.parent.relative_to(place)) if place.is_dir() else path.stem) for path in paths
-    ]
-    return runs, str(_said(paths[0]).get("serial", place.stem))
-
-
-def _tables(place: Path) -> list[Path]:
     if place.is_file():
-        return [place]
-    if (place / RECORDING).is_file():
-        return [place / RECORDING]
-    files = sorted((place / "runs").glob(f"*/{RECORDING}"), key=lambda path: (len(path.parent.name), path.parent.name))
-    if not files:
+        paths = [place]
+    elif (place / RECORDING).is_file():
+        paths = [place / RECORDING]
+    else:
+        tables = (place / "runs").glob(f"*/{RECORDING}")
+        paths = sorted(tables, key=lambda path: (len(path.parent.name), path.parent.name))
+    if not paths:
         raise InputError(f"{place}: neither a table nor runs/<n>/{RECORDING}; record the mechanism first")
-    return files
-
-
-def _run(simulator: Simulator, path: Path, name: str) -> SimulatorRun:
-    table = read_table(path)
-    wanted = [c for c in ("t_s", *simulator.inputs, *simulator.channels) if c in table.columns]
-    return recorded(simulator, name, {c: column(table, c, path) for c in wanted}, str(_said(path).get("profile", "")))
+    runs = []
+    for path in paths:
+        name = str(path.parent.relative_to(place)) if place.is_dir() else path.stem
+        table = read_table(path)
+        names = [c for c in ("t_s", *simulator.inputs, *simulator.channels) if c in table.columns]
+        columns = {c: column(table, c, path) for c in names}
+        runs.append(recorded(simulator, name, columns, str(_said(path).get("profile", ""))))
+    return runs, str(_said(paths[0]).get("serial", place.stem))
 
 
 def _said(path: Path) -> dict[str, object]:

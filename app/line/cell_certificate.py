@@ -46,17 +46,19 @@ def _facts(document: bytes, path: Path | None) -> dict[str, Any]:
         raise InputError(f"{path}: is no XML: {error}") from error
     if _local(root) != "digitalCalibrationCertificate":
         raise InputError(f"{path}: is no Digital Calibration Certificate, its root is {_local(root)!r}")
-    found: dict[str, Callable[[], Any]] = {
+    readers: dict[str, Callable[[], Any]] = {
         "cell_serial": lambda: _serial(root),
         "number": lambda: _text(_first(root, "uniqueIdentifier")),
         "laboratory": lambda: _text(_first(_first(root, "calibrationLaboratory"), "content")),
         "issued_on": lambda: _day(_text(_first(root, "endPerformanceDate"))),
         "due_on": lambda: _due(root),
-        "capacity_N": lambda: _largest(_force_N(each) for each in _marked(root, "basic_validityRangeMax")),
+        "capacity_N": lambda: _largest(
+            _in_N(each, _text(_first(each, "value"))) for each in _marked(root, "basic_validityRangeMax")
+        ),
         "uncertainty_N": lambda: _largest(_uncertainties_N(root)),
     }
     facts = {}
-    for name, read in found.items():
+    for name, read in readers.items():
         try:
             value = read()
         except ValueError as error:
@@ -108,20 +110,17 @@ def _due(root: ET.Element) -> date | None:
     return None
 
 
-def _force_N(element: ET.Element) -> float | None:
+def _in_N(element: ET.Element, value: str | None) -> float | None:
     factor = PER_UNIT_N.get(_text(_first(element, "unit")) or "")
-    value = _text(_first(element, "value"))
     return None if factor is None or value is None else factor * float(value)
 
 
 def _uncertainties_N(root: ET.Element) -> Iterator[float | None]:
     """Expanded uncertainties of forces in N, at k = 2; D-SI 1 and 2 name them differently."""
     for real in _all(root, "real"):
-        factor = PER_UNIT_N.get(_text(_first(real, "unit")) or "")
-        expanded = _text(_first(real, "uncertainty")) or _text(_first(real, "valueExpandedMU"))
-        coverage = _text(_first(real, "coverageFactor"))
-        if factor is not None and expanded is not None:
-            yield factor * float(expanded) * COVERAGE / float(coverage or COVERAGE)
+        expanded_N = _in_N(real, _text(_first(real, "uncertainty")) or _text(_first(real, "valueExpandedMU")))
+        if expanded_N is not None:
+            yield expanded_N * COVERAGE / float(_text(_first(real, "coverageFactor")) or COVERAGE)
 
 
 def _largest(values: Iterator[float | None]) -> float | None:

@@ -227,7 +227,11 @@ def read_line(
     chosen = [beat for beat in beats if beat.station == screen.station] or (beats if len(beats) == 1 else [])
     facts = LineFacts(now, tuple(b.station for b in beats), lots=tuple(registry.lots.ids()))
     if chosen:
-        facts = _at_station(registry, facts, chosen[0])
+        # In this order: a run that begins between must not find a place read after it.
+        beat, place = chosen[0], read_place(registry.line_places, chosen[0].station)
+        active = queue.active(beat.station)
+        runs = tuple(run for run in queue.runs(beat.station, NEWEST_RUNS) if run[0].kind.is_run)
+        facts = replace(facts, heartbeat=beat, is_alive=is_alive(beat.process), active=active, runs=runs, place=place)
     last_lot = next((run[0].lot_id for run in facts.runs if run[0].lot_id), "")
     wanted = (facts.place.lot_id, last_lot)
     lot_id = next((lot for lot in wanted if lot in facts.lots), facts.lots[0] if len(facts.lots) == 1 else "")
@@ -243,10 +247,10 @@ def _standings(registry: Registry, facts: LineFacts, lot_id: str) -> dict[str, U
     """Return where the units stand that the line shows, each of a run of several, too."""
     over = [run for run in facts.runs if run[0].lot_id == lot_id and run[1].state is RunState.DONE][:SHOWN_RUNS]
     shown = list(dict.fromkeys((*filter(None, [facts.serial]), *(order.serial for order, _ in over))))
-    found = registry.pages.standings(lot_id, shown) if shown else {}
-    judged = {order.serial for order, done in over if done.verdict and order.serial not in found}
+    standings = registry.pages.standings(lot_id, shown) if shown else {}
+    judged = {order.serial for order, done in over if done.verdict and order.serial not in standings}
     several = [numbered(serial, k) for serial in judged for k in range(MOST_AT_ONCE)]
-    return {**found, **registry.pages.standings(lot_id, several)} if several else found
+    return {**standings, **registry.pages.standings(lot_id, several)} if several else standings
 
 
 def standing_of(facts: LineFacts, run: LineRun) -> tuple[UnitStanding, ...]:
@@ -259,14 +263,6 @@ def standing_of(facts: LineFacts, run: LineRun) -> tuple[UnitStanding, ...]:
     # A run without a verdict leaves the unit as it was judged before.
     decided = [s for s in known if progress.verdict or (order.created is not None and s.made_at >= order.created)]
     return tuple(sorted(decided, key=lambda standing: -Verdict(standing.verdict).severity))
-
-
-def _at_station(registry: Registry, facts: LineFacts, beat: Heartbeat) -> LineFacts:
-    # In this order: a run that begins between must not find a place read after it.
-    place = read_place(registry.line_places, beat.station)
-    active = registry.order_queue.active(beat.station)
-    runs = tuple(run for run in registry.order_queue.runs(beat.station, NEWEST_RUNS) if run[0].kind.is_run)
-    return replace(facts, heartbeat=beat, is_alive=is_alive(beat.process), active=active, runs=runs, place=place)
 
 
 def read_lot(registry: Registry, lot_id: str) -> LotAtLine:

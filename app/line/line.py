@@ -124,13 +124,13 @@ def _step(registry: Registry, facts: LineFacts, screen: Screen, scan: Scan, who:
         return Step(_told(facts, Note("busy", {**_running(facts), "scanned": scan.value[:40]})))
     if facts.is_stopped:
         return Step(_told(facts, Note("acknowledge_first")))
-    found = _unit(registry, facts, scan)
-    if isinstance(found, Note):
+    place = _unit(registry, facts, scan)
+    if isinstance(place, Note):
         # Whatever it was, it is not the unit that was shown: no key may press that one now.
-        return Step(_told(facts, found, facts.place.emptied(facts.newest_run)))
+        return Step(_told(facts, place, facts.place.emptied(facts.newest_run)))
     beat = facts.heartbeat
-    found = replace(found, process=beat.process if beat else "", tab=screen.tab, note=None)
-    return Step(_told(facts, Note("lot", {"lot": found.lot_id}, False), found) if scan.kind == "lot" else found)
+    place = replace(place, process=beat.process if beat else "", tab=screen.tab, note=None)
+    return Step(_told(facts, Note("lot", {"lot": place.lot_id}, False), place) if scan.kind == "lot" else place)
 
 
 def _told(facts: LineFacts, note: Note, place: Place | None = None) -> Place:

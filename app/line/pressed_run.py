@@ -85,12 +85,15 @@ class RunKeeper:
         if order.kind is OrderKind.SOURCE and self._known_lot(order.lot_id) is None:
             Lot(order.lot_id, order.serial, 1.0)  # refuses an id that cannot be one
             return
-        source = self._registry.lots.get(order.lot_id).source
-        if (order.serial == source) != (order.kind is OrderKind.SOURCE):
-            facts = {"lot": order.lot_id, "source": source, "serial": order.serial, "kind": str(order.kind)}
+        lot = self._registry.lots.get(order.lot_id)
+        if (order.serial == lot.source) != (order.kind is OrderKind.SOURCE):
+            facts = {"lot": order.lot_id, "source": lot.source, "serial": order.serial, "kind": str(order.kind)}
             raise InputError(reason("run.wrong_kind", **facts))
         if order.kind is OrderKind.UNIT:
-            self._check_loads(order.lot_id)
+            # Loads of a lot that could not be used are refused while nothing has moved yet.
+            entry, loads = released_network(self._registry, lot.id), self._registry.lots.line_rules(lot).loads
+            if entry is not None and loads:
+                check_stated(loads, self._source_model(entry.id).source, self._method.map.anchors)
 
     def keep(self, order: Order, recording: StationRecording | RestReading, tell: Tell) -> Progress:
         """Store a finished run and do what follows from it; return how the order ended.
@@ -119,9 +122,9 @@ class RunKeeper:
             unit = self._registry.lots.get(order.lot_id).reference_unit
             return replace(done, message=(self._loads.begin(order, units[0], loads, unit),), recording_sha256=sha256)
         tell(Progress(order.order_id, RunState.RUNNING, CALIBRATING, 0.99, 1.0))
-        kept = [self._keep_unit(order, unit) for unit in units]
-        sha256 = kept[0][0]
-        verdicts = [verdict for _, verdict in kept if verdict is not None]
+        outcomes = [self._keep_unit(order, unit) for unit in units]
+        sha256 = outcomes[0][0]
+        verdicts = [verdict for _, verdict in outcomes if verdict is not None]
         if not verdicts:
             message = (reason("run.no_network", lot=order.lot_id),)
             return replace(done, message=message, recording_sha256=sha256)
@@ -141,13 +144,6 @@ class RunKeeper:
         sha256, outcome = self._keep_unit(order, unit)
         word, reasons = outcome or ("", (reason("run.no_network", lot=order.lot_id),))
         return replace(done, message=reasons, recording_sha256=sha256, verdict=word)
-
-    def _check_loads(self, lot_id: str) -> None:
-        """Refuse loads of a lot that could not be used; nothing has moved yet."""
-        lot = self._registry.lots.get(lot_id)
-        entry, loads = released_network(self._registry, lot_id), self._registry.lots.line_rules(lot).loads
-        if entry is not None and loads:
-            check_stated(loads, self._source_model(entry.id).source, self._method.map.anchors)
 
     def _keep_golden(self, order: Order, recording: StationRecording, done: Progress) -> Progress:
         labelled = recording.labelled_recording()

@@ -56,7 +56,11 @@ def _recover(path: Path, out: Path) -> Recovered:
     profile = run.header.get("profile", "")
     try:
         recording = restore(run)
-        serials = [check_serial(name) for name in _serials(run, recording.output.shape[1])]
+        channels = recording.output.shape[1]
+        names = run.header.get("serials", serial).split(SERIALS_APART)
+        if len(names) != channels:
+            names = [numbered(serial, channel) for channel in range(channels)]
+        serials = [check_serial(name) for name in names]
     except (BadReply, InputError) as error:
         end = str(error) if run.is_whole else str(run.end)
         file = out / f"{path.stem}.aborted.csv"
@@ -96,10 +100,3 @@ def _aborted_columns(run: SpooledRun, end: str) -> list[tuple[str, Any]]:
             at_s, values = zip(*((sample.host_s, sample.values[0]) for sample in samples), strict=True)
             columns.append((name, np.interp(host_s, at_s, values, left=np.nan, right=np.nan)))
     return [*columns, ("aborted", [end] * len(host_s))]
-
-
-def _serials(run: SpooledRun, channels: int) -> list[str]:
-    """Return the serial of each channel: as the run was told, else numbered."""
-    serial = run.header.get("serial", "unknown")
-    serials = run.header.get("serials", serial).split(SERIALS_APART)
-    return serials if len(serials) == channels else [numbered(serial, channel) for channel in range(channels)]

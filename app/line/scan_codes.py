@@ -44,9 +44,13 @@ def read_scan(text: str) -> Scan:
     prefix = AIM_PREFIX.match(raw)
     bare = raw[prefix.end() :] if prefix else raw
     is_gs1 = SEPARATOR in bare or bool(PRINTED_FIELD.match(bare)) or bool(prefix and prefix.group() in GS1_AIM)
-    if is_gs1:
-        return _from_gs1(bare)
-    return _plain("".join(letter for letter in bare if letter.isprintable()).strip())
+    if not is_gs1:
+        return _plain("".join(letter for letter in bare if letter.isprintable()).strip())
+    fields = dict(PRINTED_FIELD.findall(bare)) if bare.startswith("(") else _element_string(bare)
+    serial, lot_id = fields.get(SERIAL_FIELD, "").strip(), fields.get(LOT_FIELD, "").strip()
+    if serial:
+        return Scan("serial", serial, lot_id)
+    return Scan("lot", lot_id) if lot_id else Scan("unreadable", bare.replace(SEPARATOR, "|"))
 
 
 def _plain(text: str) -> Scan:
@@ -63,14 +67,6 @@ def _plain(text: str) -> Scan:
     if kind == "BADGE":
         return Scan("badge", value)
     return Scan("unreadable", text)
-
-
-def _from_gs1(text: str) -> Scan:
-    fields = dict(PRINTED_FIELD.findall(text)) if text.startswith("(") else _element_string(text)
-    serial, lot_id = fields.get(SERIAL_FIELD, "").strip(), fields.get(LOT_FIELD, "").strip()
-    if serial:
-        return Scan("serial", serial, lot_id)
-    return Scan("lot", lot_id) if lot_id else Scan("unreadable", text.replace(SEPARATOR, "|"))
 
 
 def _element_string(text: str) -> dict[str, str]:

@@ -39,8 +39,8 @@ def write_lot_folder(registry: Registry, lot_id: str, folder: Path) -> dict[str,
         if golden := _one_golden(registry, lot_id, pressed):
             write_recording(part / GOLDEN / f"{lot.source}.csv", registry.recordings.get(golden))
             written[GOLDEN] = [lot.source]
-        kept = known_loads(registry, lot_id, set(pressed.values()))
-        loads = {s: kept[sha].loads for (kind, s), sha in newest.items() if kind == "unit" and sha in kept}
+        known = known_loads(registry, lot_id, set(pressed.values()))
+        loads = {s: known[sha].loads for (kind, s), sha in newest.items() if kind == "unit" and sha in known}
         if loads:
             write_anchors(part / ANCHOR_FILES[0], loads)
     return written
@@ -49,5 +49,5 @@ def write_lot_folder(registry: Registry, lot_id: str, folder: Path) -> dict[str,
 def _one_golden(registry: Registry, lot_id: str, pressed: Mapping[str, str]) -> str | None:
     """Return the golden run that all recordings, hash → serial, belong to; None without one."""
     of = golden_of(registry, lot_id, set(pressed.values()))
-    found = {of[sha256][1] if sha256 in of else None for sha256 in pressed}
-    return found.pop() if len(found) == 1 else None
+    runs = {of[sha256][1] if sha256 in of else None for sha256 in pressed}
+    return runs.pop() if len(runs) == 1 else None

@@ -140,16 +140,16 @@ def _trimmed(registry: Registry, stored: StoredCalibration, known: KnownTrim, wh
     recording = unlabelled(registry.recordings.get(record.recording_sha256))
     problem = FitProblem(source, f, recording, config=(record.method or Method()).map)
     before = Calibration.from_record(record)
-    found = trim(problem, before.unit_map, before.interval, known.loads, UseMethod().trim)
+    result = trim(problem, before.unit_map, before.interval, known.loads, UseMethod().trim)
     # What the trim leaves open, whichever way the load moves.
-    wider = before.interval.widened(found.variance(before.interval))
-    trimmed = _record(base, stored.record, found, wider, known)
+    wider = before.interval.widened(result.variance(before.interval))
+    trimmed = _record(base, stored.record, result, wider, known)
     entry = newest_audits(registry, stored.lot_id, stored.serial).get(stored.serial)
     audit = None if entry is None or entry.sha256 == known.audit else audit_of(registry, entry)
     if audit is not None and trimmed.grounds is not None and not trimmed.grounds.rules:
         trimmed = measured(f, trimmed, audit, recording, lot_limit(registry, stored.lot_id))
     registry.calibrations.add(stored.lot_id, trimmed, actor=actor, reason=why, decided_by=DECIDED_BY)
-    return found
+    return result
 
 
 def _leave_out(
@@ -175,13 +175,13 @@ def _leave_out(
     registry.calibrations.add(stored.lot_id, restated, actor=actor, reason=why.code, decided_by=DECIDED_BY)
 
 
-def _decided(decision: Decision, found: Trimmed, loads: Anchors) -> Decision:
+def _decided(decision: Decision, result: Trimmed, loads: Anchors) -> Decision:
     """Return what is decided on a trimmed unit: nothing passes that was measured with another map.
 
     A measured fail stays: known loads say nothing about what lies between and beyond them.
     """
     is_held = decision.measured is not None and decision.measured.verdict is Verdict.FAIL
-    said = [reason(TRIMMED, loads=len(loads.output), before=found.before_rmse, after=found.after_rmse)]
+    said = [reason(TRIMMED, loads=len(loads.output), before=result.before_rmse, after=result.after_rmse)]
     if decision.is_audited or AUDITED_BEFORE_TRIM in {why.code for why in decision.bars}:
         said.append(reason(AUDITED_BEFORE_TRIM))
     bars = (*said, *(why for why in decision.bars if why.code not in TRIM_BARS))
@@ -196,30 +196,30 @@ def _trimless(reasons: Iterable[Reason]) -> tuple[Reason, ...]:
 
 
 def _record(
-    base: StoredCalibration, before: CalibrationRecord, found: Trimmed, wider: Interval, known: KnownTrim
+    base: StoredCalibration, before: CalibrationRecord, result: Trimmed, wider: Interval, known: KnownTrim
 ) -> CalibrationRecord:
     """Return the calibration with the trimmed map. What was measured was so before it."""
-    record, decision = base.record, _decided(before.decision, found, known.loads)
+    record, decision = base.record, _decided(before.decision, result, known.loads)
     grounds = before.grounds
     if grounds is not None:
         kept = grounds.measured if decision.measured else None
         grounds = replace(grounds, measured=kept, bars=decision.bars, told=_trimless(grounds.told))
     numbers: dict[str, float | str | None] = {
         UNTRIMMED: float(base.revision),
-        "map_anchor_gain": found.unit_map.gain,
-        "map_anchor_offset": found.unit_map.offset,
-        "map_gain_error": found.gain_error,
-        "map_rest_error": found.rest_error,
+        "map_anchor_gain": result.unit_map.gain,
+        "map_anchor_offset": result.unit_map.offset,
+        "map_gain_error": result.gain_error,
+        "map_rest_error": result.rest_error,
     }
     arrays = {name: array for name, array in record.arrays.items() if not name.startswith("map.")}
-    arrays |= {f"map.{name}": array for name, array in found.unit_map.arrays().items()}
+    arrays |= {f"map.{name}": array for name, array in result.unit_map.arrays().items()}
     arrays["interval.half_width"] = wider.half_width
     numbers |= {name: before.evidence[name] for name in LIMIT_EVIDENCE if name in before.evidence}
     judged_by = {"decision": decision.to_json(), "grounds": None if grounds is None else grounds.to_json()}
     settings = {**record.settings, **judged_by, LOADS: known.to_json()}
     trimmed = replace(
         record,
-        map_sha256=map_sha256(found.unit_map),
+        map_sha256=map_sha256(result.unit_map),
         arrays=arrays,
         settings=settings,
         verdict=str(decision.verdict),
