@@ -13,7 +13,7 @@ from softcal.core.gap.case import Case
 from softcal.core.gap.data_mistake import FEWEST_RUNS, DataMistake, numbers, of_gain
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import dots, energy, gram
-from softcal.core.gap.residual import structure
+from softcal.core.gap.residual import is_clean
 from softcal.core.gap.screen import Tangent
 from softcal.core.gap.search import EffectSearch
 from softcal.core.recording import Array
@@ -107,14 +107,14 @@ def nearest(base: Fit, promised_share: float = PROMISED) -> list[_Fitted]:
     Args:
         promised_share: of what the fit leaves that a mistake must promise, to first order, to be fitted.
     """
-    if _is_clean(base):
+    if is_clean(base):
         return []
     # Small zeros of single runs are taken off every fit; a mistake is looked for with none of them.
     base = fit(base.problem.bare, base.hypothesis, base.coordinates)
     runs = [k for k, run in enumerate(base.problem.case.runs) if run.kind == "press"]
     excess = base.chi2 - base.problem.count
     is_within_noise = excess < 4.0 * np.sqrt(2.0 * base.problem.count)
-    if len(runs) < FEWEST_RUNS or is_within_noise or _is_clean(base):
+    if len(runs) < FEWEST_RUNS or is_within_noise or is_clean(base):
         return []
     promised = sorted(_promised(base, runs), key=lambda p: -p[0])
     found = []
@@ -127,14 +127,10 @@ def nearest(base: Fit, promised_share: float = PROMISED) -> list[_Fitted]:
         found.append((fitted, run, oddity, (base.chi2 - fitted.chi2) / excess))
 
     def price(one: _Fitted) -> float:
-        dearer = 0.0 if _is_clean(one[0]) else DEARER * excess
+        dearer = 0.0 if is_clean(one[0]) else DEARER * excess
         return one[0].chi2 + len(one[2].hooks) * (EACH * float(np.log(base.problem.count)) + dearer)
 
     return sorted(found, key=price)
-
-
-def _is_clean(found: Fit) -> bool:
-    return not structure(found).is_significant
 
 
 def _promised(base: Fit, runs: Sequence[int]) -> list[tuple[float, int, _Oddity]]:

@@ -13,7 +13,7 @@ from softcal.core.gap.floor import noise_chance, noise_of
 from softcal.core.gap.generic_effects import imitated_causes, stranger
 from softcal.core.gap.posterior import Yardstick, log_evidences
 from softcal.core.gap.problem import Hypothesis, Problem
-from softcal.core.gap.residual import structure
+from softcal.core.gap.residual import is_clean
 from softcal.core.gap.screen import Probe, extent_of, hiding, joined, probes, screen, visible_effects
 from softcal.core.gap.start import base_fit, rough_start, with_driving_noise
 from softcal.core.recording import Array
@@ -133,7 +133,7 @@ class EffectSearch:
 
     def _share_places(self) -> None:
         """Give smaller hypotheses the episodes that the closest one has: places are no cause."""
-        donor = min(self.fits.values(), key=lambda f: f.chi2)
+        donor = self.closest
         placed = {e.id for e in donor.hypothesis.effects if e.is_episodic}
         if not donor.hypothesis.episode_count:
             return
@@ -221,9 +221,18 @@ class EffectSearch:
         excess = self.base.chi2 - self.base.problem.count
         return 1.0 - (found.chi2 - found.problem.count) / excess if excess > 0 else 1.0
 
+    def explained_share(self, found: Fit) -> float:
+        """Return the share within [0, 1], as reports give it."""
+        return float(np.clip(self.share(found), 0.0, 1.0))
+
+    @property
+    def closest(self) -> Fit:
+        """The fit that leaves least, however many causes it takes."""
+        return min(self.fits.values(), key=lambda found: found.chi2)
+
     def is_clean(self, found: Fit) -> bool:
         """Whether a hypothesis leaves no structure."""
-        return not structure(found).is_significant
+        return is_clean(found)
 
     def noise_chance(self, found: Fit) -> float:
         """Return how likely noise alone leaves as much as a hypothesis does."""
