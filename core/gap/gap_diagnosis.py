@@ -113,7 +113,7 @@ def let_go(search: EffectSearch) -> set[str]:
 
 def on_unseen(group: tuple[Fit, ...], gone: set[str]) -> tuple[tuple[Fit, ...], set[str]]:
     """Return the rivals without those that add a cause which lowers nothing on unseen samples, and these."""
-    best, kept, idle = group[0], [group[0]], set()
+    best, in_play, idle = group[0], [group[0]], set()
     for other in group[1:]:
         added = set(other.hypothesis.ids) - set(best.hypothesis.ids)
         # Another form of a cause may hold what a second one is: beside it nothing is left for that to lower.
@@ -123,8 +123,8 @@ def on_unseen(group: tuple[Fit, ...], gone: set[str]) -> tuple[tuple[Fit, ...], 
         if is_larger and (added & gone or (len(added) == 1 and unsupported(other, dict.fromkeys(added, best)))):
             idle |= added
         else:
-            kept.append(other)
-    return tuple(kept), idle
+            in_play.append(other)
+    return tuple(in_play), idle
 
 
 def judged(

@@ -91,14 +91,14 @@ def outlier_run_beside(search: EffectSearch) -> DataMistake | None:
         for fitted, run, oddity, share in nearest(base, LEAST_PROMISED)[:2]:
             clean = [grown for grown in search.grown_from(fitted) if search.is_clean(grown)]
             tried += [(base, (grown, run, oddity, share)) for grown in clean]
-    kept = []
+    priced = []
     for parent, (fitted, run, oddity, share) in tried:
         # The mistake counts as one number more; it belongs to no catalogue and has no prior odds of its own.
         price = parent.penalty if parent is not base or not singles else singles[0].penalty
         price += float(np.log(base.problem.count)) * len(oddity.hooks)
         if (share > SHARE_BESIDE or parent is base) and fitted.chi2 + price < best.bic - AHEAD:
-            kept.append((fitted.chi2 + price, (fitted, run, oddity, share)))
-    return _finding(*min(kept, key=lambda one: one[0])[1]) if kept else None
+            priced.append((fitted.chi2 + price, (fitted, run, oddity, share)))
+    return _finding(*min(priced, key=lambda one: one[0])[1]) if priced else None
 
 
 def nearest(base: Fit, promised_share: float = PROMISED) -> list[_Fitted]:

@@ -270,10 +270,10 @@ class EffectSearch:
     def _in_form(self, found: Fit, form: Form) -> Fit:
         at = [e.id for e in found.hypothesis.effects].index(form.effect.id)
         rows = [list(values) for values in found.effect_values]
-        kept = [e for e in found.hypothesis.effects if e.id != form.effect.id]
+        others = [e for e in found.hypothesis.effects if e.id != form.effect.id]
         first = form.start(rows[at], found.problem.scale.factor)
-        start = start_coordinates([*kept, form.effect], [*rows[:at], *rows[at + 1 :], first])
-        hypothesis = replace(found.hypothesis, effects=(*kept, form.effect))
+        start = start_coordinates([*others, form.effect], [*rows[:at], *rows[at + 1 :], first])
+        hypothesis = replace(found.hypothesis, effects=(*others, form.effect))
         base = found.coordinates[hypothesis.of_base]
         return fit(found.problem, hypothesis, np.concatenate([base, start]), steps=30)
 
