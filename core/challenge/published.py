@@ -14,7 +14,7 @@ from softcal.core.challenge.catalogue_equations import hum, in_other_forms
 from softcal.core.challenge.chain import Moment, equations
 from softcal.core.challenge.operators import low_passes, recursion
 from softcal.core.challenge.outside_equations import OUTSIDE_FORM
-from softcal.core.challenge.sizes import Draw, Rng, Scope, near
+from softcal.core.challenge.sizes import Draw, MAINS_Hz, Rng, Scope, alias_Hz, near
 from softcal.core.recording import Array
 
 BRANCHES = 24
@@ -142,7 +142,7 @@ PUBLISHED_OUTSIDE = equations(
 def _tone_Hz(rng: Rng, at: Scope) -> float:
     """A frequency from 1 Hz to 0.45 of the rate, 1.5 Hz from every alias of the mains."""
     rate_Hz = at.rig.sample_rate_Hz
-    aliases = [abs(m - rate_Hz * round(m / rate_Hz)) for m in (50.0, 60.0)]
+    aliases = [alias_Hz(mains_Hz, rate_Hz) for mains_Hz in MAINS_Hz]
     while True:
         frequency_Hz = float(rng.uniform(1.0, 0.45 * rate_Hz))
         if all(abs(frequency_Hz - alias) > 1.5 for alias in aliases):

@@ -8,6 +8,7 @@ import numpy as np
 from softcal.core.challenge.rig import Rig
 
 Rng = np.random.Generator
+MAINS_Hz = (50.0, 60.0)
 
 
 @dataclass(frozen=True)
@@ -42,11 +43,15 @@ def _saturation(rng: Rng, scope: Scope, scale: float) -> dict[str, float]:
     return {"low_V": 0.0, "high_V": scope.peak_V - lost_V}
 
 
+def alias_Hz(line_Hz: float, rate_Hz: float) -> float:
+    """Return where a line stands in the spectrum of samples."""
+    return float(abs(line_Hz - rate_Hz * round(line_Hz / rate_Hz)))
+
+
 def _hum_Hz(rng: Rng, rate_Hz: float) -> float:
     """Alias of 50 or 60 Hz mains, away from 0 and from half the rate, where no sine is left."""
-    mains = [m for m in (50.0, 60.0) if 0.5 < abs(m - rate_Hz * round(m / rate_Hz)) < rate_Hz / 2.0 - 0.5]
-    mains_Hz = float(rng.choice(mains)) + rng.normal(0.0, 0.03)
-    return float(abs(mains_Hz - rate_Hz * round(mains_Hz / rate_Hz)))
+    mains_Hz = [m for m in MAINS_Hz if 0.5 < alias_Hz(m, rate_Hz) < rate_Hz / 2.0 - 0.5]
+    return alias_Hz(float(rng.choice(mains_Hz)) + rng.normal(0.0, 0.03), rate_Hz)
 
 
 Draw = Callable[[Rng, Scope, float], dict[str, float]]

@@ -4,8 +4,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case
 from softcal.core.gap.data_mistake import DataMistake
@@ -34,7 +32,7 @@ from softcal.core.gap.place import likely_stages, loose_noise
 from softcal.core.gap.plausibility import doubts, mistakes
 from softcal.core.gap.posterior import confused_pairs, hidden_fraction
 from softcal.core.gap.problem import BASE
-from softcal.core.gap.residual import Map, Regime, regimes, structure, three_maps
+from softcal.core.gap.residual import Map, Regime, is_clean, regimes, three_maps
 from softcal.core.gap.screen import is_told, visible_effects
 from softcal.core.gap.search import EffectSearch
 from softcal.core.gap.start import unfitted
@@ -197,7 +195,7 @@ def diagnose(
         ambiguous_with=confused_pairs(group),
         hidden_fraction={i: hidden_fraction(best, i) for i in best.hypothesis.ids},
         next_experiment=_next(case, search, group, verdict),
-        explained_share=float(np.clip(search.share(best), 0.0, 1.0)) if partial is None else partial.share,
+        explained_share=search.explained_share(best) if partial is None else partial.share,
         mistakes=doubts(case),
         partial=partial,
         residual=learned(search.base, beside.get(verdict, ()), terms_of_twin),
@@ -242,7 +240,14 @@ def _places(
         of_causes = places_of(named, channel, regime, lambda i: reason("gap.seen.effect", effect=i, seen=detail))
         aliases, places = _open_aliases(search.best), []
         for c, place in zip(named, of_causes, strict=True):
-            places += _held_open(place, aliases[c.effect]) if c.effect in aliases else [place]
+            alias = aliases.get(c.effect)
+            if alias is None:
+                places.append(place)
+                continue
+            # The alias takes its share to its own stage.
+            seen = reason("gap.seen.alias", alias=Reason.of(alias.detail))
+            places.append(replace(place, share=(1.0 - alias.share) * place.share))
+            places.append(replace(place, stage=alias.stage, share=alias.share * place.share, detail=seen))
     at = max(places, key=lambda p: p.share).stage
     return (*places, *regime_places(at, found, "gap.seen.energy"))
 
@@ -256,13 +261,6 @@ def _open_aliases(best: Fit) -> dict[str, Alias]:
     """What a named cause may be outside the catalogue, where no run tells; by cause."""
     aliases = {i: EFFECTS[i].signs.alias for i in best.hypothesis.ids}
     return {i: alias for i, alias in aliases.items() if alias is not None and not is_told(best.problem.case, alias)}
-
-
-def _held_open(place: GapPlace, alias: Alias) -> list[GapPlace]:
-    """Split the place of a cause that has an alias between the stages of both."""
-    own, other = (1.0 - alias.share) * place.share, alias.share * place.share
-    detail = reason("gap.seen.alias", alias=Reason.of(alias.detail))
-    return [replace(place, share=own), replace(place, stage=alias.stage, share=other, detail=detail)]
 
 
 def _unknown_places(
@@ -281,7 +279,7 @@ def _unknown_places(
         stranger = stranger_of(search.stranger)
         stages = tuple(dict.fromkeys((stranger.effect.stage, *stages)))
         detail = reason("gap.seen.like", like=stranger.like, seen=detail)
-    elif loose is not None and (not stages or structure(search.best).is_significant is False):
+    elif loose is not None and (not stages or is_clean(search.best)):
         stages = tuple(dict.fromkeys((loose.stage, *stages)))
         detail = reason("gap.seen.noise", noise=loose.detail, seen=detail)
     if not stages:

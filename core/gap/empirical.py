@@ -19,7 +19,7 @@ from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import energy
 from softcal.core.gap.offsets import rows_of_runs
 from softcal.core.gap.problem import Problem
-from softcal.core.gap.residual import structure
+from softcal.core.gap.residual import is_clean
 from softcal.core.gap.shrink import HELD_PARTS, Shrink
 from softcal.core.gap.simulator_terms import SimulatorTerm
 from softcal.core.recording import Array
@@ -127,7 +127,7 @@ def learned(base: Fit, parents: Sequence[Fit], known: Callable[[Fit], Iterable[T
     # A base that explains nothing stands for itself, and what belongs to one run says nothing of another.
     parents = [p for k, p in enumerate(parents) if k == 0 or p.hypothesis.ids]
     parents = [p for p in parents if not any(effect.belongs_to_run for effect in p.hypothesis.effects)]
-    if not parents or not any(structure(p).is_significant for p in parents):
+    if all(map(is_clean, parents)):
         return None
     tried = list(known(base))
     choices = [_Choice(parent, tried) for parent in parents]

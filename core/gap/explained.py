@@ -35,8 +35,8 @@ def explained_twin(found: Fit, terms: Sequence[EmpiricalTerm] = ()) -> Twin:
         form = form_of(effect)
         # What belongs to a recording alone, as the phase of a hum in each run, is no parameter of the twin.
         known = effect if form else EFFECTS[effect.id].side_with([effect.parameters[0].name])
-        kept = {k: v for k, v in given.items() if k in known.value_names and np.isfinite(v)}
-        settings.append(EffectSetting(effect.id, kept, form=form))
+        fitted = {k: v for k, v in given.items() if k in known.value_names and np.isfinite(v)}
+        settings.append(EffectSetting(effect.id, fitted, form=form))
     return Twin(base, tuple(settings), readout, tuple(terms))
 
 

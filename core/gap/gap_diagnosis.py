@@ -113,7 +113,7 @@ def let_go(search: EffectSearch) -> set[str]:
 
 def on_unseen(group: tuple[Fit, ...], gone: set[str]) -> tuple[tuple[Fit, ...], set[str]]:
     """Return the rivals without those that add a cause which lowers nothing on unseen samples, and these."""
-    best, kept, idle = group[0], [group[0]], set()
+    best, in_play, idle = group[0], [group[0]], set()
     for other in group[1:]:
         added = set(other.hypothesis.ids) - set(best.hypothesis.ids)
         # Another form of a cause may hold what a second one is: beside it nothing is left for that to lower.
@@ -123,8 +123,8 @@ def on_unseen(group: tuple[Fit, ...], gone: set[str]) -> tuple[tuple[Fit, ...], 
         if is_larger and (added & gone or (len(added) == 1 and unsupported(other, dict.fromkeys(added, best)))):
             idle |= added
         else:
-            kept.append(other)
-    return tuple(kept), idle
+            in_play.append(other)
+    return tuple(in_play), idle
 
 
 def judged(
@@ -149,7 +149,7 @@ def judged(
     verdict = _verdict(search, group, quantified, is_uneven)
     # Where nothing explains the gap the truth is most likely none of the effects.
     trust = 1.0 if quantified.stands or not best.hypothesis.ids else IMITATED_TRUST
-    trust = UNKNOWN_TRUST * float(np.clip(search.share(best), 0.0, 1.0)) if verdict == "unknown" else trust
+    trust = UNKNOWN_TRUST * search.explained_share(best) if verdict == "unknown" else trust
     every = chances_of(logs, group, effects)
     chances = {i: p * trust * (IMITATED_TRUST if i in doubted else 1.0) for i, p in every.items()}
     return group, quantified, verdict, chances
@@ -166,8 +166,7 @@ def under_its_floor(
     Args:
         searched: begins a search under the noise of a problem.
     """
-    closest = min(search.fits.values(), key=lambda found: found.chi2)
-    problem = coloured(closest)
+    problem = coloured(search.closest)
     if problem is None:
         return search
     say("searching once more under noise that fades")
@@ -354,7 +353,7 @@ def regime_places(stage: str, seen: Sequence[Regime], code: str) -> list[GapPlac
 def partial_of(search: EffectSearch) -> Partial | None:
     """Return the causes that come nearest, and their share; None where none takes anything."""
     closest = nearest(search)
-    share = float(np.clip(search.share(closest), 0.0, 1.0))
+    share = search.explained_share(closest)
     return Partial(closest.hypothesis.ids, share) if closest.hypothesis.ids and share > 0.0 else None
 
 

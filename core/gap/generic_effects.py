@@ -21,7 +21,7 @@ from softcal.core.gap.fit import Fit
 from softcal.core.gap.floor import projected
 from softcal.core.gap.linear import dots
 from softcal.core.gap.posterior import RIVAL_LOG_ODDS, Yardstick
-from softcal.core.gap.residual import structure
+from softcal.core.gap.residual import is_clean
 from softcal.core.gap.screen import Probe, joined, screen
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS
@@ -112,7 +112,7 @@ def stranger(best: Fit, parents: Sequence[Fit], fits: Sequence[Fit]) -> Fit | No
     yardstick = Yardstick.of((*fits, *found))
     closest = max(found, key=yardstick.log_evidence)
     ahead = yardstick.log_evidence(closest) - yardstick.log_evidence(best)
-    is_decisive = ahead > (RIVAL_LOG_ODDS if structure(closest).is_significant else CLEAN_LOG_ODDS)
+    is_decisive = ahead > (CLEAN_LOG_ODDS if is_clean(closest) else RIVAL_LOG_ODDS)
     is_simpler = len(closest.hypothesis.ids) <= len(best.hypothesis.ids) - 2
     return closest if is_decisive and (is_simpler or closest.chi2 < best.chi2 - LEAST_GAIN) else None
 

@@ -189,19 +189,19 @@ class _Rows:
         scales = [fit_scale(problem.scale.sized(p)) for p in found.hypothesis.of_all]
         rows = [scale * row for scale, row in zip(scales, bare.jacobian, strict=True)]
         names = [p.name for p in found.hypothesis.of_all]
-        kept = [k for k, row in enumerate(rows) if row.any()]
+        telling = [k for k, row in enumerate(rows) if row.any()]
         own: list[Array] = []
         kinds: tuple[int, ...] = ()
         if len(problem.largest_offsets):
             own, kinds = own_rows(problem, problem.directions(found.hypothesis, bare.coordinates, bare.predicted, {}))
         causes = {e.id: _changes(bare, e) for e in effects}
         every = [
-            *(rows[k] for k in kept),
+            *(rows[k] for k in telling),
             *map(problem.whitened, own),
             *(row for pair in causes.values() for row in pair),
         ]
         stacked = np.array(every).reshape(len(every), len(problem.measured))
-        return cls(tuple(names[k] for k in kept), kinds, tuple(causes), stacked @ stacked.T)
+        return cls(tuple(names[k] for k in telling), kinds, tuple(causes), stacked @ stacked.T)
 
     def with_run(self, new: "_Rows") -> "_Rows":
         """Return the rows over these runs and a new one, which has offsets of its own."""

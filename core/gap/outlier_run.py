@@ -13,7 +13,7 @@ from softcal.core.gap.case import Case
 from softcal.core.gap.data_mistake import FEWEST_RUNS, DataMistake, numbers, of_gain
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import dots, energy, gram
-from softcal.core.gap.residual import structure
+from softcal.core.gap.residual import is_clean
 from softcal.core.gap.screen import Tangent
 from softcal.core.gap.search import EffectSearch
 from softcal.core.recording import Array
@@ -91,14 +91,14 @@ def outlier_run_beside(search: EffectSearch) -> DataMistake | None:
         for fitted, run, oddity, share in nearest(base, LEAST_PROMISED)[:2]:
             clean = [grown for grown in search.grown_from(fitted) if search.is_clean(grown)]
             tried += [(base, (grown, run, oddity, share)) for grown in clean]
-    kept = []
+    priced = []
     for parent, (fitted, run, oddity, share) in tried:
         # The mistake counts as one number more; it belongs to no catalogue and has no prior odds of its own.
         price = parent.penalty if parent is not base or not singles else singles[0].penalty
         price += float(np.log(base.problem.count)) * len(oddity.hooks)
         if (share > SHARE_BESIDE or parent is base) and fitted.chi2 + price < best.bic - AHEAD:
-            kept.append((fitted.chi2 + price, (fitted, run, oddity, share)))
-    return _finding(*min(kept, key=lambda one: one[0])[1]) if kept else None
+            priced.append((fitted.chi2 + price, (fitted, run, oddity, share)))
+    return _finding(*min(priced, key=lambda one: one[0])[1]) if priced else None
 
 
 def nearest(base: Fit, promised_share: float = PROMISED) -> list[_Fitted]:
@@ -107,14 +107,14 @@ def nearest(base: Fit, promised_share: float = PROMISED) -> list[_Fitted]:
     Args:
         promised_share: of what the fit leaves that a mistake must promise, to first order, to be fitted.
     """
-    if _is_clean(base):
+    if is_clean(base):
         return []
     # Small zeros of single runs are taken off every fit; a mistake is looked for with none of them.
     base = fit(base.problem.bare, base.hypothesis, base.coordinates)
     runs = [k for k, run in enumerate(base.problem.case.runs) if run.kind == "press"]
     excess = base.chi2 - base.problem.count
     is_within_noise = excess < 4.0 * np.sqrt(2.0 * base.problem.count)
-    if len(runs) < FEWEST_RUNS or is_within_noise or _is_clean(base):
+    if len(runs) < FEWEST_RUNS or is_within_noise or is_clean(base):
         return []
     promised = sorted(_promised(base, runs), key=lambda p: -p[0])
     found = []
@@ -127,14 +127,10 @@ def nearest(base: Fit, promised_share: float = PROMISED) -> list[_Fitted]:
         found.append((fitted, run, oddity, (base.chi2 - fitted.chi2) / excess))
 
     def price(one: _Fitted) -> float:
-        dearer = 0.0 if _is_clean(one[0]) else DEARER * excess
+        dearer = 0.0 if is_clean(one[0]) else DEARER * excess
         return one[0].chi2 + len(one[2].hooks) * (EACH * float(np.log(base.problem.count)) + dearer)
 
     return sorted(found, key=price)
-
-
-def _is_clean(found: Fit) -> bool:
-    return not structure(found).is_significant
 
 
 def _promised(base: Fit, runs: Sequence[int]) -> list[tuple[float, int, _Oddity]]:

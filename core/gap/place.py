@@ -58,8 +58,8 @@ def strongest_tone(found: Fit) -> Tone | None:
     """
     tones = [t for block in found.problem.blocks if (t := _tone(found, block)) is not None]
     alone = len(found.problem.case.presses) == 1
-    kept = [t for t in tones if alone or sum(t.is_same(other) for other in tones) > 1]
-    return max(kept, key=lambda tone: tone.rms, default=None)
+    repeated = [t for t in tones if alone or sum(t.is_same(other) for other in tones) > 1]
+    return max(repeated, key=lambda tone: tone.rms, default=None)
 
 
 def _tone(found: Fit, block: Block) -> Tone | None:

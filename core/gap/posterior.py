@@ -171,19 +171,19 @@ def rivals(
         return (best,)
     top = logs[best.hypothesis.ids]
     near = [fits[ids] for ids in sorted(logs, key=lambda i: -logs[i]) if logs[ids] > top - RIVAL_LOG_ODDS]
-    kept: list[Fit] = [best, *held_open]
+    in_play: list[Fit] = [best, *held_open]
     for found in near:
         ids = set(found.hypothesis.ids)
         # A larger set of causes holds the evidence of the smaller one: as its rival it says nothing new.
-        if ids and not any(ids >= set(other.hypothesis.ids) for other in kept):
-            kept.append(found)
+        if ids and not any(ids >= set(other.hypothesis.ids) for other in in_play):
+            in_play.append(found)
     most = max(MOST_CAUSES, len(best.hypothesis.ids) + 1)
     for found in _open_additions(fits, best, logs):
-        if any(found.hypothesis.ids == other.hypothesis.ids for other in kept):
+        if any(found.hypothesis.ids == other.hypothesis.ids for other in in_play):
             continue
-        if len({*found.hypothesis.ids}.union(*(other.hypothesis.ids for other in kept))) <= most:
-            kept.append(found)
-    return tuple(kept[:MOST_RIVALS])
+        if len({*found.hypothesis.ids}.union(*(other.hypothesis.ids for other in in_play))) <= most:
+            in_play.append(found)
+    return tuple(in_play[:MOST_RIVALS])
 
 
 def _open_additions(fits: Fits, best: Fit, logs: Mapping[tuple[str, ...], float]) -> list[Fit]:

@@ -103,8 +103,8 @@ class Hypothesis:
 
     def adding(self, *effects: Effect, episodes: Episodes | None = None) -> "Hypothesis":
         """Return this hypothesis with effects more, or with other realisations of those it has."""
-        kept = [e for e in self.effects if e.id not in {added.id for added in effects}]
-        return replace(self, effects=(*kept, *effects), episodes=self.episodes if episodes is None else episodes)
+        others = [e for e in self.effects if e.id not in {added.id for added in effects}]
+        return replace(self, effects=(*others, *effects), episodes=self.episodes if episodes is None else episodes)
 
 
 @dataclass(frozen=True)

@@ -81,6 +81,11 @@ def structure(found: Fit, channel: str | None = None) -> Structure:
     return Structure(largest, float(np.sqrt(energy)))
 
 
+def is_clean(found: Fit) -> bool:
+    """Whether a fit leaves no structure."""
+    return not structure(found).is_significant
+
+
 def _block_sums(values: Array, length: int) -> Array:
     whole = len(values) // length * length
     return np.asarray(values[:whole].reshape(-1, length).sum(axis=1) / np.sqrt(length))

@@ -13,7 +13,7 @@ from softcal.core.gap.floor import noise_chance, noise_of
 from softcal.core.gap.generic_effects import imitated_causes, stranger
 from softcal.core.gap.posterior import Yardstick, log_evidences
 from softcal.core.gap.problem import Hypothesis, Problem
-from softcal.core.gap.residual import structure
+from softcal.core.gap.residual import is_clean
 from softcal.core.gap.screen import Probe, extent_of, hiding, joined, probes, screen, visible_effects
 from softcal.core.gap.start import base_fit, rough_start, with_driving_noise
 from softcal.core.recording import Array
@@ -133,7 +133,7 @@ class EffectSearch:
 
     def _share_places(self) -> None:
         """Give smaller hypotheses the episodes that the closest one has: places are no cause."""
-        donor = min(self.fits.values(), key=lambda f: f.chi2)
+        donor = self.closest
         placed = {e.id for e in donor.hypothesis.effects if e.is_episodic}
         if not donor.hypothesis.episode_count:
             return
@@ -221,9 +221,18 @@ class EffectSearch:
         excess = self.base.chi2 - self.base.problem.count
         return 1.0 - (found.chi2 - found.problem.count) / excess if excess > 0 else 1.0
 
+    def explained_share(self, found: Fit) -> float:
+        """Return the share within [0, 1], as reports give it."""
+        return float(np.clip(self.share(found), 0.0, 1.0))
+
+    @property
+    def closest(self) -> Fit:
+        """The fit that leaves least, however many causes it takes."""
+        return min(self.fits.values(), key=lambda found: found.chi2)
+
     def is_clean(self, found: Fit) -> bool:
         """Whether a hypothesis leaves no structure."""
-        return not structure(found).is_significant
+        return is_clean(found)
 
     def noise_chance(self, found: Fit) -> float:
         """Return how likely noise alone leaves as much as a hypothesis does."""
@@ -261,10 +270,10 @@ class EffectSearch:
     def _in_form(self, found: Fit, form: Form) -> Fit:
         at = [e.id for e in found.hypothesis.effects].index(form.effect.id)
         rows = [list(values) for values in found.effect_values]
-        kept = [e for e in found.hypothesis.effects if e.id != form.effect.id]
+        others = [e for e in found.hypothesis.effects if e.id != form.effect.id]
         first = form.start(rows[at], found.problem.scale.factor)
-        start = start_coordinates([*kept, form.effect], [*rows[:at], *rows[at + 1 :], first])
-        hypothesis = replace(found.hypothesis, effects=(*kept, form.effect))
+        start = start_coordinates([*others, form.effect], [*rows[:at], *rows[at + 1 :], first])
+        hypothesis = replace(found.hypothesis, effects=(*others, form.effect))
         base = found.coordinates[hypothesis.of_base]
         return fit(found.problem, hypothesis, np.concatenate([base, start]), steps=30)
 

@@ -267,16 +267,16 @@ def _best(logs: Mapping[Ids, float], held: Sequence[set[str]]) -> tuple[Ids, tup
     """Return the best shared hypothesis, its rivals, and causes that most units hold open."""
     top = max(logs, key=lambda ids: logs[ids])
     near = sorted((ids for ids in logs if logs[ids] > logs[top] - RIVAL_LOG_ODDS), key=lambda ids: -logs[ids])
-    kept: list[Ids] = [top]
+    in_play: list[Ids] = [top]
     for ids in near:
-        is_larger = any(set(ids) > set(other) for other in kept)
-        if ids and ids not in kept and (not is_larger or logs[ids] > logs[top] - ADDED_LOG_ODDS):
-            kept.append(ids)
+        is_larger = any(set(ids) > set(other) for other in in_play)
+        if ids and ids not in in_play and (not is_larger or logs[ids] > logs[top] - ADDED_LOG_ODDS):
+            in_play.append(ids)
     imitated = {i for i in top if 2 * sum(i in causes for causes in held) >= len(held)}
     smaller = tuple(i for i in top if i not in imitated)
     if imitated and smaller in logs:
-        return smaller, (smaller, *kept)[:MOST_RIVALS], imitated
-    return top, tuple(kept[:MOST_RIVALS]) if top else (top,), set()
+        return smaller, (smaller, *in_play)[:MOST_RIVALS], imitated
+    return top, tuple(in_play[:MOST_RIVALS]) if top else (top,), set()
 
 
 def _held_open(one: Diagnosis, searched: Searched) -> set[str]:

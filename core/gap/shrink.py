@@ -10,7 +10,7 @@ from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import combine, energy
 from softcal.core.gap.posterior import Yardstick
 from softcal.core.gap.problem import Hypothesis, Problem
-from softcal.core.gap.residual import structure
+from softcal.core.gap.residual import is_clean
 from softcal.core.recording import Array
 
 HELD_PARTS = 4
@@ -211,14 +211,13 @@ def _forecast(folds: list[_Fold], best: Fit) -> tuple[float, float, float]:
     it is an error of the noise level, and widens the interval alone.
     """
     problem = best.problem
-    is_clean = not structure(best).is_significant
-    likely, pessimist = [], []
+    is_noise, likely, pessimist = is_clean(best), [], []
     for channel in problem.scored_channels:
         floor = problem.floor(channel)
         left = _left_over(best, channel)
         parted = _pooled(folds, problem, channel, [f.after.predicted - f.before.predicted for f in folds])
         spread = _pooled(folds, problem, channel, [_spread(f) for f in folds])
-        unexplained = 0.0 if is_clean else left
+        unexplained = 0.0 if is_noise else left
         before = [float(np.sqrt(floor**2 + parted**2 + part**2)) for part in (unexplained, left)]
         likely.append(ChannelGap(before[0], float(np.sqrt(floor**2 + unexplained**2 + spread**2)), floor))
         after = float(np.sqrt(floor**2 + (1.6 * left) ** 2 + (2.0 * spread) ** 2))

@@ -59,7 +59,7 @@ def _places(
     loudest = max(search.base.problem.scored_channels, key=lambda channel: structure(search.base, channel).z)
     channel, regime = (seen[0].channel, seen[0].name) if seen else (loudest, everywhere)
     if verdict == "unknown":
-        part, ids = float(np.clip(search.share(best), 0.0, 1.0)), best.hypothesis.ids
+        part, ids = search.explained_share(best), best.hypothesis.ids
         nearest = Reason("gap.seen.no_candidate")
         if ids:
             nearest = reason("gap.seen.nearest", causes=next_experiment.named(ids, "gap.both"), share=part)
@@ -176,7 +176,7 @@ def diagnose_simulator(
     elif verdict == "no_gap" and best.hypothesis.ids:
         best, group = search.base, (search.base,)
         quantified = quantify(search.base, best)
-    share = float(np.clip(search.share(best), 0.0, 1.0))
+    share = search.explained_share(best)
     ids, held_out = best.hypothesis.ids, quantified.shrink.held_out
     causes = ranked_causes(search, best, simulator.candidates, (best, *group), chances, held_out)
     return SimulatorDiagnosis(
@@ -250,7 +250,7 @@ def _searched(simulator: Simulator, base: Fit, told: Identifiability, say: Progr
         return is_noise(found, (is_high, is_quick), followed)
 
     # What the most flexible hypothesis leaves is noise, or what a smaller one leaves is not either.
-    closest = min(search.fits.values(), key=lambda found: found.chi2)
+    closest = search.closest
     problem = coloured(closest)
     if problem is None or not is_floor(fit(problem, closest.hypothesis, closest.coordinates)):
         return search

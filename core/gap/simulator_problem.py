@@ -146,7 +146,7 @@ class SimulatorProblem(Problem):
         return np.array([of_kind[kind] * (channel == block.channel) for channel, kind in self.of.offsets])
 
     def _simulated(self, hypothesis: Hypothesis, coordinates: Array) -> Array:
-        """Return what the simulator says, (samples,), NaN everywhere where it fails in a run."""
+        """Return what the simulator says with the empirical terms, (samples,), NaN where it fails in a run."""
         parameters = self.of.named(hypothesis, coordinates)
         key = tuple(parameters.items())
         if key not in self.known:
@@ -154,10 +154,7 @@ class SimulatorProblem(Problem):
             # The oldest goes: every part that is held back begins where the others did.
             if len(self.known) > KNOWN:
                 del self.known[next(iter(self.known))]
-        return self._with_terms(hypothesis, coordinates, self.known[key])
-
-    def _with_terms(self, hypothesis: Hypothesis, coordinates: Array, raw: Array) -> Array:
-        """Return what the simulator says, (samples,), with the empirical terms added."""
+        raw = self.known[key]
         terms = [(e.step.term, e.id) for e in hypothesis.effects if isinstance(e.step, TermStep)]
         if not terms or not np.all(np.isfinite(raw)):
             return raw

@@ -111,9 +111,9 @@ def noise_levels(found: Fit) -> dict[str, float]:
     levels = dict(problem.sigma)
     for channel, parts in squares.items():
         every = np.sort(np.concatenate(parts))
-        kept = every[: max(1, int(len(every) * (1 - TRIMMED)))]
+        trimmed = every[: max(1, int(len(every) * (1 - TRIMMED)))]
         # A Gaussian without its largest 2 % of squares keeps 0.873 of its variance.
-        variance = float(np.mean(kept)) / 0.873
+        variance = float(np.mean(trimmed)) / 0.873
         levels[channel] = max(float(np.sqrt(variance)), problem.least_noise(channel))
     return levels
 

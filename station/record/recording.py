@@ -208,8 +208,8 @@ def restore(run: SpooledRun) -> StationRecording:
 
 def device_times_s(samples: Sequence[Sample]) -> Array:
     """Return (n,) when samples were taken, host clock: by the device's clock where it has one."""
-    device_s = _times_s(samples)
-    return _clock_of(samples, device_s).to_host(device_s)
+    device_s, clock = _clocked(samples)
+    return clock.to_host(device_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,21 +223,18 @@ class _Channel:
 
 
 def _channel(samples: Sequence[Sample], name: str) -> _Channel:
-    device_s = _times_s(samples)
-    clock = _clock_of(samples, device_s)
+    device_s, clock = _clocked(samples)
     if abs(clock.rate - 1) > CLOCK_SHARE:
         raise BadReply(reason("rig.clock", device=named(name), percent=100 * (clock.rate - 1)))
     return _Channel(device_s, clock.to_host(device_s), np.array([sample.values for sample in samples]), clock)
 
 
-def _times_s(samples: Sequence[Sample]) -> Array:
-    return np.array([sample.host_s if sample.device_s is None else sample.device_s for sample in samples])
-
-
-def _clock_of(samples: Sequence[Sample], device_s: Array) -> ClockFit:
+def _clocked(samples: Sequence[Sample]) -> tuple[Array, ClockFit]:
+    """(n,) times by the device's clock, the host's where it has none, and what that is to the host's."""
+    device_s = np.array([sample.host_s if sample.device_s is None else sample.device_s for sample in samples])
     if samples[0].device_s is None:
-        return ClockFit(0.0, 1.0, 0.0, 0.0)
-    return fit_clock(device_s, np.array([sample.host_s for sample in samples]))
+        return device_s, ClockFit(0.0, 1.0, 0.0, 0.0)
+    return device_s, fit_clock(device_s, np.array([sample.host_s for sample in samples]))
 
 
 def _count_lost(sensor_s: Array, facts: RunFacts) -> int:

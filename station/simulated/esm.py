@@ -31,9 +31,19 @@ class SimulatedEsm(FarEnd):
 
     def take(self, content: bytes, now_s: float) -> None:
         self._received += content
-        while found := _COMMAND.match(self._received):
-            self._received = self._received[found.end() :]
-            answer = self._do(found, now_s)
+        while command := _COMMAND.match(self._received):
+            self._received = self._received[command.end() :]
+            answer = ""
+            if command["gauge"] is not None:
+                answer = self._gauge.answer(command["gauge"].decode(), now_s)
+            elif command["speed"] is not None:
+                self._speed_mm_s = float(command["speed"]) / 60.0
+            elif command["lower"] is not None:
+                self.lower_mm = float(command["lower"])
+            elif command["upper"] is not None:
+                self.upper_mm = float(command["upper"])
+            else:
+                answer = self._letter(command["letter"], now_s)
             if answer:
                 self.wire.send(answer.encode() + b"\r\n", now_s)
 
@@ -44,19 +54,6 @@ class SimulatedEsm(FarEnd):
 
     def press_panel(self) -> None:
         self.axis.brake()
-
-    def _do(self, found: re.Match[bytes], now_s: float) -> str:
-        if found["gauge"] is not None:
-            return self._gauge.answer(found["gauge"].decode(), now_s)
-        if found["speed"] is not None:
-            self._speed_mm_s = float(found["speed"]) / 60.0
-        elif found["lower"] is not None:
-            self.lower_mm = float(found["lower"])
-        elif found["upper"] is not None:
-            self.upper_mm = float(found["upper"])
-        else:
-            return self._letter(found["letter"], now_s)
-        return ""
 
     def _letter(self, letter: bytes, now_s: float) -> str:
         match letter:

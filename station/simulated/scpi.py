@@ -39,7 +39,23 @@ class SimulatedScpi(FarEnd):
 
     def take_line(self, line: bytes, now_s: float) -> None:
         for words in line.decode("ascii", "replace").strip().split(";"):
-            self._do(words.strip().lstrip(":"), now_s)
+            header, _, value = words.strip().lstrip(":").partition(" ")
+            if header == self.refuses and header:
+                self._errors.append('-113,"Undefined header"')
+            elif header == "*IDN?":
+                self._answer(self.identity, now_s)
+            elif header == "SYST:ERR?":
+                self._answer(self._errors.popleft() if self._errors else '+0,"No error"', now_s)
+            elif header == "*RST":
+                self.settings = dict(self._defaults)
+            elif header == "*CLS":
+                self._errors.clear()
+            elif not self.measured(header, now_s):
+                header = re.sub(r"^CONF:(\w+(:DC)?)$", r"CONF", header)
+                if header in self.settings:
+                    self.settings[header] = value
+                elif header:
+                    self._errors.append('-113,"Undefined header"')
 
     def do_due(self) -> None:
         done_s = self._triggered.popleft()
@@ -51,25 +67,6 @@ class SimulatedScpi(FarEnd):
         busy_until_s = self._triggered[-1] if self._triggered else now_s
         self._triggered.append(max(busy_until_s, now_s) + self.measure_s)
         self.due_s = self._triggered[0]
-
-    def _do(self, words: str, now_s: float) -> None:
-        header, _, value = words.partition(" ")
-        if header == self.refuses and header:
-            self._errors.append('-113,"Undefined header"')
-        elif header == "*IDN?":
-            self._answer(self.identity, now_s)
-        elif header == "SYST:ERR?":
-            self._answer(self._errors.popleft() if self._errors else '+0,"No error"', now_s)
-        elif header == "*RST":
-            self.settings = dict(self._defaults)
-        elif header == "*CLS":
-            self._errors.clear()
-        elif not self.measured(header, now_s):
-            header = re.sub(r"^CONF:(\w+(:DC)?)$", r"CONF", header)
-            if header in self.settings:
-                self.settings[header] = value
-            elif header:
-                self._errors.append('-113,"Undefined header"')
 
     @abstractmethod
     def measured(self, header: str, now_s: float) -> bool:

@@ -40,13 +40,13 @@ def read_at_rest(
     # A board that is still booting says nothing for a while.
     patient = replace(bench.config.safety, silence_s=max(bench.config.safety.silence_s, BOOT_S))
     watch = StreamWatch(readout, patient, began_s, readout.range)
-    kept: list[tuple[float, ...]] = []
+    readings: list[tuple[float, ...]] = []
     while (gone_s := clock.now_s() - began_s) < total_s:
         clock.sleep_s(TICK_S)
         for sample in readout.poll():
             watch.check(sample)
             if gone_s >= settle_s:
-                kept.append(sample.values)
+                readings.append(sample.values)
         watch.check_silence(clock.now_s())
         # Nothing old may wait in the lines of stage and load cell.
         bench.stage.poll()
@@ -56,6 +56,6 @@ def read_at_rest(
             except BadReply:
                 bench.force.start()  # A hand at the unit may saturate the cell; no load is read from it here.
         on_look(min(gone_s / total_s, 1.0), max(0.0, total_s - gone_s))
-    if not kept:
+    if not readings:
         watch.check_silence(float("inf"))
-    return RestReading(serial, np.array(kept, np.float64), readout.unit)
+    return RestReading(serial, np.array(readings, np.float64), readout.unit)

@@ -54,28 +54,25 @@ def _names_a_missing_port(rig: DriverRig) -> None:
     require(False, f"it opened {port}, which is not there")
 
 
-def _opens_or_refuses(rig: DriverRig, what: str) -> None:
-    began_s = rig.clock.now_s()
-    try:
-        device = rig.open()
-    except DeviceError as error:
-        require(str(error), f"{what}: its error says nothing")
-        require(rig.clock.now_s() - began_s < OPENING_S, f"{what}: opening took {rig.clock.now_s() - began_s:.0f} s")
-        return
-    require(rig.driver.role != "stage", f"{what}: a stage was opened that never answered")
-    device.start()
-    samples, _ = rig.fault_within(2.0, device.poll)
-    require(not samples, f"{what}: it delivered {len(samples)} samples, the first {samples[:1]}")
+def _says_nothing(switch: str, value: object, what: str) -> Callable[[DriverRig], None]:
+    """A device whose wire has this fault, which is refused when it is opened, or delivers nothing."""
 
+    def examine(rig: DriverRig) -> None:
+        setattr(rig.wire, switch, value)
+        began_s = rig.clock.now_s()
+        try:
+            device = rig.open()
+        except DeviceError as error:
+            require(str(error), f"{what}: its error says nothing")
+            took_s = rig.clock.now_s() - began_s
+            require(took_s < OPENING_S, f"{what}: opening took {took_s:.0f} s")
+            return
+        require(rig.driver.role != "stage", f"{what}: a stage was opened that never answered")
+        device.start()
+        samples, _ = rig.fault_within(2.0, device.poll)
+        require(not samples, f"{what}: it delivered {len(samples)} samples, the first {samples[:1]}")
 
-def _says_nothing_of_a_silent_device(rig: DriverRig) -> None:
-    rig.wire.is_silent = True
-    _opens_or_refuses(rig, "a device that says nothing")
-
-
-def _says_nothing_of_noise(rig: DriverRig) -> None:
-    rig.wire.garbage = 1.0
-    _opens_or_refuses(rig, "a device that sends noise")
+    return examine
 
 
 def _survives_a_dead_port(rig: DriverRig) -> None:
@@ -89,8 +86,8 @@ COMMON: dict[str, Callable[[DriverRig], None]] = {
     "its keys have one kind, an explanation each, and an unknown one lists them": _declares_its_keys,
     "it opens, closes twice, opens again, and leaves no thread": _opens_again,
     "a port that is not there is named": _names_a_missing_port,
-    "a silent device is refused, or delivers nothing": _says_nothing_of_a_silent_device,
-    "noise is refused, or delivers nothing": _says_nothing_of_noise,
+    "a silent device is refused, or delivers nothing": _says_nothing("is_silent", True, "a device that says nothing"),
+    "noise is refused, or delivers nothing": _says_nothing("garbage", 1.0, "a device that sends noise"),
     "it closes although its device is gone": _survives_a_dead_port,
 }
 """Sentence -> what looks at it."""

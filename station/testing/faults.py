@@ -129,14 +129,6 @@ def _bit(step: float, bit: int, is_one: bool) -> Callable[[float], float]:
     return change
 
 
-def _without_checksum(inject: Inject) -> Inject:
-    def both(station: SimulatedStation) -> None:
-        station.force.has_checksum = False
-        inject(station)
-
-    return both
-
-
 def _of_stream(device: str, wire: str, end: str) -> list[Fault]:
     lines = f"every third line of the {device}"
     return [
@@ -194,8 +186,10 @@ def _of_cell() -> list[Fault]:
     def halve(force_N: float) -> float:
         return 0.5 * force_N
 
+    def flip_bits_unchecked(station: SimulatedStation) -> None:
+        station.force.has_checksum, station.force_wire.flipped = False, 0.02
+
     drifting = _set("rig", "force_fault", lambda t, x: x + 0.05 * t)
-    flipped = _without_checksum(_set("force_wire", "flipped", 0.02))
     return [
         _pressing("load cell saturated", _force(lambda x: 1e6)),
         _pressing("load cell bridge breaks while pressing", _force(lambda x: 0.0)),
@@ -218,7 +212,7 @@ def _of_cell() -> list[Fault]:
             _from_the_start("load cell's converter has a bit stuck", _force(_bit(1 / 9870, 13, True))),
             _pressing("load cell zero moves while pressing", _force(lambda x: x + 3.0)),
             _from_the_start("load cell's zero drifts by 0.05 N/s", drifting),
-            _pressing("flipped bits on a load cell's line without checksums", flipped),
+            _pressing("flipped bits on a load cell's line without checksums", flip_bits_unchecked),
         ),
     ]
 

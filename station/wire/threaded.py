@@ -116,14 +116,10 @@ class ThreadedReader:
                     self._fault = error
                 return
             now_s = self._clock.now_s()
-            self._take(reading, asked_s, now_s)
+            is_new = reading.device_s is None or self._device_s is None or reading.device_s > self._device_s
+            with self._lock:
+                if is_new and asked_s >= self._discard_before_s:
+                    self._device_s, self._newest_s = reading.device_s, now_s
+                    self._samples.append(Sample((asked_s + now_s) / 2, reading.device_s, reading.values))
             next_s = max(next_s, asked_s - 1.0 / self.rate_Hz) + 1.0 / self.rate_Hz
             self._ends.wait(max(0.0, next_s - now_s))
-
-    def _take(self, reading: Reading, asked_s: float, now_s: float) -> None:
-        is_new = reading.device_s is None or self._device_s is None or reading.device_s > self._device_s
-        with self._lock:
-            if not is_new or asked_s < self._discard_before_s:
-                return
-            self._device_s, self._newest_s = reading.device_s, now_s
-            self._samples.append(Sample((asked_s + now_s) / 2, reading.device_s, reading.values))
