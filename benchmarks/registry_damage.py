@@ -23,7 +23,6 @@ import numpy as np
 from common.command import parser_of
 from common.registries import begin_lot, record
 from common.tables import print_table
-from sqlalchemy import Connection
 
 from softcal.core.errors import InputError, SoftcalError
 from softcal.core.orders import Order, OrderKind
@@ -36,6 +35,7 @@ from softcal.db.entries import CellCertificate, GoldenRun
 from softcal.db.queues.work_queue import WorkSet
 from softcal.db.registry import Registry
 from softcal.db.schema.arrays import READ_BLOB
+from softcal.db.schema.database import Database
 from softcal.db.schema.tables import metadata
 from softcal.db.truth.registry_base import RegistryBase
 
@@ -256,8 +256,8 @@ def _verdict_of_edit(copy: Path, table: str, column: str) -> str:
     return "unseen" if columns is None or (columns and column not in columns) else "documented"
 
 
-def _bytes_as_they_are(connection: Connection, sha256: str) -> bytes:
-    return bytes(connection.execute(READ_BLOB, {"sha": sha256}).scalar_one())
+def _bytes_as_they_are(database: Database, sha256: str) -> bytes:
+    return bytes(database.value(READ_BLOB, {"sha": sha256}))
 
 
 @contextlib.contextmanager

@@ -252,9 +252,9 @@ def _no_rollback(self, serial, to, **_):
     return self.history(serial)[-1].revision
 
 
-def _first_one_stays(self, connection, lot_id, serial, *rest):
-    known = in_use.InUseTable._in_use(self, connection, lot_id, serial)
-    return None if known is not None else STATE(self, connection, lot_id, serial, *rest)
+def _first_one_stays(self, lot_id, serial, *rest):
+    known = in_use.InUseTable._in_use(self, lot_id, serial)
+    return None if known is not None else STATE(self, lot_id, serial, *rest)
 
 
 STATE = in_use.InUseTable._state
