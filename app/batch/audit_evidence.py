@@ -97,7 +97,22 @@ class AuditReader:
         )
         audited = {serial: known for serial, known in audited.items() if serial not in doubts}
         here = [audit for audit, _, made in audited.values() if made.method_id == method_id]
-        past = [] if len(here) >= least_units(PROMISE.risk) else self._past(lot)
+        past: list[PastAudit] = []
+        if len(here) < least_units(PROMISE.risk) and lot.sensor_model:
+            # The audits of all other lots of the sensor model
+            past = [
+                PastAudit(
+                    audit,
+                    other.sensor_model,
+                    made.method_id,
+                    at,
+                    made.verdict == Verdict.FAIL and made.decision.predicted.verdict == Verdict.PASS,
+                )
+                for other in registry.lots.all()
+                if other.id != lot.id and other.sensor_model == lot.sensor_model
+                for audit, at, made in self._audited(other).values()
+                if made.is_audited
+            ]
         # Audits of this lot under another method say as much as those of another lot: nothing.
         past += [
             PastAudit(audit, lot.sensor_model, made.method_id, at)
@@ -111,7 +126,6 @@ class AuditReader:
         qualification = qualify(here, past, now, lot.sensor_model, method_id, golden_failed_at, units)
         gains = [reading.gain for audit in here if (reading := readings[audit.serial]) is not None]
         widening = self._widening(qualification, lot_id)
-        days = self._days(lot, now)
         limit = lot_limit(registry, lot_id)
         lines = {
             made.serial: LoadLine(*made.audit_line, made.output_level)
@@ -119,7 +133,8 @@ class AuditReader:
             if made.audit_line is not None and ANCHORED not in made.knowledge
         }
         common = common_misreading(lines) if qualification.source == THIS_LOT else None
-        return AuditEvidence(qualification, limit, widening, seen_gains(gains), days, doubts, lines, common)
+        seen, days = seen_gains(gains), self._days(lot, now)
+        return AuditEvidence(qualification, limit, widening, seen, days, doubts, lines, common)
 
     def _days(self, lot: Lot, now: datetime) -> SeenGains | None:
         """Return gains of golden units of this sensor model, one a day, each about its mean."""
@@ -188,18 +203,6 @@ class AuditReader:
             if made.forecast_rmse and made.after_rmse:
                 audited[serial] = AuditedUnit(serial, made.forecast_rmse, made.after_rmse, lot.id), at[serial], made
         return audited
-
-    def _past(self, lot: Lot) -> list[PastAudit]:
-        """Return the audits of all other lots of the sensor model."""
-        audits = []
-        for other in self._registry.lots.all():
-            if other.id == lot.id or not lot.sensor_model or other.sensor_model != lot.sensor_model:
-                continue
-            for audit, at, made in self._audited(other).values():
-                failed = made.verdict == Verdict.FAIL and made.decision.predicted.verdict == Verdict.PASS
-                if made.is_audited:
-                    audits.append(PastAudit(audit, other.sensor_model, made.method_id, at, failed))
-        return audits
 
     def _widening(self, qualification: Qualification, lot_id: str) -> Widening:
         """Return what the audited units ask for."""

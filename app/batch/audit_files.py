@@ -4,7 +4,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from softcal.app.files.importing import Columns, ImportPlan, LookedAt, look_through
+from softcal.app.files.importing import Columns, ImportPlan, look_through
 from softcal.app.files.recording_file import replace_recording
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
@@ -37,20 +37,22 @@ def look_at_audits(
         files: one per unit, called by its serial, or wide ones with a column per unit.
     """
     plan = ImportPlan(files, columns, lot, audit=True, sheet=sheet)
-    return tuple(_looked(look, units) for look in look_through(plan))
-
-
-def _looked(look: LookedAt, units: Collection[str]) -> AuditFile:
-    if look.unit is None:
-        return AuditFile(look.file, look.serial, None, plain(look.problem))
-    if look.serial not in units:
-        return AuditFile(look.file, look.serial, None, reason("audit.stranger", serial=look.serial))
-    if look.unit.reference is None:
-        return AuditFile(look.file, look.serial, None, Reason("audit.no_reference"))
-    try:
-        return AuditFile(look.file, look.serial, LabelledRecording(look.unit.recording, look.unit.reference))
-    except InputError as error:
-        return AuditFile(look.file, look.serial, None, error.reason)
+    looked = []
+    for look in look_through(plan):
+        recording, refusal = None, None
+        if look.unit is None:
+            refusal = plain(look.problem)
+        elif look.serial not in units:
+            refusal = reason("audit.stranger", serial=look.serial)
+        elif look.unit.reference is None:
+            refusal = Reason("audit.no_reference")
+        else:
+            try:
+                recording = LabelledRecording(look.unit.recording, look.unit.reference)
+            except InputError as error:
+                refusal = error.reason
+        looked.append(AuditFile(look.file, look.serial, recording, refusal))
+    return tuple(looked)
 
 
 def write_audits(folder: Path, audits: Sequence[AuditFile]) -> list[str]:

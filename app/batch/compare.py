@@ -1,23 +1,21 @@
 """Compare networks and map families on a lot's units: forecasts, and what audits say of them."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from statistics import median
 from typing import Any
 
 import numpy as np
 
-from softcal.app.batch.calibrating import LotFacts, UnitInputs, calibrate_unit
+from softcal.app.batch.calibrating import calibrate_unit
 from softcal.app.batch.known import KeptFacts, lot_facts
 from softcal.app.registry.lot_recordings import source_model, unlabelled
 from softcal.core.maps.config import MapConfig
-from softcal.core.recording import OutputRecording
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import Verdict
 from softcal.db.registry import Registry
 
 Tell = Callable[[float, str], None]
-Unit = tuple[OutputRecording, UnitInputs]
 
 
 def compare_on_lot(registry: Registry, request: Mapping[str, Any], tell: Tell) -> list[dict[str, object]]:
@@ -36,30 +34,28 @@ def compare_on_lot(registry: Registry, request: Mapping[str, Any], tell: Tell) -
     chosen = sorted(newest, key=lambda serial: (serial not in kept.audits, serial))[: int(request["units"])]
     units = [(unlabelled(registry.recordings.get(newest[serial])), kept.of(serial)) for serial in chosen]
     pairs = [(network, family) for network in request["networks"] for family in request["families"]]
-    rows = []
+    rows: list[dict[str, object]] = []
     for k, (network_id, family) in enumerate(pairs):
         tell(k / len(pairs), f"{network_id[:12]}, {family}")
         model = source_model(registry, network_id, Method(map=MapConfig(family)))
         facts = lot_facts(registry, lot, [model], golden=kept.golden_runs)
-        rows.append({"network": network_id, "family": family, **_row(facts, units)})
+        made = [calibrate_unit(facts, recording, known) for recording, known in units]
+        records = [one for one in made if isinstance(one, CalibrationRecord)]
+        errors: dict[str, list[float]] = {
+            name: [error for one in records if (error := getattr(one, f"{name}_rmse")) is not None]
+            for name in ("predicted", "before", "after")
+        }
+        after = errors["after"]
+        rows.append(
+            {
+                "network": network_id,
+                "family": family,
+                "units": len(units),
+                "passed": sum(one.verdict == Verdict.PASS for one in records),
+                "refused": len(made) - len(records),
+                "audited": len(after),
+                **{name: median(known) if known else None for name, known in errors.items()},
+                "after_95": float(np.quantile(after, 0.95)) if after else None,
+            }
+        )
     return rows
-
-
-def _row(facts: LotFacts, units: Sequence[Unit]) -> dict[str, object]:
-    made = [calibrate_unit(facts, recording, known) for recording, known in units]
-    records = [one for one in made if isinstance(one, CalibrationRecord)]
-    after = [one.after_rmse for one in records if one.after_rmse is not None]
-    return {
-        "units": len(units),
-        "passed": sum(one.verdict == Verdict.PASS for one in records),
-        "refused": len(made) - len(records),
-        "audited": len(after),
-        "predicted": _median([one.predicted_rmse for one in records if one.predicted_rmse is not None]),
-        "before": _median([one.before_rmse for one in records if one.before_rmse is not None]),
-        "after": _median(after),
-        "after_95": float(np.quantile(after, 0.95)) if after else None,
-    }
-
-
-def _median(values: Sequence[float]) -> float | None:
-    return median(values) if values else None

@@ -17,7 +17,7 @@ from softcal.app.files.recording_file import replace_recording
 from softcal.app.registry.lot_recordings import newest_audits, source_recording
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.network.config import NetworkConfig
-from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.recording import LabelledRecording
 from softcal.core.unit.findings import contradictions
 from softcal.core.unit.health import check_alive, health_findings, output_limits
 from softcal.core.unit.method import Method
@@ -62,22 +62,19 @@ def _expected(look: LookedAt, source: LookedAt | None, plan: ImportPlan) -> Expe
             LabelledRecording(recording, reference)
         except InputError as error:
             return Expected(*facts, problem=str(error))
+    if source is None or source is look or source.unit is None or source.unit.reference is None:
         return Expected(*facts)
-    if source is None or source.unit is None or source.unit.reference is None:
-        return Expected(*facts)
-    return Expected(*facts, findings=_findings(recording, source.unit.recording, source.unit.reference))
-
-
-def _findings(target: OutputRecording, source: OutputRecording, reference: Array) -> tuple[Reason, ...]:
-    method = Method()
+    method, known = Method(), source.unit.recording
     try:
-        check_alive(target, source, method.health)
+        check_alive(recording, known, method.health)
     except UnitRefused as error:
-        return (error.reason,)
-    is_rising = bool(np.cov(source.output, reference)[0, 1] > 0)
-    limits = output_limits(target, source, is_rising, method.health)
-    found = contradictions(source, target, limits, method) or health_findings(target, source, limits, method.health)
-    return tuple(finding.reason for finding in found)
+        return Expected(*facts, findings=(error.reason,))
+    is_rising = bool(np.cov(known.output, source.unit.reference)[0, 1] > 0)
+    limits = output_limits(recording, known, is_rising, method.health)
+    against = contradictions(known, recording, limits, method) or health_findings(
+        recording, known, limits, method.health
+    )
+    return Expected(*facts, findings=tuple(finding.reason for finding in against))
 
 
 def lots_folder() -> Path:
@@ -111,9 +108,7 @@ def lot_files(registry: Registry, lot_id: str, tell: Callable[[int, int], None])
         InputError: the lot has no source recording.
     """
     lot, stored = registry.lots.get(lot_id), lots_folder() / lot_id
-    newest = {
-        (entry.kind, entry.serial): entry for entry in registry.recordings.of_lot(lot_id) if entry.kind != "audit"
-    }
+    newest = {(one.kind, one.serial): one for one in registry.recordings.of_lot(lot_id) if one.kind != "audit"}
     newest |= {("audit", serial): entry for serial, entry in newest_audits(registry, lot_id).items()}
     with tempfile.TemporaryDirectory(prefix="softcal-lot-") as place:
         folder = Path(place) / "lot"

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from softcal.app.batch.calibrating import Refusal
-from softcal.app.batch.unit_work import Chunk, ChunkOutcome, SharedWork, UnitOutcome, UnitTask
+from softcal.app.batch.unit_work import Chunk, ChunkOutcome, SharedWork, UnitOutcome
 from softcal.core.unit.verdict import Verdict
 from softcal.core.words.reason import plain, reason
 
@@ -30,22 +30,23 @@ class PassingRefusal(Refusal):
 def each_alone(work: Work, limit_s: float, shared: SharedWork, chunk: Chunk) -> ChunkOutcome:
     """Work on the units of a chunk one by one; what goes wrong with one is its result."""
     start_s = time.process_time()
-    units = tuple(unit for task in chunk.tasks for unit in _alone(work, limit_s, shared, task))
-    return ChunkOutcome(units, time.process_time() - start_s)
-
-
-def _alone(work: Work, limit_s: float, shared: SharedWork, task: UnitTask) -> tuple[UnitOutcome, ...]:
-    try:
-        with time_limit(limit_s):
-            return work(shared, Chunk((task,))).units
-    except TooLong:
-        why = f"its work was broken off after {limit_s:g} s; look at its recording"
-        refusal = PassingRefusal(Verdict.RETEST, plain(why))
-    except Exception as error:
-        what = " ".join(str(error).split())[:200]
-        why = f"its work failed: {type(error).__name__}: {what}; the log has the details"
-        refusal = PassingRefusal(Verdict.RETEST, plain(why), traceback.format_exc())
-    return (UnitOutcome(task.item_id, task.serial, refusal),)
+    units: list[UnitOutcome] = []
+    for task in chunk.tasks:
+        try:
+            with time_limit(limit_s):
+                done = work(shared, Chunk((task,))).units
+            units += done
+            continue
+        except TooLong:
+            why, trace = f"its work was broken off after {limit_s:g} s; look at its recording", ""
+        except Exception as error:
+            what = " ".join(str(error).split())[:200]
+            why, trace = (
+                f"its work failed: {type(error).__name__}: {what}; the log has the details",
+                traceback.format_exc(),
+            )
+        units.append(UnitOutcome(task.item_id, task.serial, PassingRefusal(Verdict.RETEST, plain(why), trace)))
+    return ChunkOutcome(tuple(units), time.process_time() - start_s)
 
 
 def lost(chunk: Chunk) -> ChunkOutcome:

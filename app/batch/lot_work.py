@@ -122,7 +122,21 @@ class LotWork:
             claims.take_back_from_dead()
             self._tell_done(claims)
             while not self._is_done(claims):
-                self._work_off(claims)
+                chunks = self._chunks(claims)
+                first = next(chunks, None)
+                if first is None:
+                    # Nothing is free; others may hold the rest.
+                    if held := claims.queue.counts(work=self._work)["claimed"]:
+                        self._watch.on_wait(held)
+                        time.sleep(LOOK_EVERY_S)
+                    continue
+                work = partial(each_alone, work_on, self._config.unit_limit_s)
+                shared = SharedWork(self._folder.lot, self._facts)
+                for answer in run_all(self._config.engine, work, shared, chain([first], chunks), Chunk.split):
+                    outcome = lost(answer.item) if isinstance(answer, WorkerLost) else answer
+                    for result in self._keep(claims, outcome):
+                        self._watch.on_unit(result)
+                    self._tell_done(claims)
 
     def _look_further(self, claims: Claims) -> None:
         """Read the next files, ask for what is to be done with them, hold them until then."""
@@ -184,23 +198,6 @@ class LotWork:
         stored = {s: self._registry.calibrations.get(s, lot_id=self._lot_id).record.recording_sha256 for s in made}
         return stored | {serial: self._recordings[serial] for serial in serials if serial in self._recordings}
 
-    def _work_off(self, claims: Claims) -> None:
-        """Work until nothing is free; wait a moment where others hold the rest."""
-        chunks = self._chunks(claims)
-        first = next(chunks, None)
-        if first is None:
-            if held := claims.queue.counts(work=self._work)["claimed"]:
-                self._watch.on_wait(held)
-                time.sleep(LOOK_EVERY_S)
-            return
-        work = partial(each_alone, work_on, self._config.unit_limit_s)
-        shared = SharedWork(self._folder.lot, self._facts)
-        for answer in run_all(self._config.engine, work, shared, chain([first], chunks), Chunk.split):
-            outcome = lost(answer.item) if isinstance(answer, WorkerLost) else answer
-            for result in self._keep(claims, outcome):
-                self._watch.on_unit(result)
-            self._tell_done(claims)
-
     def _is_done(self, claims: Claims) -> bool:
         counts = claims.queue.counts(work=self._work)
         if self._unread or counts["queued"] + counts["claimed"] > 0:
@@ -240,7 +237,13 @@ class LotWork:
         return content_sha256({}, {"set": self._work.name, "files": files, "anchors": loads, **beside})
 
     def _chunks(self, claims: Claims) -> Iterator[Chunk]:
-        while (items := claims.take(self._chunk_size())) or self._unread:
+        while True:
+            size = self._config.chunk or FIRST_CHUNK
+            if self._config.chunk is None and self._unit_s is not None:
+                size = min(max(1, math.ceil(CHUNK_S / max(self._unit_s, 1e-6))), LARGEST_CHUNK)
+            items = claims.take(size)
+            if not items and not self._unread:
+                return
             if not items:
                 self._look_further(claims)
                 continue
@@ -251,13 +254,6 @@ class LotWork:
                     claims.queue.finish(claims.owner, [item.id])
             if mine:
                 yield Chunk(tuple(self._tasks(mine)))
-
-    def _chunk_size(self) -> int:
-        if self._config.chunk is not None:
-            return self._config.chunk
-        if self._unit_s is None:
-            return FIRST_CHUNK
-        return min(max(1, math.ceil(CHUNK_S / max(self._unit_s, 1e-6))), LARGEST_CHUNK)
 
     def _tasks(self, items: list[WorkItem]) -> Iterator[UnitTask]:
         serials = [item.serial for item in items]
@@ -298,30 +294,27 @@ class LotWork:
 
     def _register(self, unit: UnitOutcome) -> None:
         """Keep the result of a unit; one that cannot be stored is a refusal."""
+        registry, result, work = self._registry, unit.result, self._works.get(unit.serial)
         self._ended.add(unit.serial)
         try:
-            with self._registry.part():
-                self._register_whole(unit)
+            with registry.part():
+                for recording, kind in ((unit.recording, "unit"), (unit.audit, "audit")):
+                    if recording is not None:
+                        registry.recordings.add(self._lot_id, recording, kind, actor=self._config.actor)
+                if isinstance(result, PassingRefusal):
+                    facts = {"lot": self._lot_id, "serial": unit.serial, "reason": str(result.reason)}
+                    note("unit_failed", trace=result.trace, **facts)
+                statement = registry, self._lot_id, unit.serial, result, "batch"
+                asked = None if isinstance(result, PassingRefusal) else work
+                keep_result(*statement, actor=self._config.actor, reason="batch", work_sha256=asked)
+            if unit.recording is not None and not isinstance(result, Refusal):
+                self._recordings[unit.serial] = unit.recording.sha256
+            if not isinstance(result, Known):
+                self._new.add(unit.serial)
         except (RegistryError, SQLAlchemyError):
             raise
         except Exception as error:
-            self._refuse(unit.serial, f"its result cannot be kept: {error}", self._works.get(unit.serial))
-            self._new.add(unit.serial)
-
-    def _register_whole(self, unit: UnitOutcome) -> None:
-        registry, result, work = self._registry, unit.result, self._works.get(unit.serial)
-        for recording, kind in ((unit.recording, "unit"), (unit.audit, "audit")):
-            if recording is not None:
-                registry.recordings.add(self._lot_id, recording, kind, actor=self._config.actor)
-        if isinstance(result, PassingRefusal):
-            work = None
-            facts = {"lot": self._lot_id, "serial": unit.serial, "reason": str(result.reason)}
-            note("unit_failed", trace=result.trace, **facts)
-        statement = registry, self._lot_id, unit.serial, result, "batch"
-        keep_result(*statement, actor=self._config.actor, reason="batch", work_sha256=work)
-        if unit.recording is not None and not isinstance(result, Refusal):
-            self._recordings[unit.serial] = unit.recording.sha256
-        if not isinstance(result, Known):
+            self._refuse(unit.serial, f"its result cannot be kept: {error}", work)
             self._new.add(unit.serial)
 
 

@@ -18,9 +18,9 @@ from softcal.core.unit.audited import judged, measured
 from softcal.core.unit.calibration import AUDIT_GAIN, AUDIT_ZERO, CalibrationRecord
 from softcal.core.unit.common_misreading import CommonMisreading, corrected
 from softcal.core.unit.uncertainty import ErrorForecast
-from softcal.core.unit.verdict import Limit
+from softcal.core.unit.verdict import Decision, Limit
 from softcal.core.words.reason import Reason
-from softcal.db.entries import MadeCalibration, RecordingEntry, StoredCalibration, UnitEntry, UnitStanding
+from softcal.db.entries import MadeCalibration, StoredCalibration, UnitEntry, UnitStanding
 from softcal.db.registry import Registry
 from softcal.db.truth.in_use import STALE
 
@@ -38,7 +38,14 @@ def judge_lot(
     Returns:
         None where the lot has no unit with a forecast yet.
     """
-    _judge_anew(registry, lot_id, actor)
+    # Units judged against another limit come first; one that has to be fitted for it stays stale.
+    if stale := [unit.serial for unit in registry.lots.units(lot_id) if is_stale(unit)]:
+        limit = lot_limit(registry, lot_id)
+        with registry.transaction():
+            for serial in stale:
+                base = _base(registry, lot_id, registry.calibrations.get(serial, lot_id=lot_id))
+                if record := judged(base, limit):
+                    _put(registry, lot_id, record, "judged against another limit", actor)
     _measure_anew(registry, lot_id, actor)
     at = now or datetime.now(UTC)
     standing = _standing(registry, lot_id, at)
@@ -79,19 +86,18 @@ def lot_standing(registry: Registry, lot_id: str) -> LotStanding:
     units, limit = _whole_lot(registry, lot_id), limit_or_none(registry, lot_id)
     standing = _standing(registry, lot_id, datetime.now(UTC), units)
     audits, passed = newest_audits(registry, lot_id), registry.calibrations.passed_once(lot_id)
-    targets = target_serials(registry, lot_id)
-    rows = [_in_lot(serial, units.get(serial), audits.get(serial), serial in passed) for serial in targets]
+    rows = []
+    for serial in target_serials(registry, lot_id):
+        unit, audit, had_passed = units.get(serial), audits.get(serial), serial in passed
+        at = None if audit is None else audit.added_at
+        if unit is None:
+            rows.append(UnitInLot(serial, had_passed=had_passed, audited_at=at))
+            continue
+        made = unit.made
+        errors = (None, None) if made is None else (made.forecast_rmse, made.after_rmse)
+        is_measured = made is not None and made.is_audited
+        rows.append(UnitInLot(serial, unit.verdict, unit.reasons, is_measured, had_passed, at, *errors))
     return LotStanding(lot_id, rows, limit, None if standing is None else standing.decided())
-
-
-def _in_lot(serial: str, unit: UnitStanding | None, audit: RecordingEntry | None, had_passed: bool) -> UnitInLot:
-    at = None if audit is None else audit.added_at
-    if unit is None:
-        return UnitInLot(serial, had_passed=had_passed, audited_at=at)
-    made = unit.made
-    errors = (None, None) if made is None else (made.forecast_rmse, made.after_rmse)
-    is_measured = made is not None and made.is_audited
-    return UnitInLot(serial, unit.verdict, unit.reasons, is_measured, had_passed, at, *errors)
 
 
 def is_stale(unit: UnitEntry) -> bool:
@@ -115,19 +121,6 @@ def _measure_anew(registry: Registry, lot_id: str, actor: str | None) -> None:
         # It is fitted as it was; what others say is asked again.
         evidence = {name: value for name, value in record.evidence.items() if name != BASE}
         _put(registry, lot_id, replace(record, evidence=evidence), "scored on a newer audit", actor)
-
-
-def _judge_anew(registry: Registry, lot_id: str, actor: str | None) -> None:
-    """Judge units judged against another limit; one that has to be fitted for it stays stale."""
-    stale = [unit.serial for unit in registry.lots.units(lot_id) if is_stale(unit)]
-    if not stale:
-        return
-    limit = lot_limit(registry, lot_id)
-    with registry.transaction():
-        for serial in stale:
-            record = judged(_base(registry, lot_id, registry.calibrations.get(serial, lot_id=lot_id)), limit)
-            if record is not None:
-                _put(registry, lot_id, record, "judged against another limit", actor)
 
 
 def _standing(
@@ -307,14 +300,7 @@ def _base(registry: Registry, lot_id: str, stored: StoredCalibration) -> Calibra
 
 def doubted_record(base: CalibrationRecord, doubt: Reason) -> CalibrationRecord:
     """Return a calibration whose audit is in doubt: nothing is decided before that is known."""
-    decision = replace(base.decision, doubt=doubt)
-    return replace(
-        base,
-        settings={**base.settings, "decision": decision.to_json()},
-        verdict=str(decision.verdict),
-        reasons=decision.reasons,
-        input_sha256=content_sha256({}, {"base": base.input_sha256, "doubt": doubt.to_json()}),
-    )
+    return _with_decision(base, replace(base.decision, doubt=doubt), {"doubt": doubt.to_json()})
 
 
 def judged_record(base: CalibrationRecord, decided: LotRelease) -> CalibrationRecord:
@@ -332,15 +318,24 @@ def judged_record(base: CalibrationRecord, decided: LotRelease) -> CalibrationRe
     arrays = {**base.arrays, "interval.half_width": widening(np.asarray(base.arrays["interval.half_width"]))}
     numbers = {"forecast_rmse": base.predicted_rmse, "forecast_scale": scale}
     numbers |= {"interval_scale": widening.scale, "interval_added": widening.added}
-    return replace(
+    changed = replace(
         base,
         arrays=arrays,
-        settings={**base.settings, "forecast": forecast, "decision": decision.to_json()},
+        settings={**base.settings, "forecast": forecast},
         predicted_rmse=None if base.predicted_rmse is None else base.predicted_rmse * scale,
+        evidence={**base.evidence, **numbers},
+    )
+    return _with_decision(changed, decision, {"sampled": judgement.to_json(), **numbers})
+
+
+def _with_decision(base: CalibrationRecord, decision: Decision, facts: Mapping[str, object]) -> CalibrationRecord:
+    """Return a calibration with another decision, and an input of its own: the base's and what led to it."""
+    return replace(
+        base,
+        settings={**base.settings, "decision": decision.to_json()},
         verdict=str(decision.verdict),
         reasons=decision.reasons,
-        evidence={**base.evidence, **numbers},
-        input_sha256=content_sha256({}, {"base": base.input_sha256, "sampled": judgement.to_json(), **numbers}),
+        input_sha256=content_sha256({}, {"base": base.input_sha256, **facts}),
     )
 
 

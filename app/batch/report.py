@@ -10,6 +10,7 @@ from softcal.core.words.reason import Reason
 from softcal.db.entries import MadeCalibration
 
 TABLE_HEADER = ("serial", "verdict", "predicted", "before", "after", "own", "after/own", "fit_s", "map")
+UNIT_ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse", "fit_s")
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,25 @@ class BatchReport:
 
 def report_json(report: BatchReport) -> dict[str, object]:
     """Return the report as the JSON of `softcal batch --json` (schema `softcal.batch/1`)."""
+    units = []
+    for unit in report.units:
+        made = unit.made
+        units.append(
+            {
+                "serial": unit.serial,
+                "verdict": unit.verdict,
+                "reasons": [str(why) for why in unit.reasons],
+                "reason_codes": [why.code for why in unit.reasons],
+                **{name: getattr(made, name, None) for name in UNIT_ERRORS},
+                "map": made and {"family": made.family, "revision": made.revision, "sha256": made.map_sha256},
+                "audited": made is not None and made.is_audited,
+                "predicted_verdict": made and str(made.decision.predicted.verdict),
+                "knowledge": made and made.knowledge,
+                "released": report.releases(unit),
+                "method": made and made.method_id,
+                "is_new": unit.is_new,
+            }
+        )
     return {
         "schema": "softcal.batch/1",
         "lot": report.lot_id,
@@ -69,29 +89,7 @@ def report_json(report: BatchReport) -> dict[str, object]:
         "counts": report.counts,
         "audit": None if report.audit is None else audit_json(report.audit),
         "release": None if report.decided is None else report.decided.to_json(),
-        "units": [_unit_json(report, unit) for unit in report.units],
-    }
-
-
-def _unit_json(report: BatchReport, unit: UnitResult) -> dict[str, object]:
-    made = unit.made
-    errors = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse", "fit_s")
-    unit_map = None
-    if made is not None:
-        unit_map = {"family": made.family, "revision": made.revision, "sha256": made.map_sha256}
-    return {
-        "serial": unit.serial,
-        "verdict": unit.verdict,
-        "reasons": [str(why) for why in unit.reasons],
-        "reason_codes": [why.code for why in unit.reasons],
-        **{name: getattr(made, name, None) for name in errors},
-        "map": unit_map,
-        "audited": made is not None and made.is_audited,
-        "predicted_verdict": None if made is None else str(made.decision.predicted.verdict),
-        "knowledge": None if made is None else made.knowledge,
-        "released": report.releases(unit),
-        "method": None if made is None else made.method_id,
-        "is_new": unit.is_new,
+        "units": units,
     }
 
 
@@ -101,8 +99,8 @@ def table_row(unit: UnitResult) -> list[object]:
     if made is None:
         return [unit.serial, unit.verdict, *[None] * 7]
     ratio = made.after_rmse / made.own_rmse if made.after_rmse and made.own_rmse else None
-    errors = [made.predicted_rmse, made.before_rmse, made.after_rmse, made.own_rmse, ratio, made.fit_s]
-    return [unit.serial, unit.verdict, *errors, made.family]
+    *errors, fit_s = (getattr(made, name) for name in UNIT_ERRORS)
+    return [unit.serial, unit.verdict, *errors, ratio, fit_s, made.family]
 
 
 def audit_lines(report: BatchReport) -> list[str]:

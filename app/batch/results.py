@@ -2,16 +2,13 @@
 
 import io
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from softcal.app.files.atomic import write_bytes
 from softcal.app.registry.lot_recordings import target_serials
 from softcal.core.unit.verdict import Release
-from softcal.db.entries import UnitStanding
 from softcal.db.registry import Registry
 
 SCHEMA_NAME = "softcal.results/1"
@@ -51,7 +48,25 @@ def lot_results(registry: Registry, lot_id: str, release: Release = Release.PASS
     lot = registry.lots.get(lot_id)
     serials = sorted(target_serials(registry, lot_id))
     standings = registry.pages.standings(lot_id, serials)
-    rows = [_row(lot_id, serial, standings.get(serial), release) for serial in serials]
+    rows: list[dict[str, Any]] = []
+    for serial in serials:
+        standing = standings.get(serial)
+        made = None if standing is None else standing.made
+        rows.append(
+            {
+                "lot": lot_id,
+                "serial": serial,
+                "verdict": standing and standing.verdict,
+                "reasons": [str(why) for why in standing.reasons] if standing else [],
+                "reason_codes": [why.code for why in standing.reasons] if standing else [],
+                "released": made is not None and standing is not None and release.releases(standing.verdict),
+                "audited": made is not None and made.is_audited,
+                "knowledge": made and made.knowledge,
+                "map_family": made and made.family,
+                "made_at": standing and standing.made_at,
+                **{name: getattr(made, name, None) for name in OF_MADE},
+            }
+        )
     facts = {
         "schema": SCHEMA_NAME,
         "lot": lot_id,
@@ -63,37 +78,8 @@ def lot_results(registry: Registry, lot_id: str, release: Release = Release.PASS
     return pa.Table.from_pylist(rows, schema=RESULTS.with_metadata(facts))
 
 
-def _row(lot_id: str, serial: str, standing: UnitStanding | None, release: Release) -> dict[str, Any]:
-    if standing is None:
-        empty = {"reasons": [], "reason_codes": [], "released": False, "audited": False}
-        return {"lot": lot_id, "serial": serial, **empty}
-    made = standing.made
-    return {
-        "lot": lot_id,
-        "serial": serial,
-        "verdict": standing.verdict,
-        "reasons": [str(why) for why in standing.reasons],
-        "reason_codes": [why.code for why in standing.reasons],
-        "released": made is not None and release.releases(standing.verdict),
-        "audited": made is not None and made.is_audited,
-        "knowledge": None if made is None else made.knowledge,
-        "map_family": None if made is None else made.family,
-        "made_at": standing.made_at,
-        **{name: getattr(made, name, None) for name in OF_MADE},
-    }
-
-
 def parquet_bytes(table: pa.Table) -> bytes:
     """Return a table as a Parquet file."""
     content = io.BytesIO()
     pq.write_table(table, content, compression="zstd")
     return content.getvalue()
-
-
-def write_results(registry: Registry, lot_id: str, path: Path, release: Release) -> None:
-    """Write the results of a lot, whole or not at all.
-
-    Raises:
-        InputError: it cannot be written.
-    """
-    write_bytes(path, parquet_bytes(lot_results(registry, lot_id, release)))

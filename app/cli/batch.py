@@ -92,9 +92,10 @@ def run(options: argparse.Namespace) -> int:
         if options.out is not None:
             _write_files(registry, report, options.out)
         if options.parquet is not None:
-            from softcal.app.batch.results import write_results
+            from softcal.app.batch.results import lot_results, parquet_bytes
+            from softcal.app.files.atomic import write_bytes
 
-            write_results(registry, report.lot_id, options.parquet, report.release)
+            write_bytes(options.parquet, parquet_bytes(lot_results(registry, report.lot_id, report.release)))
             say(f"{options.parquet}: results of lot {report.lot_id}")
         if options.plots is not None:
             from softcal.app.charts.why import explain_units

@@ -15,6 +15,7 @@ PER_UNIT_N = {r"\newton": 1.0, r"\milli\newton": 1e-3, r"\kilo\newton": 1e3}
 """D-SI names of the units in which a load cell's certificate may state forces."""
 
 COVERAGE = 2.0
+RECALIBRATION, DATES = "basic_recalibration", ("date", "dateTime", "valueXMLList")
 
 
 def certificate_from(given: Mapping[str, Any], dcc: Path | None) -> CellCertificate:
@@ -30,7 +31,7 @@ def certificate_from(given: Mapping[str, Any], dcc: Path | None) -> CellCertific
         document = None if dcc is None else dcc.read_bytes()
     except OSError as error:
         raise InputError(f"{dcc}: {error.strerror}") from error
-    facts = {} if document is None else _facts(document, dcc)
+    facts = {} if document is None else dict(_facts(document, dcc))
     facts |= {name: value for name, value in given.items() if value is not None}
     missing = [name for name in NEEDED if facts.get(name) is None]
     if missing:
@@ -39,49 +40,39 @@ def certificate_from(given: Mapping[str, Any], dcc: Path | None) -> CellCertific
     return CellCertificate(**{"laboratory": "", **facts}, document=document)
 
 
-def _facts(document: bytes, path: Path | None) -> dict[str, Any]:
+def _facts(document: bytes, path: Path | None) -> Iterator[tuple[str, Any]]:
+    """Yield what a DCC states of the certificate: name and value, where it says anything."""
     try:
         root = ET.fromstring(document)
     except ET.ParseError as error:
         raise InputError(f"{path}: is no XML: {error}") from error
-    if _local(root) != "digitalCalibrationCertificate":
-        raise InputError(f"{path}: is no Digital Calibration Certificate, its root is {_local(root)!r}")
+    name = root.tag.rpartition("}")[2]
+    if name != "digitalCalibrationCertificate":
+        raise InputError(f"{path}: is no Digital Calibration Certificate, its root is {name!r}")
     readers: dict[str, Callable[[], Any]] = {
         "cell_serial": lambda: _serial(root),
-        "number": lambda: _text(_first(root, "uniqueIdentifier")),
-        "laboratory": lambda: _text(_first(_first(root, "calibrationLaboratory"), "content")),
-        "issued_on": lambda: _day(_text(_first(root, "endPerformanceDate"))),
-        "due_on": lambda: _due(root),
-        "capacity_N": lambda: _largest(
-            _in_N(each, _text(_first(each, "value"))) for each in _marked(root, "basic_validityRangeMax")
+        "number": lambda: _text(root, "uniqueIdentifier"),
+        "laboratory": lambda: _text(root.find(".//{*}calibrationLaboratory"), "content"),
+        "issued_on": lambda: _day(_text(root, "endPerformanceDate")),
+        "due_on": lambda: _day(
+            next(filter(None, (_text(each, *DATES) for each in _marked(root, RECALIBRATION))), None)
         ),
+        "capacity_N": lambda: _largest(_in_N(each, "value") for each in _marked(root, "basic_validityRangeMax")),
         "uncertainty_N": lambda: _largest(_uncertainties_N(root)),
     }
-    facts = {}
     for name, read in readers.items():
         try:
             value = read()
         except ValueError as error:
             raise InputError(f"{path}: {name}: {error}") from error
         if value is not None:
-            facts[name] = value
-    return facts
+            yield name, value
 
 
-def _local(element: ET.Element) -> str:
-    return element.tag.rpartition("}")[2]
-
-
-def _all(element: ET.Element | None, name: str) -> Iterator[ET.Element]:
-    return (each for each in element.iter() if _local(each) == name) if element is not None else iter(())
-
-
-def _first(element: ET.Element | None, name: str) -> ET.Element | None:
-    return next(_all(element, name), None)
-
-
-def _text(element: ET.Element | None) -> str | None:
-    return (element.text or "").strip() or None if element is not None else None
+def _text(element: ET.Element | None, *names: str) -> str | None:
+    """Return the text below an element, of the first of these names that has one; in any namespace."""
+    texts = ("" if element is None else (element.findtext(f".//{{*}}{name}") or "").strip() for name in names)
+    return next(filter(None, texts), None)
 
 
 def _marked(root: ET.Element, ref_type: str) -> Iterator[ET.Element]:
@@ -95,32 +86,23 @@ def _day(text: str | None) -> date | None:
 
 def _serial(root: ET.Element) -> str | None:
     """The item's serial number: what is marked as one, else what the manufacturer calls it."""
-    item = _first(root, "item")
-    identifications = list(_all(item, "identification"))
+    identifications = [] if (item := root.find(".//{*}item")) is None else item.findall(".//{*}identification")
     marked = [each for each in identifications if "basic_serialNumber" in each.get("refType", "").split()]
-    makers = [each for each in identifications if _text(_first(each, "issuer")) == "manufacturer"]
-    return next((_text(_first(each, "value")) for each in marked + makers), None)
+    makers = [each for each in identifications if _text(each, "issuer") == "manufacturer"]
+    return next((_text(each, "value") for each in marked + makers), None)
 
 
-def _due(root: ET.Element) -> date | None:
-    for each in _marked(root, "basic_recalibration"):
-        day = _text(_first(each, "date")) or _text(_first(each, "dateTime")) or _text(_first(each, "valueXMLList"))
-        if day:
-            return _day(day)
-    return None
-
-
-def _in_N(element: ET.Element, value: str | None) -> float | None:
-    factor = PER_UNIT_N.get(_text(_first(element, "unit")) or "")
+def _in_N(element: ET.Element, *names: str) -> float | None:
+    factor, value = PER_UNIT_N.get(_text(element, "unit") or ""), _text(element, *names)
     return None if factor is None or value is None else factor * float(value)
 
 
 def _uncertainties_N(root: ET.Element) -> Iterator[float | None]:
     """Expanded uncertainties of forces in N, at k = 2; D-SI 1 and 2 name them differently."""
-    for real in _all(root, "real"):
-        expanded_N = _in_N(real, _text(_first(real, "uncertainty")) or _text(_first(real, "valueExpandedMU")))
+    for real in root.iterfind(".//{*}real"):
+        expanded_N = _in_N(real, "uncertainty", "valueExpandedMU")
         if expanded_N is not None:
-            yield expanded_N * COVERAGE / float(_text(_first(real, "coverageFactor")) or COVERAGE)
+            yield expanded_N * COVERAGE / float(_text(real, "coverageFactor") or COVERAGE)
 
 
 def _largest(values: Iterator[float | None]) -> float | None:

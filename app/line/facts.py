@@ -240,17 +240,14 @@ def read_line(
     facts = replace(facts, lot=(look_at_lot or read_lot)(registry, lot_id))
     subject = facts.serial or (facts.newest[0].serial if facts.newest else "")
     results = tuple(registry.lots.runs(lot_id, subject)) if subject else ()
-    return replace(facts, results=results, standings=_standings(registry, facts, lot_id))
-
-
-def _standings(registry: Registry, facts: LineFacts, lot_id: str) -> dict[str, UnitStanding]:
-    """Return where the units stand that the line shows, each of a run of several, too."""
+    # Where the units stand that the line shows, each of a run of several, too
     over = [run for run in facts.runs if run[0].lot_id == lot_id and run[1].state is RunState.DONE][:SHOWN_RUNS]
     shown = list(dict.fromkeys((*filter(None, [facts.serial]), *(order.serial for order, _ in over))))
-    standings = registry.pages.standings(lot_id, shown) if shown else {}
+    standings = dict(registry.pages.standings(lot_id, shown)) if shown else {}
     judged = {order.serial for order, done in over if done.verdict and order.serial not in standings}
-    several = [numbered(serial, k) for serial in judged for k in range(MOST_AT_ONCE)]
-    return {**standings, **registry.pages.standings(lot_id, several)} if several else standings
+    if several := [numbered(serial, k) for serial in judged for k in range(MOST_AT_ONCE)]:
+        standings |= registry.pages.standings(lot_id, several)
+    return replace(facts, results=results, standings=standings)
 
 
 def standing_of(facts: LineFacts, run: LineRun) -> tuple[UnitStanding, ...]:

@@ -66,9 +66,15 @@ class StationGate:
         """Return whether an order of this kind may run now."""
         now, rules, config = datetime.now(UTC), self._rules, self._config
         golden = self._registry.stations.golden_runs(self._station, since=now - rules.shift)
+        entries = () if config.force is None else self._registry.stations.certificates(config.force.serial)
+        certificate = None
+        if entries:
+            newest = entries[-1]
+            last_day = newest.due_on - timedelta(days=1)
+            certificate = CellAtGate(newest.number, last_day, newest.capacity_N, newest.uncertainty_N)
         facts = StationFacts(
             now=now,
-            certificate=_certificate(self._registry, config),
+            certificate=certificate,
             largest_force_N=config.safety.force_N,
             shift_began=now - rules.shift,
             golden=_check(golden[-1]) if golden else None,
@@ -115,7 +121,17 @@ def check_golden(
         InputError: the unit is no source and has no calibration in the registry.
     """
     unit, serial = recording.reference_unit, recording.serial
-    value, widest = _error(registry, recording, source)
+    if source is None:
+        lot, network, calibration = calibrated_unit(registry, serial)
+        estimates = estimate(network, calibration, recording.unlabelled).estimate
+        value = float(np.sqrt(np.nanmean((estimates - recording.reference) ** 2)))
+        # Without a limit of its lot, the one that its own verdict was given by.
+        widest = lot.limit_rmse or float(str(calibration.evidence["limit_rmse"]))
+    else:
+        value = rmse(source.network.evaluate(recording.windows), recording.window_reference)
+        limits = (lot.limit_rmse for lot in registry.lots.all() if lot.source == serial and lot.limit_rmse is not None)
+        usual = default_limit(unit, source.held_out_rmse, source.method.decision).maximum_rmse
+        widest = next(limits, None) or usual
     earlier = [run.value for run in registry.stations.golden_runs(station, serial) if run.passed]
     is_known = len(earlier) >= FIRST_RUNS
     largest = control_chart(np.array(earlier)).upper if is_known else widest
@@ -132,20 +148,6 @@ def check_golden(
     return run
 
 
-def _error(registry: Registry, recording: LabelledRecording, source: SourceModel | None) -> tuple[float, float]:
-    """Return the RMS error of a golden unit's estimates, and the largest that its lot allows."""
-    if source is not None:
-        stated = (lot.limit_rmse for lot in registry.lots.all() if lot.source == recording.serial)
-        limit = next((limit for limit in stated if limit is not None), None)
-        widest = default_limit(recording.reference_unit, source.held_out_rmse, source.method.decision).maximum_rmse
-        return rmse(source.network.evaluate(recording.windows), recording.window_reference), limit or widest
-    lot, network, calibration = calibrated_unit(registry, recording.serial)
-    estimates = estimate(network, calibration, recording.unlabelled).estimate
-    value = float(np.sqrt(np.nanmean((estimates - recording.reference) ** 2)))
-    # Without a limit of its lot, the one that its own verdict was given by.
-    return value, lot.limit_rmse or float(str(calibration.evidence["limit_rmse"]))
-
-
 def quarantine(registry: Registry, station: str, now: datetime) -> tuple[str, ...]:
     """Return the serials a station pressed since its last good golden unit, once one has failed."""
     pressed = [
@@ -154,17 +156,6 @@ def quarantine(registry: Registry, station: str, now: datetime) -> tuple[str, ..
         if order.kind is OrderKind.UNIT and progress.recording_sha256 and order.created is not None
     ]
     return quarantined(pressed, [_check(run) for run in registry.stations.golden_runs(station)], now)
-
-
-def _certificate(registry: Registry, config: StationConfig) -> CellAtGate | None:
-    if config.force is None:
-        return None
-    entries = registry.stations.certificates(config.force.serial)
-    if not entries:
-        return None
-    newest = entries[-1]
-    last_day = newest.due_on - timedelta(days=1)
-    return CellAtGate(newest.number, last_day, newest.capacity_N, newest.uncertainty_N)
 
 
 def _check(run: GoldenRun) -> GoldenCheck:

@@ -127,7 +127,20 @@ class StationHost:
         try:
             self._service.start()
             while goes_on() and not self._lost:
-                self._turn()
+                order = None
+                try:
+                    self._service.watch(LISTEN_S)
+                    self._service.settle()
+                    self._store_late()
+                    order = self._queue.take(self._station)
+                except RegistryError:
+                    pass  # The registry is away: nothing new is started, nothing is lost.
+                if order is None:
+                    time.sleep(IDLE_S)
+                elif order.kind is OrderKind.ACKNOWLEDGE or order.kind.is_run:
+                    self._perform(order)
+                else:
+                    self._answer(order)
         finally:
             self._service.close()
             self._is_over.set()
@@ -156,23 +169,6 @@ class StationHost:
                 raise InputError(reason("station.served", station=repr(self._station), process=now.process))
             time.sleep(IDLE_S)
         return TAKEN_OVER_AFTER
-
-    def _turn(self) -> None:
-        """Do one order, or wait a moment for one."""
-        order = None
-        try:
-            self._service.watch(LISTEN_S)
-            self._service.settle()
-            self._store_late()
-            order = self._queue.take(self._station)
-        except RegistryError:
-            pass  # The registry is away: nothing new is started, nothing is lost.
-        if order is None:
-            time.sleep(IDLE_S)
-        elif order.kind is OrderKind.ACKNOWLEDGE or order.kind.is_run:
-            self._perform(order)
-        else:
-            self._answer(order)
 
     def _perform(self, order: Order) -> None:
         self._is_stop_wanted.clear()

@@ -61,7 +61,7 @@ def take_scan(registry: Registry, screen: Screen, text: str, actor: str = "") ->
             raise InputError(Reason("line.no_station"))
         step = _step(registry, facts, screen, scan, actor or _badged(facts.operator))
         if write_place(registry.line_places, facts.station, step.place):
-            return _ordered(registry, facts, screen, step)
+            return _ordered(registry, screen, step)
     raise InputError(Reason("line.other_screens"))
 
 
@@ -92,22 +92,17 @@ def _stop_order(station: str, run: Order, who: str) -> Order:
     return Order(f"stop-{run.order_id}"[:64], station, OrderKind.STOP, actor=who)
 
 
-def _ordered(registry: Registry, facts: LineFacts, screen: Screen, step: Step) -> LineFacts:
+def _ordered(registry: Registry, screen: Screen, step: Step) -> LineFacts:
     """Give the order of a step to the station. Its unit waits no longer: no order comes twice."""
-    if step.order is not None:
-        until_s = screen.until_s if step.order.kind.is_run else None
-        try:
-            is_placed = registry.order_queue.place(step.order, until_s=until_s)
-            refusal = None if is_placed else Note("late_start")
-        except InputError:
-            refusal = Note("busy_key", _running(read_line(registry, screen)))
-        if refusal is not None:
-            return _refused(registry, screen, refusal)
-    return read_line(registry, screen)
-
-
-def _refused(registry: Registry, screen: Screen, refusal: Note) -> LineFacts:
-    """Say why nothing moved, also where another screen writes at the same time."""
+    if step.order is None:
+        return read_line(registry, screen)
+    try:
+        if registry.order_queue.place(step.order, until_s=screen.until_s if step.order.kind.is_run else None):
+            return read_line(registry, screen)
+        refusal = Note("late_start")
+    except InputError:
+        refusal = Note("busy_key", _running(read_line(registry, screen)))
+    # Why nothing moved is said also where another screen writes at the same time.
     for _ in range(MOST_CONFLICTS):
         facts = read_line(registry, screen)
         if write_place(registry.line_places, facts.station, _told(facts, refusal)):
@@ -190,25 +185,14 @@ def _serial_refusal(registry: Registry, lot: LotAtLine, serial: str) -> Note | N
         return Note("bad_serial", {"serial": serial[:40], "lot": lot.id})
     if serial == lot.lot.source:
         return Note("is_source", {"serial": serial, "lot": lot.id})
-    other = _other_lot(registry, lot, serial)
-    if other:
-        return Note("other_lot", {"serial": serial, "other": other, "lot": lot.id})
-    if not lot.rules.fits(serial):
-        return Note("bad_serial", {"serial": serial, "lot": lot.id})
-    return None
-
-
-def _other_lot(registry: Registry, lot: LotAtLine, serial: str) -> str:
-    """Return the lot that a serial belongs to instead: it stands there, or fits only there."""
-    known = lots_of(registry, serial)
-    if lot.id in known:
-        return ""
-    if known:
-        return sorted(known)[0]
-    if lot.rules.fits(serial):
-        return ""
-    rules = ((other.id, registry.lots.line_rules(other)) for other in registry.lots.all() if other.id != lot.id)
-    return next((lot_id for lot_id, other in rules if other.serial_pattern and other.fits(other.spelled(serial))), "")
+    known, fits = lots_of(registry, serial), lot.rules.fits(serial)
+    if lot.id not in known and (known or not fits):
+        # It belongs to the lot that it stands in, or the only one that it fits.
+        rules = ((other.id, registry.lots.line_rules(other)) for other in registry.lots.all() if other.id != lot.id)
+        fitting = (lot_id for lot_id, other in rules if other.serial_pattern and other.fits(other.spelled(serial)))
+        if other := min(known) if known else next(fitting, ""):
+            return Note("other_lot", {"serial": serial, "other": other, "lot": lot.id})
+    return None if fits else Note("bad_serial", {"serial": serial, "lot": lot.id})
 
 
 def _start(facts: LineFacts, screen: Screen, who: str) -> Step:

@@ -12,7 +12,7 @@ from softcal.app.line.scan_codes import numbered
 from softcal.core.errors import BadReply, InputError
 from softcal.core.lot import check_serial
 from softcal.station.interfaces import Sample
-from softcal.station.record.recording import StationRecording, restore
+from softcal.station.record.recording import restore
 from softcal.station.record.spool import SpooledRun, read_spool
 
 
@@ -66,21 +66,20 @@ def _recover(path: Path, out: Path) -> Recovered:
         file = out / f"{path.stem}.aborted.csv"
         write_columns(file, _aborted_columns(run, end))
         return Recovered(path, serial, profile, end, len(run.output), (file,))
-    files = tuple(_write(recording, channel, out, name, path.stem) for channel, name in enumerate(serials))
-    return Recovered(path, serial, profile, str(run.end), len(recording.t_s), files)
-
-
-def _write(recording: StationRecording, channel: int, out: Path, serial: str, spool: str) -> Path:
-    """Write a channel under its serial, or its spool where that file is another recording."""
-    file, own = out / f"{serial}.csv", out / f"{spool}-{serial}.csv"
-    if not file.exists():
-        write_columns(file, columns(recording, channel))
-        return file
-    write_columns(own, columns(recording, channel))
-    if own.read_bytes() != file.read_bytes():
-        return own
-    own.unlink()
-    return file
+    files = []
+    for channel, name in enumerate(serials):
+        # Under its serial, or its spool where that file is another recording
+        file, own = out / f"{name}.csv", out / f"{path.stem}-{name}.csv"
+        if file.exists():
+            write_columns(own, columns(recording, channel))
+            if own.read_bytes() != file.read_bytes():
+                files.append(own)
+                continue
+            own.unlink()
+        else:
+            write_columns(file, columns(recording, channel))
+        files.append(file)
+    return Recovered(path, serial, profile, str(run.end), len(recording.t_s), tuple(files))
 
 
 def _aborted_columns(run: SpooledRun, end: str) -> list[tuple[str, Any]]:

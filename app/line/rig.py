@@ -240,18 +240,24 @@ def record_to_files(
     paths = [out] if len(serials) == 1 else [out / f"{serial}.csv" for serial in serials]
     _check_lot(paths, serials, bench, with_reference)
     began_s = bench.clock.now_s()
-    spool_path = new_spool(spool_folder, serials[0])
+    spool_path = spool_folder / f"{serials[0]}-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}.spool"
     header = {"serial": serials[0], "serials": SERIALS_APART.join(serials), "profile": profile.name}
     with Spool(spool_path, header | {"station": bench.config.name}) as spool:
         recording = record(bench, serials[0], profile, with_reference, on_progress, spool)
     for channel, path in enumerate(paths):
         write_columns(path, columns(recording, channel))
-    remarks = []
+    remarks: list[str] = []
     if with_reference and paths[0].parent.name == "source":
         is_simulated = bench.config.name == SIMULATED_NAME
         remarks = _state_source(paths[0], recording, SIMULATED if is_simulated else station_reference(bench.config))
+    force, behind_s = bench.config.force, recording.alignment.force_behind_s
+    if force is not None and not force.is_latency_stated and np.isfinite(behind_s):
+        remarks.append(
+            f"the load cell was found {behind_s:.3f} s behind the stage, which was taken off; write "
+            f"latency_s = {max(0.0, behind_s):.2f} into [force] of the station file"
+        )
     spool_path.unlink()
-    return WrittenRun(recording, tuple(paths), bench.clock.now_s() - began_s, (*remarks, *_remarks(bench, recording)))
+    return WrittenRun(recording, tuple(paths), bench.clock.now_s() - began_s, tuple(remarks))
 
 
 def station_reference(config: StationConfig) -> Reference | None:
@@ -296,25 +302,9 @@ def _state_source(source: Path, recording: StationRecording, reference: Referenc
     ]
 
 
-def _remarks(bench: Bench, recording: StationRecording) -> list[str]:
-    """Say what a person should write into the station file."""
-    force, behind_s = bench.config.force, recording.alignment.force_behind_s
-    if force is None or force.is_latency_stated or not np.isfinite(behind_s):
-        return []
-    return [
-        f"the load cell was found {behind_s:.3f} s behind the stage, which was taken off; write "
-        f"latency_s = {max(0.0, behind_s):.2f} into [force] of the station file"
-    ]
-
-
 def spool_folder(option: Path | None) -> Path:
     """Return the folder of spools: the option, else one among the user's data."""
     return option or data_folder() / "spool"
-
-
-def new_spool(folder: Path, serial: str) -> Path:
-    """Return the path of a new spool, named by unit and time."""
-    return folder / f"{serial}-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}.spool"
 
 
 def run_json(run: WrittenRun) -> dict[str, object]:

@@ -67,7 +67,19 @@ def serve(registry: Registry, serving: Serving, spools: Path, goes_on: Callable[
     Raises:
         InputError: no station is named, its file cannot be read, or another process serves it.
     """
-    config, fixture, opened = _rig(serving)
+    fixture: Fixture
+    opened: Callable[[], AbstractContextManager[Bench]]
+    if serving.simulated_seed is not None:
+        from softcal.core.simulated_lot import twin_of
+        from softcal.station.testing.line import SimulatedLine
+
+        fixture = SimulatedLine(partial(twin_of, serving.simulated_seed), serving.simulated_seed, serving.speed)
+        config, opened, reference = SIMULATED_RIG, fixture.open, SIMULATED
+    elif serving.station_file is None:
+        raise InputError("which station? give --station FILE or --simulated")
+    else:
+        config, fixture = read_station_file(serving.station_file), HandFixture()
+        opened, reference = partial(open_bench, config), station_reference(config)
     gate = StationGate(registry, serving.station, config, serving.rules)
     if serving.override:
         gate.override(current_user(), serving.override)
@@ -77,22 +89,8 @@ def serve(registry: Registry, serving: Serving, spools: Path, goes_on: Callable[
     def make_service(report: Callable[[Progress], None], is_stop_wanted: Callable[[], bool]) -> StationService:
         return StationService(opened, profiles, spools, Hooks(report, is_stop_wanted, gate))
 
-    reference = SIMULATED if serving.simulated_seed is not None else station_reference(config)
     # A bench whose gate asks for no golden unit still has sittings.
     sitting = serving.rules.shift or SHIFT
     keeper = RunKeeper(registry, serving.station, serving.network, reference=reference, sitting=sitting)
     queue, write_log = registry.order_queue, lambda event, facts: log.info(event, **facts)
     StationHost(queue, serving.station, keeper, gate.override, make_service, fixture, write_log).run(goes_on)
-
-
-def _rig(serving: Serving) -> tuple[StationConfig, Fixture, Callable[[], AbstractContextManager[Bench]]]:
-    if serving.simulated_seed is not None:
-        from softcal.core.simulated_lot import twin_of
-        from softcal.station.testing.line import SimulatedLine
-
-        line = SimulatedLine(partial(twin_of, serving.simulated_seed), serving.simulated_seed, serving.speed)
-        return SIMULATED_RIG, line, line.open
-    if serving.station_file is None:
-        raise InputError("which station? give --station FILE or --simulated")
-    config = read_station_file(serving.station_file)
-    return config, HandFixture(), partial(open_bench, config)
