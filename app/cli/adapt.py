@@ -73,6 +73,7 @@ MODE_HELP = (
 def run(options: argparse.Namespace) -> None:
     """Follow the stream, and say what was followed, held and flagged."""
     from softcal.app.use.adapt import AdaptOptions
+    from softcal.app.use.trim import trimmed_by
     from softcal.core.use.adapter import QUEUES, AdaptConfig
     from softcal.core.use.method import OnlineConfig, UseMethod
 
@@ -83,37 +84,27 @@ def run(options: argparse.Namespace) -> None:
         method = UseMethod(online=OnlineConfig(options.queue))
     config = AdaptConfig(options.mode, method)
     with registry_of(options) as registry:
-        revision = options.revision if options.loads is None else _trimmed(registry, options)
+        revision = options.revision
+        if options.loads is not None:
+            if revision is not None or options.resume:
+                raise InputError(
+                    "--loads trims the map in use at the start of a stream; without --revision and --resume. "
+                    "`softcal trim` between two streams does the rest"
+                )
+            revision = trimmed_by(registry, options.serial, options.loads, options.lot)
+            say(f"{options.serial}: followed from revision {revision}, trimmed by {options.loads}")
         adapt = AdaptOptions(config, revision, options.stream, options.resume, lot_id=options.lot)
         report = _follow(registry, options, adapt)
         say_caution(registry, (report.serial, report.revision, report.lot.id), "adapt")
         _report(registry, options, report)
 
 
-def _trimmed(registry: "Registry", options: argparse.Namespace) -> int:
-    """Trim the unit by the known loads that the stream begins with, and say so."""
-    from softcal.app.use.trim import trimmed_by
-
-    if options.revision is not None or options.resume:
-        raise InputError(
-            "--loads trims the map in use at the start of a stream; without --revision and --resume. "
-            "`softcal trim` between two streams does the rest"
-        )
-    revision = trimmed_by(registry, options.serial, options.loads, options.lot)
-    say(f"{options.serial}: followed from revision {revision}, trimmed by {options.loads}")
-    return revision
-
-
-def is_live(source: str) -> bool:
-    """Return whether IN names a stream rather than a file."""
-    return source in ("-", "simulated") or source.startswith(("serial:", "simulated:"))
-
-
 def _follow(registry: "Registry", options: argparse.Namespace, adapt: "AdaptOptions") -> "AdaptReport":
     from softcal.app.files.recording_file import PLAIN
 
     names = column_names(options)
-    if is_live(options.source):
+    is_live = options.source in ("-", "simulated") or options.source.startswith(("serial:", "simulated:"))
+    if is_live:
         if names != PLAIN:
             raise InputError(f"IN is {options.source}: columns and sample rate are named for files only")
         from softcal.app.use.live import LiveOptions, adapt_live

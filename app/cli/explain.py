@@ -25,14 +25,26 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Print reasons and budget, write the figure."""
+    """Print reasons and budget, and write the figure; or print the numbers of the method."""
     from softcal.app.charts.why import explain_unit, why_json
     from softcal.app.registry.standing import standing_of
     from softcal.app.views.unit import unit_view
+    from softcal.core.unit.method import Method
     from softcal.core.words.reason import joined
 
     if options.method:
-        _print_method(options)
+        with registry_of(options) as registry:
+            method = registry.calibrations.get(options.serial, options.revision, lot_id=options.lot).record.method
+        if method is None:
+            raise InputError(f"{options.serial}: calibrated by a version that kept no method; run the batch again")
+        ours = Method()
+        here = {name: value for name, value, _ in ours.numbers()}
+        if answer(options, "method/1", {"id": method.id, "numbers": dict(method.to_json())}):
+            stale = "" if method == ours else ", stale: this version uses another"
+            print(f"{options.serial}: method {method.id[:12]}{stale}")
+            for name, value, origin in method.numbers():
+                now = "" if here.get(name) == value else f"; this version: {here.get(name)}"
+                print(f"{name} = {value}{now}\n    {origin}")
         return
 
     with registry_of(options) as registry:
@@ -52,21 +64,3 @@ def run(options: argparse.Namespace) -> None:
         print_reasons(f"{options.serial} {decision.verdict} ({view.calibration.knowledge})", decision.reasons)
         rows = [[name, value] for name, value in view.explanation.contributions.items()]
         print_table(("part of the predicted error", view.lot.reference_unit), rows)
-
-
-def _print_method(options: argparse.Namespace) -> None:
-    """Print every number of a calibration's method, its origin, and what this version would use."""
-    from softcal.core.unit.method import Method
-
-    with registry_of(options) as registry:
-        record = registry.calibrations.get(options.serial, options.revision, lot_id=options.lot).record
-    method, ours = record.method, Method()
-    if method is None:
-        raise InputError(f"{options.serial}: calibrated by a version that kept no method; run the batch again")
-    here = {name: value for name, value, _ in ours.numbers()}
-    if answer(options, "method/1", {"id": method.id, "numbers": dict(method.to_json())}):
-        stale = "" if method == ours else ", stale: this version uses another"
-        print(f"{options.serial}: method {method.id[:12]}{stale}")
-        for name, value, origin in method.numbers():
-            now = "" if here.get(name) == value else f"; this version: {here.get(name)}"
-            print(f"{name} = {value}{now}\n    {origin}")

@@ -7,14 +7,10 @@ from datetime import date
 from functools import partial
 from getpass import getpass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from softcal.app.cli.options import COUNT, DIR, FILE, add_shared, converted, registry_of, say_caution
 from softcal.app.export.names import formats
 from softcal.app.output import ProgressLine, print_table, say, write_json
-
-if TYPE_CHECKING:
-    pass
 
 EXAMPLES = """examples:
   softcal export --serial A1 --format blob --adc-bits 10 --adc-full-scale 5 --out files --check

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from softcal.app.cli.gap_challenge import add_challenge_actions
-from softcal.app.cli.gap_effects import add_effects
 from softcal.app.cli.gap_lot import add_lot, add_transfer
 from softcal.app.cli.options import COUNT, FILE, actions_of, add_shared, answer
 from softcal.app.output import print_table, say, write_json
@@ -48,6 +47,10 @@ _APPLY_EXAMPLES = """examples:
   softcal station unit --simulated --twin rig-7.twin.json --serial A1 --out A1.csv
   softcal demo --twin rig-7.twin.json
 """
+_EFFECTS_EXAMPLES = """examples:
+  softcal gap effects
+  softcal gap effects --json effects.json
+"""
 HELP = "diagnose the sim-to-real gap: where, which cause, how far it shrinks"
 
 
@@ -77,7 +80,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_shared(apply, "json")
     add_lot(action)
-    add_effects(action)
+    effects = action("effects", "list the effects a diagnosis can name", _effects, epilog=_EFFECTS_EXAMPLES)
+    add_shared(effects, "json", "csv")
     add_transfer(action)
     add_challenge_actions(action)
 
@@ -104,14 +108,23 @@ def _diagnose(options: argparse.Namespace) -> None:
     experiment.
     """
     from softcal.app.gap.diagnose import diagnose_case, write_page
+    from softcal.app.gap.simulator import diagnose_with, load_simulator
 
-    if options.simulator:
-        _diagnose_simulator(options)
+    if not options.simulator:
+        diagnosis = diagnose_case(options.case, say, _table_readout(options))
+        if options.page:
+            write_page(options.page, diagnosis)
+        _show_twin(diagnosis, options.json)
         return
-    diagnosis = diagnose_case(options.case, say, _table_readout(options))
+    _refuse_electronics(options)
+    diagnosed = diagnose_with(options.case, load_simulator(options.simulator), say)
+    write_json(options.json, diagnosed.report())
     if options.page:
-        write_page(options.page, diagnosis)
-    _show_twin(diagnosis, options.json)
+        write_page(options.page, diagnosed)
+    if options.json != "-":
+        _show(diagnosed)
+    if failed := diagnosed.failures.count:
+        say(f"{diagnosed.failures.first}; so at {failed} of {diagnosed.failures.of} places, which were avoided")
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -156,22 +169,6 @@ def _refuse_electronics(options: argparse.Namespace) -> None:
         raise InputError("--simulator knows no electronics; leave those options out")
 
 
-def _diagnose_simulator(options: argparse.Namespace) -> None:
-    from softcal.app.gap.diagnose import write_page
-    from softcal.app.gap.simulator import diagnose_with, load_simulator
-
-    _refuse_electronics(options)
-    diagnosis = diagnose_with(options.case, load_simulator(options.simulator), say)
-    write_json(options.json, diagnosis.report())
-    if options.page:
-        write_page(options.page, diagnosis)
-    if options.json != "-":
-        _show(diagnosis)
-    if diagnosis.failures.count:
-        failed = diagnosis.failures
-        say(f"{failed.first}; so at {failed.count} of {failed.of} places, which were avoided")
-
-
 def _table_readout(options: argparse.Namespace) -> "ReadoutMetadata | None":
     """Return the electronics of a plain table; R/Rs alone enters the divider: Rs may be unknown."""
     from softcal.core.twin.parameters import ReadoutMetadata
@@ -186,6 +183,33 @@ def _table_readout(options: argparse.Namespace) -> "ReadoutMetadata | None":
     if options.series_ohm is None:
         say("series resistor not given: resistances are shares of it")
     return ReadoutMetadata(options.vref_V, options.adc_bits, options.series_ohm or 1.0, options.rate_Hz)
+
+
+def _effects(options: argparse.Namespace) -> None:
+    """List the catalogue of effects: where each acts, its equation, what it needs to be seen, what
+    it hides behind and which runs show it. Effects of installed plug-ins stand last.
+    """
+    from softcal.core.twin.catalogue import EFFECTS, OWN_EFFECTS
+
+    names = ("name", "unit", "low", "high", "usual")
+    records, rows = [], []
+    for effect in EFFECTS.values():
+        signs = {name: list(getattr(effect.signs, name)) for name in ("needs", "hides_behind", "shown_by")}
+        records.append(
+            {
+                "effect": effect.id,
+                "stage": effect.stage,
+                "equation": effect.equation,
+                "source": effect.source,
+                "parameters": [{name: getattr(p, name) for name in names} for p in effect.parameters],
+                **signs,
+                "forms": [form.effect.equation for form in effect.forms],
+                "is_plugin": effect.id not in OWN_EFFECTS,
+            }
+        )
+        rows.append([effect.id, effect.stage, effect.equation, *(", ".join(each) or None for each in signs.values())])
+    if answer(options, "gap.effects/1", {"effects": records}):
+        print_table(["effect", "stage", "equation", "needs", "hides behind", "shown by"], rows)
 
 
 def _apply(options: argparse.Namespace) -> None:
@@ -236,48 +260,12 @@ def _contents(twin: "Twin") -> str:
 
 def _show(diagnosis: "GapDiagnosis[Any]") -> None:
     """Print what a diagnosis of the twin and one of a simulator say alike."""
+    from softcal.core.gap.identifiability import reasons
+
     _show_mistakes(diagnosis.mistakes)
     if diagnosis.verdict == "data":
         print("verdict     data: repair the recordings and diagnose again; nothing else was judged")
         return
-    _show_result(diagnosis)
-    if diagnosis.partial is not None:
-        effects = " + ".join(diagnosis.partial.effects)
-        print(f"partly      {effects}: {diagnosis.partial.share:.0%} of the gap on these runs; the rest has no name")
-    for cause in (c for c in diagnosis.causes if c.form and c.probability >= 0.5):
-        print(f"form        {cause.effect}: the twin has it as {cause.form}; the values above are the catalogue's")
-    if diagnosis.residual is not None:
-        for fitted in diagnosis.residual.terms:
-            error = f"standard error {fitted.standard_error:.1g} {fitted.term.unit}"
-            print(f"empirical   {fitted.term.formula}  ({error})")
-        shrink, beside = diagnosis.residual.shrink, " + ".join(diagnosis.residual.beside)
-        held = f"{shrink.held_out:.2f} [{shrink.low:.2f}, {shrink.high:.2f}] held out"
-        addition = f", beside {beside}, which alone reach {diagnosis.residual.without:.2f}" if beside else ""
-        print(f"describes   {held}{addition}: a description, no cause; softcal gap apply --empirical adds it")
-
-
-def _show_twin(diagnosis: "Diagnosis", target: str | None) -> None:
-    """Print the diagnosis as tables; with `--json -` the record alone goes to standard output."""
-    if target:
-        write_json(target, diagnosis.report())
-    if target == "-":
-        return
-    _show(diagnosis)
-    if diagnosis.verdict == "data":
-        return
-    for name, value in diagnosis.on_bound.items():
-        print(f"on bound    {name} = {value:.4g}: these recordings do not determine it, or they hold a mistake")
-    for channel, fades in diagnosis.named.problem.colour.items():
-        print(f"noise       {channel}: {fades.spread:.3g} beside the white noise, fading within {fades.fading_s:.2g} s")
-    if diagnosis.case.missing_channels:
-        print(f"missing     {', '.join(diagnosis.case.missing_channels)}")
-    if diagnosis.case.unseen_stages:
-        print(f"not judged  {', '.join(diagnosis.case.unseen_stages)}: these recordings cannot show them")
-
-
-def _show_result(diagnosis: "GapDiagnosis[Any]") -> None:
-    from softcal.core.gap.identifiability import reasons
-
     shrink = diagnosis.shrink
     print(f"verdict     {diagnosis.verdict}")
     for channel, gap in diagnosis.gap.items():
@@ -302,3 +290,35 @@ def _show_result(diagnosis: "GapDiagnosis[Any]") -> None:
     print(f"next        {diagnosis.next_experiment.profile}: {diagnosis.next_experiment.why}")
     for line in () if diagnosis.told is None else reasons(diagnosis.told):
         print(f"not told    {line}")
+    if diagnosis.partial is not None:
+        effects = " + ".join(diagnosis.partial.effects)
+        print(f"partly      {effects}: {diagnosis.partial.share:.0%} of the gap on these runs; the rest has no name")
+    for cause in (c for c in diagnosis.causes if c.form and c.probability >= 0.5):
+        print(f"form        {cause.effect}: the twin has it as {cause.form}; the values above are the catalogue's")
+    if diagnosis.residual is not None:
+        for fitted in diagnosis.residual.terms:
+            error = f"standard error {fitted.standard_error:.1g} {fitted.term.unit}"
+            print(f"empirical   {fitted.term.formula}  ({error})")
+        left, beside = diagnosis.residual.shrink, " + ".join(diagnosis.residual.beside)
+        held = f"{left.held_out:.2f} [{left.low:.2f}, {left.high:.2f}] held out"
+        addition = f", beside {beside}, which alone reach {diagnosis.residual.without:.2f}" if beside else ""
+        print(f"describes   {held}{addition}: a description, no cause; softcal gap apply --empirical adds it")
+
+
+def _show_twin(diagnosis: "Diagnosis", target: str | None) -> None:
+    """Print the diagnosis as tables; with `--json -` the record alone goes to standard output."""
+    if target:
+        write_json(target, diagnosis.report())
+    if target == "-":
+        return
+    _show(diagnosis)
+    if diagnosis.verdict == "data":
+        return
+    for name, value in diagnosis.on_bound.items():
+        print(f"on bound    {name} = {value:.4g}: these recordings do not determine it, or they hold a mistake")
+    for channel, fades in diagnosis.named.problem.colour.items():
+        print(f"noise       {channel}: {fades.spread:.3g} beside the white noise, fading within {fades.fading_s:.2g} s")
+    if diagnosis.case.missing_channels:
+        print(f"missing     {', '.join(diagnosis.case.missing_channels)}")
+    if diagnosis.case.unseen_stages:
+        print(f"not judged  {', '.join(diagnosis.case.unseen_stages)}: these recordings cannot show them")

@@ -8,7 +8,7 @@ from softcal.app.cli.options import COUNT, DIR, FILE, Action
 from softcal.app.output import ProgressLine, print_table, say, write_json
 
 if TYPE_CHECKING:
-    from softcal.core.challenge.score import Row, ScoreSheet
+    from softcal.core.challenge.score import ScoreSheet
 
 _CHALLENGE_EXAMPLES = """examples:
   softcal gap challenge --cases 40 --out sealed            # secret seed; labels go to sealed.seal.json
@@ -74,10 +74,8 @@ def _ask(options: argparse.Namespace) -> None:
     """
     from softcal.app.gap.challenge import ask_rig, press_rig_lot
 
-    if options.lot is not None:
-        print(press_rig_lot(options.folder, options.seal, options.case, options.units, options.lot))
-        return
-    print(ask_rig(options.folder, options.seal, options.case, options.experiment))
+    rig = options.folder, options.seal, options.case
+    print(ask_rig(*rig, options.experiment) if options.lot is None else press_rig_lot(*rig, options.units, options.lot))
 
 
 def _score(options: argparse.Namespace) -> int:
@@ -94,9 +92,7 @@ def _score(options: argparse.Namespace) -> int:
         say(f"counted as wrong: {judged.unread}")
     if options.json != "-":
         _print(sheet)
-    if not options.check:
-        return 0
-    below = shortfalls(sheet)
+    below = shortfalls(sheet) if options.check else ()
     for sentence in below:
         say(f"below its floor: {sentence}")
     return 1 if below else 0
@@ -104,7 +100,11 @@ def _score(options: argparse.Namespace) -> int:
 
 def _print(sheet: "ScoreSheet") -> None:
     header = ("line", "measure", "hits", "of", "share", "95 % interval")
-    print_table(header, [_cells(row) for row in (*sheet.rows, *sheet.shrink.rows) if row.count])
+    rows = []
+    for row in (each for each in (*sheet.rows, *sheet.shrink.rows) if each.count):
+        low, high = (f"{100 * end:.1f}" for end in row.interval)
+        rows.append((row.line, row.measure, row.hits, row.count, f"{100 * row.share:.1f} %", f"{low}–{high} %"))
+    print_table(header, rows)
     sure = sheet.probabilities
     print()
     print_table(
@@ -141,8 +141,3 @@ def _print(sheet: "ScoreSheet") -> None:
             for j in wrong
         ],
     )
-
-
-def _cells(row: "Row") -> tuple[object, ...]:
-    low, high = row.interval
-    return row.line, row.measure, row.hits, row.count, f"{100 * row.share:.1f} %", f"{100 * low:.1f}–{100 * high:.1f} %"

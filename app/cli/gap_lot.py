@@ -2,14 +2,9 @@
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from softcal.app.cli.options import DIR, FILE, Action, add_shared
 from softcal.app.output import print_table, say, write_json
-
-if TYPE_CHECKING:
-    from softcal.core.gap.shared_cause import LotDiagnosis
-    from softcal.core.gap.worth import CalibrationWorth
 
 _LOT_EXAMPLES = """examples:
   softcal gap lot lot-7
@@ -47,20 +42,18 @@ def _lot(options: argparse.Namespace) -> None:
     """
     from softcal.app.gap.lot import diagnose_lot_folder
 
-    diagnosis = diagnose_lot_folder(options.folder, say)
-    write_json(options.json, diagnosis.record())
-    if options.json != "-":
-        _show(diagnosis.diagnosis)
-        _show_worth(diagnosis.calibration)
-
-
-def _show(diagnosis: "LotDiagnosis") -> None:
+    lot = diagnose_lot_folder(options.folder, say)
+    write_json(options.json, lot.record())
+    if options.json == "-":
+        return
+    diagnosis, calibration = lot.diagnosis, lot.calibration
     print(f"verdict     {diagnosis.verdict}")
     word = "nearest" if diagnosis.verdict == "unknown" else "shared"
     for cause in diagnosis.causes:
         print(f"{word:<11} {cause}: probability {diagnosis.probability[cause]:.3g} over the lot")
     for ids in diagnosis.rivals[1:]:
         print(f"ambiguous   {' + '.join(diagnosis.rivals[0]) or 'no cause'} / {' + '.join(ids) or 'no cause'}")
+    rows = []
     for member in diagnosis.members:
         own = " + ".join(member.diagnosis.best.hypothesis.ids) or "no cause"
         if member.is_left_out:
@@ -68,26 +61,22 @@ def _show(diagnosis: "LotDiagnosis") -> None:
         elif not member.follows:
             alone = f"alone {member.diagnosis.verdict}, {own}"
             print(f"outlier     {member.name}: does not share the lot's causes; {alone}")
-    rows = [
-        [m.name, m.diagnosis.verdict, effect, name, p.value, p.low, p.high, p.unit]
-        for m in diagnosis.members
-        for effect, values in m.sizes.items()
-        for name, p in values.items()
-    ]
+        rows += [
+            [member.name, member.diagnosis.verdict, effect, name, p.value, p.low, p.high, p.unit]
+            for effect, values in member.sizes.items()
+            for name, p in values.items()
+        ]
     if rows:
         print_table(["unit", "alone", "effect", "parameter", "value", "low", "high", "unit of value"], rows)
-
-
-def _show_worth(calibration: "tuple[CalibrationWorth, ...]") -> None:
-    if not calibration:
-        return
-    most = max(len(w.rig) for w in calibration)
-    header = ["unit", "nominal twin, N", "explained twin, N", *(f"rig {k}, N" for k in range(1, most + 1)), "saves"]
-    print_table(header, [[w.unit, w.nominal, w.explained, *w.rig, w.saves] for w in calibration])
-    print(
-        f"saves       {sum(w.saves for w in calibration)} rig recordings over {len(calibration)} units; "
-        f"the twin without the causes saves {sum(w.nominal_saves for w in calibration)}"
-    )
+    if calibration:
+        most = max(len(w.rig) for w in calibration)
+        rigs = (f"rig {k}, N" for k in range(1, most + 1))
+        header = ["unit", "nominal twin, N", "explained twin, N", *rigs, "saves"]
+        print_table(header, [[w.unit, w.nominal, w.explained, *w.rig, w.saves] for w in calibration])
+        print(
+            f"saves       {sum(w.saves for w in calibration)} rig recordings over {len(calibration)} units; "
+            f"the twin without the causes saves {sum(w.nominal_saves for w in calibration)}"
+        )
 
 
 def add_transfer(action: Action) -> None:

@@ -3,7 +3,7 @@
 import argparse
 import sys
 from collections.abc import Callable
-from dataclasses import MISSING, Field, fields
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
 
@@ -128,17 +128,13 @@ def _answers(section: str, config: type[Any], names: set[str]) -> dict[str, Any]
         if line.strip().partition(":")[0].partition(",")[0] in names or line.startswith(" " * 8):
             say(f"    {line.strip()}")
     types = get_type_hints(config)
-    return {
-        each.name: asked(f"{section}: {each.name}", READERS.get(types[each.name], str), _default(each))
-        for each in fields(config)
-        if each.name in names
-    }
-
-
-def _default(each: "Field[Any]") -> str | None:
-    if each.default is MISSING:
-        return None
-    return str(each.default).lower() if isinstance(each.default, bool) else str(each.default)
+    answers = {}
+    for each in (each for each in fields(config) if each.name in names):
+        usual = None if each.default is MISSING else str(each.default)
+        if isinstance(each.default, bool):
+            usual = str(each.default).lower()
+        answers[each.name] = asked(f"{section}: {each.name}", READERS.get(types[each.name], str), usual)
+    return answers
 
 
 def asked(question: str, kind: Callable[[str], T], default: str | None, is_silent: bool = False) -> T:

@@ -40,25 +40,22 @@ def _run(options: argparse.Namespace) -> int:
     """Take labelled recordings of units, one file a unit and called by its serial. A file that
     cannot be used is named and left out, and the others are taken.
     """
+    from softcal.app.batch.judging import confirm
+
     if options.confirm is not None:
         if options.files:
             raise InputError("--confirm takes no files: bring them first, then confirm what is in doubt")
-        return _confirm(options)
+        lot_id = lot_id_of(options.lot)
+        with registry_of(options) as registry:
+            confirm(registry, lot_id, options.confirm, reason=options.reason)
+            standing = registry.pages.standings(lot_id, [options.confirm])[options.confirm]
+        say(f"{options.confirm}: confirmed; its verdict is {standing.verdict}: {standing.reasons[0]}")
+        facts = {"lot": lot_id, "serial": options.confirm, "verdict": standing.verdict}
+        answer(options, "lot.audit-confirm/1", facts)
+        return DONE if standing.verdict == "pass" else SOME_UNIT_NOT_PASSED
     if not options.files:
         raise InputError("no file is given: name the labelled recordings, each called by the serial of its unit")
     return _bring(options)
-
-
-def _confirm(options: argparse.Namespace) -> int:
-    from softcal.app.batch.judging import confirm
-
-    lot_id = lot_id_of(options.lot)
-    with registry_of(options) as registry:
-        confirm(registry, lot_id, options.confirm, reason=options.reason)
-        standing = registry.pages.standings(lot_id, [options.confirm])[options.confirm]
-    say(f"{options.confirm}: confirmed; its verdict is {standing.verdict}: {standing.reasons[0]}")
-    answer(options, "lot.audit-confirm/1", {"lot": lot_id, "serial": options.confirm, "verdict": standing.verdict})
-    return DONE if standing.verdict == "pass" else SOME_UNIT_NOT_PASSED
 
 
 def _bring(options: argparse.Namespace) -> int:

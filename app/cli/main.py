@@ -5,7 +5,6 @@ import importlib
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
-from typing import Any
 
 from softcal.app.cli.configuration import configure, files_in_use
 from softcal.app.cli.parser import Parser
@@ -42,11 +41,15 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"softcal: {error}", file=sys.stderr)
         return WRONG_USE
     options = parser.parse_args(given)
-    log = _log_of(options, given)
+    log, command = None, str(options.run.__module__).rpartition(".")[2]
+    if command in LOGGED:
+        from softcal.app.logs import begin_run, end_run
+
+        facts = {name: getattr(options, name, None) for name in ("lot", "serial", "station", "actor")}
+        context = {name: str(value) for name, value in facts.items() if value is not None}
+        log = begin_run(command.strip("_"), given, **context)
     code, message = _outcome(options)
     if log is not None:
-        from softcal.app.logs import end_run
-
         end_run(log, code, message)
     if message:
         print(f"softcal: {message}", file=sys.stderr)
@@ -70,28 +73,11 @@ def _outcome(options: argparse.Namespace) -> tuple[int, str]:
     except BrokenPipeError:
         sys.stderr.close()
         return DONE, ""
-    except ModuleNotFoundError as error:
-        return WRONG_USE, missing_extra(error) or _crash(options, error)
     except Exception as error:
-        return WRONG_USE, _crash(options, error)
+        from softcal.app.logs import log_crash
 
-
-def _crash(options: argparse.Namespace, error: Exception) -> str:
-    from softcal.app.logs import log_crash
-
-    return log_crash(error, str(options.run.__module__))
-
-
-def _log_of(options: argparse.Namespace, arguments: list[str]) -> Any:
-    """Begin the log of a command that works long or changes something; None for all the others."""
-    command = str(options.run.__module__).rpartition(".")[2]
-    if command not in LOGGED:
-        return None
-    from softcal.app.logs import begin_run
-
-    names = ("lot", "serial", "station", "actor")
-    context = {name: str(value) for name in names if (value := getattr(options, name, None)) is not None}
-    return begin_run(command.strip("_"), arguments, **context)
+        lacking = missing_extra(error) if isinstance(error, ModuleNotFoundError) else None
+        return WRONG_USE, lacking or log_crash(error, str(options.run.__module__))
 
 
 def command_parser(modules: Sequence[str] = COMMANDS) -> argparse.ArgumentParser:

@@ -9,14 +9,13 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import DIR, FILE, Action, actions_of, add_shared, add_station, answer, positive
+from softcal.app.cli.options import DIR, FILE, actions_of, add_shared, add_station, answer, positive
 from softcal.app.cli.station_service import add_service_actions
 from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
 from softcal.core.words.reason import Reason
 
 if TYPE_CHECKING:
-    from softcal.station.devices.catalogue import Offer
     from softcal.station.tasks.acquisition import OnProgress
     from softcal.station.tasks.identify import DeviceIdentity
 
@@ -54,7 +53,24 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     check.add_argument("--no-motion", action="store_true", help="do not home or move the stage")
     add_shared(check, "json")
     for kind, what in (("source", "with the load cell: output and reference"), ("unit", "output only")):
-        _add_press(action, kind, what)
+        press = action(
+            kind,
+            f"press a {'source unit' if kind == 'source' else 'unit'} and record it {what}",
+            run_press,
+            f"Home, find contact, press with the {kind} profile and record {what}. Whole or not at all.",
+        )
+        press.add_argument(
+            "--serial", nargs="+", required=True, metavar="S", help="serial; one per channel of the readout"
+        )
+        press.add_argument("--out", required=True, **FILE, help="CSV or Parquet; a folder for channels")
+        press.add_argument("--seconds", type=positive, metavar="S", help="how long to press")
+        add_shared(press, "depth")
+        press.add_argument("--profile", **FILE, help="TOML file of moves instead (`station profiles`)")
+        add_shared(press, "profile-seed", "spool")
+        add_station(press)
+        press.add_argument("--twin", **FILE, help="with --simulated: the unit of this twin (softcal gap apply)")
+        add_shared(press, "json")
+        press.set_defaults(kind=kind)
     profiles = action("profiles", "the stage profiles there are, and how long each takes", run_profiles)
     add_shared(profiles, "depth", "profile-seed")
     profiles.add_argument("--write", nargs=2, metavar=("NAME", "FILE"), help="write this profile into a TOML file")
@@ -77,26 +93,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     drivers.add_argument("--kind", metavar="KIND", help="this kind only, with what its keys mean")
     add_shared(drivers, "json", "csv")
     add_service_actions(action)
-
-
-def _add_press(action: Action, kind: str, what: str) -> None:
-    name = "source unit" if kind == "source" else "unit"
-    press = action(
-        kind,
-        f"press a {name} and record it {what}",
-        run_press,
-        f"Home, find contact, press with the {kind} profile and record {what}. Whole or not at all.",
-    )
-    press.add_argument("--serial", nargs="+", required=True, metavar="S", help="serial; one per channel of the readout")
-    press.add_argument("--out", required=True, **FILE, help="CSV or Parquet; a folder for channels")
-    press.add_argument("--seconds", type=positive, metavar="S", help="how long to press")
-    add_shared(press, "depth")
-    press.add_argument("--profile", **FILE, help="TOML file of moves instead (`station profiles`)")
-    add_shared(press, "profile-seed", "spool")
-    add_station(press)
-    press.add_argument("--twin", **FILE, help="with --simulated: the unit of this twin (softcal gap apply)")
-    add_shared(press, "json")
-    press.set_defaults(kind=kind)
 
 
 def _weight(text: str) -> float:
@@ -240,31 +236,30 @@ def run_drivers(options: argparse.Namespace) -> int:
     chosen = [offer for offer in offers() if options.kind in (None, offer.kind)]
     if not chosen:
         raise InputError(f"no driver of kind {options.kind!r}; `softcal station drivers` lists them all")
-    answer(options, "station-drivers/1", {"drivers": [_driver_json(offer) for offer in chosen]})
-    rows = []
+    rows, records = [], []
     for offer in chosen:
-        driver = offer.driver
-        what, wires = ("cannot be loaded", "") if driver is None else (driver.what, "/".join(driver.wires))
+        driver, what, wires = offer.driver, "cannot be loaded", ""
+        record: dict[str, object] = {
+            "role": offer.role,
+            "kind": offer.kind,
+            "package": offer.package,
+            "version": offer.version,
+            "fault": offer.fault,
+        }
+        if driver is not None:
+            what, wires = driver.what, "/".join(driver.wires)
+            record |= {"for": what, "wires": list(driver.wires), "keys": driver.keys}
         rows.append((f"[{SECTIONS[offer.role]}]", offer.kind, what, wires, f"{offer.package} {offer.version}"))
+        records.append(record)
+    answer(options, "station-drivers/1", {"drivers": records})
     print_table(("section", "kind", "for", "port", "from"), rows)
     for offer in chosen:
         if offer.driver is None:
             say(f"{offer.kind} of {offer.package}: {offer.fault}")
         elif options.kind:
-            print_table(
-                (f"[{SECTIONS[offer.role]}]", "type", "default", "unit"),
-                [(key, kind, default, unit) for key, kind, default, unit in offer.driver.described_keys],
-            )
+            print_table((f"[{SECTIONS[offer.role]}]", "type", "default", "unit"), offer.driver.described_keys)
             say("\n".join(f"  {line.strip()}" for line in meanings(offer.driver.config)))
     return 3 if any(offer.driver is None for offer in chosen) else 0
-
-
-def _driver_json(offer: "Offer") -> dict[str, object]:
-    facts: dict[str, object] = {"role": offer.role, "kind": offer.kind, "package": offer.package}
-    facts |= {"version": offer.version, "fault": offer.fault}
-    if offer.driver is not None:
-        facts |= {"for": offer.driver.what, "wires": list(offer.driver.wires), "keys": offer.driver.keys}
-    return facts
 
 
 def run_recover(options: argparse.Namespace) -> None:

@@ -7,7 +7,7 @@ import uuid
 from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from softcal.app.bootstrap import current_user, is_alive
 from softcal.app.cli.options import (
@@ -28,7 +28,6 @@ from softcal.core.errors import DeviceError, InputError
 from softcal.core.orders import Order, OrderKind, Progress, RunState, StationState
 
 if TYPE_CHECKING:
-    from softcal.core.orders import Heartbeat
     from softcal.db.queues.order_queue import OrderQueue
     from softcal.db.registry import Registry
 
@@ -209,44 +208,43 @@ def run_status(options: argparse.Namespace) -> None:
     """What stations say of themselves, and which units were pressed since the last good golden
     unit.
     """
+    from softcal.app.line.facts import SILENT, state_of
     from softcal.app.line.gate_facts import quarantine
 
     with registry_of(options) as registry:
         beats = [b for b in registry.order_queue.stations() if options.name in (None, b.station)]
         if options.name and not beats:
             raise InputError(f"station {options.name!r} never gave a sign of life in this registry")
-        rows = [_status(registry, beat, quarantine(registry, beat.station, datetime.now(UTC))) for beat in beats]
+        rows: list[dict[str, Any]] = []
+        for beat in beats:
+            now, active = datetime.now(UTC), registry.order_queue.active(beat.station)
+            state, run = state_of(beat, now, is_alive(beat.process)), ""
+            if active is not None:
+                order, progress = active
+                run = f"{order.kind} {order.serial}, {progress.phase or progress.state}".strip()
+            rows.append(
+                {
+                    "station": beat.station,
+                    "state": f"not answering (was {beat.state})" if state == SILENT else state,
+                    "at": here(beat.at),
+                    "process": beat.process,
+                    "reasons": list(map(str, beat.reasons)),
+                    "is_overridden": beat.is_overridden,
+                    "gate": [{"name": str(c.name), "is_good": c.is_good, "says": str(c.says)} for c in beat.gate],
+                    "run": run,
+                    "quarantine": list(quarantine(registry, beat.station, now)),
+                }
+            )
     answer(options, "station-status/1", {"stations": rows})
     if not beats:
         say("no station yet; start one with `softcal station serve`")
-    for row in rows:
+    for beat, row in zip(beats, rows, strict=True):
         say(f"station {row['station']}: {row['state']}, last seen {row['at']}, run: {row['run'] or 'none'}")
-        gate = row["gate"]
-        if isinstance(gate, list) and gate:
-            conditions = [(c["name"], "good" if c["is_good"] else "CLOSED", c["says"]) for c in gate]
+        if beat.gate:
+            conditions = [(str(c.name), "good" if c.is_good else "CLOSED", str(c.says)) for c in beat.gate]
             print_table(("gate", "is", "says"), conditions)
-        held = row["quarantine"]
-        if isinstance(held, list) and held:
+        if held := row["quarantine"]:
             say(f"in quarantine since the last good golden unit: {', '.join(held)}")
-
-
-def _status(registry: "Registry", beat: "Heartbeat", held: tuple[str, ...]) -> dict[str, object]:
-    from softcal.app.line.facts import SILENT, state_of
-
-    active = registry.order_queue.active(beat.station)
-    run = "" if active is None else f"{active[0].kind} {active[0].serial}, {active[1].phase or active[1].state}".strip()
-    state = state_of(beat, datetime.now(UTC), is_alive(beat.process))
-    return {
-        "station": beat.station,
-        "state": f"not answering (was {beat.state})" if state == SILENT else state,
-        "at": here(beat.at),
-        "process": beat.process,
-        "reasons": list(map(str, beat.reasons)),
-        "is_overridden": beat.is_overridden,
-        "gate": [{"name": str(c.name), "is_good": c.is_good, "says": str(c.says)} for c in beat.gate],
-        "run": run,
-        "quarantine": list(held),
-    }
 
 
 def run_certificate(options: argparse.Namespace) -> None:
