@@ -19,6 +19,8 @@ from softcal.core.errors import InputError
 WIDTH, NARROWEST = 100, 4
 """Characters of a table that no terminal shows, and of its narrowest column."""
 
+COLOURS = {"pass": "green", "conditional": "yellow", "fail": "red", "retest": "magenta"}
+
 
 def say(line: str) -> None:
     """Print one line of progress on standard error."""
@@ -73,48 +75,38 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None
         write_table(Path(answer.csv), header, table)
     if answer.stdout is not None:
         return
-    cells = [[_cell(value) for value in row] for row in table]
+    cells = [["–" if value is None else _text(value) for value in row] for row in table]
     if sys.stdout.isatty():
-        _print_fitting(header, cells)
-    else:
-        _print_aligned([[*header], *cells])
+        from rich.box import SIMPLE_HEAD
+        from rich.console import Console
+        from rich.table import Table
+        from rich.text import Text
 
-
-def _print_aligned(cells: list[list[str]]) -> None:
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+        fitting = Table(box=SIMPLE_HEAD, pad_edge=False, header_style="")
+        for name in header:
+            fitting.add_column(Text(name), overflow="fold")
+        for row in cells:
+            fitting.add_row(*(Text(cell, style=COLOURS.get(cell, "")) for cell in row))
+        Console(highlight=False).print(fitting)
+        return
+    lines = [[*header], *cells]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     # The widest columns give way until a row fits.
     while sum(widths) > WIDTH - 2 * (len(widths) - 1) and max(widths) > NARROWEST:
         widths[widths.index(max(widths))] -= 1
-    rows = [[_folded(cell, width) for cell, width in zip(row, widths, strict=True)] for row in cells]
-    for row in (rows[0], [["-" * width] for width in widths], *rows[1:]):
+    wrapped = [
+        [
+            textwrap.wrap(cell, width, break_on_hyphens=False) if len(cell) > width else [cell]
+            for cell, width in zip(row, widths, strict=True)
+        ]
+        for row in lines
+    ]
+    for row in (wrapped[0], [["-" * width] for width in widths], *wrapped[1:]):
         for line in zip_longest(*row, fillvalue=""):
             print("  ".join(part.ljust(width) for part, width in zip(line, widths, strict=True)).rstrip())
 
 
-def _folded(cell: str, width: int) -> list[str]:
-    return textwrap.wrap(cell, width, break_on_hyphens=False) if len(cell) > width else [cell]
-
-
-COLOURS = {"pass": "green", "conditional": "yellow", "fail": "red", "retest": "magenta"}
-
-
-def _print_fitting(header: Sequence[str], cells: list[list[str]]) -> None:
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, header_style="")
-    for name in header:
-        table.add_column(Text(name), overflow="fold")
-    for row in cells:
-        table.add_row(*(Text(cell, style=COLOURS.get(cell, "")) for cell in row))
-    Console(highlight=False).print(table)
-
-
-def _cell(value: object) -> str:
-    if value is None:
-        return "–"
+def _text(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else shown(str(value)).replace("\n", " ")
 
 

@@ -60,7 +60,14 @@ def _csv(file: BinaryIO, path: Path, most_cells: int) -> "pd.DataFrame":
     import pandas as pd
 
     separator = "\t" if path.suffix.lower() == ".tsv" else ","
-    _check_text(file, path, separator.encode(), most_cells)
+    size = cells = 0
+    while part := file.read(BYTES_AT_ONCE):
+        if not size and b"\0" in part[:4096]:
+            raise InputError(f"{path}: not a text file; export it as CSV again")
+        size += len(part)
+        cells += part.count(separator.encode()) + max(part.count(b"\n"), part.count(b"\r"))
+        refuse_large(path, max(cells, size // CSV_BYTES_PER_CELL), most_cells)
+    file.seek(0)
     header = next((line for line in file if line.strip()), b"").splitlines()
     file.seek(0)
     names = next(csv.reader([header[0].decode("utf-8-sig")], delimiter=separator), []) if header else []
@@ -74,18 +81,8 @@ def _csv(file: BinaryIO, path: Path, most_cells: int) -> "pd.DataFrame":
     return table
 
 
-def _check_text(file: BinaryIO, path: Path, separator: bytes, most_cells: int) -> None:
-    size = cells = 0
-    while part := file.read(BYTES_AT_ONCE):
-        if not size and b"\0" in part[:4096]:
-            raise InputError(f"{path}: not a text file; export it as CSV again")
-        size += len(part)
-        cells += part.count(separator) + max(part.count(b"\n"), part.count(b"\r"))
-        refuse_large(path, max(cells, size // CSV_BYTES_PER_CELL), most_cells)
-    file.seek(0)
-
-
 def _parquet(file: BinaryIO, path: Path, most_cells: int, wanted: Wanted | None) -> "pd.DataFrame":
+    import pyarrow.compute as pc
     import pyarrow.parquet as pq
 
     schema = pq.read_schema(file)
@@ -106,7 +103,9 @@ def _parquet(file: BinaryIO, path: Path, most_cells: int, wanted: Wanted | None)
         refuse_large(path, sum(int(group.total_byte_size) for group in groups) // 8, most_cells)
     table = opened.read(columns=names)
     for name in text:
-        refuse_large(path, _text_bytes(table[name]) // 8, most_cells)
+        # What the texts would take one after another
+        lengths = (pc.take(pc.binary_length(chunk.dictionary), chunk.indices) for chunk in table[name].chunks)
+        refuse_large(path, sum(int(pc.sum(each).as_py() or 0) for each in lengths) // 8, most_cells)
     whole: pd.DataFrame = table.to_pandas(ignore_metadata=True)
     for name in text:
         whole[name] = whole[name].astype(object)
@@ -134,21 +133,19 @@ def _cells_of(field: "pa.Field", path: Path) -> int:
         return 1  # A type without a width
 
 
-def _text_bytes(column: "pa.ChunkedArray") -> int:
-    """Return the bytes that the texts of a column would take one after another."""
-    import pyarrow.compute as pc
-
-    return sum(
-        int(pc.sum(pc.take(pc.binary_length(chunk.dictionary), chunk.indices)).as_py() or 0) for chunk in column.chunks
-    )
-
-
 def _excel(file: BinaryIO, path: Path, sheet: str | None, most_cells: int, wanted: Wanted | None) -> "pd.DataFrame":
     import pandas as pd
     from openpyxl import load_workbook
 
     most_cells = int(most_cells * EXCEL_CELLS_SHARE)
-    refuse_large(path, _unpacked_bytes(file, path) // EXCEL_BYTES_PER_CELL, most_cells)
+    try:
+        # Nothing reads more of an entry than it says here.
+        with ZipFile(file) as archive:
+            size = sum(entry.file_size for entry in archive.infolist())
+    except BadZipFile as error:
+        raise InputError(f"{path}: not an Excel file; save it as .xlsx again") from error
+    file.seek(0)
+    refuse_large(path, size // EXCEL_BYTES_PER_CELL, most_cells)
     workbook = load_workbook(file, read_only=True, data_only=True)
     worksheet = workbook.worksheets[0] if sheet is None else workbook[sheet]
     # What the sheet says of its own size is not asked: it makes the reader fill up every row.
@@ -172,17 +169,6 @@ def _counted(rows: Iterator[tuple[Any, ...]], path: Path, most_cells: int) -> It
         cells += max(1, len(row))
         refuse_large(path, cells, most_cells)
         yield row
-
-
-def _unpacked_bytes(file: BinaryIO, path: Path) -> int:
-    try:
-        # Nothing reads more of an entry than it says here.
-        with ZipFile(file) as archive:
-            size = sum(entry.file_size for entry in archive.infolist())
-    except BadZipFile as error:
-        raise InputError(f"{path}: not an Excel file; save it as .xlsx again") from error
-    file.seek(0)
-    return size
 
 
 def _asked(names: Sequence[str], wanted: Wanted | None) -> list[str]:

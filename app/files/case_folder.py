@@ -34,21 +34,18 @@ def open_case(folder: Path) -> Case:
     facts = [_metadata(place / METADATA) for place in places]
     serials = [str(metadata["serial"]) for metadata in facts]
     runs = [_run(place, folder, metadata) for place, metadata in zip(places, facts, strict=True)]
+    if len(set(serials)) > 1:
+        raise InputError(f"{folder}: runs of several units ({', '.join(sorted(set(serials)))}); a case is of one unit")
+    stiffness = None
+    if (stated := facts[0].get("stiffness_N_mm")) is not None:
+        # Lowest and highest peak force over depth of the lot's units
+        numbers = [v for v in stated if isinstance(v, int | float)] if isinstance(stated, list) else []
+        if len(numbers) != 2 or not 0 < numbers[0] < numbers[1] or not math.isfinite(numbers[1]):
+            path = places[0] / METADATA
+            raise InputError(f"{path}: stiffness_N_mm is {stated!r}; [lowest, highest] in N/mm was expected")
+        stiffness = float(numbers[0]), float(numbers[1])
     with naming(folder):
-        if len(set(serials)) > 1:
-            raise InputError(f"runs of several units ({', '.join(sorted(set(serials)))}); a case is of one unit")
-        return Case(serials[0], tuple(runs), stiffness_N_mm=_stated_stiffness(facts[0], places[0] / METADATA))
-
-
-def _stated_stiffness(metadata: Mapping[str, object], path: Path) -> tuple[float, float] | None:
-    """Return lowest and highest peak force over depth of the lot's units, where it is stated."""
-    stated = metadata.get("stiffness_N_mm")
-    if stated is None:
-        return None
-    numbers = [v for v in stated if isinstance(v, int | float)] if isinstance(stated, list) else []
-    if len(numbers) != 2 or not 0 < numbers[0] < numbers[1] or not math.isfinite(numbers[1]):
-        raise InputError(f"{path}: stiffness_N_mm is {stated!r}; [lowest, highest] in N/mm was expected")
-    return float(numbers[0]), float(numbers[1])
+        return Case(serials[0], tuple(runs), stiffness_N_mm=stiffness)
 
 
 OTHER_NAMES = {"output": "output_V", "reference": "force_N"}

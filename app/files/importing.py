@@ -3,7 +3,7 @@
 import fnmatch
 import hashlib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -123,7 +123,15 @@ def import_lot(plan: ImportPlan, folder: Path, on_remark: Callable[[str], None] 
         InputError: `folder` exists and is not empty, a table cannot be used, a serial comes twice, or the source is
             not among the units or has no reference.
     """
-    units = _read_units(plan)
+    if not plan.files:
+        raise InputError("no file to import; name at least one CSV, Excel or Parquet file")
+    if plan.serials is not None and (plan.columns.is_wide or len(plan.serials) != len(plan.files)):
+        raise InputError(f"{len(plan.serials)} serials for {len(plan.files)} files; give one serial per file, in order")
+    units = {}
+    for _, serial, unit in _read(plan):
+        if isinstance(unit, InputError):
+            raise unit
+        units[serial] = unit
     for serial in plan.sources:
         source = units.get(serial)
         if source is None:
@@ -131,26 +139,22 @@ def import_lot(plan: ImportPlan, folder: Path, on_remark: Callable[[str], None] 
         if source.reference is None:
             raise InputError(f"source {serial!r} has no reference; name its column")
     with whole_folder(folder) as part:
-        _write(part, plan, units)
+        write_lot_toml(part, plan.lot, more_sources=plan.more_sources)
+        for serial, unit in units.items():
+            fit = unit.part(plan.fit_rows)
+            if serial in plan.sources and fit.reference is not None:
+                # Both columns are checked here: a lot folder never holds a broken source.
+                LabelledRecording(fit.recording, fit.reference)
+                write_recording(part / "source" / f"{serial}.csv", fit.recording, fit.reference)
+            else:
+                write_recording(part / "units" / f"{serial}.csv", fit.recording)
+            if plan.audit and unit.reference is not None:
+                audit = unit.part(plan.audit_rows)
+                write_recording(part / "audit" / f"{serial}.csv", audit.recording, audit.reference)
     outputs = {serial: hashlib.sha256(unit.recording.output.tobytes()).digest() for serial, unit in units.items()}
     for serials in alike(outputs):
         on_remark(same_recording(serials))
     return [serial for serial in units if serial not in plan.sources]
-
-
-def _write(folder: Path, plan: ImportPlan, units: dict[str, ImportedUnit]) -> None:
-    write_lot_toml(folder, plan.lot, more_sources=plan.more_sources)
-    for serial, unit in units.items():
-        fit = unit.part(plan.fit_rows)
-        if serial in plan.sources and fit.reference is not None:
-            # Both columns are checked here: a lot folder never holds a broken source.
-            LabelledRecording(fit.recording, fit.reference)
-            write_recording(folder / "source" / f"{serial}.csv", fit.recording, fit.reference)
-        else:
-            write_recording(folder / "units" / f"{serial}.csv", fit.recording)
-        if plan.audit and unit.reference is not None:
-            audit = unit.part(plan.audit_rows)
-            write_recording(folder / "audit" / f"{serial}.csv", audit.recording, audit.reference)
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,27 +178,38 @@ def look_through(plan: ImportPlan) -> list[LookedAt]:
 
     A plan with only the files that can be read, without the problems, can be imported.
     """
-    looked: list[LookedAt] = []
+    looked = []
+    for path, serial, unit in _read(plan):
+        if isinstance(unit, InputError):
+            problem = str(unit).replace(f"{path}: ", "").replace(str(path), path.name)
+            looked.append(LookedAt(path.name, serial, None, problem))
+        else:
+            looked.append(LookedAt(path.name, serial, unit))
+    return looked
+
+
+def _read(plan: ImportPlan) -> Iterator[tuple[Path, str, "ImportedUnit | InputError"]]:
+    """Yield every unit of a plan with its file and serial; in place of one that is refused, or of a table, why."""
     taken: set[str] = set()
     for k, path in enumerate(plan.files):
         try:
             table = read_table(path, plan.sheet, most_cells=plan.most_cells, wanted=plan.columns.asks_for)
             outputs = _outputs(plan, table, path)
         except InputError as error:
-            looked.append(LookedAt(path.name, "", None, _without_folder(error, path)))
+            yield path, "", error
             continue
         for output in outputs:
-            serial = _serial(plan, k, path, output)
+            serial = path.stem
+            if plan.columns.is_wide:
+                serial = output
+            elif plan.serials:
+                serial = plan.serials[k]
+            if serial in plan.without:
+                continue
             try:
-                unit = _checked(plan, table, path, output, serial, taken)
-                looked.append(LookedAt(path.name, serial, unit))
+                yield path, serial, _checked(plan, table, path, output, serial, taken)
             except InputError as error:
-                looked.append(LookedAt(path.name, serial, None, _without_folder(error, path)))
-    return looked
-
-
-def _without_folder(error: InputError, path: Path) -> str:
-    return str(error).replace(f"{path}: ", "").replace(str(path), path.name)
+                yield path, serial, error
 
 
 def _outputs(plan: ImportPlan, table: "pd.DataFrame", path: Path) -> list[str]:
@@ -206,12 +221,6 @@ def _outputs(plan: ImportPlan, table: "pd.DataFrame", path: Path) -> list[str]:
     if not outputs:
         raise InputError(f"{path}: no column matches {plan.columns.output!r}")
     return outputs
-
-
-def _serial(plan: ImportPlan, number: int, path: Path, output: str) -> str:
-    if plan.columns.is_wide:
-        return output
-    return plan.serials[number] if plan.serials else path.stem
 
 
 def _checked(
@@ -234,23 +243,6 @@ def _checked(
         recording = OutputRecording(serial, t_s, values, rate_Hz, plan.lot.output_unit, stage_mm)
     taken.add(serial)
     return ImportedUnit(recording, reference)
-
-
-def _read_units(plan: ImportPlan) -> dict[str, ImportedUnit]:
-    if not plan.files:
-        raise InputError("no file to import; name at least one CSV, Excel or Parquet file")
-    if plan.serials is not None and (plan.columns.is_wide or len(plan.serials) != len(plan.files)):
-        raise InputError(f"{len(plan.serials)} serials for {len(plan.files)} files; give one serial per file, in order")
-    units: dict[str, ImportedUnit] = {}
-    taken: set[str] = set()
-    for k, path in enumerate(plan.files):
-        table = read_table(path, plan.sheet, most_cells=plan.most_cells, wanted=plan.columns.asks_for)
-        for output in _outputs(plan, table, path):
-            serial = _serial(plan, k, path, output)
-            if serial in plan.without:
-                continue
-            units[serial] = _checked(plan, table, path, output, serial, taken)
-    return units
 
 
 OTHER_TIMES = re.compile(r"(?:^|[^A-Za-z])(ms|us|µs|μs|ns|msec|usec|min|millis|micros)(?:$|[^A-Za-z])", re.IGNORECASE)

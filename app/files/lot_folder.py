@@ -137,20 +137,16 @@ def open_lot_folder(folder: Path) -> LotFolder:
     if strangers:
         remarks = (*remarks, f"audit/ holds {', '.join(strangers[:5])}, which units/ does not; not used")
     remarks = (*remarks, *_same_files(units, folder))
-    golden = _golden(folder / GOLDEN, lot.source)
-    loads = next((path for path in map(folder.joinpath, ANCHOR_FILES) if path.is_file()), None)
-    others = {serial: sources[serial] for serial in more}
-    return LotFolder(folder, lot, sources[lot.source], units, audits, remarks, line, reference, golden, loads, others)
-
-
-def _golden(folder: Path, source: str) -> Path | None:
-    recordings = _recordings(folder)
-    if strangers := sorted(set(recordings) - {source}):
+    golden = _recordings(folder / GOLDEN)
+    if others := sorted(set(golden) - {lot.source}):
         raise InputError(
-            f"{folder}: golden run of {', '.join(strangers[:5])}; the golden unit of this lot is its source {source}: "
-            "press that in the units' sitting; nothing was fitted"
+            f"{folder / GOLDEN}: golden run of {', '.join(others[:5])}; the golden unit of this lot is its source "
+            f"{lot.source}: press that in the units' sitting; nothing was fitted"
         )
-    return recordings.get(source)
+    loads = next((path for path in map(folder.joinpath, ANCHOR_FILES) if path.is_file()), None)
+    further, source = {serial: sources[serial] for serial in more}, sources[lot.source]
+    run = golden.get(lot.source)
+    return LotFolder(folder, lot, source, units, audits, remarks, line, reference, run, loads, further)
 
 
 def _same_files(units: Mapping[str, Path], root: Path) -> Iterator[str]:
@@ -204,18 +200,24 @@ def _read_lot_toml(path: Path) -> tuple[Lot, LineSpread | None, Reference | None
                 raise InputError(f"[{name}] must be a table")
         spreads = [typed(f"[line] {key}", float, tables["line"].get(key, 0.0)) for key in ("load_spread", "day_spread")]
         line, reference = LineSpread(*spreads) if tables["line"] else None, _reference(tables)
-        lot = _lot(content, tables)
-        return lot, line, reference, _more_sources(tables["lot"], lot.source), tuple(_unknown_keys(path, content))
-
-
-def _more_sources(table: Mapping[str, object], first: str) -> tuple[str, ...]:
-    given = table.get("more_sources", [])
-    if not isinstance(given, list) or not all(isinstance(serial, str) for serial in given):
-        raise InputError(f"[lot] more_sources is {given!r}; a list of serials was expected")
-    serials = tuple(check_serial(serial) for serial in given)
-    if len({first, *serials}) <= len(serials):
-        raise InputError(f"[lot] more_sources is {given!r}; each source once, and {first!r} is the first")
-    return serials
+        places, limit = (content, tables["lot"], tables["output"]), tables["limit"].get("rmse")
+        lot = Lot(
+            id=typed("[lot] id", str, tables["lot"].get("id")),
+            source=typed("source", str, _only(places, "source")),
+            sample_rate_Hz=typed("sample_rate_Hz", float, _only(places, "sample_rate_Hz")),
+            sensor_model=str(tables["lot"].get("sensor_model", "")),
+            reference_quantity=str(tables["reference"].get("quantity", "force")),
+            reference_unit=str(tables["reference"].get("unit", "N")),
+            output_unit=str(tables["output"].get("unit", "V")),
+            limit_rmse=None if limit is None else typed("[limit] rmse", float, limit),
+        )
+        more = tables["lot"].get("more_sources", [])
+        if not isinstance(more, list) or not all(isinstance(serial, str) for serial in more):
+            raise InputError(f"[lot] more_sources is {more!r}; a list of serials was expected")
+        serials = tuple(check_serial(serial) for serial in more)
+        if len({lot.source, *serials}) <= len(serials):
+            raise InputError(f"[lot] more_sources is {more!r}; each source once, and {lot.source!r} is the first")
+        return lot, line, reference, serials, tuple(_unknown_keys(path, content))
 
 
 def _reference(tables: Mapping[str, Mapping[str, object]]) -> Reference | None:
@@ -228,21 +230,6 @@ def _reference(tables: Mapping[str, Mapping[str, object]]) -> Reference | None:
     stated = {key: value for key, value in tables["reference"].items() if key in STATED}
     facts = {key: typed(f"[reference] {key}", hints[key], value) for key, value in stated.items()}
     return Reference(**facts) if facts else None
-
-
-def _lot(content: Mapping[str, object], tables: Mapping[str, Mapping[str, object]]) -> Lot:
-    places = (content, tables["lot"], tables["output"])
-    limit = tables["limit"].get("rmse")
-    return Lot(
-        id=typed("[lot] id", str, tables["lot"].get("id")),
-        source=typed("source", str, _only(places, "source")),
-        sample_rate_Hz=typed("sample_rate_Hz", float, _only(places, "sample_rate_Hz")),
-        sensor_model=str(tables["lot"].get("sensor_model", "")),
-        reference_quantity=str(tables["reference"].get("quantity", "force")),
-        reference_unit=str(tables["reference"].get("unit", "N")),
-        output_unit=str(tables["output"].get("unit", "V")),
-        limit_rmse=None if limit is None else typed("[limit] rmse", float, limit),
-    )
 
 
 def _only(places: tuple[Mapping[str, object], ...], key: str) -> object:

@@ -36,24 +36,18 @@ def read_regular(path: Path, folder: Path, most_bytes: int = MOST_BYTES) -> byte
         # A pipe that takes the file's place just now must not block the lot either.
         handle = os.open(real, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
         with os.fdopen(handle, "rb") as file:
-            return _content(path, file.fileno(), most_bytes)
+            before = os.fstat(file.fileno())
+            _check_kind(path, before.st_mode)
+            if before.st_size > most_bytes:
+                raise InputError(f"{path}: {before.st_size / 1e6:.0f} MB; at most {most_bytes / 1e6:.0f} MB are read")
+            # One byte more than there was shows that it grew.
+            content = file.read(before.st_size + 1)
+            after = os.fstat(file.fileno())
     except (OSError, RuntimeError) as error:
         raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
-
-
-def _content(path: Path, handle: int, most_bytes: int) -> bytes:
-    before = os.fstat(handle)
-    _check_kind(path, before.st_mode)
-    if before.st_size > most_bytes:
-        raise InputError(f"{path}: {before.st_size / 1e6:.0f} MB; at most {most_bytes / 1e6:.0f} MB are read")
-    parts, size = [], 0
-    while size <= before.st_size and (part := os.read(handle, before.st_size + 1 - size)):
-        parts.append(part)
-        size += len(part)
-    after = os.fstat(handle)
-    if size != before.st_size or (after.st_size, after.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
+    if len(content) != before.st_size or (after.st_size, after.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
         raise InputError(f"{path}: is still being written; run the batch again when the copy is done")
-    return b"".join(parts)
+    return content
 
 
 def _check_kind(path: Path, mode: int) -> None:

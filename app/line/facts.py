@@ -1,11 +1,13 @@
-"""Where a line stands, read from the registry alone: every screen shows the same."""
+"""Where a line stands, read from the registry alone: every screen shows the same.
+
+The unit that waits, the last sentence and the badge lie there, too, a row a station: they outlive a restart.
+"""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 
 from softcal.app.bootstrap import is_alive
-from softcal.app.line.place import Note, Place, read_place
 from softcal.app.line.scan_codes import numbered
 from softcal.core.lot import Lot
 from softcal.core.orders import Heartbeat, Order, Progress, RunState, StationState
@@ -13,7 +15,7 @@ from softcal.core.quality.known_loads import KnownLoad, asked_loads, next_step
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.unit.verdict import Verdict
 from softcal.db.entries import RunEntry, UnitStanding
-from softcal.db.queues.order_queue import SILENT_AFTER
+from softcal.db.queues.order_queue import SILENT_AFTER, LinePlaces
 from softcal.db.registry import Registry
 from softcal.db.truth.networks import NetworkState
 
@@ -31,6 +33,82 @@ SILENT = "silent"
 """State of a station that gives no sign of life and did not end in good order."""
 
 LineRun = tuple[Order, Progress]
+
+BADGE_HOLDS = timedelta(hours=10)
+"""A badge names whoever stands at the line for one shift."""
+
+
+@dataclass(frozen=True)
+class Note:
+    """One sentence about the last scan.
+
+    Args:
+        key: of the text `note.KEY`.
+        run: the newest run when it was said; a later run ends it.
+    """
+
+    key: str
+    values: Mapping[str, str] = field(default_factory=dict)
+    is_refusal: bool = True
+    run: str = ""
+    is_meanwhile: bool = False
+
+
+@dataclass(frozen=True)
+class Place:
+    """What stands at a line.
+
+    Args:
+        version: counts the changes; 0 where nobody was there yet.
+        after_run: the newest run when the unit in the hand last changed or became unknown; None: nothing since its
+            run. Once there is a newer run, it alone says what stands at the line.
+        serial: scanned and not pressed yet; "" where nobody knows which unit is in the hand.
+        is_golden: whether that serial is a golden unit, pressed to check the station.
+        is_new: whether the lot has neither that serial nor one that looks like it.
+        is_confirmed: whether a person has said yes to a unit that is new, or has a result already.
+        process: the station's service when it was scanned; another one has moved the stage since.
+        lot_id: chosen by a scan; "" leaves it to the only one, or the last one used.
+    """
+
+    version: int = 0
+    after_run: str | None = None
+    serial: str = ""
+    is_golden: bool = False
+    is_new: bool = False
+    is_confirmed: bool = False
+    process: str = ""
+    lot_id: str = ""
+    tab: str = ""
+    note: Note | None = None
+    operator: str = ""
+    badged_at: datetime | None = None
+
+    def emptied(self, newest_run: str) -> "Place":
+        """Return the place once nobody knows which unit is in the hand."""
+        return replace(self, after_run=newest_run, serial="", is_golden=False, is_new=False, is_confirmed=False)
+
+    def is_badge_over(self, now: datetime) -> bool:
+        """Whether the badge was scanned longer than a shift ago."""
+        return self.badged_at is not None and now - self.badged_at > BADGE_HOLDS
+
+
+def read_place(places: LinePlaces, station: str) -> Place:
+    """Return what stands at the line of a station."""
+    version, values = places.read(station)
+    if not values:
+        return Place(version)
+    note, badged_at = values.get("note"), values.get("badged_at")
+    facts = {
+        "note": Note(**note) if note else None,
+        "badged_at": datetime.fromisoformat(badged_at).astimezone(UTC) if badged_at else None,
+    }
+    return Place(version, **{**values, **facts})
+
+
+def write_place(places: LinePlaces, station: str, place: Place) -> bool:
+    """Put another place there; False, and nothing changed, where a screen was first."""
+    values = asdict(place) | {"badged_at": place.badged_at.isoformat() if place.badged_at else None}
+    return places.write(station, values.pop("version"), values)
 
 
 def state_of(beat: Heartbeat, now: datetime, is_alive: bool | None) -> str:

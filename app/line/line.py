@@ -10,8 +10,7 @@ import uuid
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
-from softcal.app.line.facts import LineFacts, LotAtLine, Screen, read_line
-from softcal.app.line.place import Note, Place, read_place, write_place
+from softcal.app.line.facts import LineFacts, LotAtLine, Note, Place, Screen, read_line, read_place, write_place
 from softcal.app.line.scan_codes import Scan, is_unheard_of, lots_of, read_scan
 from softcal.core.errors import InputError
 from softcal.core.lot import check_serial

@@ -14,8 +14,7 @@ from softcal.app.batch.front_door import lot_files, lots_folder, network_of
 from softcal.app.export.certificates.laboratory import kept_laboratory, read_laboratory
 from softcal.app.export.check import check_folder
 from softcal.app.files.lot_folder import open_lot_folder
-from softcal.app.jobs.jobs import run_job
-from softcal.app.jobs.lot_jobs import archive_path
+from softcal.app.jobs.jobs import archive_path, run_job
 from softcal.app.texts.catalogue import text
 from softcal.app.ui.pages import PAGES
 from softcal.core.network.config import NetworkConfig

@@ -18,9 +18,8 @@ from typing import Any
 import pytest
 
 from softcal.app.line import line as use_cases
-from softcal.app.line.facts import LineFacts, Screen, read_line
+from softcal.app.line.facts import LineFacts, Place, Screen, read_line, read_place
 from softcal.app.line.line import Step, take_scan
-from softcal.app.line.place import Place, read_place
 from softcal.app.texts import catalogue as texts
 from softcal.app.views.line import STATES, LineView, line_view
 from softcal.core.errors import InputError

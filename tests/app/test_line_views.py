@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from softcal.app.charts import palette
-from softcal.app.line.facts import LineFacts, LotAtLine
-from softcal.app.line.place import Note, Place
+from softcal.app.line.facts import LineFacts, LotAtLine, Note, Place
 from softcal.app.texts import catalogue as texts
 from softcal.app.texts.reasons import plainly
 from softcal.app.ui.components import line_card

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from softcal.app.cli.main import main
-from softcal.app.jobs import lot_jobs
-from softcal.app.jobs.outcome import Teller
+from softcal.app.jobs import jobs
+from softcal.app.jobs.jobs import Teller
 from softcal.app.texts.catalogue import text
 from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
@@ -77,13 +77,13 @@ def test_the_files_it_had_are_taken_back_and_other_units_go_on(calibrated, tmp_p
 
 
 def test_an_archive_of_the_lot_has_no_file_of_it(refused, monkeypatch, tmp_path):
-    monkeypatch.setattr(lot_jobs, "archives_folder", lambda: tmp_path)
+    monkeypatch.setattr(jobs, "archives_folder", lambda: tmp_path)
     with open_registry(refused) as registry:
         request = {"lot": "small", "serials": None, "formats": ["json", "pdf"], "release": "pass"}
         registry.job_board.place("archive", request, "Erin")
         (job,) = registry.job_board.jobs()
-        told = lot_jobs.archive(registry, job, Teller(registry.job_board, job.job_id)).result
-    with zipfile.ZipFile(lot_jobs.archive_path(job)) as packed:
+        told = jobs.archive(registry, job, Teller(registry.job_board, job.job_id)).result
+    with zipfile.ZipFile(jobs.archive_path(job)) as packed:
         assert not [name for name in packed.namelist() if "A1" in name]
     assert [serial for serial, why in told["refused"] if WHY in why] == ["A1"]
 

@@ -11,7 +11,7 @@ from softcal.app.batch.release import judge_lot, lot_standing
 from softcal.app.export.certificates import laboratory
 from softcal.app.export.certificates.lot_statement import lot_statement_facts, lot_statement_pdf
 from softcal.app.export.names import FORMATS
-from softcal.app.jobs.lot_jobs import archive_path
+from softcal.app.jobs.jobs import archive_path
 from softcal.app.ui.account import actor, permit
 from softcal.app.ui.actions import download, finish, refusals_in_words, role_allows, say_finished
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
