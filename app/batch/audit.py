@@ -19,12 +19,9 @@ ACCEPTED = (Verdict.PASS, Verdict.CONDITIONAL)
 
 @dataclass(frozen=True, eq=False)
 class LotAudit:
-    """Where the audit of a lot stands.
-
-    Args:
-        forecasts: forecast RMSE by serial, as it was when the plan was drawn.
-        measured: RMSE against the load cell of the units of the plan that were checked.
-        statement: what they say about the lot; None until every unit of the plan was measured.
+    """Where the audit of a lot stands: forecast RMSE by serial when the plan was drawn, RMSE
+    against the load cell of its units measured since, and what they say about the lot once all
+    were.
     """
 
     plan: AuditPlan
@@ -53,11 +50,9 @@ def draw_plan(
 ) -> LotAudit:
     """Draw which accepted units of a lot to check, and write it down before anything is measured.
 
-    A plan that stands is not drawn again without a reason: a random sample that one may repeat until it pleases says
-    nothing.
-
     Raises:
-        InputError: no unit of the lot was accepted yet, or a plan stands and no reason was given.
+        InputError: no unit was accepted yet, or a plan stands and no reason was given: a random
+            sample that one may repeat until it pleases says nothing.
     """
     if stated(registry, PLAN, (lot_id,)) is not None and not reason.strip():
         raise InputError(f"lot {lot_id!r} has an audit plan; a new draw needs a reason")

@@ -62,9 +62,8 @@ class AuditEvidence:
         return without(self.lines, made.serial, self.common).of(made.output_level)
 
     def day_rmse(self, load_rms: float | None) -> float:
-        """Return the error that another day adds to a unit with this RMS load, in the same unit.
-
-        What nine of ten days stay within, at the promise's confidence (ISO 16269-6).
+        """Return the error that another day adds to a unit with this RMS load, in the same unit:
+        what nine of ten days stay within, at the promise's confidence (ISO 16269-6).
         """
         if self.days is None or load_rms is None:
             return 0.0
@@ -205,7 +204,6 @@ class AuditReader:
         return audited
 
     def _widening(self, qualification: Qualification, lot_id: str) -> Widening:
-        """Return what the audited units ask for."""
         serials: dict[str, list[str]] = {}
         for audit in qualification.audits[: RULES.most_audits]:
             serials.setdefault(audit.lot_id or lot_id, []).append(audit.serial)

@@ -15,12 +15,7 @@ from softcal.db.registry import Registry
 
 @dataclass(frozen=True, eq=False)
 class AuditFile:
-    """What would become of one table.
-
-    Args:
-        recording: None where it is refused.
-        refusal: why; None where it is taken.
-    """
+    """What would become of one table: a recording, or why it is refused."""
 
     file: str
     serial: str
@@ -31,10 +26,8 @@ class AuditFile:
 def look_at_audits(
     lot: Lot, units: Collection[str], files: Sequence[Path], columns: Columns, sheet: str | None = None
 ) -> tuple[AuditFile, ...]:
-    """Read tables as audits of a lot's units and say which would be refused and why.
-
-    Args:
-        files: one per unit, called by its serial, or wide ones with a column per unit.
+    """Read tables as audits of a lot's units, one per unit called by its serial, or wide ones with
+    a column per unit; say which would be refused and why.
     """
     plan = ImportPlan(files, columns, lot, audit=True, sheet=sheet)
     looked = []

@@ -24,12 +24,12 @@ from softcal.db.registry import Registry
 def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch: Watch = Watch()) -> BatchReport:  # noqa: B008 - frozen
     """Calibrate every unit of a lot folder and register the results as they come.
 
-    A unit whose file cannot be read or that cannot be mapped gets a verdict with its reason, and the lot goes on.
-    Whatever the registry already has for the same recording, network and configuration is not computed again.
+    A unit that cannot be read or mapped gets a verdict with its reason, and the lot goes on. What
+    the registry has for the same recording, network and configuration is not computed again.
 
     Raises:
-        InputError: the source cannot be used; without it there is no lot. Or the golden run is of another unit:
-            nothing was fitted.
+        InputError: the source cannot be used, or the golden run is of another unit: nothing was
+            fitted.
     """
     start_s = time.perf_counter()
     # Known loads that somebody names outrank those that lie in the folder.

@@ -135,10 +135,8 @@ def calibrate_unit(
     unit: UnitInputs = UnitInputs(),
     known: Collection[str] = (),  # noqa: B008
 ) -> Result:
-    """Calibrate a unit with the source that suits it best.
-
-    Args:
-        known: input hashes of the calibrations it has already: those are not computed again.
+    """Calibrate a unit with the source that suits it best; inputs among `known` were calibrated
+    already.
 
     Raises:
         InputError: the lot's limit is stated in another unit than the reference.

@@ -19,10 +19,8 @@ Tell = Callable[[float, str], None]
 
 
 def compare_on_lot(registry: Registry, request: Mapping[str, Any], tell: Tell) -> list[dict[str, object]]:
-    """Map the same units with every network and family and return one row each.
-
-    Args:
-        request: lot, networks (ids), families (or auto), units (how many at most).
+    """Map the same units with every network and family and return one row each; the request has
+    lot, networks (ids), families (or auto) and how many units at most.
 
     Raises:
         InputError: a lot, network or source recording is not in the registry.

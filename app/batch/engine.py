@@ -38,12 +38,8 @@ _shared: Any = None
 
 @dataclass(frozen=True)
 class EngineChoice:
-    """Which engine computes.
-
-    Args:
-        engine: `local` or `dask`.
-        jobs: worker processes; 1 computes in this process.
-        scheduler: address of a running Dask scheduler; None starts one for this run.
+    """Which engine computes: `local` with worker processes (1 computes in this one), or `dask` at
+    the address of a scheduler; None starts one for this run.
     """
 
     engine: str = "local"
@@ -69,11 +65,8 @@ class WorkerDied(Exception):
 
 
 class Pool:
-    """Workers that hold what all items share.
-
-    Args:
-        submit: gives one item to them and returns its task.
-        error_of: of a task that is over: what went wrong with it, None where nothing did.
+    """Workers that hold what all items share: `submit` gives them one item and returns its task,
+    `error_of` says what went wrong with a task that is over.
     """
 
     def __init__(

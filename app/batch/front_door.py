@@ -27,12 +27,8 @@ from softcal.db.registry import Registry
 
 @dataclass(frozen=True)
 class Expected:
-    """What would become of one unit of a new lot.
-
-    Args:
-        rows, seconds: of its recording; 0 where it cannot be read.
-        problem: why it is refused before anything is fitted, in words; "" where it can be read.
-        findings: what its output alone tells: with these it will not pass.
+    """What would become of one unit of a new lot: `problem` is why it is refused before anything is
+    fitted, `findings` what its output alone tells: with these it will not pass.
     """
 
     file: str

@@ -92,12 +92,8 @@ def lot_facts(
 
 
 class KeptFacts:
-    """What the registry has about units of a lot.
-
-    Attributes:
-        loads: known loads by serial and recording.
-        golden: golden runs by serial and recording.
-        audits: the newest audit by serial.
+    """What the registry has about units of a lot: known loads and golden runs by serial and
+    recording, the newest audit by serial.
     """
 
     def __init__(self, registry: Registry, lot_id: str, serials: Collection[str]) -> None:
@@ -133,11 +129,8 @@ def keep_result(
     reason: str = "",
     work_sha256: str | None = None,
 ) -> None:
-    """Put what became of a unit into use, with its trim where it was trimmed.
-
-    Args:
-        by: who asks: batch or line.
-        work_sha256: hash of the files and settings it answers, to be found again by.
+    """Put what became of a unit into use, with its trim where it was trimmed. `by` says who asks,
+    batch or line; by `work_sha256`, of the files and settings it answers, it is found again.
 
     Raises:
         InputError: a calibration that was known is there no more, or a value cannot be stored.

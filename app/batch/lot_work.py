@@ -58,9 +58,9 @@ class BatchConfig:
 
     Args:
         chunk: units that go to a worker together; None lets the time they take decide.
-        score_own: whether own calibrations are trained on audit recordings, for comparison.
+        score_own: whether own calibrations are trained on audits, for comparison.
         refit: whether units are fitted again although the registry has their result.
-        anchors: known loads by serial, where someone took them.
+        anchors: known loads by serial.
         actor: who asks, for the audit trail; None is the user the registry was opened by.
     """
 
@@ -85,11 +85,8 @@ def _silent(*_: object) -> None:
 
 @dataclass(frozen=True)
 class Watch:
-    """Told as the batch goes on; the defaults say nothing.
-
-    Args:
-        on_done: how many units are done, by this batch and others, and how many there are.
-        on_wait: how many units others hold, while there is nothing else to do.
+    """Told as the batch goes on: how many units are done, by this batch and others, of how many;
+    how many others hold while there is nothing else to do. The defaults say nothing.
     """
 
     on_epoch: Callable[[EpochReport], None] = _silent
@@ -139,7 +136,6 @@ class LotWork:
                     self._tell_done(claims)
 
     def _look_further(self, claims: Claims) -> None:
-        """Read the next files, ask for what is to be done with them, hold them until then."""
         self._held.clear()
         works, size = dict[str, str](), 0
         while self._unread and size < HELD_BYTES:
@@ -161,9 +157,8 @@ class LotWork:
         self._tell_done(claims)
 
     def _undecided(self, serials: Sequence[str]) -> dict[str, str]:
-        """Return the work of the units whose newest result answers something else.
-
-        Where the same work was calibrated before, that calibration is put into use again without working on the files.
+        """Return the work of the units whose newest result answers something else. Where the same
+        work was calibrated before, that calibration is put into use again.
         """
         asked = {serial: self._works[serial] for serial in serials if serial not in self._ended}
         decided = self._registry.calibrations.decided_works(self._lot_id, list(asked))
@@ -216,7 +211,6 @@ class LotWork:
         self._watch.on_done(max(0, units - left), units)
 
     def _contents(self, serial: str) -> Files:
-        """Read the files of a unit as they lie there."""
         folder = self._folder
         path, audit_path = folder.unit_paths[serial], folder.audit_paths.get(serial)
         audit = None if audit_path is None else FileContent(audit_path, read_regular(audit_path, folder.root))
@@ -273,7 +267,6 @@ class LotWork:
             yield UnitTask(item.id, item.serial, recording, audit, facts, known.get(item.serial, frozenset()))
 
     def _keep(self, claims: Claims, outcome: ChunkOutcome) -> list[UnitResult]:
-        """Register what is still this batch's own, and close its items, in one transaction."""
         if outcome.work_s and outcome.units:
             self._unit_s = outcome.work_s / len(outcome.units)
         # What was kept although the connection broke is not this batch's own any more.

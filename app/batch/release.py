@@ -33,10 +33,8 @@ WHY = "decided on the audits of the lot"
 def judge_lot(
     registry: Registry, lot_id: str, actor: str | None = None, now: datetime | None = None
 ) -> LotRelease | None:
-    """Judge every unit by the limit in force and by the audits, and keep what changed.
-
-    Returns:
-        None where the lot has no unit with a forecast yet.
+    """Judge every unit by the limit in force and by the audits, and keep what changed; None where
+    the lot has no unit with a forecast yet.
     """
     # Units judged against another limit come first; one that has to be fitted for it stays stale.
     if stale := [unit.serial for unit in registry.lots.units(lot_id) if is_stale(unit)]:
@@ -68,7 +66,6 @@ def judge_lot(
 
 
 def _is_to_correct(made: MadeCalibration, evidence: AuditEvidence) -> bool:
-    """Return whether another misreading is to be taken off the map of a unit than was."""
     common = evidence.common_of(made)
     wanted = None if common is None else (common.line.gain, common.line.zero)
     if wanted is None or made.common_line is None:
@@ -106,7 +103,6 @@ def is_stale(unit: UnitEntry) -> bool:
 
 
 def _measure_anew(registry: Registry, lot_id: str, actor: str | None) -> None:
-    """Score the units in use on their newest audits, where another one, or none, was scored."""
     entries = newest_audits(registry, lot_id)
     for serial, standing in registry.pages.standings(lot_id, list(entries)).items():
         made, entry = standing.made, entries[serial]
@@ -133,10 +129,8 @@ def _standing(
 
 @dataclass(frozen=True)
 class _Standing:
-    """What is known of a lot: the evidence it is decided on, and its units.
-
-    Args:
-        least: number of unmeasured ones that must pass.
+    """What is known of a lot: the evidence it is decided on, its units, and how many unmeasured
+    ones must pass.
     """
 
     evidence: AuditEvidence
@@ -152,7 +146,6 @@ class _Standing:
 
     @property
     def open(self) -> dict[str, MadeCalibration]:
-        """The units that nobody measured and no finding stands against, by serial."""
         return {
             made.serial: made
             for made in self.made
@@ -160,7 +153,6 @@ class _Standing:
         }
 
     def decided(self) -> LotRelease:
-        """Decide on the units that nobody measured."""
         evidence, units = self.evidence, self.open
         days = {} if evidence.days is None else {s: evidence.day_rmse(made.load_rms) for s, made in units.items()}
         return release_lot(
@@ -190,10 +182,10 @@ class _Standing:
 
 
 class LineRelease:
-    """Decides on units one by one as a line presses them.
+    """Decides on units one by one as a line presses them; `judge_lot` decides on the whole lot.
 
-    The other units of the lot are read again only where the audits say something new. Units that another station
-    presses meanwhile count from then on. `judge_lot` decides on the whole lot.
+    The other units are read again only where the audits say something new; units that another
+    station presses meanwhile count from then on.
     """
 
     def __init__(self, registry: Registry) -> None:
@@ -228,7 +220,6 @@ def _whole_lot(registry: Registry, lot_id: str) -> Mapping[str, UnitStanding]:
 
 
 def _made(units: Mapping[str, UnitStanding]) -> list[MadeCalibration]:
-    """Return the calibrations in use, where no later refusal stands against them."""
     return [standing.made for standing in units.values() if standing.made is not None]
 
 

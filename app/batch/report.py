@@ -15,12 +15,8 @@ UNIT_ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse", "fit_s
 
 @dataclass(frozen=True)
 class UnitResult:
-    """One row of the report.
-
-    Args:
-        reasons: why, most important first.
-        made: its calibration; None for a unit that could not be read or mapped.
-        is_new: whether this batch fitted it; else the registry had it.
+    """One row of the report: reasons most important first, no `made` where it could not be read or
+    mapped, and whether this batch fitted it or the registry had it.
     """
 
     serial: str
@@ -32,8 +28,9 @@ class UnitResult:
 
 @dataclass(frozen=True, eq=False)
 class BatchReport:
-    """What a batch did; `audit` is where the lot's audit stands, where one was planned; `release` is which verdicts
-    release files, `decided` what the audits of the lot say about its other units."""
+    """What a batch did: `audit` is where a planned audit of the lot stands, `release` which
+    verdicts release files, `decided` what audits say about the lot's other units.
+    """
 
     lot_id: str
     network: TrainedOrFound

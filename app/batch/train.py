@@ -21,11 +21,8 @@ LOOK_EVERY_S = 1.0
 
 @dataclass(frozen=True, eq=False)
 class TrainedOrFound:
-    """The shared network of a lot.
-
-    Args:
-        is_new: whether it was trained now; otherwise the registry had it.
-        metrics: errors on the source's validation blocks, and the time of training.
+    """The shared network of a lot, whether it was trained now, errors on the source's validation
+    blocks and the time of training.
     """
 
     network: Network
@@ -41,9 +38,8 @@ def train_or_find(
     actor: str | None = None,
     on_epoch: Callable[[EpochReport], None] | None = None,
 ) -> TrainedOrFound:
-    """Return the network of this source and configuration, trained where there is none.
-
-    Where another process trains the same just now, its network is waited for.
+    """Return the network of this source and configuration, trained where there is none; where
+    another process trains the same just now, its network is waited for.
     """
     registry.lots.add(lot, actor=actor)
     recording_sha256 = registry.recordings.add(lot.id, source, "source", actor=actor)

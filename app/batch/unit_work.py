@@ -23,12 +23,9 @@ class FileContent:
 
 @dataclass(frozen=True, eq=False)
 class UnitTask:
-    """One unit on its way to a worker.
-
-    Args:
-        recording: its file; None where it could not be read, and `problem` says why.
-        audit: file of its labelled recording; outranks the one among `facts`.
-        known: input hashes of the calibrations it has already: those are not computed again.
+    """One unit on its way to a worker: its file, or why it could not be read; that of its audit,
+    which outranks the one among `facts`; input hashes of the calibrations it has, which are not
+    computed again.
     """
 
     item_id: int

@@ -16,11 +16,8 @@ Seen = dict[str, tuple[int, int]]
 
 @dataclass(frozen=True)
 class WatchConfig:
-    """How a folder is watched.
-
-    Args:
-        idle_s: stop when nothing came for so long; None goes on until it is stopped.
-        sleep: waits; a test gives its own.
+    """How a folder is watched: it stops when nothing came for `idle_s`, None goes on; a test gives
+    its own `sleep`.
     """
 
     every_s: float = 2.0

@@ -26,11 +26,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Make, change and list accounts. Every change lands in the audit trail with its reason."""
     action = actions_of(parser)
     change = action("set", "make an account, or change its role, its PIN or whether it is active", _set)
-    change.add_argument("name", metavar="NAME")
-    change.add_argument("--role", choices=ROLES, help="needed for a new account")
-    change.add_argument("--reason", required=True, help="lands in the audit trail")
-    change.add_argument("--pin-file", metavar="FILE", help="the new PIN is its first line; - for standard input")
-    change.add_argument("--new-pin", action="store_true", help="ask for a new PIN of an account that is there")
+    add = change.add_argument
+    add("name", metavar="NAME")
+    add("--role", choices=ROLES, help="needed for a new account")
+    add("--reason", required=True, help="lands in the audit trail")
+    add("--pin-file", metavar="FILE", help="the new PIN is its first line; - for standard input")
+    add("--new-pin", action="store_true", help="ask for a new PIN of an account that is there")
     active = change.add_mutually_exclusive_group()
     active.add_argument("--inactive", action="store_true", help="may no longer sign in")
     active.add_argument("--active", action="store_true", help="may sign in again")

@@ -37,23 +37,22 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Estimate the reference from a long stream of a unit's output while its map follows the sensor's drift. Where
     drift and a change of use cannot be told apart, the map is held and the file says so.
     """
-    parser.add_argument("source", metavar="IN", help="CSV or Parquet with t_s, output; -, serial:PORT or simulated")
-    parser.add_argument("--out", required=True, metavar="OUT", help="CSV or Parquet; live also - or tcp://HOST:PORT")
+    add = parser.add_argument
+    add("source", metavar="IN", help="CSV or Parquet with t_s, output; -, serial:PORT or simulated")
+    add("--out", required=True, metavar="OUT", help="CSV or Parquet; live also - or tcp://HOST:PORT")
     add_shared(parser, "serial")
-    parser.add_argument("--revision", **COUNT, help="calibration to start from; default: the current one")
+    add("--revision", **COUNT, help="calibration to start from; default: the current one")
     modes = ("improved", "basic", "none", "ot", "ot-improved")
-    parser.add_argument("--mode", choices=modes, default="improved", help=MODE_HELP)
-    parser.add_argument("--queue", **COUNT, help="windows in a queue of ot and ot-improved; default 512")
-    parser.add_argument(
-        "--stream", metavar="NAME", help="name of the stream in the registry; default: from its content"
-    )
-    parser.add_argument(
+    add("--mode", choices=modes, default="improved", help=MODE_HELP)
+    add("--queue", **COUNT, help="windows in a queue of ot and ot-improved; default 512")
+    add("--stream", metavar="NAME", help="name of the stream in the registry; default: from its content")
+    add(
         "--loads",
         **FILE,
         help="known loads at the start of the stream: columns output, reference; the unit is trimmed by them first",
     )
-    parser.add_argument("--resume", action="store_true", help="go on from the last state of the stream in the registry")
-    parser.add_argument("--html", **FILE, help="figure of drift, map, estimate and predicted error")
+    add("--resume", action="store_true", help="go on from the last state of the stream in the registry")
+    add("--html", **FILE, help="figure of drift, map, estimate and predicted error")
     add_columns(parser)
     live = parser.add_argument_group("live")
     live.add_argument("--station", **FILE, help="station file with the readout's scale and rate")

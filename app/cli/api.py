@@ -30,13 +30,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     action = actions_of(parser)
     serve = action("serve", "serve the REST interface until Ctrl-C", _serve)
     add_shared(serve, "registry")
-    serve.add_argument("--host", default="127.0.0.1", help="address to listen at; default: this machine only")
-    serve.add_argument("--port", type=int, default=8600, help="default 8600")
-    serve.add_argument(
-        "--name", action="append", default=[], help="another name under which programs reach this server; repeatable"
-    )
-    serve.add_argument("--cert", **FILE, help="certificate of the server, PEM")
-    serve.add_argument("--key", **FILE, help="its private key, PEM")
+    add = serve.add_argument
+    add("--host", default="127.0.0.1", help="address to listen at; default: this machine only")
+    add("--port", type=int, default=8600, help="default 8600")
+    add("--name", action="append", default=[], help="another name under which programs reach this server; repeatable")
+    add("--cert", **FILE, help="certificate of the server, PEM")
+    add("--key", **FILE, help="its private key, PEM")
     openapi = action("openapi", "write the OpenAPI document", _openapi)
     openapi.add_argument("--out", required=True, **FILE)
     client = action("client", "write a typed Python client: one file, standard library alone", _client)

@@ -25,27 +25,28 @@ HELP = "calibrate a lot: train or reuse f, fit every map, verdicts, registry, ex
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Calibrate a lot folder. One bad unit never stops the lot; what is done is never done again."""
-    parser.add_argument("lot", type=Path, metavar="LOT", help="lot folder")
+    add = parser.add_argument
+    add("lot", type=Path, metavar="LOT", help="lot folder")
     add_shared(parser, "registry")
-    parser.add_argument("--out", **DIR, help="write calibration files of the released units here")
-    parser.add_argument(
+    add("--out", **DIR, help="write calibration files of the released units here")
+    add(
         "--release",
         choices=("pass", "conditional"),
         default="pass",
         help="which verdicts release files: pass (default), or conditional too, whose error is within the limit",
     )
-    parser.add_argument("--plots", **DIR, help="write a figure per unit: why its verdict")
-    parser.add_argument("--jobs", default=1, **COUNT, help="worker processes (default 1)")
-    parser.add_argument("--engine", choices=("local", "dask"), default="local")
-    parser.add_argument("--scheduler", metavar="ADDR", help="a running Dask scheduler; default: one for this run")
-    parser.add_argument(
+    add("--plots", **DIR, help="write a figure per unit: why its verdict")
+    add("--jobs", default=1, **COUNT, help="worker processes (default 1)")
+    add("--engine", choices=("local", "dask"), default="local")
+    add("--scheduler", metavar="ADDR", help="a running Dask scheduler; default: one for this run")
+    add(
         "--anchors",
         **FILE,
         help="known loads: columns serial, output, reference; default: LOT/anchors.csv, where there is one",
     )
-    parser.add_argument("--no-own", action="store_true", help="do not train own calibrations on audits for comparison")
-    parser.add_argument("--refit", action="store_true", help="fit again what the registry already has")
-    parser.add_argument(
+    add("--no-own", action="store_true", help="do not train own calibrations on audits for comparison")
+    add("--refit", action="store_true", help="fit again what the registry already has")
+    add(
         "--parquet",
         type=_parquet,
         metavar="FILE",

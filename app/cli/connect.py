@@ -32,11 +32,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     secret = action("secret", "write a new secret for the signature of a webhook", _secret)
     secret.add_argument("--out", required=True, **FILE, help="new file; only its owner may read it")
     estimates = action("estimates", "publish live estimates from standard input over MQTT", _estimates)
-    estimates.add_argument("file", **FILE, help="TOML with one [[mqtt]] destination")
-    estimates.add_argument("--serial", required=True)
-    estimates.add_argument(
-        "--rate", type=positive, default=10.0, metavar="HZ", help="rows a second at most; default 10"
-    )
+    add = estimates.add_argument
+    add("file", **FILE, help="TOML with one [[mqtt]] destination")
+    add("--serial", required=True)
+    add("--rate", type=positive, default=10.0, metavar="HZ", help="rows a second at most; default 10")
 
 
 def _run(options: argparse.Namespace) -> None:

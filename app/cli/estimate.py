@@ -18,11 +18,12 @@ HELP = "estimate the reference from a unit's output"
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Estimate the reference from the columns t_s, output of a recording with the unit's current map."""
-    parser.add_argument("recording", type=Path, metavar="IN", help="CSV, Excel or Parquet with t_s, output")
-    parser.add_argument("--out", required=True, type=Path, metavar="OUT", help="CSV or Parquet to write")
+    add = parser.add_argument
+    add("recording", type=Path, metavar="IN", help="CSV, Excel or Parquet with t_s, output")
+    add("--out", required=True, type=Path, metavar="OUT", help="CSV or Parquet to write")
     add_shared(parser, "serial")
     add_columns(parser)
-    parser.add_argument("--revision", **COUNT, help="an older map; default: the current one")
+    add("--revision", **COUNT, help="an older map; default: the current one")
     add_shared(parser, "lot", "registry", "json")
 
 

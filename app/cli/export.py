@@ -40,44 +40,44 @@ HELP = "write calibration files for devices, PCs and auditors"
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Write calibration files of units, or read an export folder back and check it."""
     units = parser.add_argument_group("which units")
-    units.add_argument("--serial", action="append", default=[], metavar="S", help="a unit; may be repeated")
-    units.add_argument("--lot", metavar="ID", help="every unit of a lot that is released; with --serial: its lot")
-    units.add_argument("--revision", **COUNT, help="an older calibration; default: the one in use")
-    units.add_argument(
+    add = units.add_argument
+    add("--serial", action="append", default=[], metavar="S", help="a unit; may be repeated")
+    add("--lot", metavar="ID", help="every unit of a lot that is released; with --serial: its lot")
+    add("--revision", **COUNT, help="an older calibration; default: the one in use")
+    add(
         "--release",
         choices=("pass", "conditional"),
         default="pass",
         help="which verdicts release device files: pass (default), or conditional too, whose error is within the limit",
     )
-    units.add_argument("--failed-too", action="store_true", help="device files of every unit, for the laboratory")
-    parser.add_argument("--format", action="append", default=[], choices=formats(), help="may be repeated")
-    parser.add_argument("--out", required=True, **DIR, help="folder to write into or to check")
-    parser.add_argument("--check", action="store_true", help="read back: complete, unchanged, signed by whom?")
+    add("--failed-too", action="store_true", help="device files of every unit, for the laboratory")
+    add = parser.add_argument
+    add("--format", action="append", default=[], choices=formats(), help="may be repeated")
+    add("--out", required=True, **DIR, help="folder to write into or to check")
+    add("--check", action="store_true", help="read back: complete, unchanged, signed by whom?")
     device = parser.add_argument_group("devices")
-    device.add_argument("--adc-bits", **COUNT, help="the converter's bits; its codes go left-aligned")
-    device.add_argument("--adc-full-scale", type=float, metavar="X", help="output at the converter's highest code")
-    device.add_argument(
-        "--max-deviation", type=float, default=0.25, metavar="SHARE", help="of the predicted error, default 0.25"
-    )
-    device.add_argument(
+    add = device.add_argument
+    add("--adc-bits", **COUNT, help="the converter's bits; its codes go left-aligned")
+    add("--adc-full-scale", type=float, metavar="X", help="output at the converter's highest code")
+    add("--max-deviation", type=float, default=0.25, metavar="SHARE", help="of the predicted error, default 0.25")
+    add(
         "--unit-bytes", type=int, choices=(256, 512, 1024), help="most a unit file may take; default: as little as does"
     )
     address = converted(partial(int, base=0), "{!r} is no address such as 0x3ff00")
-    device.add_argument("--unit-address", type=address, default=0x3FF00, metavar="ADDR", help="for hex: 0x3ff00")
-    device.add_argument("--network-address", type=address, default=0x38000, metavar="ADDR", help="for hex: 0x38000")
+    add("--unit-address", type=address, default=0x3FF00, metavar="ADDR", help="for hex: 0x3ff00")
+    add("--network-address", type=address, default=0x38000, metavar="ADDR", help="for hex: 0x38000")
     paper = parser.add_argument_group("certificates and signatures")
-    paper.add_argument("--laboratory", type=Path, metavar="TOML", help="laboratory, person, customer and load cell")
-    paper.add_argument(
+    add = paper.add_argument
+    add("--laboratory", type=Path, metavar="TOML", help="laboratory, person, customer and load cell")
+    add(
         "--issued-on",
         type=converted(date.fromisoformat, "{!r} is no date such as 2026-01-31"),
         metavar="DATE",
         help="date of issue of certificates; default: the file's, else today",
     )
-    paper.add_argument(
-        "--sign", type=Path, metavar="PEM", help="Ed25519 key, encrypted or not: signs the manifest and certificates"
-    )
-    paper.add_argument("--passphrase-file", **FILE, help="its first line opens the key of --sign")
-    paper.add_argument(
+    add("--sign", type=Path, metavar="PEM", help="Ed25519 key, encrypted or not: signs the manifest and certificates")
+    add("--passphrase-file", **FILE, help="its first line opens the key of --sign")
+    add(
         "--public-key",
         action="append",
         default=[],

@@ -89,12 +89,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def _add_case(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("case", type=Path, metavar="CASE", help=f"{_CASE_HELP}; or a plain table")
     table = parser.add_argument_group("electronics of a plain table (a case states its own)")
-    table.add_argument("--vref-V", type=float, dest="vref_V", metavar="V", help="supply of divider and ADC")
-    table.add_argument("--adc-bits", **COUNT, help="resolution of the ADC")
-    table.add_argument("--rate-Hz", type=float, dest="rate_Hz", metavar="HZ", help="sample rate")
-    table.add_argument(
-        "--series-ohm", type=float, metavar="OHM", help="series resistor; without it resistances come as shares of it"
-    )
+    add = table.add_argument
+    add("--vref-V", type=float, dest="vref_V", metavar="V", help="supply of divider and ADC")
+    add("--adc-bits", **COUNT, help="resolution of the ADC")
+    add("--rate-Hz", type=float, dest="rate_Hz", metavar="HZ", help="sample rate")
+    add("--series-ohm", type=float, metavar="OHM", help="series resistor; without it resistances come as shares of it")
     parser.add_argument(
         "--simulator",
         metavar="MODULE:NAME",

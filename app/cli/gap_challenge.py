@@ -30,11 +30,12 @@ _SCORE_EXAMPLES = """examples:
 def add_challenge_actions(action: Action) -> None:
     """Add the three commands to those of `softcal gap`."""
     challenge = action("challenge", "make sealed cases whose cause is withheld", _challenge, epilog=_CHALLENGE_EXAMPLES)
-    challenge.add_argument("--cases", required=True, **COUNT, help="how many cases")
-    challenge.add_argument("--seed", type=int, help="seed of the draw (default: a secret one, kept in the seal)")
-    challenge.add_argument("--out", required=True, **DIR, help="new folder for the cases")
-    challenge.add_argument("--seal", **FILE, help="file for the labels (default: DIR.seal.json)")
-    challenge.add_argument("--line", metavar="NAME", help="draw one line of the benchmark instead of the mix")
+    add = challenge.add_argument
+    add("--cases", required=True, **COUNT, help="how many cases")
+    add("--seed", type=int, help="seed of the draw (default: a secret one, kept in the seal)")
+    add("--out", required=True, **DIR, help="new folder for the cases")
+    add("--seal", **FILE, help="file for the labels (default: DIR.seal.json)")
+    add("--line", metavar="NAME", help="draw one line of the benchmark instead of the mix")
     ask = action("ask", "run one more experiment on a sealed rig", _ask, epilog=_ASK_EXAMPLES)
     ask.add_argument("folder", **DIR, help="folder of the challenge")
     ask.add_argument("case", metavar="CASE", help="name of the case")
@@ -44,13 +45,12 @@ def add_challenge_actions(action: Action) -> None:
     ask.add_argument("--units", default=6, **COUNT, help="target units of the lot (default 6)")
     ask.add_argument("--seal", required=True, **FILE, help="file with the labels")
     score = action("score", "open the seal of a challenge and score the reports", _score, epilog=_SCORE_EXAMPLES)
-    score.add_argument("folder", **DIR, help="folder of the challenge")
-    score.add_argument("--reports", required=True, **DIR, help="folder with CASE.json per case")
-    score.add_argument("--seal", required=True, **FILE, help="file with the labels")
-    score.add_argument("--json", metavar="FILE", help="write the scores as JSON ('-' for standard output)")
-    score.add_argument(
-        "--check", action="store_true", help="exit with 1 where a line that was drawn falls below its floor"
-    )
+    add = score.add_argument
+    add("folder", **DIR, help="folder of the challenge")
+    add("--reports", required=True, **DIR, help="folder with CASE.json per case")
+    add("--seal", required=True, **FILE, help="file with the labels")
+    add("--json", metavar="FILE", help="write the scores as JSON ('-' for standard output)")
+    add("--check", action="store_true", help="exit with 1 where a line that was drawn falls below its floor")
 
 
 def _challenge(options: argparse.Namespace) -> None:

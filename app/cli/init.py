@@ -30,16 +30,17 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Ask what a lot or a station is, and write it down. Nothing that exists is written over."""
     action = actions_of(parser, "what to make", "WHAT")
     lot = action("lot", "a folder with lot.toml, for recordings that are still to come", _make_lot)
-    lot.add_argument("folder", type=Path, metavar="FOLDER", help="lot folder to make")
-    lot.add_argument("--lot-id", help="default: the name of the folder")
-    lot.add_argument("--source", metavar="SERIAL", help="unit with the reference that trains f")
-    lot.add_argument("--sample-rate", type=positive, metavar="HZ", help="samples a second of every recording")
-    lot.add_argument("--sensor-model", help="what kind of sensor it is; audits of earlier lots count by it")
-    lot.add_argument("--reference-quantity", help="default force")
-    lot.add_argument("--reference-unit", help="default N")
-    lot.add_argument("--output-unit", help="default V")
-    lot.add_argument("--limit", type=positive, metavar="RMSE", help="largest acceptable error, in the reference unit")
-    lot.add_argument("--yes", action="store_true", help="ask nothing: take the defaults of what is not given")
+    add = lot.add_argument
+    add("folder", type=Path, metavar="FOLDER", help="lot folder to make")
+    add("--lot-id", help="default: the name of the folder")
+    add("--source", metavar="SERIAL", help="unit with the reference that trains f")
+    add("--sample-rate", type=positive, metavar="HZ", help="samples a second of every recording")
+    add("--sensor-model", help="what kind of sensor it is; audits of earlier lots count by it")
+    add("--reference-quantity", help="default force")
+    add("--reference-unit", help="default N")
+    add("--output-unit", help="default V")
+    add("--limit", type=positive, metavar="RMSE", help="largest acceptable error, in the reference unit")
+    add("--yes", action="store_true", help="ask nothing: take the defaults of what is not given")
     station = action(
         "station", "a station file; `softcal station check --write` finds USB devices itself", _make_station
     )

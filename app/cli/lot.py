@@ -84,15 +84,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     rules = action(
         "rules", "show or set how a lot's serials look, how many are planned, and who may be pressed again", _rules
     )
-    rules.add_argument("lot", metavar="ID", help="lot in the registry")
+    add = rules.add_argument
+    add("lot", metavar="ID", help="lot in the registry")
     add_shared(rules, "registry", "json")
-    rules.add_argument("--serial-pattern", metavar="REGEX", help="what a whole serial matches; '' takes any")
-    rules.add_argument("--letters", choices=LETTERS, help="turn what was scanned into these letters")
-    rules.add_argument("--target", **COUNT, help="units that are planned")
-    rules.add_argument(
-        "--retests", nargs="+", metavar="VERDICT=N", help=f"re-tests after a verdict: {', '.join(RETESTS)}"
-    )
-    rules.add_argument("--reason", default="", help="why; needed with every change")
+    add("--serial-pattern", metavar="REGEX", help="what a whole serial matches; '' takes any")
+    add("--letters", choices=LETTERS, help="turn what was scanned into these letters")
+    add("--target", **COUNT, help="units that are planned")
+    add("--retests", nargs="+", metavar="VERDICT=N", help=f"re-tests after a verdict: {', '.join(RETESTS)}")
+    add("--reason", default="", help="why; needed with every change")
     add_audit(action)
     audit = action(
         "audit-plan",

@@ -24,15 +24,16 @@ def add_audit(action: Action) -> None:
     parser = action(
         "audit", "bring labelled recordings of units into the lot; confirm one that is in doubt", _run, epilog=EXAMPLES
     )
-    parser.add_argument("lot", metavar="LOT", help="lot folder, or a lot in the registry")
-    parser.add_argument("files", nargs="*", **FILE, help="CSV, .xlsx or Parquet; of a folder, all")
-    parser.add_argument("--output-column", default="output", help="default output; with * one unit per column")
-    parser.add_argument("--reference-column", default="reference", help="column of the load cell; default reference")
-    parser.add_argument("--time-column", metavar="NAME", help="column of the time in s; default t_s")
-    parser.add_argument("--sample-rate", type=positive, metavar="HZ", help="without a column of time: samples a second")
-    parser.add_argument("--sheet", help="sheet of an Excel file")
-    parser.add_argument("--confirm", metavar="SERIAL", help="the audit of this unit is right in spite of the doubt")
-    parser.add_argument("--reason", default="", help="why; needed with --confirm")
+    add = parser.add_argument
+    add("lot", metavar="LOT", help="lot folder, or a lot in the registry")
+    add("files", nargs="*", **FILE, help="CSV, .xlsx or Parquet; of a folder, all")
+    add("--output-column", default="output", help="default output; with * one unit per column")
+    add("--reference-column", default="reference", help="column of the load cell; default reference")
+    add("--time-column", metavar="NAME", help="column of the time in s; default t_s")
+    add("--sample-rate", type=positive, metavar="HZ", help="without a column of time: samples a second")
+    add("--sheet", help="sheet of an Excel file")
+    add("--confirm", metavar="SERIAL", help="the audit of this unit is right in spite of the doubt")
+    add("--reason", default="", help="why; needed with --confirm")
     add_shared(parser, "registry", "json")
 
 

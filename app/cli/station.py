@@ -59,16 +59,15 @@ def arguments(parser: argparse.ArgumentParser) -> None:
             run_press,
             f"Home, find contact, press with the {kind} profile and record {what}. Whole or not at all.",
         )
-        press.add_argument(
-            "--serial", nargs="+", required=True, metavar="S", help="serial; one per channel of the readout"
-        )
-        press.add_argument("--out", required=True, **FILE, help="CSV or Parquet; a folder for channels")
-        press.add_argument("--seconds", type=positive, metavar="S", help="how long to press")
+        add = press.add_argument
+        add("--serial", nargs="+", required=True, metavar="S", help="serial; one per channel of the readout")
+        add("--out", required=True, **FILE, help="CSV or Parquet; a folder for channels")
+        add("--seconds", type=positive, metavar="S", help="how long to press")
         add_shared(press, "depth")
-        press.add_argument("--profile", **FILE, help="TOML file of moves instead (`station profiles`)")
+        add("--profile", **FILE, help="TOML file of moves instead (`station profiles`)")
         add_shared(press, "profile-seed", "spool")
         add_station(press)
-        press.add_argument("--twin", **FILE, help="with --simulated: the unit of this twin (softcal gap apply)")
+        add("--twin", **FILE, help="with --simulated: the unit of this twin (softcal gap apply)")
         add_shared(press, "json")
         press.set_defaults(kind=kind)
     profiles = action("profiles", "the stage profiles there are, and how long each takes", run_profiles)

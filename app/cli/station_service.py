@@ -97,14 +97,15 @@ def add_service_actions(action: Action) -> None:
     certificate = action(
         "certificate", "put a load cell's calibration certificate on file, or list them", run_certificate
     )
-    certificate.add_argument("--cell", metavar="SERIAL", help="serial of the load cell, as in the station file")
-    certificate.add_argument("--number", metavar="TEXT", help="number of the certificate")
-    certificate.add_argument("--laboratory", default="", metavar="TEXT", help="who issued it")
-    certificate.add_argument("--issued", type=day, metavar="YYYY-MM-DD", help="first day it holds")
-    certificate.add_argument("--due", type=day, metavar="YYYY-MM-DD", help="first day it no longer holds")
-    certificate.add_argument("--capacity", type=float, metavar="N", help="largest force it covers, N")
-    certificate.add_argument("--uncertainty", type=float, metavar="N", help="expanded uncertainty, k = 2, N")
-    certificate.add_argument("--dcc", **FILE, help="import it from this DCC; options above fill gaps")
+    add = certificate.add_argument
+    add("--cell", metavar="SERIAL", help="serial of the load cell, as in the station file")
+    add("--number", metavar="TEXT", help="number of the certificate")
+    add("--laboratory", default="", metavar="TEXT", help="who issued it")
+    add("--issued", type=day, metavar="YYYY-MM-DD", help="first day it holds")
+    add("--due", type=day, metavar="YYYY-MM-DD", help="first day it no longer holds")
+    add("--capacity", type=float, metavar="N", help="largest force it covers, N")
+    add("--uncertainty", type=float, metavar="N", help="expanded uncertainty, k = 2, N")
+    add("--dcc", **FILE, help="import it from this DCC; options above fill gaps")
     add_shared(certificate, "registry", "json")
 
 

@@ -42,9 +42,6 @@ Wanted = Callable[[str], bool]
 def parsed(file: BinaryIO, path: Path, sheet: str | None, most_cells: int, wanted: Wanted | None) -> "pd.DataFrame":
     """Return the wanted columns of a table; of a CSV all; where none is wanted the first.
 
-    Args:
-        wanted: tells by its name whether a column is asked for; None asks for all.
-
     Raises:
         InputError: too large, or a name twice. Readers raise what they like for a broken file.
     """

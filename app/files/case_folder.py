@@ -53,11 +53,12 @@ OTHER_NAMES = {"output": "output_V", "reference": "force_N"}
 
 
 def open_table(path: Path, readout: ReadoutMetadata) -> Case:
-    """Read one plain table (CSV, .xlsx, Parquet) as the only run of a case.
+    """Read one plain table (CSV, .xlsx, Parquet) as the only run of a case; the electronics it does
+    not say.
 
     Args:
-        path: columns `force_N, output_V` or those of a lot folder's audits, `stage_mm` and `t_s` where there are any.
-        readout: the electronics, which a plain table does not say.
+        path: columns `force_N, output_V` or those of an audit, `stage_mm` and `t_s` where there are
+            any.
 
     Raises:
         InputError: the table cannot be read or shows no gap.

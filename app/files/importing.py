@@ -114,14 +114,12 @@ def tables_of(path: Path) -> list[Path]:
 
 
 def import_lot(plan: ImportPlan, folder: Path, on_remark: Callable[[str], None] = lambda line: None) -> list[str]:
-    """Write a lot folder, whole or not at all, and return the serials of its target units.
-
-    Args:
-        on_remark: told what is odd but no error, for example one recording under two serials.
+    """Write a lot folder, whole or not at all, and return the serials of its target units;
+    `on_remark` is told what is odd but no error, such as one recording under two serials.
 
     Raises:
-        InputError: `folder` exists and is not empty, a table cannot be used, a serial comes twice, or the source is
-            not among the units or has no reference.
+        InputError: `folder` exists and is not empty, a table cannot be used, a serial comes twice,
+            or the source is not among the units or has no reference.
     """
     if not plan.files:
         raise InputError("no file to import; name at least one CSV, Excel or Parquet file")
@@ -159,12 +157,8 @@ def import_lot(plan: ImportPlan, folder: Path, on_remark: Callable[[str], None] 
 
 @dataclass(frozen=True, eq=False)
 class LookedAt:
-    """What one table, or one column of it, would become.
-
-    Args:
-        serial: of the unit; "" where the table as a whole cannot be read.
-        unit: as read; None where it would be refused.
-        problem: why it would be refused; "" where it would not.
+    """What one table, or one column of it, would become: a unit as read, or why it would be
+    refused; no serial where the table as a whole cannot be read.
     """
 
     file: str
@@ -174,10 +168,7 @@ class LookedAt:
 
 
 def look_through(plan: ImportPlan) -> list[LookedAt]:
-    """Read every unit and say which would be refused and why; nothing is written.
-
-    A plan with only the files that can be read, without the problems, can be imported.
-    """
+    """Read every unit and say which would be refused and why; a plan without those can be imported."""
     looked = []
     for path, serial, unit in _read(plan):
         if isinstance(unit, InputError):

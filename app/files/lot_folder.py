@@ -150,9 +150,8 @@ def open_lot_folder(folder: Path) -> LotFolder:
 
 
 def _same_files(units: Mapping[str, Path], root: Path) -> Iterator[str]:
-    """Say which units have one and the same file: a serial is wrong, or a file was copied.
-
-    Whatever is no file, or cannot be read, is told as that unit's result later.
+    """Say which units have one and the same file: a serial is wrong, or a file was copied. What
+    cannot be read is that unit's result later.
     """
     sizes = {serial: path.stat().st_size for serial, path in units.items() if path.is_file()}
     for candidates in alike(sizes):

@@ -53,9 +53,8 @@ def read_table(
     """Read a table without interpreting it further than the file format does.
 
     Args:
-        wanted: tells by its name whether a column is asked for: others of Parquet and Excel are not read. None asks
-            for all.
         content: the bytes of the file where somebody has read them already.
+        wanted: tells whether a column is asked for: others of Parquet and Excel are not read.
 
     Raises:
         InputError: the file is missing, empty, or not a table of its format.
@@ -147,10 +146,8 @@ def read_recording(
     content: bytes | None = None,
     names: ColumnNames = PLAIN,
 ) -> OutputRecording:
-    """Read `t_s, output` (and `stage_mm` where there is one); no other column is looked at.
-
-    Args:
-        sample_rate_Hz: the declared rate; None takes the median rate of the time stamps.
+    """Read `t_s, output` (and `stage_mm` where there is one); no other column is looked at. Without
+    a declared rate the median one of the time stamps is taken.
     """
     asked = {names.output, names.time, STAGE}
     table = read_table(path, content=content, wanted=asked.__contains__)
@@ -230,10 +227,8 @@ def replace_recording(folder: Path, serial: str, suffix: str, recording: OutputR
 
 
 def write_recording(path: Path, recording: OutputRecording | LabelledRecording, reference: Array | None = None) -> None:
-    """Write a recording as a lot folder holds it: `t_s, output`, reference and stage.
-
-    Args:
-        reference: (n,) of an output that was not checked with it.
+    """Write a recording as a lot folder holds it: `t_s, output`, reference and stage; a reference
+    given apart, (n,), was not checked with its output.
     """
     if isinstance(recording, LabelledRecording):
         reference = recording.reference

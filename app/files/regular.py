@@ -21,12 +21,9 @@ KINDS = {
 def read_regular(path: Path, folder: Path, most_bytes: int = MOST_BYTES) -> bytes:
     """Return the content of a file that lies in a folder. It never waits, whatever the path names.
 
-    Args:
-        folder: a link is followed inside it only.
-        most_bytes: larger files are refused before they are read.
-
     Raises:
-        InputError: no file, elsewhere, too large, not readable, or changed while it is read.
+        InputError: no file, a link out of the folder, too large, not readable, or changed while it
+            is read.
     """
     try:
         real = path.resolve(strict=True)

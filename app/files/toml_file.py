@@ -21,11 +21,8 @@ WANTED = {float: "a number", date: "a date such as 2026-01-31"}
 
 
 def read_toml(path: Path, hint: str = "", folder: Path | None = None) -> dict[str, Any]:
-    """Return the tables of a file.
-
-    Args:
-        hint: what to do where there is no such file.
-        folder: a link is followed inside it only; None follows it everywhere.
+    """Return the tables of a file; a link is followed inside `folder` only, everywhere without one.
+    The hint says what to do where there is no such file.
 
     Raises:
         InputError: it cannot be read, or is no TOML.
@@ -40,10 +37,7 @@ def read_toml(path: Path, hint: str = "", folder: Path | None = None) -> dict[st
 
 
 def read_section(where: str, kind: type[Section], table: object, folder: Path = Path()) -> Section:
-    """Return a dataclass from a table of its fields.
-
-    Args:
-        where: file and section, for errors.
+    """Return a dataclass from a table of its fields; `where` is file and section, for errors.
 
     Raises:
         InputError: no table, a key unknown or missing, or a value not what its field holds.

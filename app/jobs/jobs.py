@@ -67,10 +67,9 @@ class Teller:
 
 
 def run_job(registry: Registry, job_id: str, on_cancel: Callable[[], None]) -> RunState:
-    """Do a job and return how it ended: always with a result, or a line that says why not.
-
-    Args:
-        on_cancel: called from another thread once somebody wants the job stopped and it is marked so; ends the process.
+    """Do a job and return how it ended: always with a result, or a line that says why not. Once
+    somebody wants it stopped and it is marked so, another thread calls `on_cancel`, which ends the
+    process.
 
     Raises:
         InputError: there is no such job, or it was taken already.

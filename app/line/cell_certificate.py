@@ -19,10 +19,8 @@ RECALIBRATION, DATES = "basic_recalibration", ("date", "dateTime", "valueXMLList
 
 
 def certificate_from(given: Mapping[str, Any], dcc: Path | None) -> CellCertificate:
-    """Return the certificate that options give; what they leave out comes from the DCC.
-
-    Args:
-        given: fields of `CellCertificate`; None where nothing was given.
+    """Return the certificate that options give (None where nothing was given); what they leave out
+    comes from the DCC.
 
     Raises:
         InputError: the file is no DCC, or something is missing; all of it is named.

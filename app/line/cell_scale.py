@@ -17,7 +17,6 @@ def calibrate_cell(
     """Return the load cell's scale by the weights put on it, and the station with that scale.
 
     Args:
-        config: the station; only its load cell is opened.
         masses_kg: weights in the order they are put on; 0 is the unloaded cell.
         wait_for: called before each reading, returns when the weight lies still.
 

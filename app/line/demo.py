@@ -46,11 +46,8 @@ class PressTimes:
 
 @dataclass(frozen=True)
 class DemoConfig:
-    """What the demo shows.
-
-    Args:
-        times: of each run; an audit must do to train a fair own calibration on it.
-        twin: the nominal unit, of a diagnosis for example; None draws one.
+    """What the demo shows; an audit must last long enough to train a fair own calibration on it.
+    `twin` is the nominal unit, of a diagnosis for example; None draws one.
     """
 
     units: int = 6
@@ -94,11 +91,8 @@ def press_simulated_lot(
     times: PressTimes | None = None,
     on_run: Callable[[str], None] | None = None,
 ) -> RecordedLot:
-    """Press every unit of a simulated lot on one simulated station, over its serial lines.
-
-    Args:
-        twins, serials: (number of units,) the units, the source first.
-        seed: of mounting, noise and profiles.
+    """Press every unit of a simulated lot, the source first, on one simulated station over its
+    serial lines; the seed is of mounting, noise and profiles.
 
     Raises:
         DeviceError: the station failed.

@@ -40,12 +40,7 @@ BADGE_HOLDS = timedelta(hours=10)
 
 @dataclass(frozen=True)
 class Note:
-    """One sentence about the last scan.
-
-    Args:
-        key: of the text `note.KEY`.
-        run: the newest run when it was said; a later run ends it.
-    """
+    """One sentence about the last scan, the text `note.KEY`; a run newer than `run` ends it."""
 
     key: str
     values: Mapping[str, str] = field(default_factory=dict)
@@ -112,10 +107,8 @@ def write_place(places: LinePlaces, station: str, place: Place) -> bool:
 
 
 def state_of(beat: Heartbeat, now: datetime, is_alive: bool | None) -> str:
-    """Return what a station is doing, as every screen says it; `ready`: it takes a unit now.
-
-    Args:
-        is_alive: whether its process lives; None where that cannot be seen from here.
+    """Return what a station is doing, as every screen says it; `ready`: it takes a unit now. None
+    for `is_alive`: whether its process lives cannot be seen from here.
     """
     patience = HUNG_AFTER if is_alive else SILENT_AFTER
     is_there = is_alive is not False and now - beat.at <= patience
@@ -140,11 +133,8 @@ class Screen:
 
 @dataclass(frozen=True)
 class LotAtLine:
-    """What a line needs to know of a lot.
-
-    Args:
-        network: the released network, by which a unit gets its verdict; None where there is none.
-        counts: its units by verdict, `none` without.
+    """What a line needs to know of a lot: the released network, by which a unit gets its verdict,
+    and its units by verdict, `none` without.
     """
 
     lot: Lot
@@ -292,10 +282,8 @@ class LineFacts:
 def read_line(
     registry: Registry, screen: Screen, look_at_lot: Callable[[Registry, str], LotAtLine] | None = None
 ) -> LineFacts:
-    """Read where a line stands.
-
-    Args:
-        look_at_lot: reads a lot; a screen that asks twice a second gives one that remembers.
+    """Read where a line stands; a screen that asks twice a second gives a `look_at_lot` that
+    remembers.
 
     Raises:
         RegistryError: the registry is away.

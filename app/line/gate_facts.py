@@ -38,11 +38,8 @@ SHIFT = timedelta(hours=8)
 
 @dataclass(frozen=True)
 class GateRules:
-    """How strict this line is.
-
-    Args:
-        shift: a golden unit must have been pressed within this time.
-        needs_certificate, needs_golden: a bench in development may do without; a line may not.
+    """How strict this line is: a golden unit must have been pressed within `shift`; a bench in
+    development may do without certificate and golden unit, a line may not.
     """
 
     warm_up: timedelta = timedelta(minutes=15)

@@ -43,9 +43,8 @@ INTERRUPTED = Reason("run.interrupted")
 
 
 class Fixture(Protocol):
-    """What holds the unit: a person on a real station, a program on the simulated one.
-
-    What one does not say otherwise is left to the person.
+    """What holds the unit: a person on a real station, a program on the simulated one; by default
+    the person.
     """
 
     def mount(self, serial: str) -> None:
@@ -151,9 +150,8 @@ class StationHost:
         self._beat()
 
     def _patience(self) -> timedelta:
-        """Return how long another owner must have been silent: no time where it is gone.
-
-        One that seems silent may be busy, or have another clock: while it beats, it is there.
+        """Return how long another owner must have been silent: no time where it is gone. One that
+        seems silent may be busy, or have another clock: while it beats, it is there.
         """
         before = self._queue.heartbeat(self._station)
         if before is None or before.state is StationState.OFF or before.process == self._process:

@@ -31,21 +31,15 @@ BADGE_MARK = " (badge)"
 
 @dataclass(frozen=True)
 class Step:
-    """What a scan leads to.
-
-    Args:
-        order: to be given to the station once the place is written; None for none.
-    """
+    """What a scan leads to; the order is given to the station once the place is written."""
 
     place: Place
     order: Order | None = None
 
 
 def take_scan(registry: Registry, screen: Screen, text: str, actor: str = "") -> LineFacts:
-    """Do what a scan means; what it led to stands at the line, for every screen.
-
-    Args:
-        actor: who has shown who they are at this screen; "" leaves it to the badge.
+    """Do what a scan means; what it led to stands at the line, for every screen. `actor` has shown
+    who they are at this screen; "" leaves it to the badge.
 
     Raises:
         RegistryError: the registry is away; nothing was ordered.
@@ -65,12 +59,9 @@ def take_scan(registry: Registry, screen: Screen, text: str, actor: str = "") ->
 
 
 def order_stop(registry: Registry, station: str) -> bool:
-    """Tell a station to stop its run; every way gives the same order: a run is told once.
-
-    It reads no more than it must: the stop key does not wait for what a screen shows.
-
-    Returns:
-        Whether something runs.
+    """Tell a station to stop its run and return whether something runs; every way gives the same
+    order: a run is told once. It reads no more than it must: the stop key does not wait for what a
+    screen shows.
 
     Raises:
         RegistryError: the registry is away; nothing was ordered.

@@ -54,13 +54,8 @@ class LoadReadings:
     def take(
         self, order: Order, output: Array, source: LabelledRecording | None, config: AnchorConfig
     ) -> Reason | tuple[OutputRecording, Anchors]:
-        """Take one reading.
-
-        Args:
-            output: (n,) what was read.
-
-        Returns:
-            What the run says, or, with the last load, the unit's recording and all its loads.
+        """Take one reading, (n,) of output; return what the run says or, with the last load, the
+        unit's recording and all its loads.
         """
         self.check(order)
         step = ordered_load(order.reason)[0]

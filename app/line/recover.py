@@ -18,12 +18,7 @@ from softcal.station.record.spool import SpooledRun, read_spool
 
 @dataclass(frozen=True)
 class Recovered:
-    """One spool that was found.
-
-    Args:
-        end: "done", or how it ended.
-        files: what was written from it: one file per channel of a finished run.
-    """
+    """One spool that was found: "done" or how it ended, and one file per channel of a finished run."""
 
     spool: Path
     serial: str
@@ -36,8 +31,9 @@ class Recovered:
 def recover(folder: Path, out: Path) -> list[Recovered]:
     """Write what the spools of a folder hold: finished runs as recordings, others marked.
 
-    Spools stay where they are; deleting them is a decision of a person. One that cannot be read (a full disk leaves an
-    empty one) is named and keeps no other from being recovered. A file that is another recording is not written over.
+    Spools stay where they are: deleting them is a decision of a person. One that cannot be read is
+    named and keeps no other from being recovered. A file that is another recording is not written
+    over.
 
     Raises:
         InputError: no such folder.
@@ -83,9 +79,8 @@ def _recover(path: Path, out: Path) -> Recovered:
 
 
 def _aborted_columns(run: SpooledRun, end: str) -> list[tuple[str, Any]]:
-    """Return every channel of an aborted run, at the times of the first one that spoke.
-
-    Others are read between two of their samples; before and after all they are empty.
+    """Return every channel of an aborted run at the times of the first one that spoke; others are
+    read between two of their samples and are empty before and after all.
     """
     polls = [Sample(poll.host_s, None, (poll.position_mm,)) for poll in run.polls]
     leading = run.output or run.force or polls

@@ -74,9 +74,8 @@ def chosen_bench(
 
 
 def find_devices(ports: Sequence[str]) -> list[DeviceIdentity]:
-    """Return what answers at these ports, or at all USB serial ports where none is given.
-
-    A port that cannot be opened stands in the list with the reason.
+    """Return what answers at these ports, or at all USB serial ports where none is given; one that
+    cannot be opened stands in the list with the reason.
 
     Raises:
         NoReply: there is no port, or some that were named cannot be opened; all of them are named.
@@ -102,10 +101,8 @@ Choose = Callable[[Reason, Sequence[DeviceIdentity]], DeviceIdentity | None]
 
 
 def station_of(devices: Sequence[DeviceIdentity], choose: Choose | None = None) -> StationConfig:
-    """Return the station that these devices make up.
-
-    Args:
-        choose: asked where only a person can decide. A part it leaves open has no port.
+    """Return the station that these devices make up; `choose` is asked where only a person can
+    decide, and a part it leaves open has no port.
 
     Raises:
         NoReply: a part is missing, or two could be one; all that is missing is named.
@@ -185,10 +182,8 @@ def check_station(
     may_move: bool,
     choose: Choose | None = None,
 ) -> StationCheck:
-    """Find the devices (unless a station is given), open them all and run the self-test.
-
-    Args:
-        choose: as in `station_of`; a station with a part that it leaves open is not tested.
+    """Find the devices (unless a station is given), open them all and run the self-test; a station
+    with a part that `choose` leaves open is not tested.
 
     Raises:
         DeviceError: a port or a device is missing; all of them are named.
@@ -223,11 +218,8 @@ def record_to_files(
     spool_folder: Path,
     on_progress: OnProgress | None = None,
 ) -> WrittenRun:
-    """Press once and write one file per channel, whole or not at all.
-
-    Args:
-        out: the file; with several channels the folder.
-        spool_folder: samples go there as they come; removed again when the files are written.
+    """Press once and write one file per channel, whole or not at all: `out`, with several channels
+    a folder. Samples go to a spool as they come, removed when the files are written.
 
     Raises:
         InputError: a serial that cannot be one, or not one per channel.

@@ -83,8 +83,9 @@ def _element_string(text: str) -> dict[str, str]:
 def is_unheard_of(registry: Registry, lot: Lot, rules: LineRules, serial: str, pressed: Set[str]) -> bool:
     """Whether a person should be asked before a serial becomes a unit of a lot.
 
-    A unit that the lot knows is not asked for. Where the lot's units were registered by name, every other one is. Else
-    it must fit the lot's rule or, where nobody set one, look like the source or like a unit pressed of late.
+    Not for a unit that the lot knows. Where the lot's units were registered by name, for every
+    other one. Else it must fit the lot's rule or, without one, look like the source or a unit
+    pressed of late.
     """
     if lot.id in lots_of(registry, serial):
         return False

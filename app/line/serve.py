@@ -34,10 +34,10 @@ class Serving:
 
     Args:
         station_file: the rig; None for the simulated one.
-        simulated_seed: of the simulated rig and its lot of units; None for a real one.
+        simulated_seed: of the simulated rig and its units; None for a real one.
         speed: simulated seconds per second.
         source_profile, unit_profile: files of profiles, where others are wanted.
-        override: an engineer's reason to run in spite of the gate; "" where there is none.
+        override: an engineer's reason to run in spite of the gate.
     """
 
     station: str
