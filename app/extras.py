@@ -2,32 +2,22 @@
 
 from importlib.util import find_spec
 
-EXTRA_OF = {
-    "torch": "train",
-    "numba": "twin",
-    "plotly": "documents",
-    "starlette": "ui",
-    "streamlit": "ui",
-    "serial": "station",
-    "pyvisa": "visa",
-    "pyvisa_py": "visa",
-    "bleak": "ble",
-    "labjack": "labjack",
-    "onnx": "documents",
-    "reportlab": "documents",
-    "pikepdf": "documents",
-    "PIL": "documents",
-    "psycopg": "postgresql",
-    "distributed": "cluster",
-    "dask": "cluster",
-    "sklearn": "sklearn",
-    "asyncua": "connect",
-    "fastapi": "connect",
-    "httpx2": "connect",
-    "paho": "connect",
-    "uvicorn": "connect",
+MODULES_OF = {
+    "train": ("torch",),
+    "twin": ("numba",),
+    "ui": ("starlette", "streamlit"),
+    "station": ("serial",),
+    "visa": ("pyvisa", "pyvisa_py"),
+    "ble": ("bleak",),
+    "labjack": ("labjack",),
+    "documents": ("onnx", "pikepdf", "PIL", "plotly", "reportlab"),
+    "postgresql": ("psycopg",),
+    "cluster": ("dask", "distributed"),
+    "sklearn": ("sklearn",),
+    "connect": ("asyncua", "fastapi", "httpx2", "paho", "uvicorn"),
 }
-"""Extra by the name of the module that is imported."""
+"""Modules that are imported, by their extra."""
+EXTRA_OF = {module: extra for extra, modules in MODULES_OF.items() for module in modules}
 
 
 def missing_extra(error: ModuleNotFoundError) -> str | None:

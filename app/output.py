@@ -75,7 +75,7 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None
         write_table(Path(answer.csv), header, table)
     if answer.stdout is not None:
         return
-    cells = [["–" if value is None else _text(value) for value in row] for row in table]
+    cells = [[_cell(value) for value in row] for row in table]
     if sys.stdout.isatty():
         from rich.box import SIMPLE_HEAD
         from rich.console import Console
@@ -94,19 +94,21 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None
     # The widest columns give way until a row fits.
     while sum(widths) > WIDTH - 2 * (len(widths) - 1) and max(widths) > NARROWEST:
         widths[widths.index(max(widths))] -= 1
-    wrapped = [
+    folded = [
         [
             textwrap.wrap(cell, width, break_on_hyphens=False) if len(cell) > width else [cell]
-            for cell, width in zip(row, widths, strict=True)
+            for cell, width in zip(line, widths, strict=True)
         ]
-        for row in lines
+        for line in lines
     ]
-    for row in (wrapped[0], [["-" * width] for width in widths], *wrapped[1:]):
-        for line in zip_longest(*row, fillvalue=""):
-            print("  ".join(part.ljust(width) for part, width in zip(line, widths, strict=True)).rstrip())
+    for parts in (folded[0], [["-" * width] for width in widths], *folded[1:]):
+        for shown_parts in zip_longest(*parts, fillvalue=""):
+            print("  ".join(part.ljust(width) for part, width in zip(shown_parts, widths, strict=True)).rstrip())
 
 
-def _text(value: object) -> str:
+def _cell(value: object) -> str:
+    if value is None:
+        return "–"
     return f"{value:.4g}" if isinstance(value, float) else shown(str(value)).replace("\n", " ")
 
 

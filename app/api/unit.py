@@ -327,23 +327,21 @@ def fit_map(
     recording = recording_of(target, "target", **facts).unlabelled
     limit = stated_limit(network.reference_unit, limit_rmse)
     measured = None if audit is None else recording_of(audit, "audit", **facts).labelled
-    (problem,) = LotFacts((model,), limit).problems(recording, UnitInputs(_anchors(anchors), audit=measured))
+    loads = None
+    if anchors is not None:
+        try:
+            table: Any = anchors
+            pair = (table["output"], table["reference"]) if hasattr(table, "columns") else table
+            output, reference = (np.asarray(values, dtype=np.float64) for values in pair)
+        except (TypeError, ValueError, KeyError) as error:
+            raise InputError(
+                f"anchors is a {type(anchors).__name__} that is not understood ({error}); (outputs, references) or a "
+                "DataFrame with columns output, reference was expected"
+            ) from error
+        if output.shape != reference.shape or output.ndim != 1 or not len(output):
+            raise InputError(
+                f"anchors: {output.shape} outputs and {reference.shape} references; as many of both, at least 1"
+            )
+        loads = Anchors(output, reference)
+    (problem,) = LotFacts((model,), limit).problems(recording, UnitInputs(loads, audit=measured))
     return Unit(model.network, calibrate(problem), model.source, recording)
-
-
-def _anchors(known: Any) -> Anchors | None:
-    if known is None:
-        return None
-    try:
-        pair = (known["output"], known["reference"]) if hasattr(known, "columns") else known
-        output, reference = (np.asarray(values, dtype=np.float64) for values in pair)
-    except (TypeError, ValueError, KeyError) as error:
-        raise InputError(
-            f"anchors is a {type(known).__name__} that is not understood ({error}); (outputs, references) or a "
-            "DataFrame with columns output, reference was expected"
-        ) from error
-    if output.shape != reference.shape or output.ndim != 1 or not len(output):
-        raise InputError(
-            f"anchors: {output.shape} outputs and {reference.shape} references; as many of both, at least 1"
-        )
-    return Anchors(output, reference)

@@ -1,6 +1,6 @@
 """What audits of a lot and of earlier lots say about its other units: each audit read once."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import date, datetime, timedelta
 
@@ -148,10 +148,17 @@ class AuditReader:
 
     def _gains_by_day(self, lot_id: str, serial: str, now: datetime) -> list[float]:
         registry, days = self._registry, dict[date, list[float]]()
-        reader = self._reader_of(lot_id, serial)
-        if reader is None:
-            return []
-        reads_with, gain = reader
+        calibration: Calibration | None
+        if serial == registry.lots.get(lot_id).source:
+            state = registry.networks.released(lot_id)
+            if state is None:
+                return []
+            reads_with, calibration = state.network.id, None
+            network = registry.networks.get(reads_with)
+        else:
+            record = registry.calibrations.get(serial, lot_id=lot_id).record
+            reads_with, calibration = record.input_sha256, Calibration.from_record(record)
+            network = registry.networks.get(record.network_id)
         for entry in registry.recordings.of_lot(lot_id, serial, "audit"):
             if now - entry.added_at > timedelta(days=RULES.lasts_days):
                 continue
@@ -160,23 +167,14 @@ class AuditReader:
                 recording = registry.recordings.get(entry.sha256)
                 if not isinstance(recording, LabelledRecording):
                     continue
-                self._golden[key] = gain(recording)
+                if calibration is None:
+                    # The source has no map: f alone reads its runs.
+                    gain = line_of(network.evaluate(recording.windows), recording.window_reference)[0]
+                else:
+                    gain = read_gain(network, calibration, recording)
+                self._golden[key] = gain
             days.setdefault(entry.added_at.astimezone().date(), []).append(self._golden[key])
         return [float(np.mean(gains)) for gains in days.values()]
-
-    def _reader_of(self, lot_id: str, serial: str) -> tuple[str, Callable[[LabelledRecording], float]] | None:
-        """Return what reads a golden unit's runs, and its identity; None where nothing does."""
-        registry = self._registry
-        if serial == registry.lots.get(lot_id).source:
-            state = registry.networks.released(lot_id)
-            if state is None:
-                return None
-            f = registry.networks.get(state.network.id)
-            # The source has no map: f alone reads its runs.
-            return state.network.id, lambda run: line_of(f.evaluate(run.windows), run.window_reference)[0]
-        record = registry.calibrations.get(serial, lot_id=lot_id).record
-        network, calibration = registry.networks.get(record.network_id), Calibration.from_record(record)
-        return record.input_sha256, lambda run: read_gain(network, calibration, run)
 
     def _golden_failed_at(self, lot: Lot) -> datetime | None:
         """Return when a golden unit last failed; one of another model says nothing here."""

@@ -82,25 +82,22 @@ class Pool:
     def submit(self, work: Work, item: Any) -> "Future[Any]":
         """Compute one item; the future raises `WorkerDied` when its worker is gone."""
         answer: Future[Any] = Future()
+
+        def settle(task: Any, error: BaseException | None) -> None:
+            if isinstance(error, BrokenProcessPool):
+                self.is_broken, error = True, WorkerDied()
+            if error is None:
+                answer.set_result(task.result())
+            else:
+                answer.set_exception(error)
+
         try:
             task = self._submit(work, item)
         except BrokenProcessPool as error:
-            self._fail(answer, error)
+            settle(None, error)
         else:
-            task.add_done_callback(lambda task: self._pass_on(task, answer))
+            task.add_done_callback(lambda task: settle(task, self._error_of(task)))
         return answer
-
-    def _pass_on(self, task: Any, answer: "Future[Any]") -> None:
-        error = self._error_of(task)
-        if error is None:
-            answer.set_result(task.result())
-        else:
-            self._fail(answer, error)
-
-    def _fail(self, answer: "Future[Any]", error: BaseException) -> None:
-        if isinstance(error, BrokenProcessPool):
-            self.is_broken, error = True, WorkerDied()
-        answer.set_exception(error)
 
 
 def run_all(
@@ -217,8 +214,19 @@ def _dask_pool(choice: EngineChoice, shared: Any) -> Iterator[Pool]:
     try:
         import dask
         from distributed import Client, LocalCluster
+        from distributed.client import FutureCancelledError
+        from distributed.scheduler import KilledWorker
     except ImportError as error:
         raise InputError("engine dask needs an extra: pip install 'softcal[cluster]'") from error
+
+    def error_of(task: Any) -> BaseException | None:
+        error: BaseException | None = FutureCancelledError(task.key, None) if task.cancelled() else task.exception()
+        if isinstance(error, KilledWorker):
+            return WorkerDied()
+        if isinstance(error, FutureCancelledError):
+            return InputError("the Dask scheduler is gone; what was finished is kept, run the same command again")
+        return error
+
     local = None
     if choice.scheduler is None:
         # An item whose worker died comes back at once: tried again alone it tells more.
@@ -235,7 +243,7 @@ def _dask_pool(choice: EngineChoice, shared: Any) -> Iterator[Pool]:
         yield Pool(
             lambda work, item: client.submit(work, held, item, pure=False),
             lambda: max(1, int(sum(client.nthreads().values()))),
-            _error_of,
+            error_of,
         )
     finally:
         client.close()
@@ -245,15 +253,3 @@ def _dask_pool(choice: EngineChoice, shared: Any) -> Iterator[Pool]:
 
 def _hold(shared: Any) -> Any:
     return shared
-
-
-def _error_of(task: Any) -> BaseException | None:
-    from distributed.client import FutureCancelledError
-    from distributed.scheduler import KilledWorker
-
-    error: BaseException | None = FutureCancelledError(task.key, None) if task.cancelled() else task.exception()
-    if isinstance(error, KilledWorker):
-        return WorkerDied()
-    if isinstance(error, FutureCancelledError):
-        return InputError("the Dask scheduler is gone; what was finished is kept, run the same command again")
-    return error

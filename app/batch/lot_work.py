@@ -269,21 +269,22 @@ class LotWork:
     def _keep(self, claims: Claims, outcome: ChunkOutcome) -> list[UnitResult]:
         if outcome.work_s and outcome.units:
             self._unit_s = outcome.work_s / len(outcome.units)
+
+        def kept() -> dict[str, UnitResult]:
+            with self._registry.transaction():
+                mine = claims.queue.held(claims.owner, [unit.task_id for unit in outcome.units])
+                own = [unit for unit in outcome.units if unit.task_id in mine]
+                for unit in own:
+                    self._register(unit)
+                claims.queue.finish(claims.owner, [unit.task_id for unit in own])
+                return self.told([unit.serial for unit in own])
+
         # What was kept although the connection broke is not this batch's own any more.
-        results = self._registry.database.once_more(lambda: self._keep_own(claims, outcome), is_repeatable=True)
+        results = self._registry.database.once_more(kept, is_repeatable=True)
         for result in results.values():
             revision = result.made and result.made.revision
             note("unit", lot=self._lot_id, serial=result.serial, verdict=result.verdict, revision=revision)
         return list(results.values())
-
-    def _keep_own(self, claims: Claims, outcome: ChunkOutcome) -> dict[str, UnitResult]:
-        with self._registry.transaction():
-            mine = claims.queue.held(claims.owner, [unit.task_id for unit in outcome.units])
-            own = [unit for unit in outcome.units if unit.task_id in mine]
-            for unit in own:
-                self._register(unit)
-            claims.queue.finish(claims.owner, [unit.task_id for unit in own])
-            return self.told([unit.serial for unit in own])
 
     def _register(self, unit: UnitOutcome) -> None:
         """Keep the result of a unit; one that cannot be stored is a refusal."""

@@ -44,7 +44,21 @@ def judge_lot(
                 base = _base(registry, lot_id, registry.calibrations.get(serial, lot_id=lot_id))
                 if record := judged(base, limit):
                     _put(registry, lot_id, record, "judged against another limit", actor)
-    _measure_anew(registry, lot_id, actor)
+    # Then units of which another audit, or none, was scored
+    entries = newest_audits(registry, lot_id)
+    for serial, unit in registry.pages.standings(lot_id, list(entries)).items():
+        made, entry = unit.made, entries[serial]
+        if made is None or (made.audit is not None and made.audit.recording_sha256 in ("", entry.sha256)):
+            continue
+        audit = audit_of(registry, entry)
+        base = _base(registry, lot_id, registry.calibrations.get(serial, lot_id=lot_id))
+        if audit is None or base.grounds is None or base.grounds.rules:
+            continue
+        recording = unlabelled(registry.recordings.get(base.recording_sha256))
+        record = measured(registry.networks.get(base.network_id), base, audit, recording, lot_limit(registry, lot_id))
+        # It is fitted as it was; what others say is asked again.
+        evidence = {name: value for name, value in record.evidence.items() if name != BASE}
+        _put(registry, lot_id, replace(record, evidence=evidence), "scored on a newer audit", actor)
     at = now or datetime.now(UTC)
     standing = _standing(registry, lot_id, at)
     if standing is None:
@@ -100,23 +114,6 @@ def lot_standing(registry: Registry, lot_id: str) -> LotStanding:
 def is_stale(unit: UnitEntry) -> bool:
     """Return whether a unit was judged against another limit than the one in force."""
     return bool(unit.reasons) and unit.reasons[0].code in STALE
-
-
-def _measure_anew(registry: Registry, lot_id: str, actor: str | None) -> None:
-    entries = newest_audits(registry, lot_id)
-    for serial, standing in registry.pages.standings(lot_id, list(entries)).items():
-        made, entry = standing.made, entries[serial]
-        if made is None or (made.audit is not None and made.audit.recording_sha256 in ("", entry.sha256)):
-            continue
-        audit = audit_of(registry, entry)
-        base = _base(registry, lot_id, registry.calibrations.get(serial, lot_id=lot_id))
-        if audit is None or base.grounds is None or base.grounds.rules:
-            continue
-        recording = unlabelled(registry.recordings.get(base.recording_sha256))
-        record = measured(registry.networks.get(base.network_id), base, audit, recording, lot_limit(registry, lot_id))
-        # It is fitted as it was; what others say is asked again.
-        evidence = {name: value for name, value in record.evidence.items() if name != BASE}
-        _put(registry, lot_id, replace(record, evidence=evidence), "scored on a newer audit", actor)
 
 
 def _standing(

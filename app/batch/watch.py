@@ -2,65 +2,54 @@
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 from softcal.app.batch.batch import run_batch
 from softcal.app.batch.lot_work import BatchConfig, Watch
 from softcal.app.batch.report import BatchReport
-from softcal.app.files.lot_folder import LotFolder, open_lot_folder
+from softcal.app.files.lot_folder import open_lot_folder
 from softcal.db.registry import Registry
 
 Seen = dict[str, tuple[int, int]]
 
 
-@dataclass(frozen=True)
-class WatchConfig:
-    """How a folder is watched: it stops when nothing came for `idle_s`, None goes on; a test gives
-    its own `sleep`.
-    """
-
-    every_s: float = 2.0
-    idle_s: float | None = None
-    sleep: Callable[[float], None] = time.sleep
-
-
 def watch_lot(
-    path: Path, registry: Registry, batch: BatchConfig, config: WatchConfig, progress: Watch
+    path: Path,
+    registry: Registry,
+    batch: BatchConfig,
+    progress: Watch,
+    every_s: float = 2.0,
+    idle_s: float | None = None,
+    sleep: Callable[[float], None] = time.sleep,
 ) -> Iterator[BatchReport]:
-    """Give a report each time new recordings were calibrated.
+    """Give a report each time new recordings were calibrated; stop when nothing came for `idle_s`.
 
-    A file is taken when its size and time were the same at two looks. So a copy under way is not read by half. A
-    file that is replaced by another recording is calibrated again, as a new revision.
+    A file is taken when its size and time were the same at two looks: a copy under way is not read
+    by half. A file that is replaced by another recording is calibrated again, as a new revision.
 
     Raises:
         InputError: the folder is no lot, or its source cannot be used.
     """
     before: Seen = {}
     done: Seen = {}
-    idle_s = 0.0
+    still_s = 0.0
     while True:
         folder = open_lot_folder(path)
-        now = _seen(folder)
+        now: Seen = {}
+        for serial, file in folder.unit_paths.items():
+            with suppress(FileNotFoundError):
+                stat = file.stat()
+                now[serial] = (stat.st_size, stat.st_mtime_ns)
         new = {serial for serial, state in now.items() if before.get(serial) == state != done.get(serial)}
         if new:
             paths: Mapping[str, Path] = {serial: path for serial, path in folder.unit_paths.items() if serial in new}
             yield run_batch(replace(folder, unit_paths=paths), registry, batch, progress)
             done |= {serial: now[serial] for serial in new}
         is_settling = any(before.get(serial) != state for serial, state in now.items())
-        idle_s = 0.0 if new or is_settling else idle_s + config.every_s
-        if config.idle_s is not None and idle_s >= config.idle_s:
+        still_s = 0.0 if new or is_settling else still_s + every_s
+        if idle_s is not None and still_s >= idle_s:
             return
         before = now
-        config.sleep(config.every_s)
-
-
-def _seen(folder: LotFolder) -> Seen:
-    seen: Seen = {}
-    for serial, path in folder.unit_paths.items():
-        try:
-            stat = path.stat()
-        except FileNotFoundError:
-            continue
-        seen[serial] = (stat.st_size, stat.st_mtime_ns)
-    return seen
+        sleep(every_s)

@@ -9,7 +9,7 @@ from softcal.app.output import ProgressLine, say, write_json
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
-    from softcal.app.use.adapt import AdaptOptions, AdaptReport
+    from softcal.app.use.adapt import AdaptReport
     from softcal.db.registry import Registry
 
 EXAMPLES = """examples:
@@ -71,7 +71,9 @@ MODE_HELP = (
 
 def run(options: argparse.Namespace) -> None:
     """Follow the stream, and say what was followed, held and flagged."""
-    from softcal.app.use.adapt import AdaptOptions
+    from softcal.app.files.recording_file import PLAIN
+    from softcal.app.files.stream_file import count_rows
+    from softcal.app.use.adapt import AdaptOptions, adapt_file
     from softcal.app.use.trim import trimmed_by
     from softcal.core.use.adapter import QUEUES, AdaptConfig
     from softcal.core.use.method import OnlineConfig, UseMethod
@@ -93,29 +95,20 @@ def run(options: argparse.Namespace) -> None:
             revision = trimmed_by(registry, options.serial, options.loads, options.lot)
             say(f"{options.serial}: followed from revision {revision}, trimmed by {options.loads}")
         adapt = AdaptOptions(config, revision, options.stream, options.resume, lot_id=options.lot)
-        report = _follow(registry, options, adapt)
+        names = column_names(options)
+        if options.source in ("-", "simulated") or options.source.startswith(("serial:", "simulated:")):
+            if names != PLAIN:
+                raise InputError(f"IN is {options.source}: columns and sample rate are named for files only")
+            from softcal.app.use.live import LiveOptions, adapt_live
+
+            live = LiveOptions(options.source, options.out, options.station, options.duration, options.view)
+            report = adapt_live(registry, options.serial, live, adapt)
+        else:
+            source, out = Path(options.source), Path(options.out)
+            progress = ProgressLine("rows", count_rows(source))
+            report = adapt_file(registry, options.serial, source, out, adapt, progress.reach, names)
         say_caution(registry, (report.serial, report.revision, report.lot.id), "adapt")
         _report(registry, options, report)
-
-
-def _follow(registry: "Registry", options: argparse.Namespace, adapt: "AdaptOptions") -> "AdaptReport":
-    from softcal.app.files.recording_file import PLAIN
-
-    names = column_names(options)
-    is_live = options.source in ("-", "simulated") or options.source.startswith(("serial:", "simulated:"))
-    if is_live:
-        if names != PLAIN:
-            raise InputError(f"IN is {options.source}: columns and sample rate are named for files only")
-        from softcal.app.use.live import LiveOptions, adapt_live
-
-        live = LiveOptions(options.source, options.out, options.station, options.duration, options.view)
-        return adapt_live(registry, options.serial, live, adapt)
-    from softcal.app.files.stream_file import count_rows
-    from softcal.app.use.adapt import adapt_file
-
-    source = Path(options.source)
-    progress = ProgressLine("rows", count_rows(source))
-    return adapt_file(registry, options.serial, source, Path(options.out), adapt, progress.reach, names)
 
 
 def _report(registry: "Registry", options: argparse.Namespace, report: "AdaptReport") -> None:

@@ -5,7 +5,6 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from softcal.app.cli.lot_audit import add_audit
 from softcal.app.cli.options import (
     COUNT,
     DIR,
@@ -16,6 +15,7 @@ from softcal.app.cli.options import (
     answer,
     lot_id_of,
     network_config,
+    positive,
     registry_of,
 )
 from softcal.app.output import print_table, say, write_json
@@ -24,7 +24,7 @@ from softcal.core.errors import InputError, RegistryError
 from softcal.core.quality.line_rules import LETTERS, RETESTS
 from softcal.core.quality.lot_standing import Way
 
-DONE, SOME_UNIT_NOT_PASSED = 0, 1
+DONE, SOME_UNIT_NOT_PASSED, REFUSED = 0, 1, 2
 MOST_TOLD = 20
 """So many units are named one by one in a terminal."""
 
@@ -44,6 +44,15 @@ EXAMPLES = """examples:
   softcal lot audit-plan lot-1 --new --random 20 --reason "first draw was lost in transit"
 
 After `lot audit` run `softcal batch` again: it measures the audited units and judges the lot.
+"""
+AUDIT_EXAMPLES = """examples:
+  softcal lot audit lot-1 measured/*.csv         files called by their serials, columns t_s, output, reference
+  softcal lot audit lot-1 EG-07.xlsx --time-column time --output-column V --reference-column N
+  softcal lot audit lot-1 EG-07.csv --sample-rate 50        a table without a column of time
+  softcal lot audit lot-1 --confirm EG-07 --reason "pressed again by hand, the same result"
+
+LOT is a lot folder: the recordings go into its audit/, and `softcal batch LOT` judges by them. Or it is a lot of the
+registry: they are kept there, and scored at once.
 """
 HELP = "watch a lot folder; set the limit of a lot; plan and judge its audit"
 
@@ -92,7 +101,23 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add("--target", **COUNT, help="units that are planned")
     add("--retests", nargs="+", metavar="VERDICT=N", help=f"re-tests after a verdict: {', '.join(RETESTS)}")
     add("--reason", default="", help="why; needed with every change")
-    add_audit(action)
+    brought = action(
+        "audit",
+        "bring labelled recordings of units into the lot; confirm one that is in doubt",
+        _audit,
+        epilog=AUDIT_EXAMPLES,
+    )
+    add = brought.add_argument
+    add("lot", metavar="LOT", help="lot folder, or a lot in the registry")
+    add("files", nargs="*", **FILE, help="CSV, .xlsx or Parquet; of a folder, all")
+    add("--output-column", default="output", help="default output; with * one unit per column")
+    add("--reference-column", default="reference", help="column of the load cell; default reference")
+    add("--time-column", metavar="NAME", help="column of the time in s; default t_s")
+    add("--sample-rate", type=positive, metavar="HZ", help="without a column of time: samples a second")
+    add("--sheet", help="sheet of an Excel file")
+    add("--confirm", metavar="SERIAL", help="the audit of this unit is right in spite of the doubt")
+    add("--reason", default="", help="why; needed with --confirm")
+    add_shared(brought, "registry", "json")
     audit = action(
         "audit-plan",
         "draw which few units to check with the load cell; show how far the checks are and what they say",
@@ -208,7 +233,7 @@ def _watch(options: argparse.Namespace) -> int:
     from softcal.app.batch.engine import EngineChoice
     from softcal.app.batch.lot_work import BatchConfig, Watch
     from softcal.app.batch.report import TABLE_HEADER, table_row
-    from softcal.app.batch.watch import WatchConfig, watch_lot
+    from softcal.app.batch.watch import watch_lot
 
     if not options.every > 0 or (options.idle is not None and not options.idle > 0):
         raise InputError("--every and --idle are seconds above 0")
@@ -216,9 +241,8 @@ def _watch(options: argparse.Namespace) -> int:
     passed = True
     say(f"{options.folder}: waiting for recordings; Ctrl-C stops")
     with registry_of(options, create=True) as registry:
-        config = WatchConfig(options.every, options.idle)
         try:
-            for report in watch_lot(options.folder, registry, batch, config, Watch()):
+            for report in watch_lot(options.folder, registry, batch, Watch(), options.every, options.idle):
                 print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
                 passed = passed and report.has_passed
         except KeyboardInterrupt:
@@ -288,3 +312,69 @@ def _rules(options: argparse.Namespace) -> None:
         )
         rows = [[e.version, here(e.made_at), e.actor, e.reason] for e in versions]
         print_table(("version", "set", "by", "reason"), rows)
+
+
+def _audit(options: argparse.Namespace) -> int:
+    """Take labelled recordings of units, one file a unit and called by its serial. A file that
+    cannot be used is named and left out, and the others are taken.
+    """
+    from softcal.app.batch.judging import confirm
+
+    if options.confirm is not None:
+        if options.files:
+            raise InputError("--confirm takes no files: bring them first, then confirm what is in doubt")
+        lot_id = lot_id_of(options.lot)
+        with registry_of(options) as registry:
+            confirm(registry, lot_id, options.confirm, reason=options.reason)
+            standing = registry.pages.standings(lot_id, [options.confirm])[options.confirm]
+        say(f"{options.confirm}: confirmed; its verdict is {standing.verdict}: {standing.reasons[0]}")
+        facts = {"lot": lot_id, "serial": options.confirm, "verdict": standing.verdict}
+        answer(options, "lot.audit-confirm/1", facts)
+        return DONE if standing.verdict == "pass" else SOME_UNIT_NOT_PASSED
+    if not options.files:
+        raise InputError("no file is given: name the labelled recordings, each called by the serial of its unit")
+    return _bring(options)
+
+
+def _bring(options: argparse.Namespace) -> int:
+    from softcal.app.batch.audit_files import look_at_audits, store_audits, write_audits
+    from softcal.app.batch.judging import judge_again
+    from softcal.app.files.importing import Columns, tables_of
+    from softcal.app.files.lot_folder import open_lot_folder
+    from softcal.app.registry.lot_recordings import target_serials
+
+    time = options.time_column or (None if options.sample_rate else "t_s")
+    columns = Columns(options.output_column, options.reference_column, time)
+    files = [file for path in options.files for file in tables_of(path)]
+    folder, replaced, then = Path(options.lot), list[str](), "they are scored, and the lot is judged"
+    if (folder / "lot.toml").is_file():
+        opened = open_lot_folder(folder)
+        lot = opened.lot
+        _check_rate(options.sample_rate, lot.sample_rate_Hz)
+        looked = look_at_audits(lot, opened.unit_paths.keys(), files, columns, options.sheet)
+        replaced, then = write_audits(folder, looked), f"next: softcal batch {options.lot}"
+    else:
+        with registry_of(options) as registry:
+            lot = registry.lots.get(options.lot)
+            _check_rate(options.sample_rate, lot.sample_rate_Hz)
+            looked = look_at_audits(lot, target_serials(registry, lot.id), files, columns, options.sheet)
+            store_audits(registry, lot.id, looked)
+            judge_again(registry, [lot.id])
+    taken = [audit.serial for audit in looked if audit.recording is not None]
+    refused = {audit.file: str(audit.refusal) for audit in looked if audit.recording is None}
+    facts = {"lot": lot.id, "audited": taken, "replaced": replaced, "refused": refused}
+    if answer(options, "lot.audit-files/1", facts):
+        rows = [
+            [audit.file, audit.serial, "taken" if audit.recording else f"refused: {audit.refusal}"] for audit in looked
+        ]
+        print_table(("file", "serial", "result"), rows)
+    if replaced:
+        say(f"an older audit of {', '.join(replaced)} was replaced")
+    say(f"{len(taken)} of {len(looked)} files taken; {then}")
+    return DONE if len(taken) == len(looked) else REFUSED
+
+
+def _check_rate(stated_Hz: float | None, lot_Hz: float) -> None:
+    """Refuse a table with another rate than the lot's: its windows would be of another length."""
+    if stated_Hz is not None and abs(stated_Hz - lot_Hz) > 1e-3 * lot_Hz:
+        raise InputError(f"--sample-rate is {stated_Hz:g} Hz, the lot's is {lot_Hz:g} Hz; nothing was taken")

@@ -16,7 +16,7 @@ from softcal.core.errors import InputError
 from softcal.core.words.reason import Reason
 
 if TYPE_CHECKING:
-    from softcal.station.tasks.acquisition import OnProgress
+    from softcal.station.tasks.acquisition import RunProgress
     from softcal.station.tasks.identify import DeviceIdentity
 
 EXAMPLES = """examples:
@@ -176,10 +176,19 @@ def run_press(options: argparse.Namespace) -> None:
     if options.twin is not None and options.simulated is None:
         raise InputError("--twin is the unit of the simulated rig; give --simulated as well, or leave it out")
     twin = None if options.twin is None else read_twin(options.twin)
+    shown_phase, shown_percent = "", -10
+
+    def tell(progress: "RunProgress") -> None:
+        nonlocal shown_phase, shown_percent
+        percent = int(100 * progress.fraction)
+        if progress.phase != shown_phase or percent >= shown_percent + 10:
+            shown_phase, shown_percent = progress.phase, percent
+            say(f"{percent:3d} % {progress.phase}, about {progress.remaining_s:.0f} s left")
+
     bench_of = chosen_bench(options.station, options.simulated, len(options.serial), twin)
     with _signals_as_ctrl_c(), bench_of as bench:
         with_reference, spools = options.kind == "source", spool_folder(options.spool)
-        run = record_to_files(bench, options.serial, options.out, profile, with_reference, spools, _progress())
+        run = record_to_files(bench, options.serial, options.out, profile, with_reference, spools, tell)
     for path in run.files:
         say(f"{path}: {len(run.recording.t_s)} samples in {run.seconds:.0f} s of station time")
     for remark in run.remarks:
@@ -275,18 +284,3 @@ def run_recover(options: argparse.Namespace) -> None:
         if not run.files:
             say(run.end)
     say(f"{len(recovered)} spool(s) read; they were left where they are")
-
-
-def _progress() -> "OnProgress":
-    from softcal.station.tasks.acquisition import RunProgress
-
-    shown_phase, shown_percent = "", -10
-
-    def tell(progress: RunProgress) -> None:
-        nonlocal shown_phase, shown_percent
-        percent = int(100 * progress.fraction)
-        if progress.phase != shown_phase or percent >= shown_percent + 10:
-            shown_phase, shown_percent = progress.phase, percent
-            say(f"{percent:3d} % {progress.phase}, about {progress.remaining_s:.0f} s left")
-
-    return tell

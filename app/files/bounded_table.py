@@ -6,17 +6,16 @@ its last row. What is counted is what the reader would have to make, never what 
 
 import csv
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 from zipfile import BadZipFile, ZipFile
 
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd
-    import pyarrow as pa
 
 CSV, PARQUET, EXCEL = {".csv", ".txt", ".tsv"}, {".parquet", ".pq"}, {".xlsx", ".xlsm"}
 
@@ -79,20 +78,31 @@ def _csv(file: BinaryIO, path: Path, most_cells: int) -> "pd.DataFrame":
 
 
 def _parquet(file: BinaryIO, path: Path, most_cells: int, wanted: Wanted | None) -> "pd.DataFrame":
+    import pyarrow as pa
     import pyarrow.compute as pc
     import pyarrow.parquet as pq
 
     schema = pq.read_schema(file)
     _check_names(schema.names, path)
     names = _asked(schema.names, wanted)
-    text = [name for name in names if _is_text(schema.field(name).type)]
+    is_text = (pa.types.is_string, pa.types.is_binary)
+    text = [name for name in names if any(is_such(schema.field(name).type) for is_such in is_text)]
     file.seek(0)
     # Equal texts stay one text: a column of them may otherwise unpack to any size.
     opened = pq.ParquetFile(file, page_checksum_verification=True, read_dictionary=text)
     # The footer may lie: the row groups say it again, and pyarrow checks pages against them.
     groups = [opened.metadata.row_group(k) for k in range(opened.metadata.num_row_groups)]
     rows = max(int(opened.metadata.num_rows), sum(int(group.num_rows) for group in groups))
-    refuse_large(path, rows * sum(_cells_of(schema.field(name), path) for name in names), most_cells)
+    cells = 0
+    for name in names:
+        kind = schema.field(name).type
+        if pa.types.is_nested(kind):
+            raise InputError(f"{path}: column {name!r} holds lists or records where numbers were expected")
+        try:
+            cells += 1 if name in text else max(1, int(kind.bit_width) // 64)
+        except ValueError:
+            cells += 1  # A type without a width
+    refuse_large(path, rows * cells, most_cells)
     if text:
         # What the file unpacks to, with the columns that nobody asks for. A column's own facts are not looked at: where
         # they contradict the schema, pyarrow ends the whole process there; reading the column refuses them in order.
@@ -108,26 +118,6 @@ def _parquet(file: BinaryIO, path: Path, most_cells: int, wanted: Wanted | None)
         whole[name] = whole[name].astype(object)
     whole.attrs[NAMES] = list(schema.names)
     return whole
-
-
-def _is_text(kind: "pa.DataType") -> bool:
-    import pyarrow as pa
-
-    return any(is_such(kind) for is_such in (pa.types.is_string, pa.types.is_binary))
-
-
-def _cells_of(field: "pa.Field", path: Path) -> int:
-    """Return how many cells' room a value of a column takes."""
-    import pyarrow as pa
-
-    if pa.types.is_nested(field.type):
-        raise InputError(f"{path}: column {field.name!r} holds lists or records where numbers were expected")
-    if _is_text(field.type):
-        return 1
-    try:
-        return max(1, int(field.type.bit_width) // 64)
-    except ValueError:
-        return 1  # A type without a width
 
 
 def _excel(file: BinaryIO, path: Path, sheet: str | None, most_cells: int, wanted: Wanted | None) -> "pd.DataFrame":
@@ -147,25 +137,22 @@ def _excel(file: BinaryIO, path: Path, sheet: str | None, most_cells: int, wante
     worksheet = workbook.worksheets[0] if sheet is None else workbook[sheet]
     # What the sheet says of its own size is not asked: it makes the reader fill up every row.
     worksheet.reset_dimensions()
-    rows = _counted(worksheet.iter_rows(values_only=True), path, most_cells)
-    header = ["" if name is None else str(name) for name in next(rows, ())]
+    rows = worksheet.iter_rows(values_only=True)
+    first = next(rows, ())
+    header, count = ["" if name is None else str(name) for name in first], max(1, len(first))
+    refuse_large(path, count, most_cells)
     _check_names(header, path)
     names = _asked(header, wanted)
-    places = [header.index(name) for name in names]
-    cells = [[row[k] if k < len(row) else None for k in places] for row in rows]
+    places, cells = [header.index(name) for name in names], []
+    for row in rows:
+        count += max(1, len(row))
+        refuse_large(path, count, most_cells)
+        cells.append([row[k] if k < len(row) else None for k in places])
     while cells and all(cell is None for cell in cells[-1]):
         cells.pop()
     table = pd.DataFrame(cells, columns=names)
     table.attrs[NAMES] = header
     return table
-
-
-def _counted(rows: Iterator[tuple[Any, ...]], path: Path, most_cells: int) -> Iterator[tuple[Any, ...]]:
-    cells = 0
-    for row in rows:
-        cells += max(1, len(row))
-        refuse_large(path, cells, most_cells)
-        yield row
 
 
 def _asked(names: Sequence[str], wanted: Wanted | None) -> list[str]:

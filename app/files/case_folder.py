@@ -30,7 +30,17 @@ def open_case(folder: Path) -> Case:
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such folder; a case holds runs/<n>/{RECORDING} and {METADATA}")
-    places = _run_folders(folder)
+    inner = folder / "runs"
+    places = sorted((p for p in inner.iterdir() if p.is_dir()), key=_by_number) if inner.is_dir() else []
+    if (folder / RECORDING).is_file():
+        places = [folder]
+    if not places:
+        tables = sorted(p.name for p in folder.iterdir() if p.suffix in (".csv", ".parquet", ".xlsx"))
+        hint = f"; to diagnose {tables[0]} alone, name it and give vref_V, adc_bits and rate_Hz" if tables else ""
+        raise InputError(f"{folder}: neither {RECORDING} nor runs/<n>/{RECORDING}; this is no case{hint}")
+    for place in places:
+        if not (place / RECORDING).is_file():
+            raise InputError(f"{place}: there is no {RECORDING}; add it, or remove the folder")
     facts = [_metadata(place / METADATA) for place in places]
     serials = [str(metadata["serial"]) for metadata in facts]
     runs = [_run(place, folder, metadata) for place, metadata in zip(places, facts, strict=True)]
@@ -68,21 +78,6 @@ def open_table(path: Path, readout: ReadoutMetadata) -> Case:
     with naming(path):
         t_s = _time(table, path, readout.sample_rate_Hz)
         return Case(path.stem, (Run(name=path.stem, t_s=t_s, readout=readout, **channels),))
-
-
-def _run_folders(folder: Path) -> list[Path]:
-    if (folder / RECORDING).is_file():
-        return [folder]
-    inner = folder / "runs"
-    places = sorted((p for p in inner.iterdir() if p.is_dir()), key=_by_number) if inner.is_dir() else []
-    if not places:
-        tables = sorted(p.name for p in folder.iterdir() if p.suffix in (".csv", ".parquet", ".xlsx"))
-        hint = f"; to diagnose {tables[0]} alone, name it and give vref_V, adc_bits and rate_Hz" if tables else ""
-        raise InputError(f"{folder}: neither {RECORDING} nor runs/<n>/{RECORDING}; this is no case{hint}")
-    for place in places:
-        if not (place / RECORDING).is_file():
-            raise InputError(f"{place}: there is no {RECORDING}; add it, or remove the folder")
-    return places
 
 
 def _by_number(place: Path) -> tuple[int, str]:

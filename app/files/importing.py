@@ -181,17 +181,23 @@ def look_through(plan: ImportPlan) -> list[LookedAt]:
 
 def _read(plan: ImportPlan) -> Iterator[tuple[Path, str, "ImportedUnit | InputError"]]:
     """Yield every unit of a plan with its file and serial; in place of one that is refused, or of a table, why."""
-    taken: set[str] = set()
+    columns, taken = plan.columns, set[str]()
+    others = (columns.reference, columns.time, columns.stage)
     for k, path in enumerate(plan.files):
         try:
-            table = read_table(path, plan.sheet, most_cells=plan.most_cells, wanted=plan.columns.asks_for)
-            outputs = _outputs(plan, table, path)
+            table = read_table(path, plan.sheet, most_cells=plan.most_cells, wanted=columns.asks_for)
+            outputs = [columns.output]
+            if columns.is_wide:
+                names = [str(name) for name in table.columns if name not in others]
+                outputs = [name for name in names if fnmatch.fnmatchcase(name, columns.output)]
+                if not outputs:
+                    raise InputError(f"{path}: no column matches {columns.output!r}")
         except InputError as error:
             yield path, "", error
             continue
         for output in outputs:
             serial = path.stem
-            if plan.columns.is_wide:
+            if columns.is_wide:
                 serial = output
             elif plan.serials:
                 serial = plan.serials[k]
@@ -201,17 +207,6 @@ def _read(plan: ImportPlan) -> Iterator[tuple[Path, str, "ImportedUnit | InputEr
                 yield path, serial, _checked(plan, table, path, output, serial, taken)
             except InputError as error:
                 yield path, serial, error
-
-
-def _outputs(plan: ImportPlan, table: "pd.DataFrame", path: Path) -> list[str]:
-    if not plan.columns.is_wide:
-        return [plan.columns.output]
-    columns = plan.columns
-    others = (columns.reference, columns.time, columns.stage)
-    outputs = [str(c) for c in table.columns if fnmatch.fnmatchcase(str(c), columns.output) and c not in others]
-    if not outputs:
-        raise InputError(f"{path}: no column matches {plan.columns.output!r}")
-    return outputs
 
 
 def _checked(

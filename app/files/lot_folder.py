@@ -51,13 +51,11 @@ class LotFolder:
 
     Args:
         root: the folder; nothing outside it is read as a recording of a unit.
-        unit_paths: recording of each target unit by serial.
-        audit_paths: labelled recordings of target units, by serial; no map is fitted to them.
+        audit_paths: labelled recordings of target units; no map is fitted to them.
         line: how differently the line presses units, where `lot.toml` states it.
         reference: what the source was compared with; None where `lot.toml` does not say.
         golden_path: the source pressed again in the units' sitting; None without.
-        anchors_path: known loads of units (`serial, output, reference`); None where there are none.
-        more_source_paths: labelled recordings of further sources, by serial.
+        anchors_path: known loads of units (`serial, output, reference`); None without.
     """
 
     root: Path
@@ -136,7 +134,14 @@ def open_lot_folder(folder: Path) -> LotFolder:
     strangers = sorted(set(audits) - set(units) - {lot.source, *more})
     if strangers:
         remarks = (*remarks, f"audit/ holds {', '.join(strangers[:5])}, which units/ does not; not used")
-    remarks = (*remarks, *_same_files(units, folder))
+    # What cannot be read here is told as that unit's result later.
+    sizes = {serial: path.stat().st_size for serial, path in units.items() if path.is_file()}
+    for candidates in alike(sizes):
+        contents = {}
+        for serial in candidates:
+            with suppress(InputError):
+                contents[serial] = hashlib.sha256(read_regular(units[serial], folder)).digest()
+        remarks = (*remarks, *map(same_recording, alike(contents)))
     golden = _recordings(folder / GOLDEN)
     if others := sorted(set(golden) - {lot.source}):
         raise InputError(
@@ -147,19 +152,6 @@ def open_lot_folder(folder: Path) -> LotFolder:
     further, source = {serial: sources[serial] for serial in more}, sources[lot.source]
     run = golden.get(lot.source)
     return LotFolder(folder, lot, source, units, audits, remarks, line, reference, run, loads, further)
-
-
-def _same_files(units: Mapping[str, Path], root: Path) -> Iterator[str]:
-    """Say which units have one and the same file: a serial is wrong, or a file was copied. What
-    cannot be read is that unit's result later.
-    """
-    sizes = {serial: path.stat().st_size for serial, path in units.items() if path.is_file()}
-    for candidates in alike(sizes):
-        contents = {}
-        for serial in candidates:
-            with suppress(InputError):
-                contents[serial] = hashlib.sha256(read_regular(units[serial], root)).digest()
-        yield from map(same_recording, alike(contents))
 
 
 def alike(contents: Mapping[str, object]) -> list[list[str]]:
@@ -198,7 +190,16 @@ def _read_lot_toml(path: Path) -> tuple[Lot, LineSpread | None, Reference | None
             if not isinstance(table, dict):
                 raise InputError(f"[{name}] must be a table")
         spreads = [typed(f"[line] {key}", float, tables["line"].get(key, 0.0)) for key in ("load_spread", "day_spread")]
-        line, reference = LineSpread(*spreads) if tables["line"] else None, _reference(tables)
+        line, reference = LineSpread(*spreads) if tables["line"] else None, None
+        is_simulated = tables["lot"].get("simulated", False)
+        if not isinstance(is_simulated, bool):
+            raise InputError(f"[lot] simulated is {is_simulated!r}; true or false was expected")
+        hints, stated = get_type_hints(Reference), tables["reference"].keys() & STATED
+        if is_simulated:
+            reference = SIMULATED
+        elif stated:
+            facts = {key: value for key, value in tables["reference"].items() if key in stated}
+            reference = Reference(**{key: typed(f"[reference] {key}", hints[key], v) for key, v in facts.items()})
         places, limit = (content, tables["lot"], tables["output"]), tables["limit"].get("rmse")
         lot = Lot(
             id=typed("[lot] id", str, tables["lot"].get("id")),
@@ -217,18 +218,6 @@ def _read_lot_toml(path: Path) -> tuple[Lot, LineSpread | None, Reference | None
         if len({lot.source, *serials}) <= len(serials):
             raise InputError(f"[lot] more_sources is {more!r}; each source once, and {lot.source!r} is the first")
         return lot, line, reference, serials, tuple(_unknown_keys(path, content))
-
-
-def _reference(tables: Mapping[str, Mapping[str, object]]) -> Reference | None:
-    is_simulated = tables["lot"].get("simulated", False)
-    if not isinstance(is_simulated, bool):
-        raise InputError(f"[lot] simulated is {is_simulated!r}; true or false was expected")
-    if is_simulated:
-        return SIMULATED
-    hints = get_type_hints(Reference)
-    stated = {key: value for key, value in tables["reference"].items() if key in STATED}
-    facts = {key: typed(f"[reference] {key}", hints[key], value) for key, value in stated.items()}
-    return Reference(**facts) if facts else None
 
 
 def _only(places: tuple[Mapping[str, object], ...], key: str) -> object:

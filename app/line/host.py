@@ -75,15 +75,14 @@ class HandFixture(Fixture):
 class StationHost:
     """One station and its registry, joined.
 
-    A thread of its own, the desk, writes heartbeat and progress and answers. A slow or absent registry never keeps the
-    service from watching force and travel. Another one, the ear, only reads whether somebody said stop: a desk that
-    waits for its turn to write does not keep a stop waiting.
+    A thread of its own, the desk, writes heartbeat and progress and answers: a slow or absent
+    registry never keeps the service from watching force and travel. Another one, the ear, only
+    reads whether somebody said stop: a desk that waits for its turn to write does not keep a stop
+    waiting.
 
     Args:
-        queue: where orders come from and progress goes.
         override: takes an engineer's decision to open the gate: who and why.
-        make_service: the service for its two hooks, progress and stop; it is started by `run`.
-        log: takes (event, facts) for support.
+        make_service: the service for its two hooks, progress and stop; `run` starts it.
     """
 
     def __init__(

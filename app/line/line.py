@@ -10,7 +10,7 @@ import uuid
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
-from softcal.app.line.facts import LineFacts, LotAtLine, Note, Place, Screen, read_line, read_place, write_place
+from softcal.app.line.facts import LineFacts, Note, Place, Screen, read_line, read_place, write_place
 from softcal.app.line.scan_codes import Scan, is_unheard_of, lots_of, read_scan
 from softcal.core.errors import InputError
 from softcal.core.lot import check_serial
@@ -54,7 +54,23 @@ def take_scan(registry: Registry, screen: Screen, text: str, actor: str = "") ->
             raise InputError(Reason("line.no_station"))
         step = _step(registry, facts, screen, scan, actor or _badged(facts.operator))
         if write_place(registry.line_places, facts.station, step.place):
-            return _ordered(registry, screen, step)
+            break
+    else:
+        raise InputError(Reason("line.other_screens"))
+    # The unit waits no longer: no order comes twice.
+    if step.order is None:
+        return read_line(registry, screen)
+    try:
+        if registry.order_queue.place(step.order, until_s=screen.until_s if step.order.kind.is_run else None):
+            return read_line(registry, screen)
+        refusal = Note("late_start")
+    except InputError:
+        refusal = Note("busy_key", _running(read_line(registry, screen)))
+    # Why nothing moved is said also where another screen writes at the same time.
+    for _ in range(MOST_CONFLICTS):
+        facts = read_line(registry, screen)
+        if write_place(registry.line_places, facts.station, _told(facts, refusal)):
+            return read_line(registry, screen)
     raise InputError(Reason("line.other_screens"))
 
 
@@ -82,29 +98,18 @@ def _stop_order(station: str, run: Order, who: str) -> Order:
     return Order(f"stop-{run.order_id}"[:64], station, OrderKind.STOP, actor=who)
 
 
-def _ordered(registry: Registry, screen: Screen, step: Step) -> LineFacts:
-    """Give the order of a step to the station. Its unit waits no longer: no order comes twice."""
-    if step.order is None:
-        return read_line(registry, screen)
-    try:
-        if registry.order_queue.place(step.order, until_s=screen.until_s if step.order.kind.is_run else None):
-            return read_line(registry, screen)
-        refusal = Note("late_start")
-    except InputError:
-        refusal = Note("busy_key", _running(read_line(registry, screen)))
-    # Why nothing moved is said also where another screen writes at the same time.
-    for _ in range(MOST_CONFLICTS):
-        facts = read_line(registry, screen)
-        if write_place(registry.line_places, facts.station, _told(facts, refusal)):
-            return read_line(registry, screen)
-    raise InputError(Reason("line.other_screens"))
-
-
 def _step(registry: Registry, facts: LineFacts, screen: Screen, scan: Scan, who: str) -> Step:
     if scan.kind == "command":
         return _COMMANDS[scan.value](facts, screen, who)
     if scan.kind == "badge":
-        return Step(_badge(registry, facts, scan.value))
+        # One that opens more than the line needs its PIN.
+        name = scan.value
+        if not name:
+            return Step(_told(facts, Note("badge_off", {}, False), replace(facts.place, operator="", badged_at=None)))
+        if any(user.name.lower() == name.lower() and user.role != "operator" for user in registry.people.all()):
+            return Step(_told(facts, Note("badge_needs_pin", {"name": name[:60]})))
+        badged = replace(facts.place, operator=name[:60], badged_at=facts.now)
+        return Step(_told(facts, Note("badge", {"name": name[:60]}, False), badged))
     if facts.active is not None:
         return Step(_told(facts, Note("busy", {**_running(facts), "scanned": scan.value[:40]})))
     if facts.is_stopped:
@@ -131,17 +136,6 @@ def _badged(operator: str) -> str:
     return f"{operator}{BADGE_MARK}" if operator else "operator"
 
 
-def _badge(registry: Registry, facts: LineFacts, name: str) -> Place:
-    """Take the operator's name from a badge; one that opens more than the line needs its PIN."""
-    if not name:
-        return _told(facts, Note("badge_off", {}, False), replace(facts.place, operator="", badged_at=None))
-    is_other = any(user.name.lower() == name.lower() and user.role != "operator" for user in registry.people.all())
-    if is_other:
-        return _told(facts, Note("badge_needs_pin", {"name": name[:60]}))
-    badged = replace(facts.place, operator=name[:60], badged_at=facts.now)
-    return _told(facts, Note("badge", {"name": name[:60]}, False), badged)
-
-
 def _unit(registry: Registry, facts: LineFacts, scan: Scan) -> Place | Note:
     """Return the place with the scanned unit in the hand, or why it was not taken."""
     emptied = facts.place.emptied(facts.newest_run)
@@ -159,30 +153,26 @@ def _unit(registry: Registry, facts: LineFacts, scan: Scan) -> Place | Note:
         return Note("no_lot", {"serial": scan.value[:40]})
     if scan.lot_id and scan.lot_id.lower() != facts.lot.id.lower():
         return Note("other_lot", {"serial": scan.value, "other": scan.lot_id, "lot": facts.lot.id})
-    serial = facts.lot.rules.spelled(scan.value)
-    refusal = _serial_refusal(registry, facts.lot, serial)
-    if refusal is not None:
-        return refusal
-    pressed = {run[0].serial for run in facts.runs if run[0].lot_id == facts.lot.id}
-    is_new = is_unheard_of(registry, facts.lot.lot, facts.lot.rules, serial, pressed)
-    return replace(emptied, lot_id=facts.lot.id, serial=serial, is_new=is_new)
-
-
-def _serial_refusal(registry: Registry, lot: LotAtLine, serial: str) -> Note | None:
+    lot = facts.lot
+    serial = lot.rules.spelled(scan.value)
     try:
         check_serial(serial)
     except InputError:
         return Note("bad_serial", {"serial": serial[:40], "lot": lot.id})
     if serial == lot.lot.source:
         return Note("is_source", {"serial": serial, "lot": lot.id})
-    known, fits = lots_of(registry, serial), lot.rules.fits(serial)
-    if lot.id not in known and (known or not fits):
+    holders, fits = lots_of(registry, serial), lot.rules.fits(serial)
+    if lot.id not in holders and (holders or not fits):
         # It belongs to the lot that it stands in, or the only one that it fits.
         rules = ((other.id, registry.lots.line_rules(other)) for other in registry.lots.all() if other.id != lot.id)
         fitting = (lot_id for lot_id, other in rules if other.serial_pattern and other.fits(other.spelled(serial)))
-        if other := min(known) if known else next(fitting, ""):
+        if other := min(holders) if holders else next(fitting, ""):
             return Note("other_lot", {"serial": serial, "other": other, "lot": lot.id})
-    return None if fits else Note("bad_serial", {"serial": serial, "lot": lot.id})
+    if not fits:
+        return Note("bad_serial", {"serial": serial, "lot": lot.id})
+    pressed = {run[0].serial for run in facts.runs if run[0].lot_id == lot.id}
+    is_new = is_unheard_of(registry, lot.lot, lot.rules, serial, pressed)
+    return replace(emptied, lot_id=lot.id, serial=serial, is_new=is_new)
 
 
 def _start(facts: LineFacts, screen: Screen, who: str) -> Step:

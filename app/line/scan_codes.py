@@ -45,39 +45,28 @@ def read_scan(text: str) -> Scan:
     bare = raw[prefix.end() :] if prefix else raw
     is_gs1 = SEPARATOR in bare or bool(PRINTED_FIELD.match(bare)) or bool(prefix and prefix.group() in GS1_AIM)
     if not is_gs1:
-        return _plain("".join(letter for letter in bare if letter.isprintable()).strip())
-    fields = dict(PRINTED_FIELD.findall(bare)) if bare.startswith("(") else _element_string(bare)
+        text = "".join(letter for letter in bare if letter.isprintable()).strip()
+        head, colon, rest = text.partition(":")
+        kind, value = head.strip().upper(), rest.strip()
+        if not colon and text:
+            return Scan("serial", text)
+        if kind == "CMD" and value.upper() in COMMANDS:
+            return Scan("command", value.upper())
+        if colon and (kind == "BADGE" or (kind in ("LOT", "GOLDEN") and value)):
+            return Scan(kind.lower(), value)
+        return Scan("unreadable", text)
+    fields, rest = dict(PRINTED_FIELD.findall(bare)), bare.lstrip(SEPARATOR)
+    if not bare.startswith("("):
+        fields = {}
+        while rest:
+            name, rest = rest[:2], rest[2:]
+            length = FIXED_LENGTH.get(name)
+            fields[name], rest = (rest[:length], rest[length:]) if length else rest.partition(SEPARATOR)[::2]
+            rest = rest.lstrip(SEPARATOR)
     serial, lot_id = fields.get(SERIAL_FIELD, "").strip(), fields.get(LOT_FIELD, "").strip()
     if serial:
         return Scan("serial", serial, lot_id)
     return Scan("lot", lot_id) if lot_id else Scan("unreadable", bare.replace(SEPARATOR, "|"))
-
-
-def _plain(text: str) -> Scan:
-    head, colon, rest = text.partition(":")
-    if not colon:
-        return Scan("serial", text) if text else Scan("unreadable", text)
-    kind, value = head.strip().upper(), rest.strip()
-    if kind == "CMD" and value.upper() in COMMANDS:
-        return Scan("command", value.upper())
-    if kind == "LOT" and value:
-        return Scan("lot", value)
-    if kind == "GOLDEN" and value:
-        return Scan("golden", value)
-    if kind == "BADGE":
-        return Scan("badge", value)
-    return Scan("unreadable", text)
-
-
-def _element_string(text: str) -> dict[str, str]:
-    fields, rest = {}, text.lstrip(SEPARATOR)
-    while rest:
-        name, rest = rest[:2], rest[2:]
-        length = FIXED_LENGTH.get(name)
-        value, rest = (rest[:length], rest[length:]) if length else rest.partition(SEPARATOR)[::2]
-        fields[name] = value
-        rest = rest.lstrip(SEPARATOR)
-    return fields
 
 
 def is_unheard_of(registry: Registry, lot: Lot, rules: LineRules, serial: str, pressed: Set[str]) -> bool:

@@ -16,7 +16,7 @@ from softcal.core.errors import InputError
 from softcal.core.network.config import NetworkConfig
 from softcal.core.orders import OrderKind, Progress
 from softcal.core.profiles import Profile
-from softcal.core.unit.budget import SIMULATED
+from softcal.core.unit.budget import SIMULATED, Reference
 from softcal.db.registry import Registry
 from softcal.station.devices.bench import SIMULATED_NAME, Bench, open_bench
 from softcal.station.devices.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig, read_station_file
@@ -69,12 +69,13 @@ def serve(registry: Registry, serving: Serving, spools: Path, goes_on: Callable[
     """
     fixture: Fixture
     opened: Callable[[], AbstractContextManager[Bench]]
+    reference: Reference | None = SIMULATED
     if serving.simulated_seed is not None:
         from softcal.core.simulated_lot import twin_of
         from softcal.station.testing.line import SimulatedLine
 
         fixture = SimulatedLine(partial(twin_of, serving.simulated_seed), serving.simulated_seed, serving.speed)
-        config, opened, reference = SIMULATED_RIG, fixture.open, SIMULATED
+        config, opened = SIMULATED_RIG, fixture.open
     elif serving.station_file is None:
         raise InputError("which station? give --station FILE or --simulated")
     else:

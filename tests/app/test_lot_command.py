@@ -7,7 +7,7 @@ import pytest
 
 from softcal.app.batch import watch
 from softcal.app.batch.lot_work import BatchConfig, Watch
-from softcal.app.batch.watch import WatchConfig, watch_lot
+from softcal.app.batch.watch import watch_lot
 from softcal.app.cli.main import main
 from softcal.core.lot import Lot
 from softcal.db.connection import open_registry
@@ -51,7 +51,7 @@ def test_a_recording_is_taken(folder, monkeypatch, written, batches):
             (folder / "units" / f"{serial}.csv").write_text(rows)
 
     act(0.0)
-    list(watch_lot(folder, None, BatchConfig(), WatchConfig(1.0, idle_s=3.0, sleep=act), Watch()))
+    list(watch_lot(folder, None, BatchConfig(), Watch(), 1.0, idle_s=3.0, sleep=act))
     assert taken == batches
 
 
