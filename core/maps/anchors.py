@@ -104,7 +104,7 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, kind: str) 
 def _model_error(problem: FitProblem) -> float:
     """Return the error of f on its source, carried to the source's output."""
     source = problem.source
-    rows = np.linspace(0, len(source.windows) - 1, problem.config.anchors.model_rows).astype(np.int64)
+    rows = np.linspace(0, len(source.windows) - 1, problem.config.pairs.pairs // 2).astype(np.int64)
     error = rmse(problem.network.evaluate(source.windows[rows]), source.window_reference[rows])
     return error * _mean_slope(source)
 
@@ -160,7 +160,7 @@ class SourceLevels:
 def source_bend(source: LabelledRecording, config: MapConfig) -> float:
     """Return how far the source's output over load is from a straight line, RMS, as a share of its rise."""
     low, high = np.quantile(source.reference, config.curve.shares)
-    loads = np.linspace(float(low), float(high), config.anchors.bend_levels)
+    loads = np.linspace(float(low), float(high), config.anchors.levels // 2 + 1)
     levels = np.array([source_level(source, float(load), config.anchors)[0] for load in loads])
     chord = levels[0] + (levels[-1] - levels[0]) * (loads - low) / (high - low)
     return rms((levels - chord)[1:-1]) / max(abs(float(levels[-1] - levels[0])), 1e-12)

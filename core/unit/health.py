@@ -6,6 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from softcal.core.errors import InputError, UnitRefused
+from softcal.core.maps.config import EndConfig
 from softcal.core.maps.crossing import KEPT
 from softcal.core.recording import RATE_TOLERANCE, Array, Indices, OutputRecording
 from softcal.core.unit.method import HealthConfig
@@ -86,8 +87,9 @@ def noise_band(recording: OutputRecording, config: HealthConfig) -> float:
     The noise comes from second differences, which a slow signal leaves small (median absolute value / 0.6745 / √6).
     """
     noise = float(np.median(np.abs(np.diff(recording.output, 2)))) / 0.6745 / np.sqrt(6)
-    least = config.least_band * float(np.ptp(recording.output))
-    return float(max(config.noise_steps * noise, config.adc_steps * recording.step, least))
+    # A simulated recording may have neither noise nor steps.
+    least = 1e-3 * float(np.ptp(recording.output))
+    return float(max(EndConfig.clear_of_noise * noise, config.adc_steps * recording.step, least))
 
 
 def check_alive(target: OutputRecording, source: OutputRecording, config: HealthConfig) -> None:
@@ -145,7 +147,7 @@ def health_findings(
 ) -> tuple[Finding, ...]:
     """Say in words what is wrong with the raw output, if anything."""
     findings = _clipped(target, limits, config)
-    longest, allowed = (_longest_inner_run(recording, config.inner) for recording in (target, source))
+    longest, allowed = (_longest_inner_run(recording, config.near_rail) for recording in (target, source))
     if longest > max(config.stuck_factor * allowed, config.stuck_s * target.sample_rate_Hz):
         findings.append(Finding(reason("stuck", seconds=longest / target.sample_rate_Hz), Verdict.RETEST))
     windows, presses = len(target.window_rows), count_presses(target, config)
