@@ -150,7 +150,7 @@ class PairConfig:
         knots, pairs_per_knot: of the curve: so many at most, and so many pairs to each.
         pairs: used at most, spread over the recording: the cost of a fit does not grow with its length. A forecast
             reads twice as many windows, and half as many show what noise or f itself misreads.
-        fewest: fewer windows fix no map.
+        fewest: fewer windows fix no map; so few fix little more than gain and offset.
         stiffness: weight of the squared bend of f's answer along the curve, integrated over the unit's range (taken as
             1): a unit answers smoothly to load, while its curve into the source's output must follow every jump of the
             source's.
@@ -170,7 +170,7 @@ class PairConfig:
     knots: int = setting(24, PAIRS_CHOSEN)
     pairs_per_knot: int = setting(10)
     pairs: int = setting(4000)
-    fewest: int = setting(12)
+    fewest: int = setting(4)
     stiffness: float = setting(2e-5, PAIRS_CHOSEN)
     curve_stiffness: float = setting(7e-8, PAIRS_CHOSEN)
     tether: float = setting(1e-3)
