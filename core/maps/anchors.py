@@ -72,17 +72,18 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, kind: str) 
     little.
 
     Args:
-        kind: how its loads are known: `paired`, `stage` or anything else (`core/unit/knowledge.py`).
+        kind: how its loads are known: `paired`, `stage`, or empty for anything else (`core/unit/knowledge.py`).
     """
     config, output = problem.config.anchors, problem.source.unlabelled.output
     low, high = np.quantile(output, problem.config.crossing.robust_range)
-    rest, spread = float(low if problem.source.direction > 0 else high), config.gain_spread
-    firm = {"paired": config.firm_paired, "stage": config.firm_stage}.get(kind)
-    level = (config.level_spread if firm is None else config.firm_level) * float(high - low)
-    prior = np.array([spread if firm is None else firm, level])
+    rest = float(low if problem.source.direction > 0 else high)
+    spreads = {known: (gain, level) for known, gain, level in config.spread}
+    spread, (own, share) = spreads[""][0], spreads[kind]
+    level = share * float(high - low)
+    prior = np.array([own, level])
     mapped = unit_map.apply(resting(np.asarray(anchors.output, np.float64))).mean(axis=1)
     wanted, sigma = np.array([source_level(problem.source, load, config) for load in anchors.reference]).T
-    if firm is not None:
+    if kind:
         sigma = np.hypot(sigma, _model_error(problem))
     taken = 1.0 - wanted.size / max(float(np.sum(((wanted - mapped) / sigma) ** 2)), wanted.size)
     # In standard deviations of the prior, whose own residual is then the unknown itself. Pairs pressed with another

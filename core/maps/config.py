@@ -19,7 +19,7 @@ class CrossingConfig:
         threshold: smallest swing that counts, as a share of the robust range: noise and ripple make no turning points.
         averages: lengths of the moving mean that are tried, shortest first, in samples.
         press_share: the median swing of presses spans at least this share of the robust range.
-        robust_range: quantiles between the level at rest and the level of the hardest presses.
+        robust_range: quantiles that stand for the level at rest and the level of the hardest presses.
     """
 
     threshold: float = setting(0.1)
@@ -76,8 +76,8 @@ class SynchronyConfig:
         min_detail, min_sigma: a lag is believed where the fine structure correlates at least so well, and so many
             standard deviations better than at all other lags.
         same_curve: outputs under one load lie on one curve within this share of the source's range ...
-        settled_s: ... averaged over so long. Loads that part slowly are alike for a while: twice as much of the
-            opening's end is not used.
+        settled_s: ... averaged over so long: what is left is creep, drift or another load, neither noise nor timing.
+            Loads that part slowly are alike for a while: twice as much of the opening's end is not used.
         off_curve: or within so many times what the opening itself shows: lags and loops differ from unit to unit.
         least_swings: up and down three times alike is no chance; two slow rises are.
         swing: of an opening, as a share of the source's robust range.
@@ -207,11 +207,8 @@ class AnchorConfig:
     """A few known loads (`anchors.py`).
 
     Args:
-        gain_spread: how far the gain of a map that rests on distributions may be off before any anchor is seen (one
-            standard deviation).
-        level_spread: the same for its level at rest, as a share of the source's output range.
-        firm_paired, firm_stage: gain spread of a map from pairs in time, or by stage position.
-        firm_level: level spread of such a map.
+        spread: how far a map may be off before any anchor is seen, by how its loads are known: one standard deviation
+            of its gain, and of its level at rest as a share of the source's output range.
         load_error: of a known load, as a share of the source's range.
         near: samples of the source within this share of its range around a load show its output under it.
         least_near: so many of them at least.
@@ -225,11 +222,9 @@ class AnchorConfig:
             reach a tenth of the range beyond it, as `beyond` allows. The bend is taken at every other.
     """
 
-    gain_spread: float = setting(0.3)
-    level_spread: float = setting(0.1)
-    firm_paired: float = setting(0.02)
-    firm_stage: float = setting(0.05)
-    firm_level: float = setting(0.03)
+    spread: tuple[tuple[str, float, float], ...] = setting(
+        (("paired", 0.02, 0.03), ("stage", 0.05, 0.03), ("", 0.3, 0.1))
+    )
     load_error: float = setting(0.003)
     near: float = setting(0.05)
     least_near: int = setting(30)

@@ -18,7 +18,7 @@ def with_audit(
 ) -> Calibration:
     """Return the calibration with what an audit says beside the error; `recording` is the one it was made from."""
     estimates = estimate(network, calibration, audit.unlabelled)
-    half, rest = estimates.upper - estimates.estimate, (calibration.method or Method()).forecast.rest_level
+    half, rest = estimates.upper - estimates.estimate, (calibration.method or Method()).map.crossing.robust_range[0]
     reading = read_audit(estimates.estimate, half, audit, recording, rest)
     return replace(
         calibration,

@@ -191,7 +191,7 @@ def gather_evidence(
         unbent = _mapped(straight, target, rows)
         seen_load = by_others[id(straight)] if id(straight) in by_others else network.evaluate(unbent)
         seen_shape = interval.support.shape(unbent)
-    rest, span = _rest_level(estimate, config), interval.high - interval.low
+    rest, span = _rest_level(model, estimate), interval.high - interval.low
     load_rms = rms(estimate - rest)
     overlap, speed = _use_overlap(known, seen_shape), _fast(shape, config) / known.fast
     sharpness = _sharpness(shape, config)
@@ -279,7 +279,7 @@ def _known_use(model: SourceModel) -> _KnownUse:
     return _KnownUse(
         loads=np.quantile(estimate, _load_shares(config)),
         rest_spread=_spread_at_rest(model, estimate, shape),
-        rms_load=rms_load(estimate, config),
+        rms_load=rms_load(model, estimate),
         fast=_fast(shape, config),
         sharpness=_sharpness(shape, config),
         levels=levels,
@@ -300,10 +300,9 @@ def _spread(estimate: Array, others: Sequence[Array]) -> Array:
 
 def rest_rows(model: SourceModel, estimate: Array, shape: WindowShape) -> Mask:
     """Mark the windows at rest: output still, load among the unit's own lowest."""
-    config = model.method.forecast
-    low = _rest_level(estimate, config)
+    band = model.method.forecast.rest_band * (model.interval.high - model.interval.low)
     still = model.interval.direction(shape) == 1
-    return np.asarray(still & (estimate < low + config.rest_band * (model.interval.high - model.interval.low)))
+    return np.asarray(still & (estimate < _rest_level(model, estimate) + band))
 
 
 def _spread_at_rest(model: SourceModel, estimate: Array, shape: WindowShape) -> float:
@@ -319,13 +318,13 @@ def _resolution(model: SourceModel, target: OutputRecording, gain: float) -> flo
     return model.interval.sensitivity * float(np.sqrt(excess / 12))
 
 
-def rms_load(estimate: Array, config: ForecastConfig) -> float:
+def rms_load(model: SourceModel, estimate: Array) -> float:
     """Return the RMS load above rest: the sensitivity to a gain error."""
-    return rms(estimate - _rest_level(estimate, config))
+    return rms(estimate - _rest_level(model, estimate))
 
 
-def _rest_level(estimate: Array, config: ForecastConfig) -> float:
-    return float(np.quantile(estimate, config.rest_level))
+def _rest_level(model: SourceModel, estimate: Array) -> float:
+    return float(np.quantile(estimate, model.method.map.crossing.robust_range[0]))
 
 
 def _stage_terms(
@@ -343,9 +342,9 @@ def _stage_terms(
     difference = unit_difference(model.source, target, estimate, model.method)
     if difference is None:
         return {}
-    excess, config = difference.beyond(model.stage_floor), model.method.forecast
-    ratio = _known_use(model).rms_load / max(rms_load(estimate, config), 1e-12)
-    growth = float(np.clip(ratio, 1.0, config.most_growth))
+    excess = difference.beyond(model.stage_floor)
+    ratio = _known_use(model).rms_load / max(rms_load(model, estimate), 1e-12)
+    growth = float(np.clip(ratio, 1.0, model.method.forecast.most_growth))
     return {"stage": growth * excess.rms, "slow": growth * excess.slow_rms}
 
 

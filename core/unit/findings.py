@@ -129,8 +129,8 @@ def _other_use(evidence: MapEvidence, config: FindingConfig) -> Finding | None:
     is_alike = 1 / config.speed_factor <= evidence.speed <= config.speed_factor
     if not best or (evidence.overlap >= config.enough_overlap and is_alike):
         return None
-    furthest = config.meaningless_speed
-    if evidence.overlap >= config.meaningless_overlap and 1 / furthest <= evidence.speed <= furthest:
+    furthest = config.speed_factor**2
+    if evidence.overlap >= config.enough_overlap**2 and 1 / furthest <= evidence.speed <= furthest:
         # The forecast has terms for a mix that differs: it is wider for it, and still says something.
         best = min(Verdict(best), Verdict.CONDITIONAL, key=lambda verdict: verdict.severity)
     return Finding(reason("wrong_programme", share=evidence.overlap, speed=evidence.speed), Verdict(best))

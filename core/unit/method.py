@@ -46,18 +46,6 @@ class SourceConfig:
 
 
 @dataclass(frozen=True)
-class StageCheckConfig:
-    """A unit beside the source's load cell at equal stage position (`source_model.py`).
-
-    Args:
-        slow_s: differences that survive a mean over this long are creep, drift or a wrong curve, neither noise nor
-            timing. The source is compared with itself at least twice as long before and after.
-    """
-
-    slow_s: float = setting(1.0)
-
-
-@dataclass(frozen=True)
 class HealthConfig:
     """What the output of a unit alone tells (`health.py`).
 
@@ -104,8 +92,7 @@ class ForecastConfig:
         most_growth: no more than this is made of what a lightly pressed unit would misread under the source's loads.
         parts: shares of the recording left out in turn while the chosen family is fitted again.
         stretches: per left-out share.
-        rest_level: quantile of the estimates, and of an output, that stands for the lowest load.
-        rest_band: windows within this share of the source's range above it are at rest.
+        rest_band: windows within this share of the source's range above the level at rest are at rest.
         clipped_part: a clipped load is anywhere in this part of the range: the upper third.
         smooth: load levels over which the disagreement of maps is averaged.
         cell_prior: so many windows of even disagreement are added to each cell of its table.
@@ -119,7 +106,6 @@ class ForecastConfig:
     most_growth: float = setting(3.0)
     parts: int = setting(3)
     stretches: int = setting(4)
-    rest_level: float = setting(0.02)
     rest_band: float = setting(0.1)
     clipped_part: int = setting(3)
     smooth: int = setting(9)
@@ -164,8 +150,8 @@ class FindingConfig:
 
     Args:
         unfamiliar_share, failing_share: of the mapped windows outside the source's support: a finding, a failure.
-        enough_overlap, speed_factor: of the unit's loads and speeds with the source's.
-        meaningless_overlap, meaningless_speed: beyond these no forecast rests on them; nearer it is only wider.
+        enough_overlap, speed_factor: of the unit's loads and speeds with the source's. Beyond their squares no forecast
+            rests on them; nearer it is only wider.
         stretch: units of one kind do not differ by this factor in what they answer; loads can. An audit whose gain
             differs so from the others' is doubtful.
         blind_stretch: where nothing but the output's distribution speaks for the loads, a factor of this is as likely
@@ -189,8 +175,6 @@ class FindingConfig:
     failing_share: float = setting(0.3)
     enough_overlap: float = setting(0.6)
     speed_factor: float = setting(1.7)
-    meaningless_overlap: float = setting(0.35)
-    meaningless_speed: float = setting(3.0)
     stretch: float = setting(3.0, "taxels of the insole differ by 2.7 at most; units pressed below half: 4 and more")
     blind_stretch: float = setting(2.0, f"{SET}: half of the source's range")
     overlap_gain: float = setting(0.14, "benchmarks/verdict.py on seeds 1000-1040 (simulated lots)")
@@ -283,7 +267,7 @@ class Method(NumberedMethod):
         version: raised when the code computes otherwise from the same numbers.
         taps, levels, confidence: of windows and intervals.
         range_margin: an estimate further than this share of the source's range beyond it is out of range.
-        map, source, stage_check, health, forecast, knowledge, line, bridge, findings, decision, release: a
+        map, source, health, forecast, knowledge, line, bridge, findings, decision, release: a
             section a module.
     """
 
@@ -294,7 +278,6 @@ class Method(NumberedMethod):
     range_margin: float = setting(0.05)
     map: MapConfig = field(default_factory=MapConfig)
     source: SourceConfig = field(default_factory=SourceConfig)
-    stage_check: StageCheckConfig = field(default_factory=StageCheckConfig)
     health: HealthConfig = field(default_factory=HealthConfig)
     forecast: ForecastConfig = field(default_factory=ForecastConfig)
     knowledge: KnowledgeTable = field(default_factory=KnowledgeTable)

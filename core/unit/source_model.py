@@ -19,7 +19,7 @@ from softcal.core.unit.uncertainty import DIRECTIONS, Interval, Support, WindowS
 @dataclass(frozen=True)
 class StageDifference:
     """RMS of estimates less the source's reference at equal stage histories, and of its means over a second or so
-    (`StageCheckConfig.slow_s`), in the reference unit.
+    (`SynchronyConfig.settled_s`), in the reference unit.
     """
 
     rms: float
@@ -194,12 +194,12 @@ def unit_difference(
     except UnitRefused:
         return None
     difference = estimate[target_rows] - source.window_reference[source_rows]
-    return _summed_up(difference, target.t_s[target.window_rows[target_rows]], method.stage_check.slow_s)
+    return _summed_up(difference, target.t_s[target.window_rows[target_rows]], method.map.synchrony.settled_s)
 
 
 def source_difference(source: LabelledRecording, estimate: Array, method: Method) -> StageDifference | None:
     """Compare (n,) estimates of the source with itself at other times: what is left is no fault of a unit."""
-    recording, slow_s = source.unlabelled, method.stage_check.slow_s
+    recording, slow_s = source.unlabelled, method.map.synchrony.settled_s
     if recording.stage_mm is None or np.ptp(recording.stage_mm) == 0:
         return None
     # Most lots have no stage: they need not load it.
