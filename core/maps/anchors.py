@@ -84,7 +84,10 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, kind: str) 
     mapped = unit_map.apply(resting(np.asarray(anchors.output, np.float64))).mean(axis=1)
     wanted, sigma = np.array([source_level(problem.source, load, config) for load in anchors.reference]).T
     if kind:
-        sigma = np.hypot(sigma, _model_error(problem))
+        # The error of f on its source, carried to the source's output.
+        rows = np.linspace(0, len(problem.source.windows) - 1, problem.config.pairs.pairs // 2).astype(np.int64)
+        read = problem.network.evaluate(problem.source.windows[rows])
+        sigma = np.hypot(sigma, rmse(read, problem.source.window_reference[rows]) * _mean_slope(problem.source))
     taken = 1.0 - wanted.size / max(float(np.sum(((wanted - mapped) / sigma) ** 2)), wanted.size)
     # In standard deviations of the prior, whose own residual is then the unknown itself. Pairs pressed with another
     # load than the source's know the gain no better than the output alone does.
@@ -100,14 +103,6 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, kind: str) 
     covariance = now @ np.linalg.inv(normal) @ now.T * max(misfit, 1.0) ** 2
     error = np.sqrt(taken * np.diag(covariance) + (1.0 - taken) * prior**2)
     return Anchoring(AnchoredMap(unit_map, gain, offset), float(error[0]), float(error[1]), misfit)
-
-
-def _model_error(problem: FitProblem) -> float:
-    """Return the error of f on its source, carried to the source's output."""
-    source = problem.source
-    rows = np.linspace(0, len(source.windows) - 1, problem.config.pairs.pairs // 2).astype(np.int64)
-    error = rmse(problem.network.evaluate(source.windows[rows]), source.window_reference[rows])
-    return error * _mean_slope(source)
 
 
 def _mean_slope(source: LabelledRecording) -> float:

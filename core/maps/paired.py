@@ -103,30 +103,27 @@ def fit_phase(problem: FitProblem) -> PairedMap:
 def fit_pairs(problem: FitProblem, source_rows: Indices, target_rows: Indices, family: str) -> PairedMap:
     """Fit a map to pairs of windows under equal load, in time order.
 
-    A dynamic part is kept only where it lowers the error on held-out blocks.
+    The number of window polynomials is chosen by blocked cross-validation: a dynamic part is kept only where it lowers
+    the error on held-out blocks.
     """
-    rows = evenly(len(target_rows), problem.config.pairs.pairs)
-    fitted = _fit(_Pairs(problem, source_rows[rows], target_rows[rows], family))
+    config = problem.config.pairs
+    rows = evenly(len(target_rows), config.pairs)
+    pairs = _Pairs(problem, source_rows[rows], target_rows[rows], family)
+    everything, shapes = np.arange(pairs.count), 0
+    if pairs.count >= config.blocks * TAPS:
+        # Whole blocks of time are held out: neighbouring windows share samples, so single rows would be no test.
+        is_held = everything * config.blocks // pairs.count % config.every == 1
+        held, known = everything[is_held], everything[~is_held]
+        least = pairs.error(pairs.fit(known, 0), held)
+        for more, needed in config.shapes:
+            error = pairs.error(pairs.fit(known, more), held)
+            if error < needed * least:
+                shapes, least = more, error
+    fitted = pairs.fit(everything, shapes)
     span = robust_range(problem.source.unlabelled.output, problem.config.crossing)
     if isinstance(fitted, DynamicMap):
         return DynamicMap(continued(fitted.curve, span, problem.config.curve), fitted.mix, family)
     return continued(fitted, span, problem.config.curve)
-
-
-def _fit(pairs: "_Pairs") -> PairedMap:
-    """Choose the number of window polynomials by blocked cross-validation, then fit to all pairs."""
-    everything, config = np.arange(pairs.count), pairs.config
-    if pairs.count < config.blocks * TAPS:
-        return pairs.fit(everything, 0)
-    # Whole blocks of time are held out: neighbouring windows share samples, so single rows would be no test.
-    block = everything * config.blocks // pairs.count
-    held, fitted = np.flatnonzero(block % config.every == 1), np.flatnonzero(block % config.every != 1)
-    shapes, least = 0, pairs.error(pairs.fit(fitted, 0), held)
-    for more, needed in config.shapes:
-        error = pairs.error(pairs.fit(fitted, more), held)
-        if error < needed * least:
-            shapes, least = more, error
-    return pairs.fit(everything, shapes)
 
 
 class _Pairs:

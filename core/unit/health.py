@@ -146,7 +146,16 @@ def health_findings(
     target: OutputRecording, source: OutputRecording, limits: OutputLimits, config: HealthConfig
 ) -> tuple[Finding, ...]:
     """Say in words what is wrong with the raw output, if anything."""
-    findings = _clipped(target, limits, config)
+    findings, unit = [], target.output_unit
+    if share := clipped_share(target.output, limits):
+        rails = [level for level in (limits.rail_low, limits.rail_high) if np.isfinite(level)]
+        level = (
+            reason("part.level", level=rails[0], unit=unit)
+            if len(rails) == 1
+            else reason("part.levels", low=rails[0], high=rails[1], unit=unit)
+        )
+        best = Verdict.FAIL if share > config.failing_share else Verdict.CONDITIONAL
+        findings.append(Finding(reason("saturated", level=level, share=share), best))
     longest, allowed = (_longest_inner_run(recording, config.near_rail) for recording in (target, source))
     if longest > max(config.stuck_factor * allowed, config.stuck_s * target.sample_rate_Hz):
         findings.append(Finding(reason("stuck", seconds=longest / target.sample_rate_Hz), Verdict.RETEST))
@@ -158,20 +167,6 @@ def health_findings(
         too_little = reason("too_little_data", **seen, enough_windows=config.few_windows, enough_presses=enough)
         findings.append(Finding(too_little))
     return tuple(findings)
-
-
-def _clipped(target: OutputRecording, limits: OutputLimits, config: HealthConfig) -> list[Finding]:
-    share = clipped_share(target.output, limits)
-    if share == 0:
-        return []
-    rails, unit = [level for level in (limits.rail_low, limits.rail_high) if np.isfinite(level)], target.output_unit
-    level = (
-        reason("part.level", level=rails[0], unit=unit)
-        if len(rails) == 1
-        else reason("part.levels", low=rails[0], high=rails[1], unit=unit)
-    )
-    best = Verdict.FAIL if share > config.failing_share else Verdict.CONDITIONAL
-    return [Finding(reason("saturated", level=level, share=share), best)]
 
 
 @lru_cache(maxsize=KEPT)

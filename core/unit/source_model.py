@@ -100,7 +100,9 @@ def source_residuals(
         np.zeros((len(DIRECTIONS), LEVELS)),
         float(reference.min()),
         float(reference.max()),
-        slope_limit=_slope_limit(shape, reference, config),
+        # On a sensor that falls under load a falling output is loading.
+        slope_limit=(1.0 if np.corrcoef(shape.level, reference)[0, 1] >= 0 else -1.0)
+        * max(config.slope_share * float(np.quantile(np.abs(shape.slope), config.slope_quantile)), 1e-9),
         sensitivity=_sensitivity(network, windows),
         familiar_distance=float(support.step.max()),
     )
@@ -143,12 +145,6 @@ def conformal_quantile(scores: Array) -> float:
     """Return the ceil((n + 1) 0.9)-th smallest of n scores (Lei et al. 2018, algorithm 2); the largest where n < 9."""
     rank = min(int(np.ceil((len(scores) + 1) * CONFIDENCE)), len(scores))
     return float(np.sort(scores)[rank - 1])
-
-
-def _slope_limit(shape: WindowShape, reference: Array, config: SourceConfig) -> float:
-    # On a sensor that falls under load a falling output is loading.
-    sign = 1.0 if np.corrcoef(shape.level, reference)[0, 1] >= 0 else -1.0
-    return sign * max(config.slope_share * float(np.quantile(np.abs(shape.slope), config.slope_quantile)), 1e-9)
 
 
 def _sensitivity(network: Network, windows: Array) -> float:
