@@ -146,7 +146,6 @@ class ProgressLine:
         self._before = self._done = done
 
     def step(self, note: str = "", count: int = 1) -> None:
-        """Count finished items and show where the work stands."""
         self.reach(self._done + count, note)
 
     def reach(self, done: int, note: str = "") -> None:

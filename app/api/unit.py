@@ -228,7 +228,6 @@ class Unit:
 
     @contextmanager
     def _registry(self, folder: Path) -> "Iterator[Registry]":
-        """Give a registry in a folder that holds this unit alone."""
         source, record = self.source, self.calibration.to_record("", self.recording.sha256)
         if source.serial == self.serial:
             source = replace(source, unlabelled=replace(source.unlabelled, serial=f"source-of-{self.serial}"))

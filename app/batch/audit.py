@@ -32,7 +32,6 @@ class LotAudit:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Units of the plan that were not measured yet."""
         return tuple(serial for serial in self.plan.serials if serial not in self.measured)
 
     @property

@@ -82,7 +82,6 @@ class AuditReader:
         self._golden: dict[tuple[str, str], float] = {}
 
     def evidence(self, lot_id: str, method_id: str, now: datetime) -> AuditEvidence:
-        """Return what is known about a lot from audits."""
         registry, lot = self._registry, self._registry.lots.get(lot_id)
         audited = self._audited(lot)
         readings = {serial: self._reading(lot_id, made) for serial, (_, _, made) in audited.items()}

@@ -70,7 +70,6 @@ class LotFacts:
 
     @property
     def source(self) -> SourceModel:
-        """The lot's own source."""
         return self.sources[0]
 
     def problems(self, recording: OutputRecording, known: UnitInputs) -> list[UnitProblem]:

@@ -109,7 +109,6 @@ class KeptFacts:
 
     @property
     def golden_runs(self) -> list[str]:
-        """Hashes of the golden runs that recordings of these units belong to."""
         return [sha256 for of in self.golden.values() for sha256 in of.values()]
 
     def of(self, serial: str, anchors: Anchors | None = None) -> UnitInputs:

@@ -176,7 +176,6 @@ class LotWork:
         self._ended.add(serial)
 
     def told(self, serials: Sequence[str]) -> dict[str, UnitResult]:
-        """Return where units stand in the registry now."""
         standings, results = self._registry.pages.standings(self._lot_id, serials), {}
         for serial in serials:
             if standing := standings.get(serial):
@@ -217,7 +216,6 @@ class LotWork:
         return FileContent(path, read_regular(path, folder.root)), audit
 
     def _work_sha256(self, serial: str, recording: FileContent, audit: FileContent | None) -> str:
-        """Return the hash of all that the unit's result depends on, without parsing a file."""
         anchors, kept = self._config.anchors.get(serial), self._known
         loads: object = None if anchors is None else [anchors.output.tolist(), anchors.reference.tolist()]
         if anchors is None and serial in kept.loads:
@@ -287,7 +285,6 @@ class LotWork:
         return list(results.values())
 
     def _register(self, unit: UnitOutcome) -> None:
-        """Keep the result of a unit; one that cannot be stored is a refusal."""
         registry, result, work = self._registry, unit.result, self._works.get(unit.serial)
         self._ended.add(unit.serial)
         try:

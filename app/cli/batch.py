@@ -118,7 +118,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _write_files(registry: "Registry", report: "BatchReport", out: Path) -> None:
-    """Write the files of released units, and take back what an earlier verdict left there."""
     from softcal.app.export.calibrated_unit import ExportOptions
     from softcal.app.export.export import export_units
     from softcal.app.export.manifest import withdraw_units

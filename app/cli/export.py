@@ -163,7 +163,6 @@ def _export(options: argparse.Namespace) -> tuple[list[dict[str, object]], int]:
 
 
 def _say_cost(devices: Sequence[Mapping[str, object]]) -> None:
-    """Print what the dearest unit needs on a small device."""
     if not devices:
         return
     dearest = max(devices, key=lambda facts: float(str(facts["cortex_m0_ms"])))

@@ -193,7 +193,7 @@ def _effects(options: argparse.Namespace) -> None:
     names = ("name", "unit", "low", "high", "usual")
     records, rows = [], []
     for effect in EFFECTS.values():
-        signs = {name: list(getattr(effect.signs, name)) for name in ("needs", "hides_behind", "shown_by")}
+        needs, hides, shown = effect.signs.needs, effect.signs.hides_behind, effect.signs.shown_by
         records.append(
             {
                 "effect": effect.id,
@@ -201,12 +201,15 @@ def _effects(options: argparse.Namespace) -> None:
                 "equation": effect.equation,
                 "source": effect.source,
                 "parameters": [{name: getattr(p, name) for name in names} for p in effect.parameters],
-                **signs,
+                "needs": list(needs),
+                "hides_behind": list(hides),
+                "shown_by": list(shown),
                 "forms": [form.effect.equation for form in effect.forms],
                 "is_plugin": effect.id not in OWN_EFFECTS,
             }
         )
-        rows.append([effect.id, effect.stage, effect.equation, *(", ".join(each) or None for each in signs.values())])
+        signs = [", ".join(each) or None for each in (needs, hides, shown)]
+        rows.append([effect.id, effect.stage, effect.equation, *signs])
     if answer(options, "gap.effects/1", {"effects": records}):
         print_table(["effect", "stage", "equation", "needs", "hides behind", "shown by"], rows)
 
@@ -251,7 +254,6 @@ def _apply_parameters(options: argparse.Namespace, report: Mapping[str, object],
 
 
 def _contents(twin: "Twin") -> str:
-    """Return what a twin holds beside its base, in words."""
     held = [s.effect_id + (f" ({s.form})" if s.form else "") for s in twin.effects]
     held += [f"empirical {term.formula}" for term in twin.empirical]
     return ", ".join(held) or "no effect, the refitted base alone"

@@ -96,7 +96,6 @@ def _make_station(options: argparse.Namespace) -> None:
 
 
 def _device(section: str, role: "Role") -> dict[str, Any]:
-    """Ask for one device; nothing where the station has no load cell."""
     from softcal.station.devices.catalogue import driver_of, offers
 
     none = [NO_CELL] if role == "cell" else []

@@ -57,7 +57,6 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _outcome(options: argparse.Namespace) -> tuple[int, str]:
-    """Run the command; return its exit code, and what is to be said where it did not end well."""
     try:
         csv = getattr(options, "csv", None)
         with answering(getattr(options, "json", None), None if csv is None else str(csv)):

@@ -1,7 +1,6 @@
 """`softcal quality`: gauge studies, capability, yields and golden units."""
 
 import argparse
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from softcal.app.cli.options import COUNT, actions_of, add_shared, answer, registry_of
@@ -66,7 +65,9 @@ def _grr(options: argparse.Namespace) -> None:
         header.append("% of tolerance")
         rows = [[*row, 600 * spread / options.tolerance] for row, (_, spread) in zip(rows, parts, strict=True)]
     closing = f"{study.word}: {study.grr_percent:.1f} % gauge R&R, {study.categories} distinct categories, 5 are wanted"
-    _show(options, "grr", value, header, rows, closing)
+    answer(options, "quality.grr/1", value)
+    print_table(header, rows)
+    print(closing)
 
 
 def _capability(options: argparse.Namespace) -> None:
@@ -88,7 +89,9 @@ def _capability(options: argparse.Namespace) -> None:
     value = {"capability": asdict(process), "chart": chart_json(chart)}
     row = [process.count, process.cp, process.cpk, process.cpk_lower, process.cpk_upper, process.pp, process.ppk]
     header = ["values", "Cp", "Cpk", "lower 95 %", "upper 95 %", "Pp", "Ppk"]
-    _show(options, "capability", value, header, [row], "the process is stable")
+    answer(options, "quality.capability/1", value)
+    print_table(header, [row])
+    print("the process is stable")
 
 
 def _yield(options: argparse.Namespace) -> None:
@@ -100,7 +103,10 @@ def _yield(options: argparse.Namespace) -> None:
     rows = [[name.replace("_", " "), s.count, s.of, s.value, *s.interval] for name, s in named_shares(yields)]
     reasons = "; ".join(f"{count} x {reason}" for reason, count in yields.reasons[:5])
     header = ["yield", "good", "of", "share", "lower 95 %", "upper 95 %"]
-    _show(options, "yield", value, header, rows, f"not good: {reasons}" if reasons else "")
+    answer(options, "quality.yield/1", value)
+    print_table(header, rows)
+    if reasons:
+        print(f"not good: {reasons}")
 
 
 def _golden(options: argparse.Namespace) -> None:
@@ -116,18 +122,5 @@ def _golden(options: argparse.Namespace) -> None:
         state = f"check {newest.index + 1}: {newest.text}" if newest else "in control"
         limits = (chart.centre, chart.lower, chart.upper)
         rows.append([*key, len(chart.values), *limits, float(chart.values[-1]), state])
-    _show(options, "golden", {"charts": records}, header, rows, "")
-
-
-def _show(
-    options: argparse.Namespace,
-    study: str,
-    value: Mapping[str, object],
-    header: Sequence[str],
-    rows: Sequence[Sequence[object]],
-    closing: str,
-) -> None:
-    answer(options, f"quality.{study}/1", value)
+    answer(options, "quality.golden/1", {"charts": records})
     print_table(header, rows)
-    if closing:
-        print(closing)

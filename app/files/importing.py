@@ -39,7 +39,6 @@ class Columns:
 
     @property
     def is_wide(self) -> bool:
-        """Whether one table holds a column per unit."""
         return any(c in self.output for c in "*?[")
 
     def asks_for(self, name: str) -> bool:
@@ -212,7 +211,6 @@ def _read(plan: ImportPlan) -> Iterator[tuple[Path, str, "ImportedUnit | InputEr
 def _checked(
     plan: ImportPlan, table: "pd.DataFrame", path: Path, output: str, serial: str, taken: set[str]
 ) -> ImportedUnit:
-    """Read one unit whose serial is not among those that were taken before."""
     with naming(path):
         check_serial(serial)
         if serial in taken:

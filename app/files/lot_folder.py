@@ -79,7 +79,6 @@ class LotFolder:
         return {} if self.anchors_path is None else read_anchors(self.anchors_path, self.unit_paths)
 
     def read_source(self) -> LabelledRecording:
-        """Read the source unit's labelled recording."""
         return self._labelled(self.source_path, self.lot.source)
 
     def read_more_sources(self) -> list[LabelledRecording]:
@@ -93,7 +92,6 @@ class LotFolder:
         return read_recording(path, serial, self.lot.sample_rate_Hz, self.lot.output_unit, content)
 
     def read_audit(self, serial: str) -> LabelledRecording | None:
-        """Read a unit's audit recording, or None where it has none."""
         path = self.audit_paths.get(serial)
         return None if path is None else self._labelled(path, serial)
 

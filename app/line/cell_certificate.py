@@ -39,7 +39,6 @@ def certificate_from(given: Mapping[str, Any], dcc: Path | None) -> CellCertific
 
 
 def _facts(document: bytes, path: Path | None) -> Iterator[tuple[str, Any]]:
-    """Yield what a DCC states of the certificate: name and value, where it says anything."""
     try:
         root = ET.fromstring(document)
     except ET.ParseError as error:

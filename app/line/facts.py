@@ -83,7 +83,6 @@ class Place:
         return replace(self, after_run=newest_run, serial="", is_golden=False, is_new=False, is_confirmed=False)
 
     def is_badge_over(self, now: datetime) -> bool:
-        """Whether the badge was scanned longer than a shift ago."""
         return self.badged_at is not None and now - self.badged_at > BADGE_HOLDS
 
 
@@ -228,7 +227,6 @@ class LineFacts:
 
     @property
     def load(self) -> KnownLoad | None:
-        """The known load that is read next; None where none is."""
         if not self.load_step or self.newest is None:
             return None
         return asked_loads(self.newest[1].message)[self.load_step - 1]
@@ -239,7 +237,6 @@ class LineFacts:
 
     @property
     def may_press(self) -> bool:
-        """Whether the station takes a run of the unit that waits now."""
         beat = self.heartbeat
         is_closed = beat is None or beat.state in (StationState.CLOSED, StationState.STARTING)
         is_open_to_golden = beat is not None and beat.state is StationState.CLOSED and self.is_golden

@@ -192,7 +192,6 @@ class StationHost:
                 self._active, self._newest = "", None
 
     def _defect(self, order: Order, error: Exception) -> Progress:
-        """Write a defect into the log, for support, and return how its order ends."""
         self._log("defect", {"order": order.order_id, "error": repr(error), "exc_info": error})
         message = reason("run.defect", kind=type(error).__name__)
         return Progress(order.order_id, RunState.ERROR, "", 1.0, code="E-INTERNAL", message=(message,))
@@ -231,7 +230,6 @@ class StationHost:
             pass  # Said again at every turn: until then the order occupies its station.
 
     def _say_ends(self) -> None:
-        """Write how orders ended."""
         with self._at_desk:
             # From here on a new order may come: it is not for the desk.
             self._active, self._newest = "", None
@@ -275,7 +273,6 @@ class StationHost:
                 return
 
     def _listen(self) -> None:
-        """Take what a person says during a run."""
         order = self._queue.take(self._station)
         if order is None:
             return

@@ -137,7 +137,6 @@ def _badged(operator: str) -> str:
 
 
 def _unit(registry: Registry, facts: LineFacts, scan: Scan) -> Place | Note:
-    """Return the place with the scanned unit in the hand, or why it was not taken."""
     emptied = facts.place.emptied(facts.newest_run)
     if scan.kind == "unreadable":
         return Note("unreadable", {"text": scan.value[:40]})

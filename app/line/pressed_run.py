@@ -132,7 +132,6 @@ class RunKeeper:
         return replace(done, message=reasons, recording_sha256=sha256, verdict=word)
 
     def _keep_reading(self, order: Order, reading: RestReading, tell: Tell, done: Progress) -> Progress:
-        """Take one load; with the last one the unit is judged."""
         entry = released_network(self._registry, order.lot_id)
         source = self._source_model(entry.id).source if entry else None
         said = self._loads.take(order, reading.output[:, 0], source, self._method.map.anchors)
