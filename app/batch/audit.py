@@ -19,9 +19,9 @@ ACCEPTED = (Verdict.PASS, Verdict.CONDITIONAL)
 
 @dataclass(frozen=True, eq=False)
 class LotAudit:
-    """Where the audit of a lot stands: forecast RMSE by serial when the plan was drawn, RMSE
-    against the load cell of its units measured since, and what they say about the lot once all
-    were.
+    """Where the audit of a lot stands: forecast RMSE by serial when the plan was drawn, and RMSE
+    against the load cell since. The statement says what they tell of the lot once all were
+    measured.
     """
 
     plan: AuditPlan
@@ -47,11 +47,11 @@ class LotAudit:
 def draw_plan(
     registry: Registry, lot_id: str, config: AuditConfig, *, reason: str = "", actor: str | None = None
 ) -> LotAudit:
-    """Draw which accepted units of a lot to check, and write it down before anything is measured.
+    """Draw which accepted units of a lot to check, and write it down before anything is measured. A
+    random sample that one may repeat until it pleases says nothing.
 
     Raises:
-        InputError: no unit was accepted yet, or a plan stands and no reason was given: a random
-            sample that one may repeat until it pleases says nothing.
+        InputError: no unit was accepted yet, or a plan stands and no reason was given.
     """
     if stated(registry, PLAN, (lot_id,)) is not None and not reason.strip():
         raise InputError(f"lot {lot_id!r} has an audit plan; a new draw needs a reason")

@@ -62,8 +62,8 @@ class AuditEvidence:
         return without(self.lines, made.serial, self.common).of(made.output_level)
 
     def day_rmse(self, load_rms: float | None) -> float:
-        """Return the error that another day adds to a unit with this RMS load, in the same unit:
-        what nine of ten days stay within, at the promise's confidence (ISO 16269-6).
+        """Return the error that another day adds to a unit with this RMS load, in the same unit.
+        Nine of ten days stay within it, at the promise's confidence (ISO 16269-6).
         """
         if self.days is None or load_rms is None:
             return 0.0

@@ -26,8 +26,8 @@ class AuditFile:
 def look_at_audits(
     lot: Lot, units: Collection[str], files: Sequence[Path], columns: Columns, sheet: str | None = None
 ) -> tuple[AuditFile, ...]:
-    """Read tables as audits of a lot's units, one per unit called by its serial, or wide ones with
-    a column per unit; say which would be refused and why.
+    """Read tables as audits of a lot's units, and say which would be refused and why. A table is of
+    one unit and called by its serial, or wide with a column per unit.
     """
     plan = ImportPlan(files, columns, lot, audit=True, sheet=sheet)
     looked = []

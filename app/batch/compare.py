@@ -19,7 +19,7 @@ Tell = Callable[[float, str], None]
 
 
 def compare_on_lot(registry: Registry, request: Mapping[str, Any], tell: Tell) -> list[dict[str, object]]:
-    """Map the same units with every network and family and return one row each; the request has
+    """Map the same units with every network and family and return one row each. The request has
     lot, networks (ids), families (or auto) and how many units at most.
 
     Raises:

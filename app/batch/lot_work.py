@@ -85,8 +85,9 @@ def _silent(*_: object) -> None:
 
 @dataclass(frozen=True)
 class Watch:
-    """Told as the batch goes on: how many units are done, by this batch and others, of how many;
-    how many others hold while there is nothing else to do. The defaults say nothing.
+    """Told as the batch goes on; the defaults say nothing. `on_done` has how many units are done,
+    by this batch and others, of how many. `on_wait` has how many others hold while there is nothing
+    else to do.
     """
 
     on_epoch: Callable[[EpochReport], None] = _silent

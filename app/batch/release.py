@@ -33,7 +33,7 @@ WHY = "decided on the audits of the lot"
 def judge_lot(
     registry: Registry, lot_id: str, actor: str | None = None, now: datetime | None = None
 ) -> LotRelease | None:
-    """Judge every unit by the limit in force and by the audits, and keep what changed; None where
+    """Judge every unit by the limit in force and by the audits, and keep what changed. None where
     the lot has no unit with a forecast yet.
     """
     # Units judged against another limit come first; one that has to be fitted for it stays stale.

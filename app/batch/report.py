@@ -15,8 +15,8 @@ UNIT_ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse", "fit_s
 
 @dataclass(frozen=True)
 class UnitResult:
-    """One row of the report: reasons most important first, no `made` where it could not be read or
-    mapped, and whether this batch fitted it or the registry had it.
+    """One row of the report, reasons most important first. A unit that could not be read or mapped
+    has no `made`. `is_new`: this batch fitted it, else the registry had it.
     """
 
     serial: str

@@ -38,7 +38,7 @@ def train_or_find(
     actor: str | None = None,
     on_epoch: Callable[[EpochReport], None] | None = None,
 ) -> TrainedOrFound:
-    """Return the network of this source and configuration, trained where there is none; where
+    """Return the network of this source and configuration, trained where there is none. Where
     another process trains the same just now, its network is waited for.
     """
     registry.lots.add(lot, actor=actor)

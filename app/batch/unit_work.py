@@ -23,9 +23,8 @@ class FileContent:
 
 @dataclass(frozen=True, eq=False)
 class UnitTask:
-    """One unit on its way to a worker: its file, or why it could not be read; that of its audit,
-    which outranks the one among `facts`; input hashes of the calibrations it has, which are not
-    computed again.
+    """One unit on its way to a worker: its file, or the problem with it. A file of its audit
+    outranks the audit among `facts`. Calibrations of `known` inputs are not computed again.
     """
 
     item_id: int

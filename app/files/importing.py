@@ -113,7 +113,7 @@ def tables_of(path: Path) -> list[Path]:
 
 
 def import_lot(plan: ImportPlan, folder: Path, on_remark: Callable[[str], None] = lambda line: None) -> list[str]:
-    """Write a lot folder, whole or not at all, and return the serials of its target units;
+    """Write a lot folder, whole or not at all, and return the serials of its target units.
     `on_remark` is told what is odd but no error, such as one recording under two serials.
 
     Raises:
@@ -156,8 +156,8 @@ def import_lot(plan: ImportPlan, folder: Path, on_remark: Callable[[str], None] 
 
 @dataclass(frozen=True, eq=False)
 class LookedAt:
-    """What one table, or one column of it, would become: a unit as read, or why it would be
-    refused; no serial where the table as a whole cannot be read.
+    """What one table, or one column of it, would become: a unit as read, or why it is refused. It
+    has no serial where the table as a whole cannot be read.
     """
 
     file: str

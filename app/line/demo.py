@@ -91,8 +91,8 @@ def press_simulated_lot(
     times: PressTimes | None = None,
     on_run: Callable[[str], None] | None = None,
 ) -> RecordedLot:
-    """Press every unit of a simulated lot, the source first, on one simulated station over its
-    serial lines; the seed is of mounting, noise and profiles.
+    """Press every unit of a simulated lot, the source first, over the serial lines of one station.
+    The seed is of mounting, noise and profiles.
 
     Raises:
         DeviceError: the station failed.

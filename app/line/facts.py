@@ -132,8 +132,8 @@ class Screen:
 
 @dataclass(frozen=True)
 class LotAtLine:
-    """What a line needs to know of a lot: the released network, by which a unit gets its verdict,
-    and its units by verdict, `none` without.
+    """What a line needs to know of a lot. By the released network a unit gets its verdict; `counts`
+    has its units by verdict, `none` without.
     """
 
     lot: Lot

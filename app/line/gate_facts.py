@@ -38,8 +38,8 @@ SHIFT = timedelta(hours=8)
 
 @dataclass(frozen=True)
 class GateRules:
-    """How strict this line is: a golden unit must have been pressed within `shift`; a bench in
-    development may do without certificate and golden unit, a line may not.
+    """How strict this line is. A golden unit must have been pressed within `shift`. A bench in
+    development may do without certificate and golden unit; a line may not.
     """
 
     warm_up: timedelta = timedelta(minutes=15)

@@ -75,7 +75,7 @@ class HandFixture(Fixture):
 class StationHost:
     """One station and its registry, joined.
 
-    A thread of its own, the desk, writes heartbeat and progress and answers: a slow or absent
+    A thread of its own, the desk, writes heartbeat and progress and answers. A slow or absent
     registry never keeps the service from watching force and travel. Another one, the ear, only
     reads whether somebody said stop: a desk that waits for its turn to write does not keep a stop
     waiting.

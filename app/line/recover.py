@@ -79,8 +79,8 @@ def _recover(path: Path, out: Path) -> Recovered:
 
 
 def _aborted_columns(run: SpooledRun, end: str) -> list[tuple[str, Any]]:
-    """Return every channel at the times of the first one that spoke; the others are read between
-    two of their samples, and empty before and after all.
+    """Return every channel at the times of the first one that spoke. The others are read between
+    two of their samples, and are empty before and after all.
     """
     polls = [Sample(poll.host_s, None, (poll.position_mm,)) for poll in run.polls]
     leading = run.output or run.force or polls

@@ -74,7 +74,7 @@ def chosen_bench(
 
 
 def find_devices(ports: Sequence[str]) -> list[DeviceIdentity]:
-    """Return what answers at these ports, or at all USB serial ports where none is given; one that
+    """Return what answers at these ports, or at all USB serial ports where none is given. One that
     cannot be opened stands in the list with the reason.
 
     Raises:
@@ -182,7 +182,7 @@ def check_station(
     may_move: bool,
     choose: Choose | None = None,
 ) -> StationCheck:
-    """Find the devices (unless a station is given), open them all and run the self-test; a station
+    """Find the devices (unless a station is given), open them all and run the self-test. A station
     with a part that `choose` leaves open is not tested.
 
     Raises:
