@@ -55,14 +55,13 @@ def contradictions(
     A channel the wrong way round, or in another physical unit, also looks clipped or pressed by a wrong programme.
     `shared` is None where nobody compared them in time.
     """
-    config = method.findings
     if _is_reversed(source, target, limits, method, shared):
         return (Finding(reason("reversed"), Verdict.FAIL),)
     if shared is not None and not shared.is_synchronous and (times := _times_as_fast(source, target, method)) != 1:
         return (Finding(reason("other_speed", times=times), Verdict.RETEST),)
     (low, high), (least, most) = (_reach(recording.output, method.health.span) for recording in (target, source))
     apart = max(low - most, least - high)
-    # Ranges of good units overlap throughout, and their levels at rest differ by tens of per cent: half is no such unit.
+    # Ranges of good units overlap throughout, and their levels at rest differ by tens of per cent.
     if apart > 0.5 * max(high - low, most - least, abs(least + most) / 2):
         said = reason("elsewhere", low=low, high=high, least=least, most=most, unit=target.output_unit)
         return (Finding(said, Verdict.RETEST),)
