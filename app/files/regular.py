@@ -38,7 +38,9 @@ def read_regular(path: Path, folder: Path, most_bytes: int = MOST_BYTES) -> byte
             if before.st_size > most_bytes:
                 raise InputError(f"{path}: {before.st_size / 1e6:.0f} MB; at most {most_bytes / 1e6:.0f} MB are read")
             # One byte more than there was shows that it grew.
-            content = file.read(before.st_size + 1)
+            content, left = b"", before.st_size + 1
+            while left and (part := os.read(file.fileno(), left)):
+                content, left = content + part, left - len(part)
             after = os.fstat(file.fileno())
     except (OSError, RuntimeError) as error:
         raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
