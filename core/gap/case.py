@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from softcal.core.errors import InputError
 from softcal.core.gap.drive import DrivingForce, driving_force
+from softcal.core.gap.method import METHOD
 from softcal.core.recording import Array
 from softcal.core.twin.effects import ChainStage
 from softcal.core.twin.parameters import ReadoutMetadata
@@ -36,8 +37,6 @@ SHOWN_BY: dict[ChainStage, str] = {
 }
 """The channel without which nothing of a stage shows."""
 
-WARMED_K = 1.0
-"""Change of temperature from which a dummy resistor tells whether the electronics follow it."""
 
 SHORTEST = 30
 """Fewest samples of a run; five base parameters and a noise level are estimated from them."""
@@ -194,7 +193,7 @@ class Case:
     def has_warmed_dummy(self) -> bool:
         """Whether a dummy resistor was read while the logged temperature changed by 1 K or more."""
         logs = [run.temperature_C for run in self.runs if run.kind == "dummy_resistor"]
-        return any(log is not None and np.ptp(log) >= WARMED_K for log in logs)
+        return any(log is not None and np.ptp(log) >= METHOD.stranger.warmed_K for log in logs)
 
     @property
     def unseen_stages(self) -> tuple[ChainStage, ...]:

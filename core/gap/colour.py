@@ -12,6 +12,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from softcal.core.recording import Array
+from softcal.core.settings import setting
 from softcal.core.twin.signals import compiled
 
 COMMON_STEP_s = 0.02
@@ -77,11 +78,11 @@ class ColourConfig:
         gain: log likelihood that noise must gain by a fading part; two parameters more pay ln(n) ≈ 9 at 8,000 samples.
     """
 
-    shortest_s: float = 0.04
-    longest_s: float = 6.0
-    ratios: tuple[float, ...] = (0.3, 1.0, 3.0)
-    fading_s: tuple[float, ...] = (0.1, 0.4, 1.6)
-    gain: float = 12.0
+    shortest_s: float = setting(0.04)
+    longest_s: float = setting(6.0)
+    ratios: tuple[float, ...] = setting((0.3, 1.0, 3.0))
+    fading_s: tuple[float, ...] = setting((0.1, 0.4, 1.6))
+    gain: float = setting(12.0)
 
     def slower(self, times: float) -> "ColourConfig":
         """Return the same for a rig that is so many times slower than a common one."""

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from softcal.core.gap.case import Case
+from softcal.core.gap.method import METHOD
 from softcal.core.words.reason import Reason, in_words, reason
 
 Kind = Literal[
@@ -22,12 +23,6 @@ Kind = Literal[
     "out_of_range",
     "constant",
 ]
-
-FEWEST_RUNS = 3
-"""With two runs nobody can tell which one is wrong."""
-
-SAME_FACTOR = 1.1
-"""A ratio this near to a unit's factor, beyond what the other runs differ by, is that unit."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +71,7 @@ def unit_of(factor: float, units: Mapping[str, float], others: float = 0.0) -> s
     if factor <= 0.0:
         return ""
     near = min(units, key=lambda unit: abs(np.log(units[unit] / factor)))
-    return near if abs(np.log(units[near] / factor)) < np.log(SAME_FACTOR) + others else ""
+    return near if abs(np.log(units[near] / factor)) < np.log(METHOD.mistake.same_factor) + others else ""
 
 
 def of_unit(

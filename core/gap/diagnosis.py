@@ -151,7 +151,7 @@ def diagnose(
     say("looking for mistakes in the recordings")
     if spoilt := mistakes(case):
         return _stopped(unfitted(case), spoilt)
-    search = EffectSearch(case, say)
+    search = EffectSearch.of(case, say)
     runs_tell = told_by(search)
     for untold in reasons(runs_tell):
         say(str(untold))
@@ -159,7 +159,7 @@ def diagnose(
         return _stopped(search.base, (odd,))
     search.run()
     if not search.is_clean(search.best) or loose_noise(search.best) is not None:
-        search = under_its_floor(search, lambda problem: EffectSearch(case, say, problem), is_noise, say)
+        search = under_its_floor(search, lambda problem: EffectSearch.of(case, say, problem), is_noise, say)
     if (odd := outlier_run_beside(search)) is not None:
         return _stopped(search.base, (odd,))
     if search.stranger is None:
@@ -207,7 +207,7 @@ def checked(case: Case) -> tuple[tuple[DataMistake, ...], Identifiability | None
     """Return the mistakes in the recordings and, where there is none, what the runs tell."""
     if spoilt := mistakes(case):
         return spoilt, None
-    search = EffectSearch(case)
+    search = EffectSearch.of(case)
     return doubts(case), told_by(search)
 
 

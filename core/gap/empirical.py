@@ -17,39 +17,17 @@ from scipy.stats import t as student
 from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import energy
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.offsets import rows_of_runs
 from softcal.core.gap.problem import Problem
 from softcal.core.gap.residual import is_clean
-from softcal.core.gap.shrink import HELD_PARTS, Shrink
+from softcal.core.gap.shrink import Shrink
 from softcal.core.gap.simulator_terms import SimulatorTerm
 from softcal.core.recording import Array
 from softcal.core.twin.empirical_terms import PLACES, VARIABLES, EmpiricalTerm
 from softcal.core.twin.mechanics import elastic_force
 
-
-@dataclass(frozen=True)
-class LearnConfig:
-    """When a term is taken.
-
-    Args:
-        least: share of what is left above the noise that a further term must take away on samples held back.
-        chance: drop of χ² besides, for each time a sample is held back.
-        simpler: share of the gap by which terms beside the causes must do better than terms on the bare base.
-        errors: standard errors below which a coefficient is left out.
-        distinct: share of a variable's energy that base and causes must leave to it.
-        coverage: of the interval.
-    """
-
-    most: int = 3
-    least: float = 0.05
-    chance: float = 10.0
-    simpler: float = 0.05
-    errors: float = 3.0
-    distinct: float = 1e-3
-    coverage: float = 0.90
-
-
-CONFIG = LearnConfig()
+CONFIG, SHRINK = METHOD.learn, METHOD.shrink
 
 
 T = TypeVar("T", bound=EmpiricalTerm | SimulatorTerm)
@@ -215,7 +193,7 @@ class _Choice(Generic[T]):
     def all_cells(self) -> frozenset[Cell]:
         """Every run and quarter of it in which the sensor is pressed."""
         runs = self.parent.problem.case.runs
-        return frozenset((k, q) for k, run in enumerate(runs) if run.kind == "press" for q in range(HELD_PARTS))
+        return frozenset((k, q) for k, run in enumerate(runs) if run.kind == "press" for q in range(SHRINK.parts))
 
     @cached_property
     def _products(self) -> dict[Cell, Array]:
@@ -231,7 +209,7 @@ class _Choice(Generic[T]):
     def noise(self, cells: frozenset[Cell]) -> float:
         """Return χ² of noise alone on the cells, each sample as often as it is held back."""
         problem, runs = self.parent.problem, self.parent.problem.case.runs
-        held = {k: sum(1 for cell in cells if cell[0] == k) / HELD_PARTS for k in range(len(runs))}
+        held = {k: sum(1 for cell in cells if cell[0] == k) / SHRINK.parts for k in range(len(runs))}
         return times_held(cells) * sum(len(runs[b.run]) * held[b.run] for b in problem.blocks)
 
     def forward(self, cells: frozenset[Cell]) -> tuple[list[T], float]:
@@ -334,8 +312,7 @@ class _Scores:
         n, value = len(self.counts), self.shrink(of, over)
         each = np.array([self.shrink(of, over, k) for k in range(n)])
         error = float(np.sqrt((n - 1) / n * np.sum((each - each.mean()) ** 2))) if n > 1 else 1.0
-        # One recording does not know its own forecast better than to 0.02.
-        margin = max(0.02, float(student.ppf(0.5 + 0.5 * CONFIG.coverage, max(n - 1, 1))) * error)
+        margin = max(SHRINK.least_margin, float(student.ppf(0.5 + 0.5 * CONFIG.coverage, max(n - 1, 1))) * error)
         return value, value - margin, min(1.0, value + margin)
 
 
@@ -375,6 +352,6 @@ def _held_out(base: Fit, choices: Sequence[_Choice[T]]) -> tuple[_Scores, list[l
 def _places_of(problem: Problem) -> Iterator[tuple[Cell, slice]]:
     """Yield the samples of every quarter of every block, with its run and quarter."""
     for block in problem.blocks:
-        ends = [part[0] for part in np.array_split(np.arange(block.place.start, block.place.stop), HELD_PARTS)]
+        ends = [part[0] for part in np.array_split(np.arange(block.place.start, block.place.stop), SHRINK.parts)]
         for quarter, (start, stop) in enumerate(pairwise([*ends, block.place.stop])):
             yield (block.run, quarter), slice(start, stop)

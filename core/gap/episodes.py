@@ -9,19 +9,17 @@ from numpy.typing import NDArray
 
 from softcal.core.gap.case import Mask
 from softcal.core.gap.coordinates import start_coordinates
-from softcal.core.gap.fit import EPISODE_COST, Fit, fit
+from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import energy, wave_sums
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.problem import Block, Episodes
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Placing
 from softcal.core.twin.probes import Extent
 from softcal.core.twin.signals import compiled
 
-LONGEST_LEAD = 20
-"""Samples by which a fitted delay may lie wrong before the losses are placed."""
+CONFIG = METHOD.episode
 
-LONGEST_LOSS = 60
-"""Most samples one run may lose in all; more is another recording."""
 
 JUDGED = 20
 """Samples that must follow a loss to judge it by."""
@@ -30,20 +28,11 @@ PLACEMENTS = 4
 """How often episodes are placed again; they hardly move after the third time."""
 
 MAINS_Hz = (50.0, 60.0)
-MAINS_TOLERANCE_Hz = 0.5
-LINE_GAIN = 30.0
-"""χ² that the strongest line of a spectrum must take away, in units of the noise or of what surrounds it, whichever is
-more: white noise reaches 20 in a thousand lines, and a gap of other causes has power everywhere."""
 
-FLAT_SAMPLES = 8
-"""Samples that must lie clearly beyond a level before the output is taken as clipped there."""
 
 ACROSS = np.array([1.0, 1.0, 0.0, -1.0, -1.0]) / 2.0
 """Mean after an instant less mean before it; the sample that placed the instant is left out."""
 
-EVENT_SHARE, EVENT_SIGMA = 0.7, 3.0
-"""A contact is bad where the output jumps: share of the fitted jumps that it must show, and standard errors. Intervals
-that only mop up a smooth gap show none."""
 
 SKEW_STEPS = 8
 """Skews tried on either side before losses are placed, each half a sample more in a run."""
@@ -84,7 +73,7 @@ def _with_clock_to_place_by(found: Fit, effect: Effect) -> Fit:
         placed = found.hypothesis.adding(effect, episodes=_merged(found, effect.id, rows))
         predicted = problem.predict(placed, np.append(coordinates, 0.0))
         left = energy(problem.whitened(problem.measured - predicted))
-        cost = left + EPISODE_COST * float(np.log(problem.count)) * placed.episode_count
+        cost = left + METHOD.evidence.episode_cost * float(np.log(problem.count)) * placed.episode_count
         if cost < least:
             best, least = start, cost
     return best
@@ -109,7 +98,7 @@ def _jumps(found: Fit, effect_id: str) -> bool:
         pull, power = pull + float(told @ seen), power + energy(told)
     # Neighbouring differences share most of their noise: of white noise their sum has Σ|w|² times as many samples.
     error = np.sqrt(energy(ACROSS) * len(ACROSS) * power)
-    return power > 0.0 and pull > EVENT_SHARE * power and pull > EVENT_SIGMA * error
+    return power > 0.0 and pull > CONFIG.event_share * power and pull > CONFIG.event_sigma * error
 
 
 def _placed(found: Fit, effect: Effect, place: Place) -> Fit | None:
@@ -179,13 +168,13 @@ def _lost_samples(found: Fit, effect_id: str) -> tuple[list[Array], float]:
     blocks = found.problem.blocks_of("output_V", "press")
     level = _robust_noise(found, blocks)
     # A delay that was fitted through the losses lies in their middle: the first samples then stand before it.
-    lead = LONGEST_LEAD if _clocks(found, "delay") else 0
+    lead = CONFIG.longest_lead if _clocks(found, "delay") else 0
     for block in blocks:
         measured = found.problem.measured[block.place]
         noise = found.problem.noise[block.place] * level
         known = closed[block.place] + float(np.median(own[block.place]))
         ahead = np.concatenate([np.full(lead, known[0]), known])
-        shifts = lag_path(measured, ahead, noise, lead, LONGEST_LOSS, 4.0 * np.log(len(measured)))
+        shifts = lag_path(measured, ahead, noise, lead, CONFIG.longest_loss, 4.0 * np.log(len(measured)))
         at = np.flatnonzero(np.diff(shifts) > 0) + 1
         t_s = case.runs[block.run].elapsed_s
         rows[block.run] = np.array([(t_s[k], shifts[k] - shifts[k - 1]) for k in at]).reshape(-1, 2)
@@ -309,7 +298,7 @@ def with_line(found: Fit, effect: Effect, _: Extent) -> Fit | None:
         power += np.abs(sums[block.run]) ** 2 / (block.place.stop - block.place.start)
     at = int(np.argmax(power))
     level = max(problem.floor("output_V") ** 2, float(np.median(power)) / len(blocks))
-    if 2 * power[at] / level < LINE_GAIN:
+    if 2 * power[at] / level < CONFIG.line_gain:
         return None
     effect = effect if effect.of_runs is None else effect.of_runs(len(case.runs))
     values = [float(np.sqrt(2 * power[at] / sum(b.place.stop - b.place.start for b in blocks))), float(grid[at])]
@@ -336,8 +325,14 @@ def _alias_grid(rate_Hz: float, longest_s: float) -> Array:
     parts = [np.empty(0)]
     for mains_Hz in MAINS_Hz:
         alias_Hz = abs(mains_Hz - rate_Hz * round(mains_Hz / rate_Hz))
-        if MAINS_TOLERANCE_Hz < alias_Hz < rate_Hz / 2 - MAINS_TOLERANCE_Hz:
-            parts.append(np.arange(alias_Hz - MAINS_TOLERANCE_Hz, alias_Hz + MAINS_TOLERANCE_Hz, 0.4 / longest_s))
+        if CONFIG.mains_tolerance_Hz < alias_Hz < rate_Hz / 2 - CONFIG.mains_tolerance_Hz:
+            parts.append(
+                np.arange(
+                    alias_Hz - CONFIG.mains_tolerance_Hz,
+                    alias_Hz + CONFIG.mains_tolerance_Hz,
+                    0.4 / longest_s,
+                )
+            )
     return np.unique(np.concatenate(parts))
 
 
@@ -363,7 +358,7 @@ def with_level(found: Fit, effect: Effect, extent: Extent) -> Fit | None:
     excess = side * (rest.predicted - problem.measured) / problem.whole_noise
     over = near & (excess > 0)
     excess = excess[over]
-    if np.count_nonzero(excess > 3) < FLAT_SAMPLES:
+    if np.count_nonzero(excess > 3) < CONFIG.flat_samples:
         return None
     level_V = float(np.median(problem.measured[over]))
     start = np.concatenate([rest.coordinates, start_coordinates([effect], [[level_V]])])

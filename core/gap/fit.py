@@ -7,6 +7,7 @@ import numpy as np
 
 from softcal.core.gap.coordinates import fit_scale, to_fit
 from softcal.core.gap.linear import dots, energy, gram
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.problem import Around, Hypothesis, Problem
 from softcal.core.recording import Array
 from softcal.core.twin.parameters import BaseParameters
@@ -16,16 +17,6 @@ DIFFERENCE = 2e-4
 
 TRIES = 6
 """Steps tried from one place, each damped more than the one before."""
-
-PRIOR_ODDS = 0.02
-"""Prior odds of each effect being present: one effect in half of the cases, any of the 25."""
-
-DRIVEN_COST = 120.0
-"""What a cause pays besides where a measured force drives the chain: what is left of its noise and of the corners that
-smoothing rounds off feigns gains of up to 90 on recordings without any gap."""
-
-EPISODE_COST = 5
-"""Parameters that an episode counts as: two times, a size, and the places it was not found in."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,11 +77,11 @@ class Fit:
     def penalty(self) -> float:
         """p·ln(n) of Schwarz for the flexibility, and −2·ln of the prior odds of the causes."""
         # Twenty-five causes are tried: without prior odds the luckiest of them would often win by chance.
-        each = -2.0 * float(np.log(PRIOR_ODDS))
-        each += DRIVEN_COST if self.problem.is_driven_by_force else 0.0
+        each = -2.0 * float(np.log(METHOD.evidence.prior_odds))
+        each += METHOD.evidence.driven_cost if self.problem.is_driven_by_force else 0.0
         # An episode counts as many parameters, for it was searched for all over the runs.
         added = sum(p.weight for effect in self.hypothesis.effects for p in effect.parameters)
-        count = int(self.problem.is_free.sum()) + added + EPISODE_COST * self.hypothesis.episode_count
+        count = int(self.problem.is_free.sum()) + added + METHOD.evidence.episode_cost * self.hypothesis.episode_count
         return count * float(np.log(self.problem.count)) + each * len(self.hypothesis.ids)
 
     @property

@@ -7,7 +7,6 @@ of it fades in time and is as strong at rest as under load.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -19,33 +18,12 @@ from softcal.core.gap.colour import Colour, Stretch, log_likelihood, read_noise
 from softcal.core.gap.fit import Fit
 from softcal.core.gap.library import variables
 from softcal.core.gap.linear import combine, dots
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.problem import Block, Problem
 from softcal.core.gap.start import noise_levels
 from softcal.core.recording import Array
 
-
-@dataclass(frozen=True)
-class FloorConfig:
-    """When what is left counts as noise.
-
-    Args:
-        uneven: log likelihood that noise of its own at rest, and of its own under load, may gain over the same fading
-            noise in both: two numbers more gain 1 on average and 9 in one of 10,000.
-        chance: from which what is left counts as noise: one channel of noise alone in a thousand does not.
-        lags: samples of its own past that a residual may follow.
-        fewest: samples at rest and under load, each, that tell; fewer do not test.
-    """
-
-    uneven: float = 14.0
-    chance: float = 1e-3
-    lags: int = 20
-    fewest: int = 100
-
-
-CONFIG = FloorConfig()
-
-WANDERS = 0.9
-"""Share of the longest fading time from which a time stands on its bound."""
+CONFIG = METHOD.floor
 
 
 def noise_of(found: Fit) -> tuple[dict[str, float], dict[str, Colour]]:
@@ -105,7 +83,7 @@ def is_noise(found: Fit, halves: Sequence[Halves] = (under_load,), follows: Vari
     """Whether what a fit leaves in channels of fading noise fades alike everywhere and passes for noise."""
     # What has not faded by the longest time that is tried is no noise but a wander: an R0 that walks, a drift.
     longest_s = found.problem.colour_config.longest_s
-    if any(colour.fading_s > WANDERS * longest_s for colour in found.problem.colour.values()):
+    if any(colour.fading_s > CONFIG.wanders * longest_s for colour in found.problem.colour.values()):
         return False
     is_even = all(_is_even(found, channel, half) for half in halves for channel in found.problem.colour)
     return is_even and noise_chance(found, tuple(found.problem.colour), follows) > CONFIG.chance

@@ -13,9 +13,9 @@ from softcal.core.gap.data_mistake import DataMistake
 from softcal.core.gap.empirical import LearnedResidual, T
 from softcal.core.gap.explained import form_of
 from softcal.core.gap.fit import Fit
-from softcal.core.gap.floor import CONFIG as FLOOR
 from softcal.core.gap.floor import coloured
 from softcal.core.gap.identifiability import Identifiability
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.next_experiment import NextExperiment
 from softcal.core.gap.posterior import exact_log_evidence, log_evidences, probabilities, rivals
 from softcal.core.gap.problem import Problem
@@ -26,26 +26,10 @@ from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Effect
 from softcal.core.words.reason import Reason, in_words, reason, several
 
+CONFIG = METHOD.verdict
+
+
 DiagnosisVerdict = Literal["no_gap", "explained", "ambiguous", "unknown", "data"]
-
-UNKNOWN_TRUST = 0.3
-"""How far probabilities are trusted where the catalogue leaves a gap, for a share of 1."""
-
-DOUBTED_CHANCE = 0.05
-"""How likely noise leaves as much, below which what causes leave is no noise. Of a small gap much may go before the
-rest passes for noise at any stricter level; one right cause in twenty of a small gap is given up for it."""
-
-DOWN_TO_NOISE = 0.92
-"""Share of the gap, held out too, from which what causes leave is a difference between two equations of one cause. On
-the line `form` of `benchmarks/gap.py` seven cases (seeds 7100 to 7106) reach it; on `outside` the most is 0.70 (seeds
-7000 to 7011). They were looked at for it and test nothing."""
-
-NEAR_SHARE = 0.01
-"""Share of the gap that one cause more must take to be told as what comes nearest."""
-
-IMITATED_TRUST = 0.4
-"""How far a cause is trusted that another equation of the causes beside it would explain as well: it is not named, and
-not ruled out."""
 
 
 @dataclass(frozen=True)
@@ -148,10 +132,10 @@ def judged(
     quantified = quantify(search.base, as_told(best), search.fits.values())
     verdict = _verdict(search, group, quantified, is_uneven)
     # Where nothing explains the gap the truth is most likely none of the effects.
-    trust = 1.0 if quantified.stands or not best.hypothesis.ids else IMITATED_TRUST
-    trust = UNKNOWN_TRUST * search.explained_share(best) if verdict == "unknown" else trust
+    trust = 1.0 if quantified.stands or not best.hypothesis.ids else CONFIG.imitated_trust
+    trust = CONFIG.unknown_trust * search.explained_share(best) if verdict == "unknown" else trust
     every = chances_of(logs, group, effects)
-    chances = {i: p * trust * (IMITATED_TRUST if i in doubted else 1.0) for i, p in every.items()}
+    chances = {i: p * trust * (CONFIG.imitated_trust if i in doubted else 1.0) for i, p in every.items()}
     return group, quantified, verdict, chances
 
 
@@ -183,10 +167,10 @@ def _verdict(
     if search.stranger is not None:
         return "unknown"
     if not best.hypothesis.ids or not quantified.stands:
-        is_sound = search.is_clean(base) and search.noise_chance(base) > FLOOR.chance and not is_uneven(base)
+        is_sound = search.is_clean(base) and search.noise_chance(base) > METHOD.floor.chance and not is_uneven(base)
         return "no_gap" if is_sound else "unknown"
-    is_small = min(search.share(best), quantified.shrink.held_out) >= DOWN_TO_NOISE and search.is_explained(best)
-    if is_uneven(best) or not (is_small or search.noise_chance(best) >= DOUBTED_CHANCE):
+    is_small = min(search.share(best), quantified.shrink.held_out) >= CONFIG.down_to_noise and search.is_explained(best)
+    if is_uneven(best) or not (is_small or search.noise_chance(best) >= CONFIG.doubted_chance):
         return "unknown"
     return "ambiguous" if len(group) > 1 else "explained"
 
@@ -194,7 +178,7 @@ def _verdict(
 def nearest(search: EffectSearch) -> Fit:
     """Return the simplest hypothesis that takes nearly the most of the gap away."""
     most = max(search.share(found) for found in search.fits.values())
-    near = [found for found in search.fits.values() if search.share(found) >= most - NEAR_SHARE]
+    near = [found for found in search.fits.values() if search.share(found) >= most - CONFIG.near_share]
     return min(near, key=lambda found: (len(found.hypothesis.ids), found.chi2))
 
 

@@ -20,7 +20,8 @@ from softcal.core.gap.coordinates import from_fit, to_fit
 from softcal.core.gap.fit import Fit
 from softcal.core.gap.floor import projected
 from softcal.core.gap.linear import dots
-from softcal.core.gap.posterior import RIVAL_LOG_ODDS, Yardstick
+from softcal.core.gap.method import METHOD
+from softcal.core.gap.posterior import Yardstick
 from softcal.core.gap.residual import is_clean
 from softcal.core.gap.screen import Probe, joined, screen
 from softcal.core.recording import Array
@@ -30,13 +31,8 @@ from softcal.core.twin.mechanics import elastic_force_at
 from softcal.core.twin.signals import low_pass
 from softcal.core.words.reason import Reason
 
-CLEAN_LOG_ODDS = 2.0
-"""Log evidence by which a stranger must beat a catalogue that leaves no structure; one that leaves some must be no
-rival any more ..."""
+CONFIG = METHOD.stranger
 
-LEAST_GAIN = 12.0
-"""... and by how much it must lower χ² besides, unless it stands for two causes more than itself: fewer parameters
-alone do not make a stranger, but three causes that together imitate one departure do."""
 
 TIME, WARMTH, PLACE = "t_s", "warmed_K", "stage_mm"
 """What of the flow a departure may follow."""
@@ -112,9 +108,9 @@ def stranger(best: Fit, parents: Sequence[Fit], fits: Sequence[Fit]) -> Fit | No
     yardstick = Yardstick.of((*fits, *found))
     closest = max(found, key=yardstick.log_evidence)
     ahead = yardstick.log_evidence(closest) - yardstick.log_evidence(best)
-    is_decisive = ahead > (CLEAN_LOG_ODDS if is_clean(closest) else RIVAL_LOG_ODDS)
+    is_decisive = ahead > (CONFIG.clean_odds if is_clean(closest) else METHOD.rival.odds)
     is_simpler = len(closest.hypothesis.ids) <= len(best.hypothesis.ids) - 2
-    return closest if is_decisive and (is_simpler or closest.chi2 < best.chi2 - LEAST_GAIN) else None
+    return closest if is_decisive and (is_simpler or closest.chi2 < best.chi2 - CONFIG.least_gain) else None
 
 
 def stranger_of(found: Fit) -> Stranger:
@@ -130,22 +126,6 @@ def _grown(parent: Fit) -> list[Fit]:
     seen += [WARM_DIVIDER.effect] if case.has_warmed_dummy else []
     probes = [Probe(e, (scale.sized(e.parameters[0]).usual,), e.parameters[0].low == 0.0) for e in seen]
     return [joined(parent, lead) for lead in screen(parent, probes)[:1]]
-
-
-@dataclass(frozen=True)
-class FreeFormConfig:
-    """How free a form is, and when it explains the same.
-
-    Args:
-        ratios: sizes and shapes mixed, as multiples of the fitted ones.
-        imitated: share of what a cause takes away that a free form of the others must take away as well.
-    """
-
-    ratios: tuple[float, ...] = (0.2, 0.5, 2.0, 5.0)
-    imitated: float = 0.8
-
-
-CONFIG = FreeFormConfig()
 
 
 def imitated_causes(best: Fit, smaller: Mapping[str, Fit]) -> list[str]:

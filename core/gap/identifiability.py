@@ -11,6 +11,7 @@ import numpy as np
 
 from softcal.core.gap.coordinates import fit_scale, start_coordinates
 from softcal.core.gap.fit import Fit, fit
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.next_experiment import MenuEntry
 from softcal.core.gap.offsets import own_rows
 from softcal.core.gap.problem import Problem
@@ -18,34 +19,7 @@ from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
 from softcal.core.words.reason import Reason, reason, several
 
-
-@dataclass(frozen=True)
-class TellingConfig:
-    """When runs tell a parameter or a cause.
-
-    Args:
-        sigma: standard deviations by which a change of the usual size must show.
-        nothing: standard deviations below which nothing of it shows.
-        own: share, of what the base leaves of a cause, from which offsets of the runs take its shape. Chosen on the
-            five simulators of `tests/core/test_gap_simulators.py` and four drawn ones, tested on others.
-        alike: cosine of what is visible of two causes from which they are one to these runs.
-        lost: share of the energy of a parameter that must be left by the others, or it is none of these runs' business.
-        traded: share of what a parameter is imitated by from which another one is named beside it.
-        smaller: share of the usual size at which a cause is looked at too.
-        on_bound: share of its largest from which an offset stands on its bound.
-    """
-
-    sigma: float = 5.0
-    nothing: float = 0.5
-    own: float = 0.975
-    alike: float = 0.99
-    lost: float = 1e-7
-    traded: float = 0.1
-    smaller: float = 0.2
-    on_bound: float = 0.99
-
-
-CONFIG = TellingConfig()
+CONFIG = METHOD.telling
 
 
 @dataclass(frozen=True)

@@ -6,15 +6,10 @@ import numpy as np
 
 from softcal.core.gap.case import Run
 from softcal.core.gap.fit import Fit
+from softcal.core.gap.method import METHOD
 from softcal.core.recording import Array
 from softcal.core.twin.mechanics import elastic_force
 from softcal.core.twin.signals import low_pass
-
-MEMORY_s = (0.5, 2.0, 8.0, 30.0)
-"""Fading times of the memories: half a second to the length of a run, a factor of four apart."""
-
-HATS = 6
-"""Depths at which a static curve may bend."""
 
 
 def variables(found: Fit, channel: str) -> Mapping[str, Array]:
@@ -46,10 +41,10 @@ def columns_of(signal: Array, run: Run, times: float) -> dict[str, list[Array]]:
     """
     rate = np.gradient(signal, run.t_s)
     way, quick = np.sign(rate), np.gradient(rate, run.t_s)
-    places = [2.0 * k / (HATS - 1) - 1.0 for k in range(HATS)]
-    memories = [low_pass(signal, run.step_s, times * tau_s, np.zeros(2)) for tau_s in MEMORY_s]
+    places = [2.0 * k / (METHOD.floor.hats - 1) - 1.0 for k in range(METHOD.floor.hats)]
+    memories = [low_pass(signal, run.step_s, times * tau_s, np.zeros(2)) for tau_s in METHOD.floor.memory_s]
     return {
-        "level": [np.maximum(0.0, 1.0 - 0.5 * (HATS - 1) * np.abs(signal - place)) for place in places],
+        "level": [np.maximum(0.0, 1.0 - 0.5 * (METHOD.floor.hats - 1) * np.abs(signal - place)) for place in places],
         "way": [way, signal * way, signal**2 * way],
         "rate": [rate, np.abs(rate), rate * np.abs(rate), signal * rate, quick],
         "memory": [*memories, *(signal * remembered for remembered in memories)],
@@ -61,9 +56,12 @@ def _columns(run: Run, depth: Array, load: Array) -> Iterator[tuple[str, Array]]
     """Yield every variable of a run; depth and load are relative to the largest of the case."""
     t_s = run.elapsed_s
     rate = np.gradient(load, t_s)
-    for k in range(HATS):
-        place = (k + 1) / HATS
-        yield f"depth near {place:.2f}", np.maximum(0.0, 1.0 - HATS * np.abs(depth - place)) * (depth > 0.0)
+    for k in range(METHOD.floor.hats):
+        place = (k + 1) / METHOD.floor.hats
+        yield (
+            f"depth near {place:.2f}",
+            np.maximum(0.0, 1.0 - METHOD.floor.hats * np.abs(depth - place)) * (depth > 0.0),
+        )
     direction = np.sign(rate)
     yield "time", t_s
     yield "load × time", load * t_s
@@ -79,7 +77,7 @@ def _columns(run: Run, depth: Array, load: Array) -> Iterator[tuple[str, Array]]
     if run.temperature_rise_K is not None:
         yield "temperature", run.temperature_rise_K
         yield "load × temperature", load * run.temperature_rise_K
-    for tau_s in MEMORY_s:
+    for tau_s in METHOD.floor.memory_s:
         remembered = low_pass(load, run.step_s, tau_s, np.zeros(2))
         yield f"load over the last {tau_s:g} s", remembered
         yield f"load × load over the last {tau_s:g} s", load * remembered

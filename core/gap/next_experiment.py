@@ -9,12 +9,10 @@ from softcal.core import profiles
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import dots, energy, gram
+from softcal.core.gap.method import METHOD
 from softcal.core.profiles import Profile
 from softcal.core.twin.probes import Extent
 from softcal.core.words.reason import Reason, in_words, reason, several
-
-ENOUGH_SIGMA = 10.0
-"""Rivals this many standard deviations apart are told apart on a real, coloured floor."""
 
 SET_UP_min: Mapping[str, float] = {
     "press": 0.5,
@@ -98,9 +96,13 @@ def most_telling(entries: Sequence[MenuEntry], rivals: Sequence[Fit]) -> NextExp
     first, others = rivals[0], rivals[1:]
     candidates: list[tuple[int, float, float, MenuEntry]] = []
     for experiment in entries:
-        parted = [d for d in (_apart(first, other, experiment.run) for other in others) if d >= ENOUGH_SIGMA]
+        parted = [
+            d for d in (_apart(first, other, experiment.run) for other in others) if d >= METHOD.telling.enough_sigma
+        ]
         least = min(parted, default=0.0)
-        candidates.append((len(parted), min(least, 10 * ENOUGH_SIGMA) / experiment.minutes, least, experiment))
+        candidates.append(
+            (len(parted), min(least, 10 * METHOD.telling.enough_sigma) / experiment.minutes, least, experiment)
+        )
     count, _, distance, experiment = max(candidates, key=lambda entry: entry[:2])
     causes = causes_of(rivals)
     if count == 0:

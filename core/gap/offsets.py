@@ -10,21 +10,17 @@ from numpy.typing import NDArray
 
 from softcal.core.gap.case import Case
 from softcal.core.gap.linear import combine, dots, gram
+from softcal.core.gap.method import METHOD
 from softcal.core.recording import Array
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.signals import compiled
 
+CONFIG = METHOD.offset
+
+
 if TYPE_CHECKING:
     from softcal.core.gap.problem import Hypothesis, Problem
 
-TARE = 0.03
-"""Largest force at rest of a cell that was not tared, as a share of the range of the force."""
-
-RESISTANCE = 0.02
-"""Largest change of the unloaded resistance between runs that is seating or room temperature."""
-
-SEAT = 0.03
-"""Largest change of the surface's height between runs that is seating, over the stroke."""
 
 STRAIGHT_SIGMA = 0.5
 """Share of its noise that an offset may move a sample along the slope: bends err far less."""
@@ -213,7 +209,13 @@ def _sizes(normal: Array, slope: Array, has: Array, largest: Array, are_relative
 
 def largest_offsets(case: Case) -> Array:
     """Return the bounds of what is taken off: N, share of R0, mm."""
-    return np.array([TARE * _range(case, "force_N"), RESISTANCE, SEAT * _range(case, "stage_mm")])
+    return np.array(
+        [
+            CONFIG.tare * _range(case, "force_N"),
+            CONFIG.resistance,
+            CONFIG.seat * _range(case, "stage_mm"),
+        ]
+    )
 
 
 def _range(case: Case, channel: str) -> float:

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.gap.case import Case
-from softcal.core.gap.data_mistake import FEWEST_RUNS, DataMistake, numbers, of_gain
+from softcal.core.gap.data_mistake import DataMistake, numbers, of_gain
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import dots, energy, gram
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.residual import is_clean
 from softcal.core.gap.screen import Tangent
 from softcal.core.gap.search import EffectSearch
@@ -20,23 +21,7 @@ from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter
 from softcal.core.words.reason import reason
 
-SHARE = 0.93
-"""Share of what the twin leaves that one run's mistake must explain."""
-
-LEAST = {"gain": 0.02, "zero": 0.02}
-"""Smallest gain, and zero against the span, that is a mistake and not tare or seating of a run."""
-
-SHARE_BESIDE = 0.85
-PARENTS = 3
-AHEAD = 40.0
-"""The same beside a cause, how many single causes are tried, and by how much χ² with its penalty must be ahead of the
-catalogue's best: other equations of a cause leave much less to one run alone."""
-
-PROMISED, LEAST_PROMISED = 0.5, 0.15
-"""Share that a mistake must promise to be fitted: alone, and beside a cause of the same size."""
-
-EACH, DEARER = 3.0, 2e-4
-"""What a number costs, in ln n, and which share of the gap besides where structure is left."""
+CONFIG = METHOD.outlier
 
 
 @dataclass(frozen=True)
@@ -75,7 +60,7 @@ _Fitted = tuple[Fit, int, _Oddity, float]
 
 def outlier_run(base: Fit) -> DataMistake | None:
     """Return the mistake of one run that explains what a fit leaves, None where none does."""
-    outliers = [one for one in nearest(base)[:1] if one[3] >= SHARE]
+    outliers = [one for one in nearest(base)[:1] if one[3] >= CONFIG.share]
     return _finding(*outliers[0]) if outliers else None
 
 
@@ -84,11 +69,11 @@ def outlier_run_beside(search: EffectSearch) -> DataMistake | None:
     best, base = search.best, search.base
     if len(best.hypothesis.ids) < 2 and search.is_clean(best):
         return None
-    singles = sorted((f for ids, f in search.fits.items() if len(ids) == 1), key=lambda f: f.chi2)[:PARENTS]
+    singles = sorted((f for ids, f in search.fits.items() if len(ids) == 1), key=lambda f: f.chi2)[: CONFIG.parents]
     tried = [(parent, found) for parent in (*singles, best) for found in nearest(parent)[:1]]
     if not search.is_explained(best):
         # A cause as large as the mistake hides it from the base alone; beside the mistake it may explain the rest.
-        for fitted, run, oddity, share in nearest(base, LEAST_PROMISED)[:2]:
+        for fitted, run, oddity, share in nearest(base, CONFIG.least_promised)[:2]:
             clean = [grown for grown in search.grown_from(fitted) if search.is_clean(grown)]
             tried += [(base, (grown, run, oddity, share)) for grown in clean]
     priced = []
@@ -96,12 +81,12 @@ def outlier_run_beside(search: EffectSearch) -> DataMistake | None:
         # The mistake counts as one number more; it belongs to no catalogue and has no prior odds of its own.
         price = parent.penalty if parent is not base or not singles else singles[0].penalty
         price += float(np.log(base.problem.count)) * len(oddity.hooks)
-        if (share > SHARE_BESIDE or parent is base) and fitted.chi2 + price < best.bic - AHEAD:
+        if (share > CONFIG.share_beside or parent is base) and fitted.chi2 + price < best.bic - CONFIG.ahead:
             priced.append((fitted.chi2 + price, (fitted, run, oddity, share)))
     return _finding(*min(priced, key=lambda one: one[0])[1]) if priced else None
 
 
-def nearest(base: Fit, promised_share: float = PROMISED) -> list[_Fitted]:
+def nearest(base: Fit, promised_share: float = CONFIG.promised) -> list[_Fitted]:
     """Return the fits of mistakes of one run that explain most of what a fit leaves, the simplest of equals first.
 
     Args:
@@ -114,7 +99,7 @@ def nearest(base: Fit, promised_share: float = PROMISED) -> list[_Fitted]:
     runs = [k for k, run in enumerate(base.problem.case.runs) if run.kind == "press"]
     excess = base.chi2 - base.problem.count
     is_within_noise = excess < 4.0 * np.sqrt(2.0 * base.problem.count)
-    if len(runs) < FEWEST_RUNS or is_within_noise or is_clean(base):
+    if len(runs) < METHOD.mistake.fewest_runs or is_within_noise or is_clean(base):
         return []
     promised = sorted(_promised(base, runs), key=lambda p: -p[0])
     found = []
@@ -127,8 +112,8 @@ def nearest(base: Fit, promised_share: float = PROMISED) -> list[_Fitted]:
         found.append((fitted, run, oddity, (base.chi2 - fitted.chi2) / excess))
 
     def price(one: _Fitted) -> float:
-        dearer = 0.0 if is_clean(one[0]) else DEARER * excess
-        return one[0].chi2 + len(one[2].hooks) * (EACH * float(np.log(base.problem.count)) + dearer)
+        dearer = 0.0 if is_clean(one[0]) else CONFIG.dearer * excess
+        return one[0].chi2 + len(one[2].hooks) * (CONFIG.each * float(np.log(base.problem.count)) + dearer)
 
     return sorted(found, key=price)
 
@@ -206,12 +191,12 @@ def _finding(fitted: Fit, run: int, oddity: _Oddity, share: float) -> DataMistak
     if oddity.what == "gain":
         # The stage's number is what the pad's path must be multiplied by, the others' what the reading was.
         ratio = 1.0 + size if oddity.channel != "stage" else 1.0 / (1.0 + size)
-        if abs(ratio - 1.0) < LEAST["gain"]:
+        if abs(ratio - 1.0) < CONFIG.least:
             return None
         evidence = reason("data.run.gain", channel=oddity.channel, ratio=ratio, share=min(share, 1.0))
         return of_gain(oddity.channel, number, 1.0 / ratio, evidence)
     offset, unit = size if oddity.channel != "stage" else -size, column.split("_")[1]
-    if abs(offset) < LEAST["zero"] * span:
+    if abs(offset) < CONFIG.least * span:
         return None
     evidence = reason("data.run.zero", channel=oddity.channel, offset=offset, unit=unit, share=min(share, 1.0))
     repair = reason("data.repair.zero", channel=oddity.channel, offset=offset, unit=unit)

@@ -12,23 +12,14 @@ import numpy as np
 
 from softcal.core.gap.case import Mask, Run
 from softcal.core.gap.fit import Fit
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.problem import Block
 from softcal.core.gap.residual import Map, suspects
 from softcal.core.recording import Array
 from softcal.core.twin.effects import ChainStage, Placing
 from softcal.core.words.reason import Reason, reason
 
-CHANCE = 1e-6
-"""How seldom white noise may show a tone in one run."""
-
-FAINTEST = 0.3
-"""Root mean square of a tone, in units of the noise, below which it hides nothing."""
-
-FEWEST = 20
-"""Ordinates below which nothing stands out of the others."""
-
-SLOWEST_HZ = 2.0
-"""Below, block sums see it; and what is slow is a shape more often than a tone."""
+CONFIG = METHOD.place
 
 
 @dataclass(frozen=True)
@@ -74,42 +65,17 @@ def _tone(found: Fit, block: Block) -> Tone | None:
         return None
     step_s = float(np.median(run.step_s))
     frequency_Hz = np.fft.rfftfreq(len(residual), step_s)
-    is_fast = frequency_Hz > SLOWEST_HZ
+    is_fast = frequency_Hz > CONFIG.slowest_Hz
     power = (np.abs(np.fft.rfft(residual - residual.mean())) ** 2 / len(residual))[is_fast]
-    if len(power) < FEWEST:
+    if len(power) < CONFIG.fewest:
         return None
     at = int(np.argmax(power))
     # The median of exponential ordinates is ln 2 of their mean; a strong tone would raise the mean itself.
     level = float(np.median(power)) / math.log(2.0)
     rms = math.sqrt(2.0 * max(power[at] - level, 0.0) / len(residual))
-    if rms < FAINTEST or power[at] < level * math.log(len(power) / CHANCE):
+    if rms < CONFIG.faintest or power[at] < level * math.log(len(power) / CONFIG.chance):
         return None
     return Tone(block.channel, float(frequency_Hz[is_fast][at]), rms, 1.0 / (step_s * len(residual)))
-
-
-UNEVEN_Z = 8.0
-UNEVEN_RATIO = 4.0
-"""Noise counts as uneven when fast samples are noisier than slow ones by so many standard errors and this factor of the
-variance: an uneven clock that adds less than its noise to fast samples belongs to every rig."""
-
-LOADED = 0.15
-"""Share of the range of the output above which a sample counts as under load."""
-
-SPIKE_SIGMA = 6.0
-FEWEST_SPIKES = 8
-CLIPPED_SIGMA = 4.0
-BINS = 40
-SWINGS = 4
-"""Changes of sign from which a static residual is taken as a ripple, not as a bend."""
-
-FAINT_Z = 30.0
-"""Structure of the maps below which uneven noise says more of the place: it stirs them a little."""
-
-BREATHES_Hz, MOST_OF_LINE = 0.5, 0.5
-"""A tone so close to a named line, and so much smaller, is what is left of it as it swells."""
-
-MOST = 0.5
-"""Share of the structured residual that a regularity must account for to count."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +107,8 @@ def _is_beside_line(found: Fit, tone: Tone) -> bool:
     lines = [values for effect, values in rows if effect.signs.placing == Placing.LINE]
     rms = tone.rms * found.problem.floor(tone.channel)
     return tone.channel == "output_V" and any(
-        abs(tone.frequency_Hz - frequency_Hz) < BREATHES_Hz and rms < MOST_OF_LINE * amplitude / np.sqrt(2.0)
+        abs(tone.frequency_Hz - frequency_Hz) < CONFIG.breathes_Hz
+        and rms < CONFIG.most_of_line * amplitude / np.sqrt(2.0)
         for amplitude, frequency_Hz, *_ in lines
     )
 
@@ -156,11 +123,11 @@ def _loose_output(found: Fit) -> LooseNoise | None:
     error = np.concatenate([_quick(found.residual[b.place]) for b in blocks])[is_open]
     speed = np.abs(np.concatenate([_rate(found, b) for b in blocks]))[is_open]
     output_V = np.concatenate([found.predicted[b.place] for b in blocks])[is_open]
-    is_loaded = output_V > output_V.min() + LOADED * np.ptp(output_V)
+    is_loaded = output_V > output_V.min() + CONFIG.loaded * np.ptp(output_V)
     is_slow = speed < np.quantile(speed, 0.5)
-    spikes = int(np.count_nonzero(np.abs(error[is_slow]) > SPIKE_SIGMA))
+    spikes = int(np.count_nonzero(np.abs(error[is_slow]) > CONFIG.spike_sigma))
     # More than one in twenty are no spikes but a wider noise.
-    if FEWEST_SPIKES <= spikes < 0.05 * len(error):
+    if CONFIG.fewest_spikes <= spikes < 0.05 * len(error):
         return LooseNoise("electronics", reason("gap.seen.spikes", count=spikes))
     if np.count_nonzero(is_loaded) < 100:
         return None
@@ -168,14 +135,14 @@ def _loose_output(found: Fit) -> LooseNoise | None:
     slow_to, fast_from = np.quantile(speed[is_loaded], (0.4, 0.75))
     fast, slow = error[is_loaded & (speed >= fast_from)] ** 2, error[is_loaded & (speed <= slow_to)] ** 2
     z = (fast.mean() - slow.mean()) / np.sqrt(2.0 / len(fast) + 2.0 / len(slow))
-    if z > UNEVEN_Z and fast.mean() > UNEVEN_RATIO * slow.mean():
+    if z > CONFIG.uneven_z and fast.mean() > CONFIG.uneven_ratio * slow.mean():
         return LooseNoise("acquisition", Reason("gap.seen.jitter"))
     return None
 
 
 def _is_clipped(found: Fit, block: Block) -> Mask:
     """(n,) where the output stands, within its noise, at a level it was fitted to be clipped at."""
-    output_V, near_V = found.predicted[block.place], CLIPPED_SIGMA * found.problem.floor("output_V")
+    output_V, near_V = found.predicted[block.place], CONFIG.clipped_sigma * found.problem.floor("output_V")
     out = np.zeros(len(output_V), dtype=np.bool_)
     for effect, values in zip(found.hypothesis.effects, found.effect_values, strict=True):
         if effect.signs.placing in (Placing.CEILING, Placing.FLOOR):
@@ -194,7 +161,7 @@ def likely_stages(base: Fit, maps: tuple[Map, ...]) -> tuple[ChainStage, ...]:
     """Return the stages the gap may sit in, the likeliest first; none where no map shows a gap."""
     pointed = suspects(maps, base.problem.case.readout.sensor_type)
     loose, loudest = loose_noise(base), max((m.structure.z for m in maps), default=0.0)
-    if loose is not None and loudest < FAINT_Z:
+    if loose is not None and loudest < CONFIG.faint_z:
         return (loose.stage, *(stage for stage in pointed if stage != loose.stage))
     first: list[ChainStage] = []
     if "motion" in pointed and "transduction" not in pointed:
@@ -218,28 +185,28 @@ def _behind(base: Fit) -> ChainStage:
     rate = np.concatenate([_rate(base, b) for b in blocks])
     excess = max(float(error @ error) - len(error), 1.0)
     share, swings = _static(error, output_V, excess)
-    if share > MOST:
-        return "electronics" if swings >= SWINGS else "transduction"
+    if share > CONFIG.most:
+        return "electronics" if swings >= CONFIG.swings else "transduction"
     loose = loose_noise(base)
     if loose is not None:
         return loose.stage
     # A shift in time errs by the slope of the output, to first order.
-    if float(error @ rate) ** 2 / float(rate @ rate) > MOST * excess:
+    if float(error @ rate) ** 2 / float(rate @ rate) > CONFIG.most * excess:
         return "acquisition"
     # At rest neither pad nor channel acts: what errs there comes from behind them.
     at_rest = output_V < output_V.min() + 0.02 * np.ptp(output_V)
     mean = excess / len(error)
-    if np.count_nonzero(at_rest) > 50 and float(np.mean(error[at_rest] ** 2)) - 1.0 > MOST * mean:
+    if np.count_nonzero(at_rest) > 50 and float(np.mean(error[at_rest] ** 2)) - 1.0 > CONFIG.most * mean:
         return "electronics"
     return "transduction"
 
 
 def _static(error: Array, drive: Array, excess: float) -> tuple[float, int]:
     """Return which share of the excess the drive determines, and how often it changes sign."""
-    edges = np.linspace(drive.min(), drive.max() + 1e-12, BINS + 1)
-    place = np.clip(np.digitize(drive, edges) - 1, 0, BINS - 1)
-    count = np.bincount(place, minlength=BINS)
-    sums = np.bincount(place, weights=error, minlength=BINS)
+    edges = np.linspace(drive.min(), drive.max() + 1e-12, CONFIG.bins + 1)
+    place = np.clip(np.digitize(drive, edges) - 1, 0, CONFIG.bins - 1)
+    count = np.bincount(place, minlength=CONFIG.bins)
+    sums = np.bincount(place, weights=error, minlength=CONFIG.bins)
     seen = count > 8
     means = sums[seen] / count[seen]
     clear = means[np.abs(means) > 4.0 / np.sqrt(count[seen])]
@@ -257,12 +224,12 @@ def _is_motion(base: Fit) -> bool:
     every, travel = np.concatenate(errors), np.concatenate([_travel(run) for run in runs])
     excess = max(float(every @ every) - len(every), 1.0)
     share, swings = _static(every, travel, excess)
-    if share > MOST and swings >= SWINGS:
+    if share > CONFIG.most and swings >= CONFIG.swings:
         return True
     jumps = sum(_jump(error) for error in errors)
     sets = sum(_by_deepest(error, _travel(run)) for error, run in zip(errors, runs, strict=True))
     trends = sum(_trend(error) for error in errors)
-    return jumps > MOST * excess and jumps > 1.2 * max(sets, trends)
+    return jumps > CONFIG.most * excess and jumps > 1.2 * max(sets, trends)
 
 
 def _travel(run: Run) -> Array:

@@ -11,10 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.data_mistake import FEWEST_RUNS, DataMistake, apart, numbers, of_gain, of_sign, of_unit
+from softcal.core.gap.data_mistake import DataMistake, apart, numbers, of_gain, of_sign, of_unit
+from softcal.core.gap.method import METHOD
 from softcal.core.recording import RATE_TOLERANCE, Array
 from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.words.reason import Reason, reason
+
+CONFIG = METHOD.mistake
+
 
 COLUMNS = {"stage": "stage_mm", "force": "force_N", "output": "output_V"}
 
@@ -33,45 +37,6 @@ UNITS_OF_RUN: Mapping[str, Mapping[str, float]] = {
     "output": {"mV": 1e-3},
 }
 """The same for one run, where the others tell how large its values must be."""
-
-STIFFNESS_N_mm = (0.4, 25.0)
-"""Peak force over depth of a soft pad; beyond, a unit may be wrong, if one brings all back to ..."""
-
-USUAL = {"stiffness_N_mm": 2.0, "depth_mm": 3.0, "force_N": 6.0}
-NEAR_USUAL = 5.0
-"""... within this factor of the usual. A lot that states its stiffness is judged by that alone."""
-
-DEPTH_mm = (0.3, 30.0)
-FORCE_N = (0.05, 300.0)
-"""The same where the other channel is missing."""
-
-FEW = 0.02
-"""Share of samples up to which values out of range are a broken transmission, not a wrong unit."""
-
-FAR = 3.0
-"""A sample this many spans beyond what nearly all others show is off by a broken transmission."""
-
-OFF_STEP = 0.1
-"""Distance from a step of the ADC, in steps, up to which a sample stands on it."""
-
-ON_GRID, OFF_GRID = 0.9, 0.5
-"""Share of samples on steps of the ADC from which a column is an output, and below which not."""
-
-SMOOTH = 0.1
-"""A commanded position is this much smoother, against its span, than anything measured."""
-
-OPPOSED = -0.5
-"""Correlation below which two channels move against each other."""
-
-PAIRED, UNPAIRED = 0.75, 0.6
-"""Correlation above which two columns belong to one run, and below which they do not."""
-
-
-APART = 2.0
-"""Ratio of one run to the others that no effect but only a wrong unit or gain explains."""
-
-NEAR_FACTOR = 1.45
-"""A stiffness this near beyond what the lot states, once a unit is turned, is that unit."""
 
 
 def mistakes(case: Case) -> tuple[DataMistake, ...]:
@@ -94,7 +59,7 @@ def doubts(case: Case) -> tuple[DataMistake, ...]:
     fitting = []
     for channel, unit, factor in EVERY_UNIT:
         repaired = size.with_unit(channel, factor)
-        if not repaired.is_odd and repaired.oddness < np.log(NEAR_USUAL):
+        if not repaired.is_odd and repaired.oddness < np.log(CONFIG.near_usual):
             # Stages are told to go at round speeds, which speaks for a unit of theirs.
             speed = repaired.speed_mm_s if channel == "stage" else None
             is_round = speed is not None and abs(float(f"{speed:.1e}") / speed - 1.0) < 2e-3
@@ -102,7 +67,7 @@ def doubts(case: Case) -> tuple[DataMistake, ...]:
     if not fitting:
         return ()
     _, channel, unit, factor = min(fitting)
-    return (of_unit(channel, (), unit, factor, _unusual(size, channel, *STIFFNESS_N_mm), "data.ask.unit"),)
+    return (of_unit(channel, (), unit, factor, _unusual(size, channel, *CONFIG.stiffness_N_mm), "data.ask.unit"),)
 
 
 def _in_runs(look: Callable[[Run], Iterable[DataMistake]]) -> Callable[[Case], Iterator[DataMistake]]:
@@ -156,7 +121,9 @@ def _columns(run: Run) -> Iterator[DataMistake]:
         pair = "+".join(name for name in COLUMNS if name in ("output", output))
     elif output is not None and len(channels) == 3:
         rough = {name: _roughness(channels[name]) for name in ("stage", "force")}
-        pair = "stage+force" if rough["force"] < rough["stage"] and rough["force"] < SMOOTH * rough["stage"] else ""
+        pair = (
+            "stage+force" if rough["force"] < rough["stage"] and rough["force"] < CONFIG.smooth * rough["stage"] else ""
+        )
     if pair:
         one, other = pair.split("+")
         evidence = reason("data.swapped_columns.steps" if "output" in pair else "data.swapped_columns.smooth")
@@ -168,7 +135,7 @@ def _output_by_steps(run: Run, channels: Mapping[str, Array]) -> str | None:
     """Return the column that stands on the steps of the ADC, None where the steps do not tell."""
     step_V, vref_V = run.readout.step_V, run.readout.vref_V
     # The last digit of a file moves a value off its step; where steps are finer than that, no column stands on them.
-    tolerance = OFF_STEP * step_V
+    tolerance = CONFIG.off_step * step_V
     shares = {}
     for name, values in channels.items():
         is_on = np.abs(values - np.round(values / step_V) * step_V) < tolerance
@@ -177,7 +144,7 @@ def _output_by_steps(run: Run, channels: Mapping[str, Array]) -> str | None:
         is_within = (values > 0) & (values <= vref_V + step_V)
         shares[name] = float(np.mean((is_on & is_within)[is_telling])) if is_telling.mean() > 0.2 else 0.0
     first, *others = sorted(shares, key=lambda name: -shares[name])
-    return first if shares[first] > ON_GRID and all(shares[name] < OFF_GRID for name in others) else None
+    return first if shares[first] > CONFIG.on_grid and all(shares[name] < CONFIG.off_grid for name in others) else None
 
 
 def _roughness(values: Array) -> float:
@@ -199,7 +166,7 @@ def _ranges(run: Run) -> Iterator[DataMistake]:
         return
     worst_V, count = float(output_V[np.argmax(np.abs(output_V))]), int(is_beyond.sum())
     evidence = reason("data.out_of_range.output", worst=worst_V, vref=vref_V, count=count)
-    repaired = _output_repaired(output_V, run.readout, evidence) if is_beyond.mean() > FEW else None
+    repaired = _output_repaired(output_V, run.readout, evidence) if is_beyond.mean() > CONFIG.few else None
     yield repaired or _of_samples("output", count, evidence)
 
 
@@ -224,9 +191,9 @@ def _strays(run: Run) -> Iterator[DataMistake]:
     """Single samples of a position or force far beyond all others."""
     for name, values in _channels(run).items() if run.kind == "press" else ():
         low, high = (float(end) for end in np.quantile(values, (0.01, 0.99)))
-        reach = FAR * (high - low)
+        reach = CONFIG.far * (high - low)
         is_beyond = (values < low - reach) | (values > high + reach)
-        if 0 < is_beyond.mean() <= FEW:
+        if 0 < is_beyond.mean() <= CONFIG.few:
             count, unit = int(is_beyond.sum()), COLUMNS[name].split("_")[1]
             worst = float(values[np.argmax(np.abs(values - 0.5 * (low + high)))])
             ends = {"worst": worst, "low": low, "high": high}
@@ -248,12 +215,15 @@ def _runs_exchanged(case: Case) -> list[DataMistake]:
                 if len(one) != len(other) or name not in mine or len(mine) < 2:
                     continue
                 rest = [r for r in mine if r != name]
-                if len(rest) == 2 and min(_agreement(*(run[r] for r in rest)) for run in (mine, theirs)) < PAIRED:
+                if (
+                    len(rest) == 2
+                    and min(_agreement(*(run[r] for r in rest)) for run in (mine, theirs)) < CONFIG.paired
+                ):
                     continue
                 now = max(abs(_agreement(run[name], run[r])) for run in (mine, theirs) for r in rest)
                 pairs = ((mine, theirs), (theirs, mine))
                 exchanged = min(_agreement(to[r], of[name]) for to, of in pairs for r in rest)
-                if now < UNPAIRED and exchanged > PAIRED:
+                if now < CONFIG.unpaired and exchanged > CONFIG.paired:
                     evidence = reason("data.swapped_runs", channel=name, now=now, exchanged=exchanged)
                     repair = reason("data.repair.exchange", channel=name, one=number[i], other=number[j])
                     return [DataMistake("swapped_runs", name, (number[i], number[j]), None, evidence, repair)]
@@ -271,7 +241,7 @@ def _directions(run: Run) -> Iterator[DataMistake]:
             turned, force = ["force"], -force
     if stage is not None:
         pressed = force if force is not None else output
-        is_against = pressed is not None and _agreement(stage, pressed) < OPPOSED
+        is_against = pressed is not None and _agreement(stage, pressed) < CONFIG.opposed
         if is_against and (force is not None or float(np.median(stage)) < 0):
             turned, stage = [*turned, "stage"], -stage
     for name in turned:
@@ -280,7 +250,7 @@ def _directions(run: Run) -> Iterator[DataMistake]:
     if output is None or pressing is None or run.readout.sensor_type == "strain":
         return
     correlation = _agreement(output, pressing)
-    if correlation < OPPOSED:
+    if correlation < CONFIG.opposed:
         evidence, repair = reason("data.swapped_divider", correlation=correlation), reason("data.repair.divider")
         yield DataMistake("swapped_divider", "output", (), None, evidence, repair)
 
@@ -305,17 +275,17 @@ class _Size:
     @property
     def oddness(self) -> float:
         """Largest distance from the usual, as a logarithm."""
-        known = [(value, usual) for name, usual in USUAL.items() if (value := getattr(self, name)) is not None]
+        known = [(value, usual) for name, usual in CONFIG.usual if (value := getattr(self, name)) is not None]
         return max((abs(np.log(value / usual)) for value, usual in known), default=0.0)
 
     @property
     def is_odd(self) -> bool:
         stiffness = self.stiffness_N_mm
         if stiffness is not None:
-            return not STIFFNESS_N_mm[0] <= stiffness <= STIFFNESS_N_mm[1]
+            return not CONFIG.stiffness_N_mm[0] <= stiffness <= CONFIG.stiffness_N_mm[1]
         if self.depth_mm is not None:
-            return not DEPTH_mm[0] <= self.depth_mm <= DEPTH_mm[1]
-        return self.force_N is not None and not FORCE_N[0] <= self.force_N <= FORCE_N[1]
+            return not CONFIG.depth_mm[0] <= self.depth_mm <= CONFIG.depth_mm[1]
+        return self.force_N is not None and not CONFIG.force_N[0] <= self.force_N <= CONFIG.force_N[1]
 
 
 def _size(case: Case) -> _Size:
@@ -363,7 +333,7 @@ def _against_stated(case: Case) -> list[DataMistake]:
     distance, channel, unit, factor = min(
         (abs(np.log(size.with_unit(c, f).stiffness_N_mm or 1e-9) - np.log(middle)), c, u, f) for c, u, f in EVERY_UNIT
     )
-    if distance < abs(np.log(stated[1] / middle)) + np.log(NEAR_FACTOR):
+    if distance < abs(np.log(stated[1] / middle)) + np.log(CONFIG.near_stated):
         return [of_unit(channel, (), unit, factor, evidence)]
     return [of_gain("force", (), middle / stiffness, evidence)]
 
@@ -371,7 +341,7 @@ def _against_stated(case: Case) -> list[DataMistake]:
 def _runs_apart(case: Case) -> list[DataMistake]:
     """One run that differs from all others by a factor that no effect has."""
     presses, number = _presses(case), numbers(case)
-    if len(presses) < FEWEST_RUNS:
+    if len(presses) < CONFIG.fewest_runs:
         return []
     for name, reference in (("force", "output"), ("stage", "output"), ("force", "stage"), ("stage", "force")):
         if not (case.has(COLUMNS[name]) and case.has(COLUMNS[reference])):
@@ -382,7 +352,7 @@ def _runs_apart(case: Case) -> list[DataMistake]:
         for at, (k, _) in enumerate(presses):
             ratio = float(np.exp(np.median(np.delete(spans, at)) - spans[at]))
             others = np.ptp(np.delete(spans, at))
-            if abs(np.log(ratio)) > np.log(APART) + others:
+            if abs(np.log(ratio)) > np.log(CONFIG.apart) + others:
                 return [apart(name, number[k], ratio, UNITS_OF_RUN[name], others)]
     return []
 

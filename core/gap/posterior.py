@@ -6,40 +6,27 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.gap.coordinates import fit_scale
-from softcal.core.gap.fit import DRIVEN_COST, EPISODE_COST, Fit
+from softcal.core.gap.fit import Fit
 from softcal.core.gap.linear import energy
-from softcal.core.gap.residual import DIRTY_Z, structure
+from softcal.core.gap.method import METHOD
+from softcal.core.gap.residual import structure
 from softcal.core.gap.screen import Tangent
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS, FORMS
 
+EVIDENCE, RIVAL = METHOD.evidence, METHOD.rival
+
 Fits = Mapping[tuple[str, ...], Fit]
-
-DISCREPANCY_MODES = 20.0
-"""Degrees of freedom of the smooth difference between a catalogue equation and what a rig does."""
-
-
-FURTHER_EPISODE_COST = 0.2
-"""Parameters that an episode after the first counts as when causes are compared."""
-
-BOUND_COST = 60.0
-"""What a cause pays whose size ends on its bound: it stands for something else."""
-
-EXACTNESS = 5e-5
-"""Share of the gap's energy below which no equation is believed: 0.7 % of its amplitude."""
-
-USUAL_RANGE = 3.0
-"""Sizes that a rig may show, in usual ones: the width of the prior of a size."""
 
 
 def misfit(excess: float) -> float:
     """Return −2·ln of the likelihood of an excess of χ² when every equation may be a little wrong.
 
-    The difference between equation and rig is taken as `DISCREPANCY_MODES` normal coordinates of unknown common size,
+    The difference between equation and rig is taken as `modes` normal coordinates of unknown common size,
     at the size that fits best. An excess below counts as in white noise, one above it by its logarithm: by which factor
     a hypothesis lowers what the others leave, not how many σ that is.
     """
-    modes = DISCREPANCY_MODES
+    modes = EVIDENCE.modes
     return excess if excess < modes else modes * (1.0 + float(np.log(excess / modes)))
 
 
@@ -62,8 +49,8 @@ class Yardstick:
         closest = min(every, key=lambda f: f.chi2)
         left, gap = structure(closest), max(f.chi2 for f in every) - closest.chi2
         seen = left.rms**2 * closest.problem.count if left.is_significant else 0.0
-        driven = DRIVEN_COST if closest.problem.is_driven_by_force else 0.0
-        return cls(closest.chi2, max(seen, EXACTNESS * gap, driven))
+        driven = EVIDENCE.driven_cost if closest.problem.is_driven_by_force else 0.0
+        return cls(closest.chi2, max(seen, EVIDENCE.exactness * gap, driven))
 
     def log_evidence(self, found: Fit) -> float:
         """Return the logarithm of prior times evidence of a hypothesis."""
@@ -82,13 +69,13 @@ def penalty(found: Fit) -> float:
     Schwarz's ln n, which takes it that every sample tells of it.
     """
     more = max(found.hypothesis.episode_count - 1, 0)
-    cheaper = more * (EPISODE_COST - FURTHER_EPISODE_COST) * float(np.log(found.problem.count))
+    cheaper = more * (EVIDENCE.episode_cost - EVIDENCE.further_episode_cost) * float(np.log(found.problem.count))
     if found.problem.is_driven_by_force:
         # What its noise feigns is in the floor already.
-        cheaper += DRIVEN_COST * len(found.hypothesis.ids)
+        cheaper += EVIDENCE.driven_cost * len(found.hypothesis.ids)
     else:
         cheaper += _spared(found)
-    return found.penalty - cheaper + BOUND_COST * sizes_on_bound(found)
+    return found.penalty - cheaper + EVIDENCE.bound_cost * sizes_on_bound(found)
 
 
 def _spared(found: Fit) -> float:
@@ -98,7 +85,7 @@ def _spared(found: Fit) -> float:
         at = found.hypothesis.place_of(effect.id)
         size, variance = found.problem.scale.sized(effect.parameters[0]), float(found.covariance[at, at])
         if variance > 0.0 and not effect.is_episodic:
-            width = USUAL_RANGE * fit_scale(size) / np.sqrt(2.0 * np.pi * variance)
+            width = EVIDENCE.usual_range * fit_scale(size) / np.sqrt(2.0 * np.pi * variance)
             spared += size.weight * max(0.0, most - 2.0 * float(np.log(max(width, 1.0))))
     return spared
 
@@ -134,28 +121,6 @@ def probabilities(logs: Mapping[tuple[str, ...], float], effects: Iterable[str] 
     return {e: sum(w for ids, w in weights.items() if e in ids) / total for e in effects}
 
 
-RIVAL_LOG_ODDS = 5.0
-"""A hypothesis within this log evidence of the best (ΔBIC < 10) is a rival: weak evidence."""
-
-MOST_RIVALS = 3
-
-MOST_CAUSES = 3
-"""Causes that an honest set may hold, or one more than the best hypothesis has."""
-
-ADDED_LOG_ODDS = 1.0
-"""A cause more is a rival down to this log evidence behind the best hypothesis ..."""
-
-EXACT_LOG_ODDS = 2.0
-"""... and where this log evidence would be ahead of it if every equation held exactly: what it takes away is then that
-cause or what the equation of another one leaves, and these runs cannot tell which."""
-
-NEGLIGIBLE_LOG_ODDS = 15.0
-"""So far behind the best hypothesis a cause more is ruled out, even if every equation held."""
-
-STRUCTURE_LEFT = 0.25
-"""Share of the structure left beside which a cause more mops up what another equation explains."""
-
-
 def rivals(
     fits: Fits, best: Fit, logs: Mapping[tuple[str, ...], float], held_open: tuple[Fit, ...] = ()
 ) -> tuple[Fit, ...]:
@@ -170,20 +135,20 @@ def rivals(
     if not best.hypothesis.ids:
         return (best,)
     top = logs[best.hypothesis.ids]
-    near = [fits[ids] for ids in sorted(logs, key=lambda i: -logs[i]) if logs[ids] > top - RIVAL_LOG_ODDS]
+    near = [fits[ids] for ids in sorted(logs, key=lambda i: -logs[i]) if logs[ids] > top - RIVAL.odds]
     in_play: list[Fit] = [best, *held_open]
     for found in near:
         ids = set(found.hypothesis.ids)
         # A larger set of causes holds the evidence of the smaller one: as its rival it says nothing new.
         if ids and not any(ids >= set(other.hypothesis.ids) for other in in_play):
             in_play.append(found)
-    most = max(MOST_CAUSES, len(best.hypothesis.ids) + 1)
+    most = max(RIVAL.most_causes, len(best.hypothesis.ids) + 1)
     for found in _open_additions(fits, best, logs):
         if any(found.hypothesis.ids == other.hypothesis.ids for other in in_play):
             continue
         if len({*found.hypothesis.ids}.union(*(other.hypothesis.ids for other in in_play))) <= most:
             in_play.append(found)
-    return tuple(in_play[:MOST_RIVALS])
+    return tuple(in_play[: RIVAL.most])
 
 
 def _open_additions(fits: Fits, best: Fit, logs: Mapping[tuple[str, ...], float]) -> list[Fit]:
@@ -192,13 +157,13 @@ def _open_additions(fits: Fits, best: Fit, logs: Mapping[tuple[str, ...], float]
     larger = [found for other, found in fits.items() if set(other) > ids and len(other) == len(ids) + 1]
     ahead = [exact_log_evidence(found) - exact_log_evidence(best) for found in larger]
     behind = [logs[best.hypothesis.ids] - logs[found.hypothesis.ids] for found in larger]
-    least = max(ahead, default=0.0) - RIVAL_LOG_ODDS
+    least = max(ahead, default=0.0) - RIVAL.odds
     # Another realisation of one cause may be two causes in the catalogue's equations: a joint is a frame with a toe.
     is_in_other_form = any(form.effect is e for e in best.hypothesis.effects for form in FORMS.get(e.id, ()))
-    within = RIVAL_LOG_ODDS if is_in_other_form else ADDED_LOG_ODDS
-    most_z = max(DIRTY_Z, STRUCTURE_LEFT * structure(best).z)
+    within = RIVAL.odds if is_in_other_form else RIVAL.added
+    most_z = max(METHOD.structure.dirty_z, RIVAL.structure_left * structure(best).z)
     is_open = [
-        a >= least and (b < within or (b < NEGLIGIBLE_LOG_ODDS and a > EXACT_LOG_ODDS)) and structure(found).z < most_z
+        a >= least and (b < within or (b < RIVAL.negligible and a > RIVAL.exact)) and structure(found).z < most_z
         for found, a, b in zip(larger, ahead, behind, strict=True)
     ]
     order = sorted(np.flatnonzero(is_open), key=lambda k: -ahead[k])

@@ -11,6 +11,7 @@ from softcal.core.gap.case import Case, Mask, Run, RunKind
 from softcal.core.gap.colour import Colour, ColourConfig, filter_of, filtered
 from softcal.core.gap.coordinates import from_fit
 from softcal.core.gap.forward import dither_V, mean_code_V, predict
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.offsets import IS_RELATIVE, Directions, Sizes, bases_of, directions, largest_offsets, with_offsets
 from softcal.core.gap.scale import RigScale
 from softcal.core.recording import Array
@@ -172,7 +173,7 @@ class Problem:
     @cached_property
     def colour_config(self) -> ColourConfig:
         """How noise that fades is read."""
-        return ColourConfig()
+        return METHOD.colour
 
     @property
     def smooth_order(self) -> int:

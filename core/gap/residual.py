@@ -7,6 +7,7 @@ import numpy as np
 
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.fit import Fit
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.problem import Block
 from softcal.core.gap.start import base_fit
 from softcal.core.profiles import pressed
@@ -15,11 +16,7 @@ from softcal.core.twin.effects import ChainStage
 from softcal.core.twin.parameters import SensorType
 from softcal.core.words.reason import Reason, reason
 
-BLOCK_SAMPLES = (8, 40)
-"""Lengths over which a residual is summed to see structure: 0.16 s and 0.8 s at 50 Hz."""
-
-DIRTY_Z = 6.0
-"""A residual has structure when its block sums are this many standard errors above white noise."""
+CONFIG = METHOD.structure
 
 
 TIED = 1e-6
@@ -40,7 +37,7 @@ class Structure:
 
     @property
     def is_significant(self) -> bool:
-        return self.z > DIRTY_Z
+        return self.z > CONFIG.dirty_z
 
 
 @dataclass(frozen=True)
@@ -70,14 +67,14 @@ def structure(found: Fit, channel: str | None = None) -> Structure:
     """Measure the structure left in the residual of a fit, of one channel or of all."""
     parts = [found.residual[b.place] for b in found.problem.blocks if channel in (None, b.channel)]
     largest = -np.inf
-    for length in BLOCK_SAMPLES:
+    for length in CONFIG.block_samples:
         # Sums over blocks of white noise keep variance 1 at any length; structure adds up in them, noise does not.
         sums = [_block_sums(part, length) for part in parts]
         every = np.concatenate(sums)
         if len(every) > 3:
             largest = max(largest, float((np.mean(every**2) - 1.0) / np.sqrt(2.0 / len(every))))
-    short = np.concatenate([_block_sums(part, BLOCK_SAMPLES[0]) for part in parts])
-    energy = max(0.0, float(np.mean(short**2)) - 1.0) / BLOCK_SAMPLES[0] if len(short) else 0.0
+    short = np.concatenate([_block_sums(part, CONFIG.block_samples[0]) for part in parts])
+    energy = max(0.0, float(np.mean(short**2)) - 1.0) / CONFIG.block_samples[0] if len(short) else 0.0
     return Structure(largest, float(np.sqrt(energy)))
 
 
@@ -110,8 +107,6 @@ def _map(name: str, case: Case, runs: list[Run]) -> Map:
 
 BEFORE: tuple[ChainStage, ...] = ("mechanics", "motion")
 BEHIND: tuple[ChainStage, ...] = ("transduction", "electronics", "acquisition")
-QUIET = 0.02
-"""A map this much cleaner than the dirtiest counts as closed: no noise is quite white."""
 
 
 def suspects(maps: tuple[Map, ...], sensor_type: SensorType = "pressure") -> tuple[ChainStage, ...]:
@@ -136,7 +131,7 @@ def suspects(maps: tuple[Map, ...], sensor_type: SensorType = "pressure") -> tup
     loud = max(force.z, channel.z, direct.z)
 
     def is_dirty(seen: Structure) -> bool:
-        return seen.is_significant and seen.z > QUIET * loud
+        return seen.is_significant and seen.z > CONFIG.quiet * loud
 
     if not is_dirty(direct):
         return ("load_cell",)
@@ -146,7 +141,7 @@ def suspects(maps: tuple[Map, ...], sensor_type: SensorType = "pressure") -> tup
         return BEHIND
     # All three are dirty: the cleanest of them leaves out the stage that the other two share.
     quietest = min((force, BEHIND), (channel, BEFORE), (direct, ("load_cell",)), key=lambda pair: pair[0].z)
-    return quietest[1] if quietest[0].z < 5 * QUIET * loud else (*BEFORE, *BEHIND)
+    return quietest[1] if quietest[0].z < 5 * CONFIG.quiet * loud else (*BEFORE, *BEHIND)
 
 
 def regimes(found: Fit) -> tuple[Regime, ...]:

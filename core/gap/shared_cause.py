@@ -8,34 +8,16 @@ import numpy as np
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
-from softcal.core.gap.fit import PRIOR_ODDS, Fit, fit
-from softcal.core.gap.gap_diagnosis import (
-    IMITATED_TRUST,
-    UNKNOWN_TRUST,
-    DiagnosisVerdict,
-    ParameterEstimate,
-    estimates_of,
-)
-from softcal.core.gap.posterior import (
-    ADDED_LOG_ODDS,
-    MOST_RIVALS,
-    NEGLIGIBLE_LOG_ODDS,
-    RIVAL_LOG_ODDS,
-    Fits,
-    Yardstick,
-    log_evidences,
-    misfit,
-    penalty,
-    probabilities,
-)
+from softcal.core.gap.fit import Fit, fit
+from softcal.core.gap.gap_diagnosis import DiagnosisVerdict, ParameterEstimate, estimates_of
+from softcal.core.gap.method import METHOD
+from softcal.core.gap.posterior import Fits, Yardstick, log_evidences, misfit, penalty, probabilities
 from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.recording import Array
 
 Ids = tuple[str, ...]
 SCHEMA = "softcal.gap_lot/1"
 
-STRAY_ODDS = 1e-3
-"""Prior odds that a unit does not share the lot's causes: its evidence must be a thousandfold."""
 
 FEWEST_UNITS = 2
 
@@ -73,16 +55,16 @@ class Searched:
 
         A hypothesis that was not fitted gets its bound: what the unit's own best one has.
         """
-        return self.logs.get(ids, self.top) - len(ids) * float(np.log(PRIOR_ODDS))
+        return self.logs.get(ids, self.top) - len(ids) * float(np.log(METHOD.evidence.prior_odds))
 
     @property
     def stray(self) -> float:
         """Log evidence of a unit with causes of its own."""
-        return float(np.log(STRAY_ODDS)) + self.top
+        return float(np.log(METHOD.evidence.stray_odds)) + self.top
 
     def log_term(self, ids: Ids) -> float:
         """Return what the unit adds to the lot's log evidence: it shares causes, or strays."""
-        return float(np.logaddexp(np.log1p(-STRAY_ODDS) + self.shared(ids), self.stray))
+        return float(np.logaddexp(np.log1p(-METHOD.evidence.stray_odds) + self.shared(ids), self.stray))
 
     def add(self, ids: Ids, donor: tuple[Hypothesis, Array]) -> None:
         """Fit causes that this unit's search did not try, from another unit's sizes and those reversed."""
@@ -181,7 +163,7 @@ class LotDiagnosis:
             "rivals": [list(ids) for ids in self.rivals],
             "outliers": self.outliers,
             "left_out": self.left_out,
-            "stray_odds": STRAY_ODDS,
+            "stray_odds": METHOD.evidence.stray_odds,
             "ruled_out_by_bound": self.ruled_out,
             "units": [m.record() for m in self.members],
         }
@@ -216,9 +198,9 @@ def diagnose_lot(cases: Mapping[str, Case], progress: Callable[[str], None] | No
     members = tuple(_member(name, one, searched.get(name), best) for name, one in alone.items())
     verdict = _verdict(best, rivals, members)
     # Where nothing explains the units, the truth is most likely none of the causes that were compared.
-    doubt = UNKNOWN_TRUST if verdict == "unknown" else 1.0
+    doubt = METHOD.verdict.unknown_trust if verdict == "unknown" else 1.0
     chances = probabilities(logs, sorted({i for ids in logs for i in ids}))
-    probability = {i: p * doubt * (IMITATED_TRUST if i in imitated else 1.0) for i, p in chances.items()}
+    probability = {i: p * doubt * (METHOD.verdict.imitated_trust if i in imitated else 1.0) for i, p in chances.items()}
     return LotDiagnosis(verdict, best, rivals, probability, logs, ruled_out, members)
 
 
@@ -249,7 +231,7 @@ def lot_logs(searched: Sequence[Searched]) -> tuple[dict[Ids, float], int]:
     bounds = {ids: _pooled(searched, ids) for ids in every}
     logs: dict[Ids, float] = {}
     for ids in sorted(every, key=lambda i: (-bounds[i], i)):
-        if logs and bounds[ids] < max(logs.values()) - NEGLIGIBLE_LOG_ODDS:
+        if logs and bounds[ids] < max(logs.values()) - METHOD.rival.negligible:
             continue
         donor = max((one for one in searched if ids in one.logs), key=lambda one: one.shared(ids) - one.top)
         for one in searched:
@@ -260,23 +242,23 @@ def lot_logs(searched: Sequence[Searched]) -> tuple[dict[Ids, float], int]:
 
 
 def _pooled(searched: Sequence[Searched], ids: Ids) -> float:
-    return len(ids) * float(np.log(PRIOR_ODDS)) + sum(one.log_term(ids) for one in searched)
+    return len(ids) * float(np.log(METHOD.evidence.prior_odds)) + sum(one.log_term(ids) for one in searched)
 
 
 def _best(logs: Mapping[Ids, float], held: Sequence[set[str]]) -> tuple[Ids, tuple[Ids, ...], set[str]]:
     """Return the best shared hypothesis, its rivals, and causes that most units hold open."""
     top = max(logs, key=lambda ids: logs[ids])
-    near = sorted((ids for ids in logs if logs[ids] > logs[top] - RIVAL_LOG_ODDS), key=lambda ids: -logs[ids])
+    near = sorted((ids for ids in logs if logs[ids] > logs[top] - METHOD.rival.odds), key=lambda ids: -logs[ids])
     in_play: list[Ids] = [top]
     for ids in near:
         is_larger = any(set(ids) > set(other) for other in in_play)
-        if ids and ids not in in_play and (not is_larger or logs[ids] > logs[top] - ADDED_LOG_ODDS):
+        if ids and ids not in in_play and (not is_larger or logs[ids] > logs[top] - METHOD.rival.added):
             in_play.append(ids)
     imitated = {i for i in top if 2 * sum(i in causes for causes in held) >= len(held)}
     smaller = tuple(i for i in top if i not in imitated)
     if imitated and smaller in logs:
-        return smaller, (smaller, *in_play)[:MOST_RIVALS], imitated
-    return top, tuple(in_play[:MOST_RIVALS]) if top else (top,), set()
+        return smaller, (smaller, *in_play)[: METHOD.rival.most], imitated
+    return top, tuple(in_play[: METHOD.rival.most]) if top else (top,), set()
 
 
 def _held_open(one: Diagnosis, searched: Searched) -> set[str]:

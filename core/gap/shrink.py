@@ -8,25 +8,13 @@ import numpy as np
 from softcal.core.gap.case import Mask
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import combine, energy
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.posterior import Yardstick
 from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.gap.residual import is_clean
 from softcal.core.recording import Array
 
-HELD_PARTS = 4
-"""Contiguous parts, or interleaved stretches, of every run that are held back beside whole runs."""
-
-MOST_CHOSEN_FROM = 3
-"""Hypotheses that are fitted anew where a part is held back."""
-
-NEAR = 10.0
-"""Log odds against a hypothesis, by what its fit is foretold to gain, from which it is not fitted anew."""
-
-BEYOND = 1.64
-"""Standard errors by which χ² must fall on samples held back: by chance it does once in twenty."""
-
-BLOCK_s = 0.6
-"""Length of the stretches that are held back inside a run where whole runs cannot be."""
+CONFIG = METHOD.shrink
 
 
 @dataclass(frozen=True)
@@ -65,7 +53,7 @@ class Quantified:
     @property
     def stands(self) -> bool:
         """Whether the causes lower the gap on samples held back, by more than its noise."""
-        return self.held_out_gain > BEYOND * self.gain_error and self.shrink.held_out > 0.0
+        return self.held_out_gain > CONFIG.beyond * self.gain_error and self.shrink.held_out > 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,9 +70,9 @@ class _Fold:
         pull = [(f, f.jacobian @ f.residual) for f in foretold]
         foretold = [replace(f, chi2=f.chi2 - float(slope @ f.covariance @ slope)) for f, slope in pull]
         yardstick = Yardstick.of((*now, *foretold))
-        least = max(map(yardstick.log_evidence, now)) - NEAR
+        least = max(map(yardstick.log_evidence, now)) - CONFIG.near
         near = sorted((f for f in foretold if yardstick.log_evidence(f) > least), key=lambda f: f.bic)
-        fitted = [fit(problem, f.hypothesis, f.coordinates, steps=6) for f in near[:MOST_CHOSEN_FROM]]
+        fitted = [fit(problem, f.hypothesis, f.coordinates, steps=6) for f in near[: CONFIG.most_chosen_from]]
         yardstick = Yardstick.of((*now, *fitted))
         return replace(self, after=max((*now, *fitted), key=yardstick.log_evidence))
 
@@ -123,10 +111,10 @@ def _folds(problem: Problem, hypothesis: Hypothesis) -> tuple[list[Mask], str]:
     presses = np.flatnonzero([run.kind == "press" for run in problem.case.runs])
     # What belongs to one run cannot be foretold by another.
     is_by_run = len(presses) > 1 and not any(effect.belongs_to_run for effect in hypothesis.effects)
-    parts = presses if is_by_run else np.arange(HELD_PARTS)
+    parts = presses if is_by_run else np.arange(CONFIG.parts)
     unseen = np.zeros((len(parts), len(problem.measured)), dtype=np.bool_)
     for block in problem.blocks:
-        stretch = (problem.case.runs[block.run].elapsed_s / BLOCK_s).astype(int) % HELD_PARTS
+        stretch = (problem.case.runs[block.run].elapsed_s / CONFIG.block_s).astype(int) % CONFIG.parts
         unseen[:, block.place] = parts[:, np.newaxis] == (block.run if is_by_run else stretch)
     return list(unseen), f"{'one run after the other' if is_by_run else 'stretches of every run'} held back"
 
@@ -163,7 +151,7 @@ def unsupported(best: Fit, smaller: Mapping[str, Fit]) -> list[str]:
         ]
         gain, error = _held_out_gain(pairs, best.problem)
         sure[effect_id] = gain / error if error > 0.0 else 0.0
-    return sorted((i for i, z in sure.items() if z <= BEYOND), key=lambda i: sure[i])
+    return sorted((i for i, z in sure.items() if z <= CONFIG.beyond), key=lambda i: sure[i])
 
 
 def _held_out_gain(folds: list[_Fold], problem: Problem) -> tuple[float, float]:
@@ -223,8 +211,7 @@ def _forecast(folds: list[_Fold], best: Fit) -> tuple[float, float, float]:
         after = float(np.sqrt(floor**2 + (1.6 * left) ** 2 + (2.0 * spread) ** 2))
         pessimist.append(ChannelGap(before[1], after, floor))
     predicted = _shrink_of(likely)
-    # One recording does not know its own forecast better than to 0.02.
-    margin = max(0.02, predicted - _shrink_of(pessimist))
+    margin = max(CONFIG.least_margin, predicted - _shrink_of(pessimist))
     return predicted, max(0.0, predicted - margin), min(1.0, predicted + margin)
 
 

@@ -11,6 +11,7 @@ from softcal.core.gap.case import Case, Mask, Run
 from softcal.core.gap.colour import ColourConfig, COMMON_STEP_s
 from softcal.core.gap.fit import Fit
 from softcal.core.gap.library import columns_of
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.offsets import Directions, Sizes
 from softcal.core.gap.problem import Block, Hypothesis, Problem
 from softcal.core.gap.scale import RigScale
@@ -86,7 +87,7 @@ class SimulatorProblem(Problem):
 
     @cached_property
     def colour_config(self) -> ColourConfig:
-        return ColourConfig().slower(self._times_slower)
+        return METHOD.colour.slower(self._times_slower)
 
     @property
     def smooth_order(self) -> int:

@@ -1,7 +1,7 @@
 """Where the base fit begins: rough base parameters and noise levels read off the recordings."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import comb
 
 import numpy as np
@@ -36,22 +36,6 @@ def base_fit(case: Case) -> Fit:
     return fitted
 
 
-@dataclass(frozen=True)
-class StartConfig:
-    """How a minimum is looked for where nobody knows where to begin.
-
-    Args:
-        scattered: places at which the prediction is made once.
-        tried: of these, those from which a fit takes a few steps; the usual values are tried besides.
-        first, steps: steps from each of these, and most from the best two of them.
-    """
-
-    scattered: int = 32
-    tried: int = 5
-    first: int = 6
-    steps: int = 60
-
-
 def scattered(parameters: Sequence[Parameter], count: int) -> Array:
     """Return (count, parameters) coordinates within bounds, the usual values first, then near and far from them.
 
@@ -75,15 +59,18 @@ def scattered(parameters: Sequence[Parameter], count: int) -> Array:
     return out
 
 
-STARTS = StartConfig()
+def best_start(problem: Problem, hypothesis: Hypothesis, scattering: int = 32, tried: int = 5, steps: int = 60) -> Fit:
+    """Return the best minimum found from starts all over the bounds.
 
-
-def best_start(problem: Problem, hypothesis: Hypothesis, config: StartConfig = STARTS) -> Fit:
-    """Return the best minimum found from starts all over the bounds."""
-    usual, *others = scattered(hypothesis.parameters, config.scattered)
-    places = [usual, *likeliest(problem, hypothesis, others)[: config.tried]]
-    rough = sorted((fit(problem, hypothesis, place, steps=config.first) for place in places), key=lambda f: f.chi2)
-    fits = [fit(problem, hypothesis, found.coordinates, steps=config.steps) for found in rough[:2]]
+    Args:
+        scattering: places at which the prediction is made once.
+        tried: of these, those from which a fit takes a few steps; the usual values are tried besides.
+        steps: most steps from the best two of them.
+    """
+    usual, *others = scattered(hypothesis.parameters, scattering)
+    places = [usual, *likeliest(problem, hypothesis, others)[:tried]]
+    rough = sorted((fit(problem, hypothesis, place, steps=6) for place in places), key=lambda f: f.chi2)
+    fits = [fit(problem, hypothesis, found.coordinates, steps=steps) for found in rough[:2]]
     return min(fits, key=lambda found: found.chi2)
 
 

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from softcal.core.errors import InputError, UnitRefused
+from softcal.core.gap.method import METHOD
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
@@ -20,9 +21,6 @@ from softcal.core.unit.unit_problem import UnitProblem
 
 NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60, patience=10, batch=128)
 """Smaller than the paper's and the same for rig and twins, which alone are compared."""
-
-TRAIN_SHARE = 0.6
-"""Share of an audit that a unit's own calibration trains on; all errors are on the rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +139,7 @@ def lot_errors(lot: PressedLot) -> LotErrors:
     model = make_source_model(lot.source, trained.network, trained.validation_rows)
     rows: list[Sequence[float]] = []
     for unit in lot.units:
-        split = int(TRAIN_SHARE * len(unit.audit))
+        split = int(METHOD.worth.train_share * len(unit.audit))
         test = unit.audit.part(split, len(unit.audit))
         own = fit_network(unit.audit.part(0, split), NETWORK).network
         before = rmse(trained.network.evaluate(test.windows), test.window_reference)

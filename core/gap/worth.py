@@ -9,18 +9,13 @@ from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.explained import explained_twin
 from softcal.core.gap.fit import Fit, fit
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.start import base_fit
 from softcal.core.gap.transfer import NETWORK, pressed
 from softcal.core.metrics import rmse
 from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.twin.simulate import Twin
-
-FITTED_ON = 1
-"""Recordings of the rig that the twins are fitted to; other units of the lot tell the causes."""
-
-ALIKE = 1.02
-"""An f counts as not worse up to this ratio of errors; stated beforehand, chosen on no data."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +33,7 @@ class CalibrationWorth:
     nominal: float
     explained: float
     rig: tuple[float, ...]
-    fitted_on: int = FITTED_ON
+    fitted_on: int = METHOD.worth.fitted_on
 
     @property
     def worth(self) -> int | None:
@@ -60,7 +55,7 @@ class CalibrationWorth:
 
 
 def _fewest(rig: Sequence[float], error: float) -> int | None:
-    return next((k for k, own in enumerate(rig, start=1) if own <= ALIKE * error), None)
+    return next((k for k, own in enumerate(rig, start=1) if own <= METHOD.worth.alike * error), None)
 
 
 def calibration_worth(
@@ -80,7 +75,7 @@ def calibration_worth(
     runs = [_checked(unit, run) for run in case.presses]
     say(f"{unit}: training f on twins and on 1 to {len(runs)} rig recordings")
     test = _joined(unit, [_labelled(unit, _checked(unit, run)) for run in audit.presses])
-    bare = base_fit(Case(case.serial, tuple(runs[:FITTED_ON])))
+    bare = base_fit(Case(case.serial, tuple(runs[: METHOD.worth.fitted_on])))
     # Episodes belong to the recordings they were found in.
     hypothesis = shared.hypothesis.without_episodes()
     start = np.append(bare.coordinates, shared.coordinates[hypothesis.of_base.stop :])
