@@ -21,12 +21,7 @@ COMMON_STEP_s = 0.02
 
 @dataclass(frozen=True)
 class Colour:
-    """The part of a channel's noise that fades.
-
-    Args:
-        spread: standard deviation, in the channel's unit.
-        fading_s: time in which its correlation falls to 1/e.
-    """
+    """The part of a channel's noise that fades: standard deviation, and time in which its correlation is 1/e."""
 
     spread: float
     fading_s: float
@@ -39,13 +34,7 @@ class Colour:
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """A residual of one channel of one run, or a part of it.
-
-    Args:
-        error: (n,) in the channel's unit.
-        step_s: (n,) time since the sample before.
-        use: (n,) 1 where the sample counts, 0 elsewhere.
-    """
+    """A residual of one channel of one run, or a part of it: (n,) each; `use` is 1 where a sample counts, else 0."""
 
     error: Array
     step_s: Array
@@ -54,12 +43,7 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Noise:
-    """White and fading noise of one channel, and the log likelihood of the stretches it was read from.
-
-    Args:
-        white: standard deviation of the white part, in the channel's unit.
-        gain: by how much the log likelihood is above that of white noise alone.
-    """
+    """White and fading noise of one channel; `gain` is by how much it is likelier, in logarithms, than white noise."""
 
     white: float
     colour: Colour

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case
 from softcal.core.gap.data_mistake import DataMistake
-from softcal.core.gap.empirical import LearnedResidual, learned, terms_of_twin
+from softcal.core.gap.empirical import learned, terms_of_twin
 from softcal.core.gap.explained import explained_twin, in_catalogue_form, with_constants
 from softcal.core.gap.fit import Fit
 from softcal.core.gap.floor import is_noise
@@ -30,7 +30,6 @@ from softcal.core.gap.offsets import OFFSET_NAMES, Offsets, offsets
 from softcal.core.gap.outlier_run import outlier_run, outlier_run_beside
 from softcal.core.gap.place import likely_stages, loose_noise
 from softcal.core.gap.plausibility import doubts, mistakes
-from softcal.core.gap.posterior import confused_pairs, hidden_fraction
 from softcal.core.gap.problem import BASE
 from softcal.core.gap.residual import Map, Regime, is_clean, regimes, three_maps
 from softcal.core.gap.screen import is_told, visible_effects
@@ -84,10 +83,7 @@ class Diagnosis(GapDiagnosis[EmpiricalTerm]):
 
     @property
     def empirical(self) -> Twin | None:
-        """The twin with the empirical terms and the causes they stand beside; None where there are no terms.
-
-        With the verdict `unknown` those causes come nearest, and are no more a diagnosis than the terms are.
-        """
+        """The twin with the empirical terms and the causes they stand beside: no diagnosis; None without terms."""
         if self.residual is None:
             return None
         return explained_twin(self.residual.fit, [one.term for one in self.residual.terms])
@@ -105,28 +101,30 @@ class Diagnosis(GapDiagnosis[EmpiricalTerm]):
 
     @property
     def offsets(self) -> list[Offsets]:
-        """What every run has of its own and no cause has to explain; taken off before anything is compared."""
+        """What every run has of its own and no cause has to explain."""
         found = self.named
         return offsets(found.problem, found.base, found.problem.bare.predict(found.hypothesis, found.coordinates))
 
-    def _shown(self, channel: str) -> str:
-        return channel.split("_")[0]
-
-    def _described(self, residual: LearnedResidual[EmpiricalTerm]) -> dict[str, object]:
-        first, twin = residual.terms[0].term, self.empirical
-        of_twin = None if twin is None else twin_record(twin)
-        return {"load_N": first.load_N, "depth_mm": first.depth_mm, "twin": of_twin}
-
-    def _own(self) -> dict[str, object]:
-        is_spoilt = self.verdict == "data"
-        return {
+    def report(self) -> dict[str, object]:
+        """Return the report of the contract, ready for JSON."""
+        is_spoilt, report = self.verdict == "data", super().report()
+        report["gap"] = {_short(channel): vars(gap) for channel, gap in self.gap.items()}
+        if self.residual is not None:
+            first = self.residual.terms[0].term
+            twin = None if self.empirical is None else twin_record(self.empirical)
+            report["residual"] = self.residual.record() | {
+                "load_N": first.load_N,
+                "depth_mm": first.depth_mm,
+                "twin": twin,
+            }
+        return report | {
             "missing_channels": list(self.case.missing_channels),
             "unseen_stages": list(self.case.unseen_stages),
             "plugins": [effect_id for effect_id in EFFECTS if effect_id not in OWN_EFFECTS],
             "base": {p.name: getattr(self.named.base, p.name) for p in BASE},
             "on_bound": self.on_bound,
             "noise": {
-                self._shown(channel): {"white": sigma, "fading": fades.spread, "fading_s": fades.fading_s}
+                _short(channel): {"white": sigma, "fading": fades.spread, "fading_s": fades.fading_s}
                 for channel, sigma in self.named.problem.sigma.items()
                 if (fades := self.named.problem.colour.get(channel)) is not None
             },
@@ -135,6 +133,10 @@ class Diagnosis(GapDiagnosis[EmpiricalTerm]):
             "base_twin": None if is_spoilt else twin_record(explained_twin(self.base)),
             "maps": [{"map": m.name, "z": m.structure.z, "structured_sigma": m.structure.rms} for m in self.maps],
         }
+
+
+def _short(channel: str) -> str:
+    return channel.split("_")[0]
 
 
 def diagnose(
@@ -174,13 +176,16 @@ def diagnose(
     maps = three_maps(case)
     named = tuple(in_catalogue_form(found) for found in group)
     causes = ranked_causes(search, best, EFFECTS.values(), named, chances, quantified.shrink.held_out)
-    found_regimes = tuple(replace(r, channel=r.channel.split("_")[0]) for r in regimes(search.base))
+    found_regimes = tuple(replace(r, channel=_short(r.channel)) for r in regimes(search.base))
     partial = partial_of(search) if verdict == "unknown" else None
     say("describing what is left")
     beside = {"unknown": (search.base, told), "explained": (told,), "ambiguous": (told,)}
-    return Diagnosis(
+    return Diagnosis.of(
+        search.base,
+        best,
+        group,
+        quantified,
         verdict=verdict,
-        base=search.base,
         best=told,
         named=named[0],
         rivals=group,
@@ -188,12 +193,6 @@ def diagnose(
         places=_places(search, causes, maps, found_regimes, verdict),
         maps=maps,
         regimes=found_regimes,
-        gap=quantified.gap,
-        shrink=quantified.shrink,
-        protocol=quantified.protocol,
-        chosen=quantified.chosen,
-        ambiguous_with=confused_pairs(group),
-        hidden_fraction={i: hidden_fraction(best, i) for i in best.hypothesis.ids},
         next_experiment=_next(case, search, group, verdict),
         explained_share=search.explained_share(best) if partial is None else partial.share,
         mistakes=doubts(case),
@@ -253,7 +252,6 @@ def _places(
 
 
 def _loudest(found: tuple[Regime, ...]) -> tuple[str, Reason]:
-    """Return the channel and the regime in which a gap stands out most."""
     return (found[0].channel, found[0].name) if found else ("output", Reason("gap.regime.everywhere"))
 
 
@@ -266,10 +264,7 @@ def _open_aliases(best: Fit) -> dict[str, Alias]:
 def _unknown_places(
     search: EffectSearch, maps: tuple[Map, ...], found: tuple[Regime, ...], detail: Reason
 ) -> list[GapPlace]:
-    """Where a gap lies that nothing in the catalogue explains: the likeliest stage first, with those it may also be.
-
-    The share of each is that of the gap's energy in the regime where it stands out most.
-    """
+    """Where a gap lies that nothing in the catalogue explains: the likeliest stage first."""
     channel, regime = _loudest(found)
     partial = partial_of(search)
     share = partial.share if partial is not None else 0.0

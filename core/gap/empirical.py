@@ -22,7 +22,7 @@ from softcal.core.gap.offsets import rows_of_runs
 from softcal.core.gap.problem import Problem
 from softcal.core.gap.residual import is_clean
 from softcal.core.gap.shrink import Shrink
-from softcal.core.gap.simulator_terms import SimulatorTerm
+from softcal.core.gap.simulator import SimulatorTerm
 from softcal.core.recording import Array
 from softcal.core.twin.empirical_terms import PLACES, VARIABLES, EmpiricalTerm
 from softcal.core.twin.mechanics import elastic_force
@@ -39,11 +39,7 @@ Cell: TypeAlias = tuple[int, int]
 
 @dataclass(frozen=True)
 class LearnedTerm(Generic[T]):
-    """A term with how well it is known.
-
-    Args:
-        chosen: share of the choices without a run (or quarter) that took the same variable at the same place.
-    """
+    """A term, how well it is known, and the share of the choices without a run (or quarter) that took it too."""
 
     term: T
     standard_error: float
@@ -144,10 +140,7 @@ def terms_of_twin(base: Fit) -> Iterator[EmpiricalTerm]:
 
 
 class _Choice(Generic[T]):
-    """Which terms stand beside one parent: all products of its derivatives, its residual and the candidates' columns.
-
-    To first order, base and causes are refitted with every term: their derivatives are columns like the candidates'.
-    """
+    """Which terms stand beside one parent: all products of its derivatives, its residual and the terms' columns."""
 
     def __init__(self, parent: Fit, tried: Sequence[T]) -> None:
         self.parent = parent
@@ -244,7 +237,7 @@ class _Choice(Generic[T]):
 
 
 def times_held(cells: frozenset[Cell]) -> int:
-    """Return how often a sample is held back: with its quarter, and with its run where there are several."""
+    """Return how often a sample is held back: with its quarter, and with its run among several."""
     return (len({run for run, _ in cells}) > 1) + (len({quarter for _, quarter in cells}) > 1)
 
 
@@ -257,7 +250,6 @@ def parts_of(cells: frozenset[Cell]) -> list[frozenset[Cell]]:
 
 
 def _chosen(choices: Sequence[_Choice[T]], cells: frozenset[Cell]) -> tuple[Fit, list[T]]:
-    """Return parent and terms that lose least on parts held back, the simplest unless one is far better."""
     first, *others = ((choice.parent, *choice.forward(cells)) for choice in choices)
     noise, best = choices[0].noise(cells), first
     for other in others:
@@ -281,7 +273,6 @@ def _with_terms(parent: Fit, terms: Sequence[T], use: Array | None) -> tuple[Fit
 
 
 def _error(found: Fit, effect_id: str) -> float:
-    """Standard error of a coefficient; it grows with what is left, which is no white noise."""
     at = found.hypothesis.place_of(effect_id)
     worse = max(1.0, float(np.sqrt(found.chi2 / max(found.problem.count, 1))))
     return max(worse * float(np.sqrt(max(found.covariance[at, at], 0.0))), 1e-300)
@@ -317,7 +308,6 @@ class _Scores:
 
 
 def _held_out(base: Fit, choices: Sequence[_Choice[T]]) -> tuple[_Scores, list[list[T]]]:
-    """Score base, parent and terms on every part in turn, all chosen and fitted without it."""
     cells, problem = choices[0].all_cells, base.problem
     runs = sorted({run for run, _ in cells})
     folds = [frozenset(c for c in cells if c[0] == run) for run in runs]

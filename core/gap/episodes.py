@@ -21,9 +21,7 @@ from softcal.core.twin.signals import compiled
 CONFIG = METHOD.episode
 
 
-JUDGED = 20
-"""Samples that must follow a loss to judge it by."""
-
+JUDGED = CONFIG.judged
 PLACEMENTS = 4
 """How often episodes are placed again; they hardly move after the third time."""
 
@@ -45,29 +43,16 @@ Placer: TypeAlias = Callable[[Fit, Effect, Extent], Fit | None]
 
 
 def with_losses(found: Fit, effect: Effect, _: Extent) -> Fit | None:
-    """Add an effect that loses samples: place the losses, fit, place again."""
-    return _placed(_with_clock_to_place_by(found, effect), effect, _lost_samples)
-
-
-def _clocks(found: Fit, kind: str) -> list[str]:
-    """Return the causes of a fit that move the instants of the output in this way."""
-    return [e.id for e in found.hypothesis.effects if e.signs.clock == kind]
-
-
-def _with_clock_to_place_by(found: Fit, effect: Effect) -> Fit:
-    """Return the fit with the skew of its clock at which placed losses leave least.
+    """Add an effect that loses samples: place the losses, fit, place again.
 
     A skew that was fitted through losses is wrong between them, and steps of one sample stand in for the rest of it.
+    So they are placed by the skew of the clock at which placed losses leave least.
     """
-    rates = _clocks(found, "rate")
-    if not rates:
-        return found
-    at, problem = found.hypothesis.place_of(rates[0]), found.problem
-    samples = max(len(run) for run in problem.case.presses)
-    best, least = found, np.inf
-    for skew in np.arange(-SKEW_STEPS, SKEW_STEPS + 1) * 0.5 / samples:
+    rates, best, least = _clocks(found, "rate"), found, np.inf
+    problem, samples = found.problem, max(len(run) for run in found.problem.case.presses)
+    for skew in np.arange(-SKEW_STEPS, SKEW_STEPS + 1) * 0.5 / samples if rates else ():
         coordinates = found.coordinates.copy()
-        coordinates[at] = skew
+        coordinates[found.hypothesis.place_of(rates[0])] = skew
         start = replace(found, coordinates=coordinates, predicted=problem.predict(found.hypothesis, coordinates))
         rows, _ = _lost_samples(start, effect.id)
         placed = found.hypothesis.adding(effect, episodes=_merged(found, effect.id, rows))
@@ -76,29 +61,32 @@ def _with_clock_to_place_by(found: Fit, effect: Effect) -> Fit:
         cost = left + METHOD.evidence.episode_cost * float(np.log(problem.count)) * placed.episode_count
         if cost < least:
             best, least = start, cost
-    return best
+    return _placed(best, effect, _lost_samples)
+
+
+def _clocks(found: Fit, kind: str) -> list[str]:
+    return [e.id for e in found.hypothesis.effects if e.signs.clock == kind]
 
 
 def with_intervals(found: Fit, effect: Effect, _: Extent) -> Fit | None:
     """Add an effect that acts in a few intervals: place, fit, again; None where nothing jumps."""
     grown = _placed(found, effect, _bad_contacts)
-    return grown if grown is not None and _jumps(grown, effect.id) else None
-
-
-def _jumps(found: Fit, effect_id: str) -> bool:
-    """Whether what an effect takes away jumps within three samples, as the effect does."""
-    without, left = found.hypothesis.without(effect_id)
-    problem, clean = found.problem, found.problem.predict(without, found.coordinates[left])
+    if grown is None:
+        return None
+    # What it takes away must jump within three samples, as it does.
+    without, left = grown.hypothesis.without(effect.id)
+    problem, clean = grown.problem, grown.problem.predict(without, grown.coordinates[left])
     pull = power = 0.0
     for block in problem.blocks_of("output_V"):
-        told, seen = (
+        fitted, seen = (
             np.convolve((values - clean)[block.place] / problem.noise[block.place], ACROSS, mode="valid")
-            for values in (found.predicted, problem.measured)
+            for values in (grown.predicted, problem.measured)
         )
-        pull, power = pull + float(told @ seen), power + energy(told)
+        pull, power = pull + float(fitted @ seen), power + energy(fitted)
     # Neighbouring differences share most of their noise: of white noise their sum has Σ|w|² times as many samples.
     error = np.sqrt(energy(ACROSS) * len(ACROSS) * power)
-    return power > 0.0 and pull > CONFIG.event_share * power and pull > CONFIG.event_sigma * error
+    is_bad = power > 0.0 and pull > CONFIG.event_share * power and pull > CONFIG.event_sigma * error
+    return grown if is_bad else None
 
 
 def _placed(found: Fit, effect: Effect, place: Place) -> Fit | None:
@@ -149,7 +137,6 @@ def _merged(found: Fit, effect_id: str, rows: list[Array]) -> Episodes:
 
 
 def _robust_noise(found: Fit, blocks: list[Block]) -> float:
-    """Return the level of the error of the output in units of its white noise, at least 1."""
     error = np.abs(found.problem.measured - found.predicted) * found.problem.weights
     parts = np.concatenate([error[b.place] for b in blocks])
     return max(1.0, 1.48 * float(np.median(parts)))
@@ -288,13 +275,25 @@ def with_line(found: Fit, effect: Effect, _: Extent) -> Fit | None:
     case, problem = found.problem.case, found.problem
     blocks = problem.blocks_of("output_V")
     longest_s = max(float(case.runs[b.run].elapsed_s[-1]) for b in blocks)
-    grid = _alias_grid(case.readout.sample_rate_Hz, longest_s)
+    # Where mains may stand in the spectrum: nowhere at 0 and at half the rate.
+    rate_Hz, within_Hz, parts = case.readout.sample_rate_Hz, CONFIG.mains_tolerance_Hz, [np.empty(0)]
+    for mains_Hz in MAINS_Hz:
+        alias_Hz = abs(mains_Hz - rate_Hz * round(mains_Hz / rate_Hz))
+        if within_Hz < alias_Hz < rate_Hz / 2 - within_Hz:
+            parts.append(np.arange(alias_Hz - within_Hz, alias_Hz + within_Hz, 0.4 / longest_s))
+    grid = np.unique(np.concatenate(parts))
     if not len(grid):
         return None
+    losses = [e.id for e in found.hypothesis.effects if e.signs.placing == Placing.LOSSES]
     power = np.zeros(len(grid))
     sums: dict[int, NDArray[np.complex128]] = {}
     for block in blocks:
-        sums[block.run] = wave_sums(grid, _taken_s(found, block.run), (problem.measured - found.predicted)[block.place])
+        # When the samples were taken: later by those lost before.
+        run, taken_s = case.runs[block.run], case.runs[block.run].elapsed_s.copy()
+        episodes = found.hypothesis.episodes_of(block.run)
+        for lost_at_s, count in (row for effect_id in losses for row in episodes.get(effect_id, ())):
+            taken_s += count / run.readout.sample_rate_Hz * (run.elapsed_s >= lost_at_s)
+        sums[block.run] = wave_sums(grid, taken_s, (problem.measured - found.predicted)[block.place])
         power += np.abs(sums[block.run]) ** 2 / (block.place.stop - block.place.start)
     at = int(np.argmax(power))
     level = max(problem.floor("output_V") ** 2, float(np.median(power)) / len(blocks))
@@ -307,33 +306,6 @@ def with_line(found: Fit, effect: Effect, _: Extent) -> Fit | None:
     values += [phases.get(k, 0.0) for k in range(len(case.runs))]
     start = np.concatenate([found.coordinates, start_coordinates([effect], [values])])
     return fit(problem, found.hypothesis.adding(effect), start)
-
-
-def _taken_s(found: Fit, run: int) -> Array:
-    """(n,) when the samples of the output were taken: later by those lost before."""
-    recorded = found.problem.case.runs[run]
-    taken_s = recorded.elapsed_s.copy()
-    episodes = found.hypothesis.episodes_of(run)
-    losses = [e.id for e in found.hypothesis.effects if e.signs.placing == Placing.LOSSES]
-    for lost_at_s, count in (row for effect_id in losses for row in episodes.get(effect_id, ())):
-        taken_s += count / recorded.readout.sample_rate_Hz * (recorded.elapsed_s >= lost_at_s)
-    return taken_s
-
-
-def _alias_grid(rate_Hz: float, longest_s: float) -> Array:
-    """Return where mains may stand in the spectrum; nowhere at 0 and at half the rate."""
-    parts = [np.empty(0)]
-    for mains_Hz in MAINS_Hz:
-        alias_Hz = abs(mains_Hz - rate_Hz * round(mains_Hz / rate_Hz))
-        if CONFIG.mains_tolerance_Hz < alias_Hz < rate_Hz / 2 - CONFIG.mains_tolerance_Hz:
-            parts.append(
-                np.arange(
-                    alias_Hz - CONFIG.mains_tolerance_Hz,
-                    alias_Hz + CONFIG.mains_tolerance_Hz,
-                    0.4 / longest_s,
-                )
-            )
-    return np.unique(np.concatenate(parts))
 
 
 def with_level(found: Fit, effect: Effect, extent: Extent) -> Fit | None:
@@ -351,7 +323,7 @@ def with_level(found: Fit, effect: Effect, extent: Extent) -> Fit | None:
             near[block.place] = problem.measured[block.place] > extent.highest_V - margin_V
         else:
             near[block.place] = problem.measured[block.place] < extent.lowest_V + margin_V
-    if not 8 <= np.count_nonzero(near) < 0.7 * len(near):
+    if not CONFIG.flat_samples <= np.count_nonzero(near) < 0.7 * len(near):
         return None
     open_use = ~near if problem.use is None else problem.use * ~near
     rest = fit(problem.seeing(open_use.astype(np.float64)), found.hypothesis, found.coordinates)

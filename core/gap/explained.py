@@ -73,28 +73,27 @@ def with_constants(found: Fit) -> Fit:
     if not any(_is_open(effect) for effect in effects):
         return found
     seen = {effect.id: dict.fromkeys((name for name, _ in effect.constants), 0.0) for effect in effects}
-    watched = tuple(_watched(e, seen[e.id]) if _is_open(e) else e for e in effects)
-    found.problem.bare.predict(replace(found.hypothesis, effects=watched), found.coordinates)
-    fixed = tuple(_fixed(e, seen[e.id]) if _is_open(e) else e for e in effects)
-    return fit(found.problem, replace(found.hypothesis, effects=fixed), found.coordinates, steps=40)
+
+    def watched(effect: Effect) -> Effect:
+        largest = seen[effect.id]
+
+        def step(flow: Flow, values: Sequence[float], state: Memory) -> None:
+            effect.step(flow, values, state)
+            largest.update({name: max(most, float(state[name][0])) for name, most in largest.items()})
+
+        return replace(effect, step=step)
+
+    def fixed(effect: Effect) -> Effect:
+        def step(flow: Flow, own: Sequence[float], state: Memory) -> None:
+            effect.step(flow, (*own, *seen[effect.id].values()), state)
+
+        return replace(effect, step=step, constants=tuple(seen[effect.id].items()))
+
+    open_ = tuple(watched(e) if _is_open(e) else e for e in effects)
+    found.problem.bare.predict(replace(found.hypothesis, effects=open_), found.coordinates)
+    closed = tuple(fixed(e) if _is_open(e) else e for e in effects)
+    return fit(found.problem, replace(found.hypothesis, effects=closed), found.coordinates, steps=40)
 
 
 def _is_open(effect: Effect) -> bool:
     return any(not np.isfinite(value) for _, value in effect.constants)
-
-
-def _watched(effect: Effect, seen: dict[str, float]) -> Effect:
-    """Return the effect, writing down the largest value of each of its constants in any run."""
-
-    def step(flow: Flow, values: Sequence[float], state: Memory) -> None:
-        effect.step(flow, values, state)
-        seen.update({name: max(most, float(state[name][0])) for name, most in seen.items()})
-
-    return replace(effect, step=step)
-
-
-def _fixed(effect: Effect, values: dict[str, float]) -> Effect:
-    def step(flow: Flow, own: Sequence[float], state: Memory) -> None:
-        effect.step(flow, (*own, *values.values()), state)
-
-    return replace(effect, step=step, constants=tuple(values.items()))

@@ -15,6 +15,9 @@ from softcal.core.twin.parameters import BaseParameters
 DIFFERENCE = 2e-4
 """Step of a derivative, in usual sizes of a parameter: beyond corners of play and clipping."""
 
+TOLERANCE = 0.02
+"""A step that gains less than this in χ² is the last."""
+
 TRIES = 6
 """Steps tried from one place, each damped more than the one before."""
 
@@ -90,12 +93,8 @@ class Fit:
         return self.chi2 + self.penalty
 
 
-def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20, tolerance: float = 0.02) -> Fit:
-    """Minimise χ² from a start within the bounds of all parameters.
-
-    Args:
-        tolerance: stop when a step gains less than this in χ².
-    """
+def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20) -> Fit:
+    """Minimise χ² from a start within the bounds of all parameters."""
     space = _Space(problem, hypothesis)
     x = np.clip(start, space.low, space.high)
     predicted, around = problem.predict_around(hypothesis, x)
@@ -112,7 +111,7 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20,
             candidate = space.step(x, normal, slope, damping)
             moved = candidate - x
             # A step cut short by a bound may promise nothing where a more damped one does.
-            if float(2.0 * moved @ slope - moved @ normal @ moved) > 0.1 * tolerance:
+            if float(2.0 * moved @ slope - moved @ normal @ moved) > 0.1 * TOLERANCE:
                 trial, trial_around = problem.predict_around(hypothesis, candidate)
                 trial_residual = problem.whitened(problem.measured - trial)
                 trial_chi2 = _finite_energy(trial_residual)
@@ -127,14 +126,13 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20,
         x, predicted, around, residual, chi2 = candidate, trial, trial_around, trial_residual, trial_chi2
         damping = max(damping / 10, 1e-9)
         # A huge χ² is summed with rounding: below a ten-millionth of it no gain is real.
-        if gain < tolerance + 1e-7 * chi2:
+        if gain < TOLERANCE + 1e-7 * chi2:
             break
         slopes = space.slopes(x, predicted, around)
     return Fit(problem, hypothesis, x, predicted, chi2, slopes)
 
 
 def _finite_energy(residual: Array) -> float:
-    """Return the sum of squares; infinite where it is not finite: a fit goes elsewhere."""
     cost = energy(residual)
     return cost if np.isfinite(cost) else np.inf
 

@@ -1,7 +1,6 @@
 """What the diagnosis of the twin and that of another simulator judge, hold and report alike."""
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, Literal, Self, TypeVar
 
@@ -17,12 +16,18 @@ from softcal.core.gap.floor import coloured
 from softcal.core.gap.identifiability import Identifiability
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.next_experiment import NextExperiment
-from softcal.core.gap.posterior import exact_log_evidence, log_evidences, probabilities, rivals
+from softcal.core.gap.posterior import (
+    confused_pairs,
+    exact_log_evidence,
+    hidden_fraction,
+    log_evidences,
+    probabilities,
+    rivals,
+)
 from softcal.core.gap.problem import Problem
 from softcal.core.gap.residual import Regime
 from softcal.core.gap.search import EffectSearch
 from softcal.core.gap.shrink import ChannelGap, Quantified, Shrink, gap_of_base, quantify, unsupported
-from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Effect
 from softcal.core.words.reason import Reason, in_words, reason, several
 
@@ -82,21 +87,8 @@ class Partial:
     share: float
 
 
-def let_go(search: EffectSearch) -> set[str]:
-    """Take out of the best hypothesis, and return, causes that lower nothing on unseen samples."""
-    gone: set[str] = set()
-    while len(search.best.hypothesis.ids) > 1:
-        rest = search.one_less(search.best)
-        idle = unsupported(search.best, rest)
-        if not idle:
-            break
-        gone.add(idle[0])
-        search.best = rest[idle[0]]
-    return gone
-
-
 def on_unseen(group: tuple[Fit, ...], gone: set[str]) -> tuple[tuple[Fit, ...], set[str]]:
-    """Return the rivals without those that add a cause which lowers nothing on unseen samples, and these."""
+    """Return the rivals without those that add a cause which lowers nothing on unseen samples, and these causes."""
     best, in_play, idle = group[0], [group[0]], set()
     for other in group[1:]:
         added = set(other.hypothesis.ids) - set(best.hypothesis.ids)
@@ -125,16 +117,30 @@ def judged(
         is_uneven: whether noise that a hypothesis leaves is not the same everywhere.
     """
     say("holding back samples from every cause")
-    gone, logs, best = let_go(search), log_evidences(search.fits), search.best
-    group, idle = on_unseen(rivals(search.fits, best, logs, tuple(search.held_open.values())), gone)
-    doubted = gone | idle | set(search.held_open)
+    # Causes that lower nothing on unseen samples are taken out of the best hypothesis.
+    gone: set[str] = set()
+    while len(search.best.hypothesis.ids) > 1:
+        rest = search.one_less(search.best)
+        idle = unsupported(search.best, rest)
+        if not idle:
+            break
+        gone.add(idle[0])
+        search.best = rest[idle[0]]
+    logs, best = log_evidences(search.fits), search.best
+    group, added = on_unseen(rivals(search.fits, best, logs, tuple(search.held_open.values())), gone)
+    doubted = gone | added | set(search.held_open)
     say("measuring the shrink on samples no fit has seen")
     quantified = quantify(search.base, as_told(best), search.fits.values())
     verdict = _verdict(search, group, quantified, is_uneven)
     # Where nothing explains the gap the truth is most likely none of the effects.
     trust = 1.0 if quantified.stands or not best.hypothesis.ids else CONFIG.imitated_trust
     trust = CONFIG.unknown_trust * search.explained_share(best) if verdict == "unknown" else trust
-    every = chances_of(logs, group, effects)
+    # Of a cause held open beside the best hypothesis the mean counts of two readings: every equation may be a little
+    # wrong, or they hold exactly.
+    larger = [f for f in group if set(f.hypothesis.ids) > set(best.hypothesis.ids)]
+    exact = probabilities({f.hypothesis.ids: exact_log_evidence(f) for f in (best, *larger)}, effects)
+    open_ = {i for f in larger for i in f.hypothesis.ids}.difference(best.hypothesis.ids)
+    every = {i: 0.5 * (p + exact[i]) if i in open_ else p for i, p in probabilities(logs, effects).items()}
     chances = {i: p * trust * (CONFIG.imitated_trust if i in doubted else 1.0) for i, p in every.items()}
     return group, quantified, verdict, chances
 
@@ -145,11 +151,7 @@ S = TypeVar("S", bound=EffectSearch)
 def under_its_floor(
     search: S, searched: Callable[[Problem], S], is_floor: Callable[[Fit], bool], say: Callable[[str], None]
 ) -> S:
-    """Search once more where what is left may be noise that fades; keep that only where it is shown to be noise.
-
-    Args:
-        searched: begins a search under the noise of a problem.
-    """
+    """Search once more where what is left may be noise that fades; keep that only where it is shown to be noise."""
     problem = coloured(search.closest)
     if problem is None:
         return search
@@ -162,7 +164,6 @@ def under_its_floor(
 def _verdict(
     search: EffectSearch, group: tuple[Fit, ...], quantified: Quantified, is_uneven: Callable[[Fit], bool]
 ) -> DiagnosisVerdict:
-    """Return the verdict: what is left is noise, hardly anything, or unknown."""
     best, base = search.best, search.base
     if search.stranger is not None:
         return "unknown"
@@ -180,35 +181,6 @@ def nearest(search: EffectSearch) -> Fit:
     most = max(search.share(found) for found in search.fits.values())
     near = [found for found in search.fits.values() if search.share(found) >= most - CONFIG.near_share]
     return min(near, key=lambda found: (len(found.hypothesis.ids), found.chi2))
-
-
-def chances_of(
-    logs: Mapping[tuple[str, ...], float], group: tuple[Fit, ...], effects: Iterable[str] = tuple(EFFECTS)
-) -> dict[str, float]:
-    """Probability of every effect; of one that is held open beside the best hypothesis the mean of two readings.
-
-    Either every equation may be a little wrong, or they hold exactly.
-    """
-    chances, best = probabilities(logs, effects), group[0]
-    larger = [f for f in group if set(f.hypothesis.ids) > set(best.hypothesis.ids)]
-    exact = probabilities({f.hypothesis.ids: exact_log_evidence(f) for f in (best, *larger)}, effects)
-    added = {i for f in larger for i in f.hypothesis.ids}.difference(best.hypothesis.ids)
-    return {i: 0.5 * (p + exact[i]) if i in added else p for i, p in chances.items()}
-
-
-def shares_of(search: EffectSearch, best: Fit) -> dict[str, float]:
-    """Split the explained χ² among the causes: the mean of adding each first and last."""
-    ids = best.hypothesis.ids
-    if len(ids) < 2:
-        return dict.fromkeys(ids, 1.0)
-    worth = {}
-    for effect_id in ids:
-        alone, rest = search.fits.get((effect_id,)), search.fits.get(tuple(i for i in ids if i != effect_id))
-        first = search.base.chi2 - alone.chi2 if alone else 0.0
-        last = rest.chi2 - best.chi2 if rest else 0.0
-        worth[effect_id] = max(0.5 * (first + last), 0.0)
-    total = sum(worth.values()) or 1.0
-    return {effect_id: value / total for effect_id, value in worth.items()}
 
 
 def estimates_of(found: Fit, effect_id: str) -> dict[str, ParameterEstimate]:
@@ -235,7 +207,7 @@ NOT_MEASURED = "not measured: the recordings hold a mistake"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class GapDiagnosis(ABC, Generic[T]):
+class GapDiagnosis(Generic[T]):
     """Everything a report or a page needs of one diagnosis. With the verdict `data` only what has no default is there.
 
     Args:
@@ -279,19 +251,33 @@ class GapDiagnosis(ABC, Generic[T]):
             **own,
         )
 
+    @classmethod
+    def of(cls, base: Fit, best: Fit, group: tuple[Fit, ...], quantified: Quantified, **own: Any) -> Self:
+        """Return the diagnosis of a base and its rival hypotheses, with what follows from them alone."""
+        return cls(
+            base=base,
+            gap=quantified.gap,
+            shrink=quantified.shrink,
+            protocol=quantified.protocol,
+            chosen=quantified.chosen,
+            ambiguous_with=confused_pairs(group),
+            hidden_fraction={i: hidden_fraction(best, i) for i in best.hypothesis.ids},
+            **own,
+        )
+
     @property
     def case(self) -> Case:
         """The recordings."""
         return self.base.problem.case
 
     def report(self) -> dict[str, object]:
-        """Return the report of the contract, ready for JSON."""
+        """Return what every report has, ready for JSON."""
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,
             "serial": self.case.serial,
             "data": [found.record() for found in self.mistakes],
-            "gap": {self._shown(channel): vars(gap) for channel, gap in self.gap.items()},
+            "gap": {channel: vars(gap) for channel, gap in self.gap.items()},
             "shrink": vars(self.shrink) | {"protocol": self.protocol, "chosen": [list(ids) for ids in self.chosen]},
             "where": [place.record() for place in self.places],
             "causes": [
@@ -304,21 +290,8 @@ class GapDiagnosis(ABC, Generic[T]):
             "next_experiment": self.next_experiment.record(),
             "explained_share": self.explained_share,
             "partial": None if self.partial is None else vars(self.partial) | {"effects": list(self.partial.effects)},
-            "residual": None if self.residual is None else self.residual.record() | self._described(self.residual),
-            **self._own(),
+            "residual": None if self.residual is None else self.residual.record(),
         }
-
-    def _shown(self, channel: str) -> str:
-        """Return the name of a channel in a report."""
-        return channel
-
-    @abstractmethod
-    def _described(self, residual: LearnedResidual[T]) -> dict[str, object]:
-        """Return what a report says of empirical terms beside what all say."""
-
-    @abstractmethod
-    def _own(self) -> dict[str, object]:
-        """Return what the report of this kind of simulator has beside what all have."""
 
 
 def places_of(
@@ -355,13 +328,21 @@ def ranked_causes(
         fits: where the parameters of an effect are taken from, the first that has it; else from the effect alone.
         held_out: share of the gap that goes on samples held back, split among the causes of the best hypothesis.
     """
-    shares = shares_of(search, best)
+    ids = best.hypothesis.ids
+    # The explained χ² is split among several causes: the mean of adding each first and last.
+    worth = dict.fromkeys(ids, 1.0)
+    for effect_id in ids if len(ids) > 1 else ():
+        alone, rest = search.fits.get((effect_id,)), search.fits.get(tuple(i for i in ids if i != effect_id))
+        first = search.base.chi2 - alone.chi2 if alone else 0.0
+        last = rest.chi2 - best.chi2 if rest else 0.0
+        worth[effect_id] = max(0.5 * (first + last), 0.0)
+    total = sum(worth.values()) or 1.0
     forms = {e.id: form_of(e) for e in best.hypothesis.effects}
 
     def cause(effect: Effect) -> RankedCause:
         found = next((f for f in fits if effect.id in f.hypothesis.ids), search.fits.get((effect.id,)))
         parameters = estimates_of(found, effect.id) if found is not None else {}
-        share = shares.get(effect.id, 0.0) * held_out
+        share = worth.get(effect.id, 0.0) / total * held_out
         return RankedCause(effect.id, effect.stage, chances[effect.id], share, parameters, forms.get(effect.id, ""))
 
     return tuple(sorted(map(cause, effects), key=lambda c: (-c.probability, -c.shrink)))

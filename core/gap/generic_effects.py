@@ -10,9 +10,10 @@ all mixed, and with a size that changes with load and time. Where that explains 
 not tell a second cause from another equation of the first.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter
 
 import numpy as np
 
@@ -34,19 +35,21 @@ from softcal.core.words.reason import Reason
 CONFIG = METHOD.stranger
 
 
-TIME, WARMTH, PLACE = "t_s", "warmed_K", "stage_mm"
+TIME, WARMTH, PLACE = attrgetter("t_s"), attrgetter("warmed_K"), attrgetter("stage_mm")
 """What of the flow a departure may follow."""
 
 
-def _gain(signal: str, follows: str, is_offset: bool = False) -> Step:
+def changing(signal: str, follows: Callable[[Flow], Array | float], is_offset: bool = False) -> Step:
+    """Return the step of an effect that raises a signal by its size, or such a share, times what it follows."""
+
     def step(flow: Flow, values: Sequence[float], _: Memory) -> None:
-        now, change = getattr(flow, signal), values[0] * getattr(flow, follows)
+        now, change = getattr(flow, signal), values[0] * follows(flow)
         setattr(flow, signal, now + change if is_offset else now * (1.0 + change))
 
     return step
 
 
-_offset = partial(_gain, is_offset=True)
+_offset = partial(changing, is_offset=True)
 
 
 def _divider(flow: Flow, values: Sequence[float], _: Memory) -> None:
@@ -76,14 +79,14 @@ def _stranger(
 
 
 STRANGERS = (
-    _stranger("gap.like.stiffness_in_time", "mechanics", Hook.FORCE, _gain("force_N", TIME), "1/s", 1e-3),
-    _stranger("gap.like.stiffness_when_warm", "mechanics", Hook.FORCE, _gain("force_N", WARMTH), "1/K", 5e-3),
-    _stranger("gap.like.sensitivity_in_time", "transduction", Hook.CHANNEL, _gain("drive", TIME), "1/s", 1e-3),
-    _stranger("gap.like.sensitivity_when_warm", "transduction", Hook.CHANNEL, _gain("drive", WARMTH), "1/K", 5e-3),
+    _stranger("gap.like.stiffness_in_time", "mechanics", Hook.FORCE, changing("force_N", TIME), "1/s", 1e-3),
+    _stranger("gap.like.stiffness_when_warm", "mechanics", Hook.FORCE, changing("force_N", WARMTH), "1/K", 5e-3),
+    _stranger("gap.like.sensitivity_in_time", "transduction", Hook.CHANNEL, changing("drive", TIME), "1/s", 1e-3),
+    _stranger("gap.like.sensitivity_when_warm", "transduction", Hook.CHANNEL, changing("drive", WARMTH), "1/K", 5e-3),
     _stranger("gap.like.offset_in_time", "electronics", Hook.OUTPUT, _offset("output_V", TIME), "V/s", 2e-4),
     _stranger("gap.like.offset_when_warm", "electronics", Hook.OUTPUT, _offset("output_V", WARMTH), "V/K", 1e-3),
-    _stranger("gap.like.cell_span_in_time", "load_cell", Hook.READING, _gain("reading_N", TIME), "1/s", 1e-3),
-    _stranger("gap.like.cell_span_when_warm", "load_cell", Hook.READING, _gain("reading_N", WARMTH), "1/K", 5e-3),
+    _stranger("gap.like.cell_span_in_time", "load_cell", Hook.READING, changing("reading_N", TIME), "1/s", 1e-3),
+    _stranger("gap.like.cell_span_when_warm", "load_cell", Hook.READING, changing("reading_N", WARMTH), "1/K", 5e-3),
     _stranger("gap.like.cell_zero_when_warm", "load_cell", Hook.READING, _offset("reading_N", WARMTH), "N/K", 0.01),
     _stranger("gap.like.cell_by_position", "load_cell", Hook.READING, _offset("reading_N", PLACE), "N/mm", 0.05),
     _stranger("gap.like.cell_late", "load_cell", Hook.READING, _cell_lag, "s", 0.1, is_signed=False),
@@ -95,14 +98,16 @@ WARM_DIVIDER = _stranger("gap.like.divider_when_warm", "electronics", Hook.REFER
 
 
 def stranger(best: Fit, parents: Sequence[Fit], fits: Sequence[Fit]) -> Fit | None:
-    """Return the best hypothesis with a stranger in it, None where none beats the catalogue decisively.
-
-    Args:
-        parents: hypotheses a stranger may stand beside, fitted under the noise level of `best`.
-    """
+    """Return the best hypothesis with a stranger beside one of these parents; None where none beats the catalogue."""
     if best.problem.is_driven_by_force:
         return None
-    found = [grown for parent in parents for grown in _grown(parent)]
+    case, scale = best.problem.case, best.problem.scale
+    is_warming = any(run.temperature_C is not None and np.ptp(run.temperature_C) > 0 for run in case.presses)
+    felt = [one.effect for one in STRANGERS if is_warming or not one.is_warming]
+    seen = [effect for effect in felt if effect.stage not in case.unseen_stages]
+    seen += [WARM_DIVIDER.effect] if case.has_warmed_dummy else []
+    probes = [Probe(e, (scale.sized(e.parameters[0]).usual,), e.parameters[0].low == 0.0) for e in seen]
+    found = [joined(parent, lead) for parent in parents for lead in screen(parent, probes)[:1]]
     if not found:
         return None
     yardstick = Yardstick.of((*fits, *found))
@@ -118,22 +123,8 @@ def stranger_of(found: Fit) -> Stranger:
     return next(one for one in (*STRANGERS, WARM_DIVIDER) if one.effect in found.hypothesis.effects)
 
 
-def _grown(parent: Fit) -> list[Fit]:
-    case, scale = parent.problem.case, parent.problem.scale
-    is_warming = any(run.temperature_C is not None and np.ptp(run.temperature_C) > 0 for run in case.presses)
-    felt = [one for one in STRANGERS if is_warming or not one.is_warming]
-    seen = [one.effect for one in felt if one.effect.stage not in case.unseen_stages]
-    seen += [WARM_DIVIDER.effect] if case.has_warmed_dummy else []
-    probes = [Probe(e, (scale.sized(e.parameters[0]).usual,), e.parameters[0].low == 0.0) for e in seen]
-    return [joined(parent, lead) for lead in screen(parent, probes)[:1]]
-
-
 def imitated_causes(best: Fit, smaller: Mapping[str, Fit]) -> list[str]:
-    """Return the causes of a hypothesis that a free form of the others imitates, the weakest first.
-
-    Args:
-        smaller: the hypothesis without each cause, fitted, by that cause.
-    """
+    """Return the causes that a free form of the others, fitted without them, imitates, the weakest first."""
     order = sorted(smaller, key=lambda effect_id: smaller[effect_id].chi2)
     return [effect_id for effect_id in order if imitation(smaller[effect_id], best) >= CONFIG.imitated]
 
@@ -170,15 +161,7 @@ def _directions(found: Fit, effect: Effect) -> Iterator[Array]:
                 yield problem.predict(found.hypothesis, moved) - found.predicted
     without, left = found.hypothesis.without(effect.id)
     signature = found.predicted - problem.predict(without, found.coordinates[left])
-    of_load, of_time = _courses(found)
-    # A delay that grows with time is a rate, a cause of its own.
-    for course in of_load if effect.signs.clock is not None else of_load + of_time:
-        yield signature * course
-
-
-def _courses(found: Fit) -> tuple[list[Array], list[Array]]:
-    """Return (samples,) load and time, each with its square, relative to the largest."""
-    problem = found.problem
+    # Load and time relative to the largest, each with its square.
     load, time = np.zeros(len(problem.measured)), np.zeros(len(problem.measured))
     for block in problem.blocks:
         run = problem.case.runs[block.run]
@@ -188,4 +171,7 @@ def _courses(found: Fit) -> tuple[list[Array], list[Array]]:
         elif run.force_N is not None:
             load[block.place] = run.force_N
     load, time = load / (np.max(np.abs(load)) or 1.0), time / (np.max(time) or 1.0)
-    return [load, load**2], [time, time**2]
+    of_load, of_time = [load, load**2], [time, time**2]
+    # A delay that grows with time is a rate, a cause of its own.
+    for course in of_load if effect.signs.clock is not None else of_load + of_time:
+        yield signature * course

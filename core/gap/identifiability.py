@@ -250,7 +250,6 @@ class _Rows:
 
 
 def _changes(bare: Fit, effect: Effect) -> tuple[Array, Array]:
-    """Return the whitened change by an effect of its usual and of a smaller size."""
     sized = [bare.problem.scale.sized(p) for p in effect.parameters]
     usual = [p.usual for p in sized]
     smaller, neutral = usual[0], sized[0].neutral
@@ -286,7 +285,13 @@ def _of_base(here: _Rows, base: Fit) -> list[ParameterTold]:
 
 
 def _of_causes(here: _Rows, base: Fit, effects: Sequence[Effect], offsets: Sequence[str]) -> list[ParameterTold]:
-    out, is_full = [], _on_bound(base)
+    largest = base.problem.largest_offsets
+    # Of each kind of offset, whether it stands on its bound in most runs.
+    sizes = np.array(list(base.problem.offset_sizes(base.hypothesis, base.coordinates).values()))
+    is_full = np.zeros(len(largest), dtype=np.bool_)
+    if sizes.size:
+        is_full = np.mean(np.abs(sizes) >= CONFIG.on_bound * largest, axis=0) > 0.5
+    out = []
     for effect in effects:
         at = here.cause(effect.id)
         whole, seen = float(here.gram[at, at]), here.left(at, here.of_base)
@@ -299,12 +304,3 @@ def _of_causes(here: _Rows, base: Fit, effects: Sequence[Effect], offsets: Seque
         hidden = float(np.clip(1.0 - seen / whole, 0.0, 1.0)) if whole > 0.0 else 1.0
         out.append(ParameterTold(effect.id, False, sigma, hidden, own, offset))
     return out
-
-
-def _on_bound(base: Fit) -> list[bool]:
-    """Return of each kind of offset whether it stands on its bound in most runs."""
-    largest = base.problem.largest_offsets
-    sizes = np.array(list(base.problem.offset_sizes(base.hypothesis, base.coordinates).values()))
-    if not sizes.size:
-        return [False] * len(largest)
-    return [bool(at) for at in np.mean(np.abs(sizes) >= CONFIG.on_bound * largest, axis=0) > 0.5]

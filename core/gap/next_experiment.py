@@ -27,36 +27,24 @@ LEVELS = 6
 
 @dataclass(frozen=True)
 class MenuEntry:
-    """One experiment that may be proposed.
-
-    Args:
-        run: the run as it would be recorded, its measured channels still empty (zeros).
-        minutes: bench time, set-up included.
-        stage_profile: what the station runs, None for a special run.
-    """
+    """One experiment that may be proposed: its run, the measured channels still zeros, and bench time with set-up."""
 
     name: str
     run: Run
     minutes: float
-    stage_profile: Profile | None = None
 
 
 @dataclass(frozen=True)
 class NextExperiment:
-    """The proposed run.
-
-    Args:
-        separation_sigma: distance of the refitted rivals over the run, in standard deviations of the noise.
-    """
+    """The proposed run, and how far refitted rivals stand apart over it in standard deviations of the noise."""
 
     profile: str
     why: Reason
     separation_sigma: float = 0.0
     minutes: float = 0.0
-    stage_profile: Profile | None = None
 
     def record(self) -> dict[str, object]:
-        return in_words({name: value for name, value in vars(self).items() if name != "stage_profile"}, "why")
+        return in_words(vars(self), "why")
 
 
 def menu(case: Case, extent: Extent) -> tuple[MenuEntry, ...]:
@@ -78,7 +66,7 @@ def menu(case: Case, extent: Extent) -> tuple[MenuEntry, ...]:
         t_s, stage_mm = profile.sample(rate_Hz)
         force, output = (np.zeros(len(t_s)) if case.has(name) else None for name in ("force_N", "output_V"))
         run = Run(profile.name, t_s, case.readout, stage_mm, force, output, is_planned=True)
-        entries.append(MenuEntry(name, run, SET_UP_min["press"] + profile.duration_s / 60, profile))
+        entries.append(MenuEntry(name, run, SET_UP_min["press"] + profile.duration_s / 60))
     return (*entries, *_special(case, extent.force_N, rate_Hz))
 
 
@@ -93,16 +81,18 @@ def propose(case: Case, rivals: Sequence[Fit], extent: Extent) -> NextExperiment
 
 def most_telling(entries: Sequence[MenuEntry], rivals: Sequence[Fit]) -> NextExperiment:
     """Return the entry that tells most rivals from the first, and does so best per minute."""
-    first, others = rivals[0], rivals[1:]
+    first, others, enough = rivals[0], rivals[1:], METHOD.telling.enough_sigma
     candidates: list[tuple[int, float, float, MenuEntry]] = []
+    # A larger hypothesis can take the shape of a smaller one.
+    pairs = [
+        [(a, b) for a, b in ((first, other), (other, first)) if not set(a.hypothesis.ids) > set(b.hypothesis.ids)]
+        for other in others
+    ]
     for experiment in entries:
-        parted = [
-            d for d in (_apart(first, other, experiment.run) for other in others) if d >= METHOD.telling.enough_sigma
-        ]
+        distances = [min(_distance(a, b, experiment.run) for a, b in both) for both in pairs]
+        parted = [distance for distance in distances if distance >= enough]
         least = min(parted, default=0.0)
-        candidates.append(
-            (len(parted), min(least, 10 * METHOD.telling.enough_sigma) / experiment.minutes, least, experiment)
-        )
+        candidates.append((len(parted), min(least, 10 * enough) / experiment.minutes, least, experiment))
     count, _, distance, experiment = max(candidates, key=lambda entry: entry[:2])
     causes = causes_of(rivals)
     if count == 0:
@@ -112,7 +102,7 @@ def most_telling(entries: Sequence[MenuEntry], rivals: Sequence[Fit]) -> NextExp
     why = reason("gap.next.separates", causes=causes, distance=distance, minutes=experiment.minutes)
     if count < len(others):
         why = reason("gap.next.separates_most", **why.values, others=len(others) - count)
-    return NextExperiment(experiment.name, why, distance, experiment.minutes, experiment.stage_profile)
+    return NextExperiment(experiment.name, why, distance, experiment.minutes)
 
 
 def causes_of(rivals: Sequence[Fit]) -> Reason:
@@ -123,12 +113,6 @@ def causes_of(rivals: Sequence[Fit]) -> Reason:
 def named(effects: Sequence[str], code: str) -> Reason:
     """Return identifiers of effects as one reason; `code` says how they are joined."""
     return several([reason("gap.effect", effect=effect) for effect in effects], code)
-
-
-def _apart(one: Fit, other: Fit, run: Run) -> float:
-    """Return how far two rivals stay apart; a larger one can take the shape of a smaller one."""
-    pairs = [(a, b) for a, b in ((one, other), (other, one)) if not set(a.hypothesis.ids) > set(b.hypothesis.ids)]
-    return min(_distance(a, b, run) for a, b in pairs)
 
 
 def _distance(mine: Fit, other: Fit, run: Run) -> float:

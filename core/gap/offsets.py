@@ -60,12 +60,9 @@ class Offsets:
 
 
 def offsets(problem: "Problem", base: BaseParameters, clean: Array) -> list[Offsets]:
-    """Return the least-squares offsets of every run, within their bounds: what is beyond them stays a gap.
+    """Return the least-squares offsets of every run within their bounds: what is beyond them stays a gap.
 
     Of resistance and seat only what the runs differ by is taken: their common part is the base's own R0 and u0.
-
-    Args:
-        problem: its recordings and their noise; samples that a fit may not see count, an offset is no forecast.
     """
     runs, sizes = _solved(problem, directions(problem, base, clean), clean, {})
     return [Offsets(run, *map(float, row)) for run, row in zip(runs, sizes, strict=True)]
@@ -77,11 +74,7 @@ Sizes: TypeAlias = Mapping[int, Array]
 
 @dataclass(frozen=True, eq=False)
 class Nearby:
-    """The offsets of every run around one prediction: nearby they follow another one along the same directions.
-
-    Args:
-        moved: what is in the prediction; none where all are small.
-    """
+    """The offsets around one prediction: nearby they follow along the same directions; `moved` is in it already."""
 
     directions: Directions
     moved: Sizes = field(default_factory=dict)
@@ -106,8 +99,12 @@ def with_offsets(
     """Return a (samples,) prediction with the offsets that bend it, and how all move nearby."""
     near = Nearby(problem.directions(hypothesis, coordinates, clean, {}))
     for _ in range(PASSES - 1):
-        sizes = near.sizes(problem, clean)
-        if not _is_bent(problem, near.directions, sizes):
+        sizes, bending = near.sizes(problem, clean), np.flatnonzero(problem.are_bending)
+        # Where no offset moves a channel by so much that its slope does not foretell it, the slope will do.
+        if not len(bending) or not any(
+            rows is not None and _moves(rows, sizes[block.run], bending, problem.noise[block.place]) > STRAIGHT_SIGMA
+            for block, rows in zip(problem.blocks, near.directions, strict=True)
+        ):
             break
         # A surface that lies lower moves the corner of first touch: a straight step along the slope would leave it.
         moved = {run: step + near.moved.get(run, 0.0) for run, step in sizes.items()}
@@ -149,15 +146,6 @@ def own_rows(problem: "Problem", directions: Directions) -> tuple[list[Array], t
     return out, tuple(kinds)
 
 
-def _is_bent(problem: "Problem", directions: Directions, sizes: Sizes) -> bool:
-    """Whether an offset moves a channel by so much that its slope does not foretell it."""
-    bending = np.flatnonzero(problem.are_bending)
-    return len(bending) > 0 and any(
-        rows is not None and _moves(rows, sizes[block.run], bending, problem.noise[block.place]) > STRAIGHT_SIGMA
-        for block, rows in zip(problem.blocks, directions, strict=True)
-    )
-
-
 @compiled
 def _moves(rows: Array, sizes: Array, bending: NDArray[np.int64], noise: Array) -> float:
     """Return the most that one of these offsets moves a sample by, in units of the least noise."""
@@ -186,8 +174,7 @@ def _solved(problem: "Problem", directions: Directions, clean: Array, moved: Siz
 def _sizes(normal: Array, slope: Array, has: Array, largest: Array, are_relative: NDArray[np.bool_]) -> Array:
     """Solve (runs, k, k) normal equations within bounds; a direction that a run does not have gets 0.
 
-    Of those that are relative the middle run is taken off: one that is far off for another reason must not move the
-    others.
+    Of those that are relative the middle run is taken off: one far off for another reason must not move the others.
     """
     count, kinds = slope.shape
     free = np.zeros((count, kinds))

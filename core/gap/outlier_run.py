@@ -4,21 +4,23 @@ An effect acts in every run. Where one number, or the base parameters, of one ru
 all of them, that run was recorded otherwise.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from softcal.core.gap.case import Case
 from softcal.core.gap.data_mistake import DataMistake, numbers, of_gain
 from softcal.core.gap.fit import Fit, fit
+from softcal.core.gap.generic_effects import changing
 from softcal.core.gap.linear import dots, energy, gram
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.residual import is_clean
 from softcal.core.gap.screen import Tangent
 from softcal.core.gap.search import EffectSearch
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter
+from softcal.core.twin.effects import Effect, Hook, Parameter
 from softcal.core.words.reason import reason
 
 CONFIG = METHOD.outlier
@@ -87,11 +89,7 @@ def outlier_run_beside(search: EffectSearch) -> DataMistake | None:
 
 
 def nearest(base: Fit, promised_share: float = CONFIG.promised) -> list[_Fitted]:
-    """Return the fits of mistakes of one run that explain most of what a fit leaves, the simplest of equals first.
-
-    Args:
-        promised_share: of what the fit leaves that a mistake must promise, to first order, to be fitted.
-    """
+    """Return fitted mistakes of one run that promise this share of what is left, the simplest of equals first."""
     if is_clean(base):
         return []
     # Small zeros of single runs are taken off every fit; a mistake is looked for with none of them.
@@ -138,42 +136,31 @@ def _promised(base: Fit, runs: Sequence[int]) -> list[tuple[float, int, _Oddity]
             rows["zero", "stage"] = [slopes[0] * inside]
         for oddity in ODDITIES:
             signatures = rows.get((oddity.what, oddity.channel))
-            if signatures is not None:
-                promised.append((_gain(tangent, signatures, base.residual), run, oddity))
+            if signatures is None:
+                continue
+            gain, seen = 0.0, np.array([tangent.visible(s) for s in signatures if energy(s) > 0])
+            if len(seen):
+                pull = dots(seen, base.residual)
+                coefficients, *_ = np.linalg.lstsq(gram(seen) + 1e-12 * np.eye(len(seen)), pull, rcond=1e-9)
+                gain = float(coefficients @ pull)
+            promised.append((gain, run, oddity))
     return promised
-
-
-def _gain(tangent: Tangent, signatures: list[Array], residual: Array) -> float:
-    seen = np.array([tangent.visible(s) for s in signatures if energy(s) > 0])
-    if not len(seen):
-        return 0.0
-    pull = dots(seen, residual)
-    coefficients, *_ = np.linalg.lstsq(gram(seen) + 1e-12 * np.eye(len(seen)), pull, rcond=1e-9)
-    return float(coefficients @ pull)
 
 
 def _effects(run: int, oddity: _Oddity, base: Fit) -> list[Effect]:
     columns, effects = {"reading_N": "force_N", "output_V": "output_V", "pad_mm": "stage_mm"}, []
+    # It acts in this run alone.
+    step = partial(changing, follows=lambda flow: float(flow.run == run))
     for hook, signal, is_gain in oddity.hooks:
         span = 1.0 if is_gain else _span(base.problem.case, columns[signal])
         size = Parameter("size", "", -0.9 * span, 3.0 * span, 0.05 * span, neutral=0.0)
-        effects.append(Effect(f"{signal} of run {run}", "", hook, "", "", (size,), _step(run, signal, is_gain)))
+        effects.append(Effect(f"{signal} of run {run}", "", hook, "", "", (size,), step(signal, is_offset=not is_gain)))
     return effects
 
 
 def _span(case: Case, column: str) -> float:
-    """Return the range of a column over the runs that are pressed; 1 where it was not recorded."""
     parts = [values for run in case.presses if (values := getattr(run, column)) is not None]
     return float(np.ptp(np.concatenate(parts))) if parts else 1.0
-
-
-def _step(run: int, signal: str, is_gain: bool) -> Callable[[Flow, Sequence[float], Memory], None]:
-    def step(flow: Flow, values: Sequence[float], _: Memory) -> None:
-        if flow.run == run:
-            now = getattr(flow, signal)
-            setattr(flow, signal, now * (1.0 + values[0]) if is_gain else now + values[0])
-
-    return step
 
 
 def _finding(fitted: Fit, run: int, oddity: _Oddity, share: float) -> DataMistake | None:

@@ -6,11 +6,11 @@ follows the slope of the output is acquisition. What is left acts only under loa
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from softcal.core.gap.case import Mask, Run
 from softcal.core.gap.fit import Fit
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.problem import Block
@@ -24,12 +24,7 @@ CONFIG = METHOD.place
 
 @dataclass(frozen=True)
 class Tone:
-    """The strongest tone of a channel.
-
-    Args:
-        rms: in units of the noise.
-        width_Hz: distance of two ordinates of its periodogram.
-    """
+    """The strongest tone of a channel: its rms in units of the noise, and the distance of two ordinates."""
 
     channel: str
     frequency_Hz: float
@@ -92,37 +87,49 @@ def loose_noise(found: Fit) -> LooseNoise | None:
     A clock that jitters makes fast samples noisier than slow ones. A bad contact or a disturbed line throws single
     samples far off; a line picks up a tone. None of these leaves a structure that sums up.
     """
-    tone = strongest_tone(found) if found.problem.dither_V is None else None
-    if tone is not None and not _is_beside_line(found, tone):
+    problem = found.problem
+    if problem.dither_V is not None:
+        return None
+    rows = zip(found.hypothesis.effects, found.effect_values, strict=True)
+    fitted = [(effect.signs.placing, values) for effect, values in rows]
+    tone = strongest_tone(found)
+    # A named line breathes as that of mains does: what its equation leaves is a tone beside it.
+    if tone is not None and not (
+        tone.channel == "output_V"
+        and any(
+            abs(tone.frequency_Hz - frequency_Hz) < CONFIG.breathes_Hz
+            and tone.rms * problem.floor(tone.channel) < CONFIG.most_of_line * amplitude / np.sqrt(2.0)
+            for placing, values in fitted
+            if placing == Placing.LINE
+            for amplitude, frequency_Hz in [values[:2]]
+        )
+    ):
         stage: ChainStage = "electronics" if tone.channel == "output_V" else "load_cell"
         name = tone.channel.split("_")[0]
         seen = reason("gap.seen.tone", frequency_Hz=tone.frequency_Hz, channel=name, rms=tone.rms)
         return LooseNoise(stage, seen)
-    return _loose_output(found)
+    levels_V = [values[0] for placing, values in fitted if placing in (Placing.CEILING, Placing.FLOOR)]
+    return _loose_output(found, levels_V)
 
 
-def _is_beside_line(found: Fit, tone: Tone) -> bool:
-    """Whether a tone is what the equation of a named line leaves: that of mains breathes."""
-    rows = zip(found.hypothesis.effects, found.effect_values, strict=True)
-    lines = [values for effect, values in rows if effect.signs.placing == Placing.LINE]
-    rms = tone.rms * found.problem.floor(tone.channel)
-    return tone.channel == "output_V" and any(
-        abs(tone.frequency_Hz - frequency_Hz) < CONFIG.breathes_Hz
-        and rms < CONFIG.most_of_line * amplitude / np.sqrt(2.0)
-        for amplitude, frequency_Hz, *_ in lines
-    )
-
-
-def _loose_output(found: Fit) -> LooseNoise | None:
-    runs = found.problem.case.runs
-    blocks = [b for b in found.problem.blocks_of("output_V", "press") if runs[b.run].stage_mm is not None]
-    if not blocks or found.problem.dither_V is not None:
+def _loose_output(found: Fit, levels_V: Sequence[float]) -> LooseNoise | None:
+    problem, runs = found.problem, found.problem.case.runs
+    blocks = [b for b in problem.blocks_of("output_V", "press") if runs[b.run].stage_mm is not None]
+    if not blocks:
         return None
+    every_V = np.concatenate([found.predicted[b.place] for b in blocks])
+    is_open, near_V = np.ones(len(every_V), dtype=np.bool_), CONFIG.clipped_sigma * problem.floor("output_V")
     # A clipped output has less noise than the rest, and stands still.
-    is_open = ~np.concatenate([_is_clipped(found, b) for b in blocks])
-    error = np.concatenate([_quick(found.residual[b.place]) for b in blocks])[is_open]
+    for level_V in levels_V:
+        is_open &= np.abs(every_V - level_V) >= near_V
+    quick = []
+    for block in blocks:
+        # What a sample has beyond the mean of its neighbours; white noise keeps its variance.
+        residual, own = found.residual[block.place], np.zeros(block.place.stop - block.place.start)
+        own[1:-1] = (residual[1:-1] - 0.5 * (residual[:-2] + residual[2:])) / np.sqrt(1.5)
+        quick.append(own)
+    error, output_V = np.concatenate(quick)[is_open], every_V[is_open]
     speed = np.abs(np.concatenate([_rate(found, b) for b in blocks]))[is_open]
-    output_V = np.concatenate([found.predicted[b.place] for b in blocks])[is_open]
     is_loaded = output_V > output_V.min() + CONFIG.loaded * np.ptp(output_V)
     is_slow = speed < np.quantile(speed, 0.5)
     spikes = int(np.count_nonzero(np.abs(error[is_slow]) > CONFIG.spike_sigma))
@@ -140,23 +147,6 @@ def _loose_output(found: Fit) -> LooseNoise | None:
     return None
 
 
-def _is_clipped(found: Fit, block: Block) -> Mask:
-    """(n,) where the output stands, within its noise, at a level it was fitted to be clipped at."""
-    output_V, near_V = found.predicted[block.place], CONFIG.clipped_sigma * found.problem.floor("output_V")
-    out = np.zeros(len(output_V), dtype=np.bool_)
-    for effect, values in zip(found.hypothesis.effects, found.effect_values, strict=True):
-        if effect.signs.placing in (Placing.CEILING, Placing.FLOOR):
-            out |= np.abs(output_V - values[0]) < near_V
-    return out
-
-
-def _quick(error: Array) -> Array:
-    """(n,) what a sample has beyond the mean of its neighbours; white noise keeps its variance."""
-    out = np.zeros(len(error))
-    out[1:-1] = (error[1:-1] - 0.5 * (error[:-2] + error[2:])) / np.sqrt(1.5)
-    return out
-
-
 def likely_stages(base: Fit, maps: tuple[Map, ...]) -> tuple[ChainStage, ...]:
     """Return the stages the gap may sit in, the likeliest first; none where no map shows a gap."""
     pointed = suspects(maps, base.problem.case.readout.sensor_type)
@@ -167,7 +157,7 @@ def likely_stages(base: Fit, maps: tuple[Map, ...]) -> tuple[ChainStage, ...]:
     if "motion" in pointed and "transduction" not in pointed:
         first.append("motion" if _is_motion(base) else "mechanics")
     elif "transduction" in pointed and "motion" not in pointed:
-        first.append(_behind(base))
+        first.append(_behind(base, loose))
     return (*first, *(stage for stage in pointed if stage not in first))
 
 
@@ -176,7 +166,7 @@ def _rate(found: Fit, block: Block) -> Array:
     return np.asarray(np.gradient(found.predicted[block.place], run.t_s))
 
 
-def _behind(base: Fit) -> ChainStage:
+def _behind(base: Fit, loose: LooseNoise | None) -> ChainStage:
     blocks = base.problem.blocks_of("output_V", "press")
     if not blocks:
         return "transduction"
@@ -187,7 +177,6 @@ def _behind(base: Fit) -> ChainStage:
     share, swings = _static(error, output_V, excess)
     if share > CONFIG.most:
         return "electronics" if swings >= CONFIG.swings else "transduction"
-    loose = loose_noise(base)
     if loose is not None:
         return loose.stage
     # A shift in time errs by the slope of the output, to first order.
@@ -219,29 +208,25 @@ def _is_motion(base: Fit) -> bool:
     blocks = base.problem.blocks_of("force_N", "press")
     if not blocks:
         return False
-    runs = [base.problem.case.runs[b.run] for b in blocks]
-    errors = [_displacement(base, b, run) for b, run in zip(blocks, runs, strict=True)]
-    every, travel = np.concatenate(errors), np.concatenate([_travel(run) for run in runs])
+    errors, travels, trends = [], [], 0.0
+    for block in blocks:
+        travel = np.asarray(base.problem.case.runs[block.run].stage_mm)
+        depth_mm = np.maximum(0.0, travel - base.base.u0_mm)
+        slope = base.base.k1_N_mm + 3.0 * base.base.k3_N_mm3 * depth_mm**2
+        # So scaled a wrong position weighs alike at any depth.
+        scaled = base.residual[block.place] * float(np.median(slope)) / np.maximum(slope, 1e-9 * float(np.max(slope)))
+        error, t = np.where(depth_mm > 0, scaled, 0.0), np.arange(len(travel)) - 0.5 * (len(travel) - 1)
+        trends += float((error @ t) ** 2 / (t @ t))
+        errors.append(error)
+        travels.append(travel)
+    every = np.concatenate(errors)
     excess = max(float(every @ every) - len(every), 1.0)
-    share, swings = _static(every, travel, excess)
+    share, swings = _static(every, np.concatenate(travels), excess)
     if share > CONFIG.most and swings >= CONFIG.swings:
         return True
     jumps = sum(_jump(error) for error in errors)
-    sets = sum(_by_deepest(error, _travel(run)) for error, run in zip(errors, runs, strict=True))
-    trends = sum(_trend(error) for error in errors)
+    sets = sum(_by_deepest(*pair) for pair in zip(errors, travels, strict=True))
     return jumps > CONFIG.most * excess and jumps > 1.2 * max(sets, trends)
-
-
-def _travel(run: Run) -> Array:
-    return np.zeros(len(run)) if run.stage_mm is None else run.stage_mm
-
-
-def _displacement(base: Fit, block: Block, run: Run) -> Array:
-    """(n,) residual of the force in which a wrong position weighs alike at any depth."""
-    depth_mm = np.maximum(0.0, _travel(run) - base.base.u0_mm)
-    slope = base.base.k1_N_mm + 3.0 * base.base.k3_N_mm3 * depth_mm**2
-    scaled = base.residual[block.place] * float(np.median(slope)) / np.maximum(slope, 1e-9 * float(np.max(slope)))
-    return np.asarray(np.where(depth_mm > 0, scaled, 0.0))
 
 
 def _jump(error: Array) -> float:
@@ -251,12 +236,6 @@ def _jump(error: Array) -> float:
     right = float(error.sum()) - left
     mean = float(error.sum()) ** 2 / len(error)
     return float(np.max(left**2 / count + right**2 / (len(error) - count)) - mean)
-
-
-def _trend(error: Array) -> float:
-    """Return the energy that a straight line in time takes away, beyond the mean."""
-    t = np.arange(len(error)) - 0.5 * (len(error) - 1)
-    return float((error @ t) ** 2 / (t @ t))
 
 
 def _by_deepest(error: Array, travel: Array) -> float:

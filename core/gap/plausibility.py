@@ -14,7 +14,6 @@ from softcal.core.gap.case import Case, Run
 from softcal.core.gap.data_mistake import DataMistake, apart, numbers, of_gain, of_sign, of_unit
 from softcal.core.gap.method import METHOD
 from softcal.core.recording import RATE_TOLERANCE, Array
-from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.words.reason import Reason, reason
 
 CONFIG = METHOD.mistake
@@ -92,7 +91,6 @@ def _presses(case: Case) -> list[tuple[int, Run]]:
 
 
 def _channels(run: Run) -> dict[str, Array]:
-    """Return the recorded channels of a run by their short name."""
     every = {short: getattr(run, name) for short, name in COLUMNS.items()}
     return {short: values for short, values in every.items() if values is not None}
 
@@ -120,10 +118,15 @@ def _columns(run: Run) -> Iterator[DataMistake]:
     if output not in (None, "output"):
         pair = "+".join(name for name in COLUMNS if name in ("output", output))
     elif output is not None and len(channels) == 3:
-        rough = {name: _roughness(channels[name]) for name in ("stage", "force")}
-        pair = (
-            "stage+force" if rough["force"] < rough["stage"] and rough["force"] < CONFIG.smooth * rough["stage"] else ""
-        )
+        # Second differences against the span, corners left out.
+        rough = {}
+        for name in ("stage", "force"):
+            low, high = np.quantile(channels[name], (0.02, 0.98))
+            bends = np.sort(np.abs(np.diff(channels[name], 2)))
+            rms = np.sqrt(np.mean(bends[: max(1, int(0.8 * len(bends)))] ** 2))
+            rough[name] = float(rms / max(high - low, 1e-12))
+        is_commanded = rough["force"] < rough["stage"] and rough["force"] < CONFIG.smooth * rough["stage"]
+        pair = "stage+force" if is_commanded else ""
     if pair:
         one, other = pair.split("+")
         evidence = reason("data.swapped_columns.steps" if "output" in pair else "data.swapped_columns.smooth")
@@ -147,13 +150,6 @@ def _output_by_steps(run: Run, channels: Mapping[str, Array]) -> str | None:
     return first if shares[first] > CONFIG.on_grid and all(shares[name] < CONFIG.off_grid for name in others) else None
 
 
-def _roughness(values: Array) -> float:
-    """Return the size of the second differences against the span, corners left out."""
-    low, high = np.quantile(values, (0.02, 0.98))
-    bends = np.sort(np.abs(np.diff(values, 2)))
-    return float(np.sqrt(np.mean(bends[: max(1, int(0.8 * len(bends)))] ** 2)) / max(high - low, 1e-12))
-
-
 @_in_runs
 def _ranges(run: Run) -> Iterator[DataMistake]:
     """An output cannot leave what its ADC can read."""
@@ -166,24 +162,24 @@ def _ranges(run: Run) -> Iterator[DataMistake]:
         return
     worst_V, count = float(output_V[np.argmax(np.abs(output_V))]), int(is_beyond.sum())
     evidence = reason("data.out_of_range.output", worst=worst_V, vref=vref_V, count=count)
-    repaired = _output_repaired(output_V, run.readout, evidence) if is_beyond.mean() > CONFIG.few else None
-    yield repaired or _of_samples("output", count, evidence)
+    if is_beyond.mean() <= CONFIG.few:
+        yield _of_samples("output", count, evidence)
+        return
+    # The unit or sign that brings the output of the run back.
+    factors = {"mV": 1e-3, "uV": 1e-6}
+    if np.all(output_V == np.round(output_V)):
+        factors = {"codes": run.readout.step_V, **factors}
+    low, high = np.quantile(output_V, (0.02, 0.98))
+    for unit, factor in factors.items():
+        if 0.01 < low * factor / vref_V and 0.02 < high * factor / vref_V < 1.0:
+            yield of_unit("output", (), unit, factor, evidence)
+            return
+    is_turned = high < 0 and -low <= vref_V
+    yield of_sign("output", (), evidence) if is_turned else _of_samples("output", count, evidence)
 
 
 def _of_samples(channel: str, count: int, evidence: Reason) -> DataMistake:
     return DataMistake("out_of_range", channel, (), None, evidence, reason("data.repair.samples", count=count))
-
-
-def _output_repaired(output_V: Array, readout: ReadoutMetadata, evidence: Reason) -> DataMistake | None:
-    """Return the unit or sign that brings the output of a run back, None where none does."""
-    factors = {"mV": 1e-3, "uV": 1e-6}
-    if np.all(output_V == np.round(output_V)):
-        factors = {"codes": readout.step_V, **factors}
-    low, high = np.quantile(output_V, (0.02, 0.98))
-    for unit, factor in factors.items():
-        if 0.01 < low * factor / readout.vref_V and 0.02 < high * factor / readout.vref_V < 1.0:
-            return of_unit("output", (), unit, factor, evidence)
-    return of_sign("output", (), evidence) if high < 0 and -low <= readout.vref_V else None
 
 
 @_in_runs
@@ -297,22 +293,20 @@ def _size(case: Case) -> _Size:
             low, high = np.quantile(channels["force"], (0.02, 0.995))
             forces.append(float(high - min(low, 0.5 * high)) if low < 0 else float(high))
         if "stage" in channels and load is not None:
-            contact = _contact_mm(channels["stage"], load)
-            depths.append(float(np.quantile(channels["stage"], 0.995)) - contact)
-            speeds.append(float(np.quantile(np.abs(np.gradient(channels["stage"], run.t_s)), 0.98)))
+            stage_mm = channels["stage"]
+            low, high = np.quantile(load, (0.02, 0.995))
+            part = (load - low) / max(float(high - low), 1e-12)
+            # The load begins where a line through 5 % and 15 % of it meets none.
+            twentieth, three = (stage_mm[np.abs(part - level) < 0.02] for level in (0.05, 0.15))
+            if len(twentieth) and len(three):
+                contact_mm = float(1.5 * np.median(twentieth) - 0.5 * np.median(three))
+            else:
+                touching = stage_mm[part > 0.03]
+                contact_mm = float(np.quantile(touching, 0.02)) if len(touching) else 0.0
+            depths.append(float(np.quantile(stage_mm, 0.995)) - contact_mm)
+            speeds.append(float(np.quantile(np.abs(np.gradient(stage_mm, run.t_s)), 0.98)))
     depth_mm, force_N = (max(float(np.median(v)), 1e-9) if v else None for v in (depths, forces))
     return _Size(depth_mm, force_N, max(speeds, default=None))
-
-
-def _contact_mm(stage_mm: Array, load: Array) -> float:
-    """Return where the load begins: where a line through 5 % and 15 % of it meets none."""
-    low, high = np.quantile(load, (0.02, 0.995))
-    part = (load - low) / max(float(high - low), 1e-12)
-    twentieth, three = (stage_mm[np.abs(part - level) < 0.02] for level in (0.05, 0.15))
-    if len(twentieth) and len(three):
-        return float(1.5 * np.median(twentieth) - 0.5 * np.median(three))
-    touching = stage_mm[part > 0.03]
-    return float(np.quantile(touching, 0.02)) if len(touching) else 0.0
 
 
 def _unusual(size: _Size, channel: str, low: float, high: float) -> Reason:
@@ -358,9 +352,9 @@ def _runs_apart(case: Case) -> list[DataMistake]:
 
 
 def _spread_at(reference: Array, values: Array) -> float:
-    """Return the slope of a channel against another one, robustly: over the middle of what both show.
+    """Return the slope of a channel against another one over the middle of what both show.
 
-    Both are sorted first: a channel that is late, or has lost samples, shows the same values at other instants.
+    Both are sorted first: one that is late, or has lost samples, shows the same values at other instants.
     """
     reference, values = np.sort(reference), np.sort(values)
     low, high = np.quantile(reference, (0.05, 0.95))

@@ -32,12 +32,7 @@ def misfit(excess: float) -> float:
 
 @dataclass(frozen=True)
 class Yardstick:
-    """What hypotheses of one case are measured by.
-
-    Args:
-        chi2: of the hypothesis that comes closest to the recordings.
-        floor: χ² of the structure that even this one leaves, or must be allowed to leave.
-    """
+    """χ² of the hypothesis that comes closest, and of the structure that even this one may leave."""
 
     chi2: float
     floor: float
@@ -66,39 +61,24 @@ def penalty(found: Fit) -> float:
     """Return the penalty with episodes after the first at a fraction: a loose lead is one cause, however often it gaps.
 
     Each episode was paid for in full when it was placed. A size that these runs hardly determine pays less than
-    Schwarz's ln n, which takes it that every sample tells of it.
+    Schwarz's ln n, which takes it that every sample tells of it: −2·ln of posterior over prior (Laplace).
     """
+    problem, most = found.problem, float(np.log(found.problem.count))
     more = max(found.hypothesis.episode_count - 1, 0)
-    cheaper = more * (EVIDENCE.episode_cost - EVIDENCE.further_episode_cost) * float(np.log(found.problem.count))
-    if found.problem.is_driven_by_force:
+    cheaper = more * (EVIDENCE.episode_cost - EVIDENCE.further_episode_cost) * most
+    if problem.is_driven_by_force:
         # What its noise feigns is in the floor already.
         cheaper += EVIDENCE.driven_cost * len(found.hypothesis.ids)
-    else:
-        cheaper += _spared(found)
-    return found.penalty - cheaper + EVIDENCE.bound_cost * sizes_on_bound(found)
-
-
-def _spared(found: Fit) -> float:
-    """What sizes pay less than Schwarz's ln n: −2·ln of posterior over prior (Laplace)."""
-    spared, most = 0.0, float(np.log(found.problem.count))
-    for effect in found.hypothesis.effects:
-        at = found.hypothesis.place_of(effect.id)
-        size, variance = found.problem.scale.sized(effect.parameters[0]), float(found.covariance[at, at])
+    spared, on_bound = 0.0, 0
+    for effect, values in zip(found.hypothesis.effects, found.effect_values, strict=True):
+        size, at = problem.scale.sized(effect.parameters[0]), found.hypothesis.place_of(effect.id)
+        ends = [end for end in (size.low, size.high) if end not in (0.0, size.neutral)]
+        on_bound += size.scale == "linear" and any(abs(values[0] - end) < 0.01 * abs(end) for end in ends)
+        variance = 0.0 if problem.is_driven_by_force else float(found.covariance[at, at])
         if variance > 0.0 and not effect.is_episodic:
             width = EVIDENCE.usual_range * fit_scale(size) / np.sqrt(2.0 * np.pi * variance)
             spared += size.weight * max(0.0, most - 2.0 * float(np.log(max(width, 1.0))))
-    return spared
-
-
-def sizes_on_bound(found: Fit) -> int:
-    """Return how many causes have ended at the largest size that a rig can show."""
-    rows = zip(found.hypothesis.effects, found.effect_values, strict=True)
-    sizes = [(found.problem.scale.sized(effect.parameters[0]), values[0]) for effect, values in rows]
-    return sum(
-        size.scale == "linear"
-        and any(abs(value - end) < 0.01 * abs(end) for end in (size.low, size.high) if end not in (0.0, size.neutral))
-        for size, value in sizes
-    )
+    return found.penalty - (cheaper + spared) + EVIDENCE.bound_cost * on_bound
 
 
 def log_evidences(fits: Fits) -> dict[tuple[str, ...], float]:
@@ -108,12 +88,9 @@ def log_evidences(fits: Fits) -> dict[tuple[str, ...], float]:
 
 
 def probabilities(logs: Mapping[tuple[str, ...], float], effects: Iterable[str] = tuple(EFFECTS)) -> dict[str, float]:
-    """Return for every effect, of the catalogue where nothing else is said, the probability that it is present.
+    """Return for every effect the probability that it is present, from log evidences of hypotheses.
 
     Effects that were screened away have no hypothesis of their own and get 0; the numbers need not sum to 1.
-
-    Args:
-        logs: logarithm of prior times evidence by hypothesis.
     """
     top = max(logs.values())
     weights = {ids: float(np.exp(value - top)) for ids, value in logs.items()}
@@ -124,13 +101,9 @@ def probabilities(logs: Mapping[tuple[str, ...], float], effects: Iterable[str] 
 def rivals(
     fits: Fits, best: Fit, logs: Mapping[tuple[str, ...], float], held_open: tuple[Fit, ...] = ()
 ) -> tuple[Fit, ...]:
-    """Return the best hypothesis and those the evidence cannot rule out.
+    """Return the best hypothesis, those held open, and those the evidence cannot rule out.
 
-    One that merely adds a cause to another counts only where the evidence for that cause is neither negligible nor
-    decisive.
-
-    Args:
-        held_open: larger hypotheses that are in play whatever their evidence.
+    One that merely adds a cause counts only where the evidence for that cause is neither negligible nor decisive.
     """
     if not best.hypothesis.ids:
         return (best,)
@@ -143,37 +116,31 @@ def rivals(
         if ids and not any(ids >= set(other.hypothesis.ids) for other in in_play):
             in_play.append(found)
     most = max(RIVAL.most_causes, len(best.hypothesis.ids) + 1)
-    for found in _open_additions(fits, best, logs):
-        if any(found.hypothesis.ids == other.hypothesis.ids for other in in_play):
-            continue
-        if len({*found.hypothesis.ids}.union(*(other.hypothesis.ids for other in in_play))) <= most:
-            in_play.append(found)
-    return tuple(in_play[: RIVAL.most])
-
-
-def _open_additions(fits: Fits, best: Fit, logs: Mapping[tuple[str, ...], float]) -> list[Fit]:
-    """Return hypotheses with one cause more that can be neither named nor left out."""
-    ids = set(best.hypothesis.ids)
-    larger = [found for other, found in fits.items() if set(other) > ids and len(other) == len(ids) + 1]
-    ahead = [exact_log_evidence(found) - exact_log_evidence(best) for found in larger]
-    behind = [logs[best.hypothesis.ids] - logs[found.hypothesis.ids] for found in larger]
-    least = max(ahead, default=0.0) - RIVAL.odds
+    # Hypotheses with one cause more that can be neither named nor left out.
+    best_ids = set(best.hypothesis.ids)
+    larger = [f for ids, f in fits.items() if set(ids) > best_ids and len(ids) == len(best_ids) + 1]
+    ahead = {f.hypothesis.ids: exact_log_evidence(f) - exact_log_evidence(best) for f in larger}
+    least = max(ahead.values(), default=0.0) - RIVAL.odds
     # Another realisation of one cause may be two causes in the catalogue's equations: a joint is a frame with a toe.
     is_in_other_form = any(form.effect is e for e in best.hypothesis.effects for form in FORMS.get(e.id, ()))
     within = RIVAL.odds if is_in_other_form else RIVAL.added
     most_z = max(METHOD.structure.dirty_z, RIVAL.structure_left * structure(best).z)
-    is_open = [
-        a >= least and (b < within or (b < RIVAL.negligible and a > RIVAL.exact)) and structure(found).z < most_z
-        for found, a, b in zip(larger, ahead, behind, strict=True)
-    ]
-    order = sorted(np.flatnonzero(is_open), key=lambda k: -ahead[k])
-    return [larger[k] for k in order]
+    for found in sorted(larger, key=lambda f: -ahead[f.hypothesis.ids]):
+        ids, behind = found.hypothesis.ids, top - logs[found.hypothesis.ids]
+        is_near = behind < within or (behind < RIVAL.negligible and ahead[ids] > RIVAL.exact)
+        if not (ahead[ids] >= least and is_near and structure(found).z < most_z):
+            continue
+        if any(ids == other.hypothesis.ids for other in in_play):
+            continue
+        if len({*ids}.union(*(other.hypothesis.ids for other in in_play))) <= most:
+            in_play.append(found)
+    return tuple(in_play[: RIVAL.most])
 
 
 def confused_pairs(group: tuple[Fit, ...]) -> list[list[str]]:
     """Return the pairs of effects that stand for each other in rival hypotheses.
 
-    A cause that one rival has beside those of another stands for what the equation of the largest of those leaves.
+    A cause that one rival has beside another's stands for what the equation of the largest of those leaves.
     """
     best = set(group[0].hypothesis.ids)
     pairs: list[list[str]] = []
@@ -187,10 +154,7 @@ def confused_pairs(group: tuple[Fit, ...]) -> list[list[str]]:
 
 
 def hidden_fraction(found: Fit, effect_id: str) -> float:
-    """Return which share of an effect's signature, at the fitted size, the refitted base would swallow on these runs.
-
-    The signature is the change of the prediction when the effect is switched off; the rest of the hypothesis stays.
-    """
+    """Return which share of an effect's signature, at its size, the refitted base would swallow here."""
     signature = _signature(found, effect_id)
     size = energy(signature)
     if size <= 0.0:

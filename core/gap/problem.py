@@ -9,11 +9,10 @@ import numpy as np
 
 from softcal.core.gap.case import Case, Mask, Run, RunKind
 from softcal.core.gap.colour import Colour, ColourConfig, filter_of, filtered
-from softcal.core.gap.coordinates import from_fit
+from softcal.core.gap.coordinates import RigScale, from_fit
 from softcal.core.gap.forward import dither_V, mean_code_V, predict
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.offsets import IS_RELATIVE, Directions, Sizes, bases_of, directions, largest_offsets, with_offsets
-from softcal.core.gap.scale import RigScale
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Parameter
 from softcal.core.twin.parameters import BaseParameters
@@ -29,6 +28,9 @@ BASE = (
 
 QUIETEST = 1e-6
 """Least noise of a force that is believed, N on the common rig."""
+
+SHOWN_ALONE = {"rigid_block": "stage_mm", "dead_weights": "force_N", "dummy_resistor": "output_V"}
+"""The one channel that a special run shows."""
 
 Episodes = tuple[Mapping[str, Array], ...]
 
@@ -164,7 +166,13 @@ class Problem:
     @cached_property
     def channels_of_runs(self) -> list[tuple[str, ...]]:
         """Per run, the recorded channels that are predicted."""
-        return [predicted_channels(run) for run in self.case.runs]
+        out: list[tuple[str, ...]] = []
+        for run in self.case.runs:
+            # What drives the twin is not predicted.
+            alone = "output_V" if run.kind == "press" and run.stage_mm is None else SHOWN_ALONE.get(run.kind)
+            of_press = (channel for channel in ("force_N", "output_V") if getattr(run, channel) is not None)
+            out.append((alone,) if alone else tuple(of_press))
+        return out
 
     def recorded(self, run: int, channel: str) -> Array:
         """Return a recorded channel of a run, (n,)."""
@@ -350,14 +358,3 @@ class Problem:
     def with_noise(self, sigma: Mapping[str, float], colour: Mapping[str, Colour] | None = None) -> "Problem":
         """Return the same problem under other noise, of the same colour where none is given."""
         return replace(self, sigma=sigma, colour=self.colour if colour is None else colour)
-
-
-def predicted_channels(run: Run) -> tuple[str, ...]:
-    """Return the recorded channels of a run that the twin predicts (not those that drive it)."""
-    if run.kind == "rigid_block":
-        return ("stage_mm",)
-    if run.kind == "dead_weights":
-        return ("force_N",)
-    if run.kind == "dummy_resistor" or (run.kind == "press" and run.stage_mm is None):
-        return ("output_V",)
-    return tuple(channel for channel in ("force_N", "output_V") if getattr(run, channel) is not None)

@@ -25,12 +25,7 @@ TIED = 1e-6
 
 @dataclass(frozen=True)
 class Structure:
-    """How much of a residual is not noise.
-
-    Args:
-        z: excess of the block sums over white noise, in standard errors; the larger of two block lengths.
-        rms: root mean square of the structured part in units of the noise.
-    """
+    """How much of a residual is not noise: its excess in standard errors, and its rms in units of the noise."""
 
     z: float
     rms: float
@@ -50,12 +45,7 @@ class Map:
 
 @dataclass(frozen=True)
 class Regime:
-    """A condition under which the gap stands out.
-
-    Args:
-        share: of the energy of the gap of this channel.
-        lift: share over the share of time spent in it.
-    """
+    """A condition under which the gap of a channel stands out: share of its energy, and that over the share of time."""
 
     channel: str
     name: Reason
@@ -90,19 +80,18 @@ def _block_sums(values: Array, length: int) -> Array:
 
 def three_maps(case: Case) -> tuple[Map, ...]:
     """Fit each chain relation of the base alone, without any effect, and measure what it leaves."""
-    presses, maps = case.presses, []
     stage, force, output = (case.has(channel) for channel in ("stage_mm", "force_N", "output_V"))
-    if stage and force:
-        maps.append(_map("stage→force", case, [replace(run, output_V=None) for run in presses]))
-    if force and output and case.readout.sensor_type == "pressure":
-        maps.append(_map("force→output", case, [replace(run, stage_mm=None) for run in presses]))
-    if stage and output:
-        maps.append(_map("stage→output", case, [replace(run, force_N=None) for run in presses]))
+    relations = (
+        ("stage→force", stage and force, "output_V"),
+        ("force→output", force and output and case.readout.sensor_type == "pressure", "stage_mm"),
+        ("stage→output", stage and output, "force_N"),
+    )
+    maps = []
+    for name, is_recorded, left_out in relations:
+        if is_recorded:
+            alone = Case(case.serial, tuple(replace(run, **{left_out: None}) for run in case.presses))
+            maps.append(Map(name, structure(base_fit(alone))))
     return tuple(maps)
-
-
-def _map(name: str, case: Case, runs: list[Run]) -> Map:
-    return Map(name, structure(base_fit(Case(case.serial, tuple(runs)))))
 
 
 BEFORE: tuple[ChainStage, ...] = ("mechanics", "motion")
@@ -145,10 +134,7 @@ def suspects(maps: tuple[Map, ...], sensor_type: SensorType = "pressure") -> tup
 
 
 def regimes(found: Fit) -> tuple[Regime, ...]:
-    """Return the regimes in which the residual of a fit stands out, channel by channel, strongest first.
-
-    share_b = Σ_b(e² − 1)/Σ(e² − 1) with e in units of the noise; lift is share over the share of samples.
-    """
+    """Return the regimes in which the residual of a fit stands out, channel by channel, strongest first."""
     out = []
     for channel in ("force_N", "output_V"):
         blocks = found.problem.blocks_of(channel, "press")
@@ -162,11 +148,7 @@ def regimes(found: Fit) -> tuple[Regime, ...]:
 def shares_of_gap(
     found: Fit, blocks: list[Block], conditions: Mapping[Reason, Array]
 ) -> Iterator[tuple[Reason, float, float]]:
-    """Yield each condition with its share of the structured energy of these blocks and its share of the time.
-
-    Args:
-        conditions: which samples of the blocks, one after the other, lie in each.
-    """
+    """Yield each condition with its share of the structured energy of these blocks and its share of the time."""
     excess = np.concatenate([found.residual[b.place] ** 2 - 1.0 for b in blocks])
     total = float(excess.sum())
     # Within four standard errors of the sum of squares there is no gap to divide.

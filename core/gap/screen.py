@@ -7,11 +7,10 @@ from functools import cached_property
 import numpy as np
 
 from softcal.core.gap.case import Case
-from softcal.core.gap.coordinates import start_coordinates
+from softcal.core.gap.coordinates import RigScale, start_coordinates
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import combine, dots, energy, gram
 from softcal.core.gap.problem import Around
-from softcal.core.gap.scale import RigScale
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Alias, Effect
@@ -20,12 +19,7 @@ from softcal.core.twin.probes import Extent
 
 @dataclass(frozen=True)
 class Probe:
-    """An effect at a small size and one shape, to see which way it would move the prediction.
-
-    Args:
-        values: parameter values, the size first.
-        is_one_sided: the size cannot change its sign.
-    """
+    """An effect at a small size and one shape, to see which way it would move the prediction; the size stands first."""
 
     effect: Effect
     values: tuple[float, ...]
@@ -99,11 +93,7 @@ class Lead:
     shift: Array
 
     def start(self, found: Fit, share: float = 1.0) -> Array:
-        """Return the coordinates at which a fit of the larger hypothesis should begin.
-
-        Args:
-            share: of the promised size, and of what the fit's own coordinates would move along.
-        """
+        """Return the coordinates at which a fit of the larger hypothesis begins, at a share of the promised size."""
         _, left = found.hypothesis.without(self.effect.id)
         kept = (found.coordinates + share * self.shift)[left]
         first = self.effect.parameters[0]
@@ -204,22 +194,15 @@ class Tangent:
         times = float(dots(seen.reshape(1, -1), self._residual)[0]) / power
         if probe.is_one_sided and times <= 0:
             return None
-        gain = times**2 * power
         # The probe is linear for small effects only: begin within a decade of it.
         stretch = float(np.clip(times, -30.0, 30.0))
         shift = np.zeros(len(self._found.coordinates))
         shift[self._rows] = -stretch * (self._turn.T @ dots(self._basis, signature))
-        return Lead(probe.effect, stretched(probe, stretch, self._found.problem.scale), gain, 1.0 - power / size, shift)
-
-
-def stretched(probe: Probe, times: float, scale: RigScale) -> tuple[float, ...]:
-    """Return the probe's values with its size multiplied, kept within bounds."""
-    first = scale.sized(probe.effect.parameters[0])
-    if first.scale == "inverse_square":
-        size = probe.values[0] / max(times, 1e-3) ** 0.5
-    elif first.neutral == np.inf:
-        # A level does not scale with what it cuts off.
-        size = probe.values[0]
-    else:
-        size = probe.values[0] * times
-    return (float(np.clip(size, first.low, first.high)), *probe.values[1:])
+        first, usual = self._found.problem.scale.sized(probe.effect.parameters[0]), probe.values[0]
+        if first.scale == "inverse_square":
+            value = usual / max(stretch, 1e-3) ** 0.5
+        else:
+            # A level does not scale with what it cuts off.
+            value = usual if first.neutral == np.inf else usual * stretch
+        values = (float(np.clip(value, first.low, first.high)), *probe.values[1:])
+        return Lead(probe.effect, values, times**2 * power, 1.0 - power / size, shift)

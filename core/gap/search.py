@@ -25,12 +25,7 @@ Progress = Callable[[str], None]
 
 
 class EffectSearch:
-    """All hypotheses fitted to one case, under one noise level.
-
-    Args:
-        candidates: probes of the effects that are screened.
-        to_place: effects that must be placed in time before they can be fitted.
-    """
+    """All hypotheses fitted to one case, under one noise level."""
 
     forms: Mapping[str, Sequence[Form]] = FORMS
     """Other realisations of a cause, by its identifier."""
@@ -54,7 +49,7 @@ class EffectSearch:
 
     @classmethod
     def of(cls, case: Case, say: Progress = lambda _: None, problem: Problem | None = None) -> "EffectSearch":
-        """Return the search over the catalogue for a case, under the noise of a problem where one is given."""
+        """Return the search over the catalogue for a case, under the noise of a problem if one is given."""
         say("fitting the base twin to all runs")
         base = base_fit(case)
         base = base if problem is None else fit(problem, Hypothesis(), base.coordinates)
@@ -97,10 +92,7 @@ class EffectSearch:
         self._conclude()
 
     def _start_again(self) -> None:
-        """Fit the likeliest hypotheses from the first base again, then from the best one's.
-
-        A base fitted through a large gap may be far off.
-        """
+        """Fit the likeliest hypotheses from other bases again: one fitted through a large gap may be far off."""
         if self.is_clean(self._leader):
             return
         likely = sorted(self.fits.values(), key=lambda f: f.bic)[: self._config.again]
@@ -143,7 +135,7 @@ class EffectSearch:
             self.stranger = stranger(self.best, [self.base, *parents], list(self.fits.values()))
 
     def hold_open(self) -> None:
-        """Take out of the best hypothesis causes that a free form of the others imitates; they stay in play."""
+        """Take causes that a free form of the others imitates out of the best hypothesis; they stay in play."""
         while len(self.best.hypothesis.ids) > 1:
             smaller = {i: found for i, found in self.one_less(self.best).items() if self.is_explained(found)}
             imitated = imitated_causes(self.best, smaller)
@@ -217,7 +209,7 @@ class EffectSearch:
         return noise_chance(found)
 
     def is_explained(self, found: Fit) -> bool:
-        """Whether what is left is nothing, or as little as another equation of the causes leaves."""
+        """Whether nothing is left, or as little as another equation of the causes leaves."""
         if self.is_clean(found):
             return True
         enough = self._config.enough

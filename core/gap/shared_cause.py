@@ -24,13 +24,7 @@ FEWEST_UNITS = 2
 
 @dataclass(eq=False)
 class Searched:
-    """What one unit's search leaves for the lot; the fits themselves are too large to keep for every unit.
-
-    Args:
-        logs: logarithm of prior times evidence by hypothesis, in the unit's own measure.
-        found: hypothesis and coordinates of every fit.
-        left: χ² of every fit, and what its parameters cost.
-    """
+    """What one unit's search leaves for the lot; the fits themselves are too large to keep for every unit."""
 
     problem: Problem
     yardstick: Yardstick
@@ -246,7 +240,6 @@ def _pooled(searched: Sequence[Searched], ids: Ids) -> float:
 
 
 def _best(logs: Mapping[Ids, float], held: Sequence[set[str]]) -> tuple[Ids, tuple[Ids, ...], set[str]]:
-    """Return the best shared hypothesis, its rivals, and causes that most units hold open."""
     top = max(logs, key=lambda ids: logs[ids])
     near = sorted((ids for ids in logs if logs[ids] > logs[top] - METHOD.rival.odds), key=lambda ids: -logs[ids])
     in_play: list[Ids] = [top]
@@ -262,10 +255,7 @@ def _best(logs: Mapping[Ids, float], held: Sequence[set[str]]) -> tuple[Ids, tup
 
 
 def _held_open(one: Diagnosis, searched: Searched) -> set[str]:
-    """Return the causes that a free form of the others imitates in a unit: open although the evidence is for them.
-
-    More units repeat what one equation leaves. So they cannot part such a cause from the others.
-    """
+    """Return the causes that a free form of the others imitates in a unit: open although the evidence is for them."""
     ids = one.best.hypothesis.ids
     every = [rival.hypothesis.ids for rival in one.rivals[1:] if set(rival.hypothesis.ids) > set(ids)]
     larger = [other for other in every if searched.logs[other] > searched.logs[ids]]

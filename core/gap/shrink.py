@@ -138,11 +138,7 @@ def _pooled(folds: list[_Fold], problem: Problem, channel: str, errors: list[Arr
 
 
 def unsupported(best: Fit, smaller: Mapping[str, Fit]) -> list[str]:
-    """Return the causes of a hypothesis that do not lower χ² on samples held back beyond its noise, the weakest first.
-
-    Args:
-        smaller: the hypothesis without each cause, fitted, by that cause.
-    """
+    """Return the causes that do not lower χ² on samples held back against the fits without each, weakest first."""
     folds = [_refit(best, best, unseen) for unseen in _folds(best.problem, best.hypothesis)[0]]
     sure = {}
     for effect_id, rest in smaller.items():
@@ -183,7 +179,6 @@ def gap_of_base(base: Fit) -> dict[str, ChannelGap]:
 
 
 def _shrink_of(channels: Iterable[ChannelGap]) -> float:
-    """Return the shrink over channels, each in units of its noise."""
     gap = left = 0.0
     for one in channels:
         gap += max(one.rmse_before - one.noise_floor, 0.0) / one.noise_floor
@@ -198,13 +193,26 @@ def _forecast(folds: list[_Fold], best: Fit) -> tuple[float, float, float]:
     unseen samples, plus what the hypothesis leaves unexplained on the samples it has seen. Where that has no structure
     it is an error of the noise level, and widens the interval alone.
     """
-    problem = best.problem
+    problem, spreads = best.problem, []
+    for fold in folds:
+        # (samples,) standard deviation of the prediction by that of the parameters: the diagonal of J C Jᵀ alone, for
+        # the whole matrix would be samples by samples.
+        found = fold.after
+        whole = found.problem.seeing(np.ones(len(found.problem.measured)))
+        slopes = fit(whole, found.hypothesis, found.coordinates, steps=0).slopes
+        carried = np.array([combine(row, slopes) for row in found.covariance])
+        spreads.append(np.asarray(np.sqrt(np.maximum(np.sum(carried * slopes, axis=0), 0.0))))
     is_noise, likely, pessimist = is_clean(best), [], []
     for channel in problem.scored_channels:
         floor = problem.floor(channel)
-        left = _left_over(best, channel)
+        # What the hypothesis leaves above the floor. Where a measured force drives the chain its noise is part of it:
+        # nothing removes it on other samples either.
+        parts = [(problem.measured - best.predicted)[b.place] for b in problem.blocks_of(channel)]
+        error = np.concatenate(parts) / floor
+        # One standard error is taken off: a right hypothesis leaves a mean square that scatters about 1.
+        left = floor * float(np.sqrt(max(0.0, float(np.mean(error**2)) - 1.0 - np.sqrt(2.0 / len(error)))))
         parted = _pooled(folds, problem, channel, [f.after.predicted - f.before.predicted for f in folds])
-        spread = _pooled(folds, problem, channel, [_spread(f) for f in folds])
+        spread = _pooled(folds, problem, channel, spreads)
         unexplained = 0.0 if is_noise else left
         before = [float(np.sqrt(floor**2 + parted**2 + part**2)) for part in (unexplained, left)]
         likely.append(ChannelGap(before[0], float(np.sqrt(floor**2 + unexplained**2 + spread**2)), floor))
@@ -213,26 +221,3 @@ def _forecast(folds: list[_Fold], best: Fit) -> tuple[float, float, float]:
     predicted = _shrink_of(likely)
     margin = max(CONFIG.least_margin, predicted - _shrink_of(pessimist))
     return predicted, max(0.0, predicted - margin), min(1.0, predicted + margin)
-
-
-def _left_over(best: Fit, channel: str) -> float:
-    """Return the root mean square, in the channel's unit, that the hypothesis leaves above the noise floor.
-
-    Where a measured force drives the chain its noise is part of it: nothing removes it on other samples either.
-    """
-    problem = best.problem
-    parts = [b.place for b in problem.blocks_of(channel)]
-    error = np.concatenate([(problem.measured - best.predicted)[p] for p in parts]) / problem.floor(channel)
-    # Below, one standard error is taken off: a right hypothesis leaves a mean square that scatters about 1.
-    excess = float(np.mean(error**2)) - 1.0
-    return problem.floor(channel) * float(np.sqrt(max(0.0, excess - np.sqrt(2.0 / len(error)))))
-
-
-def _spread(fold: _Fold) -> Array:
-    """(samples,) standard deviation of the prediction by that of the fitted parameters."""
-    found = fold.after
-    whole = found.problem.seeing(np.ones(len(found.problem.measured)))
-    slopes = fit(whole, found.hypothesis, found.coordinates, steps=0).slopes
-    # The diagonal of J C Jᵀ alone: the whole matrix would be samples by samples.
-    carried = np.array([combine(row, slopes) for row in found.covariance])
-    return np.asarray(np.sqrt(np.maximum(np.sum(carried * slopes, axis=0), 0.0)))

@@ -103,7 +103,6 @@ def against_others(base: Fit) -> tuple[DataMistake, ...]:
 
 
 def _agreement(found: Fit) -> float:
-    """Return the least share of a channel of a run that a fit takes up."""
     problem, predicted = found.problem, found.predicted
     return min(_share(problem.measured[b.place], predicted[b.place]) for b in problem.blocks)
 
@@ -120,7 +119,6 @@ def _fitted(problem: SimulatorProblem, runs: Sequence[SimulatorRun]) -> Fit:
 
 
 def _repaired(simulator: Simulator, others: Fit, run: SimulatorRun, number: int) -> Iterator[DataMistake]:
-    """Give the repairs of one run after which it agrees with what the others say of it."""
     said = simulator.named(others.hypothesis, others.coordinates)
     gives = simulator(run.columns, said)
     off = [c for c in simulator.channels if _share(run.columns[c], gives[c]) < CONFIG.bad]

@@ -1,6 +1,6 @@
 """Recordings of a mechanism and what its simulator says of them, as one problem for a fit."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -9,14 +9,29 @@ from scipy.interpolate import CubicSpline
 
 from softcal.core.gap.case import Case, Mask, Run
 from softcal.core.gap.colour import ColourConfig, COMMON_STEP_s
+from softcal.core.gap.coordinates import RigScale
 from softcal.core.gap.fit import Fit
-from softcal.core.gap.library import columns_of
+from softcal.core.gap.floor import columns_of
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.offsets import Directions, Sizes
 from softcal.core.gap.problem import Block, Hypothesis, Problem
-from softcal.core.gap.scale import RigScale
-from softcal.core.gap.simulator import STRAIGHT, Simulator, SimulatorFailed, SimulatorRun
-from softcal.core.gap.simulator_terms import TermStep
+from softcal.core.gap.simulator import (
+    CUBE,
+    LEVEL,
+    RATE,
+    REMEMBERED,
+    SIZED_TIME,
+    SIZED_WAY,
+    SQUARE,
+    STRAIGHT,
+    TIME,
+    WAY,
+    Simulator,
+    SimulatorFailed,
+    SimulatorRun,
+    SimulatorTerm,
+    TermStep,
+)
 from softcal.core.recording import Array
 
 KNOWN = 200
@@ -131,23 +146,24 @@ class SimulatorProblem(Problem):
         return out
 
     def directions(self, hypothesis: Hypothesis, coordinates: Array, clean: Array, sizes: Sizes) -> Directions:
-        raw = self._simulated(hypothesis, coordinates)
-        return [self._along(b, clean[b.place], raw[b.place], sizes.get(b.run)) for b in self.blocks]
-
-    def _along(self, block: Block, clean: Array, raw: Array, sizes: Array | None) -> Array | None:
-        """(k, n) change of a channel with each offset of its run; None where none is allowed."""
-        if block.channel not in self.of.per_run:
-            return None
-        t_s, has = self.case.runs[block.run].elapsed_s, dict.fromkeys(self.of.offsets, 0.0)
-        has |= {} if sizes is None else dict(zip(self.of.offsets, sizes, strict=True))
-        late, slope, apart = raw, np.gradient(clean, t_s), np.zeros(len(t_s))
-        if has.get((block.channel, "delay")) and np.all(np.isfinite(raw)):
-            late, slope, apart = shifted(raw, t_s, has[block.channel, "delay"], has[block.channel, STRAIGHT])
-        of_kind = {"zero": np.ones(len(t_s)), "drift": t_s, "gain": late, "delay": -slope, STRAIGHT: apart}
-        return np.array([of_kind[kind] * (channel == block.channel) for channel, kind in self.of.offsets])
+        raw, out = self._simulated(hypothesis, coordinates), []
+        for block in self.blocks:
+            if block.channel not in self.of.per_run:
+                out.append(None)
+                continue
+            kinds, mine = self.of.offsets, raw[block.place]
+            t_s, has = self.case.runs[block.run].elapsed_s, dict.fromkeys(kinds, 0.0)
+            if block.run in sizes:
+                has = dict(zip(kinds, sizes[block.run], strict=True))
+            late, slope, apart = mine, np.gradient(clean[block.place], t_s), np.zeros(len(t_s))
+            if has.get((block.channel, "delay")) and np.all(np.isfinite(mine)):
+                late, slope, apart = shifted(mine, t_s, has[block.channel, "delay"], has[block.channel, STRAIGHT])
+            of_kind = {"zero": np.ones(len(t_s)), "drift": t_s, "gain": late, "delay": -slope, STRAIGHT: apart}
+            out.append(np.array([of_kind[kind] * (channel == block.channel) for channel, kind in kinds]))
+        return out
 
     def _simulated(self, hypothesis: Hypothesis, coordinates: Array) -> Array:
-        """Return what the simulator says with the empirical terms, (samples,), NaN where it fails in a run."""
+        """Return (samples,) with the empirical terms, NaN where the simulator fails in a run."""
         parameters = self.of.named(hypothesis, coordinates)
         key = tuple(parameters.items())
         if key not in self.known:
@@ -185,20 +201,21 @@ class SimulatorProblem(Problem):
             out[block.place] = channels[block.channel]
         return out
 
-    def followed(self, predicted: Array, channel: str) -> dict[str, dict[str, Array]]:
+    def followed(self, predicted: Array, channel: str) -> list[Sequence[Array]]:
         """Return groups of (samples,) columns of inputs and channels that a residual may follow."""
         signals = {name: [run.columns[name] for run in self._runs] for name in self.of.inputs if name != channel}
         for name in self.of.channels:
             signals[name] = [predicted[b.place] for b in self.blocks_of(name)]
-        out: dict[str, dict[str, Array]] = {}
-        for name, parts in signals.items():
+        out, blocks = list[Sequence[Array]](), self.blocks_of(channel)
+        for parts in signals.values():
             low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)
-            for block in self.blocks_of(channel):
-                signal = (2.0 * parts[block.run] - low - high) / max(high - low, 1e-300)
-                for kind, columns in columns_of(signal, self._runs[block.run], self._times_slower).items():
-                    group = out.setdefault(f"{kind} of {name}", {})
-                    for k, column in enumerate(columns):
-                        group.setdefault(f"{k}", np.zeros(len(predicted)))[block.place] = column
+            scaled = [(2.0 * parts[b.run] - low - high) / max(high - low, 1e-300) for b in blocks]
+            each = [columns_of(x, self._runs[b.run], self._times_slower) for x, b in zip(scaled, blocks, strict=True)]
+            for kind in each[0]:
+                rows = np.zeros((len(each[0][kind]), len(predicted)))
+                for block, columns in zip(blocks, each, strict=True):
+                    rows[:, block.place] = columns[kind]
+                out.append(list(rows))
         return out
 
     @cached_property
@@ -236,10 +253,10 @@ def shifted(values: Array, t_s: Array, delay_s: float, straight: float) -> Array
     return np.array([line - (1.0 - straight) * apart, np.where(t_s - delay_s > t_s[0], rate, 0.0), apart])
 
 
-def followed(found: Fit, channel: str) -> list[Mapping[str, Array]]:
+def followed(found: Fit, channel: str) -> list[Sequence[Array]]:
     """Return groups of (samples,) columns that a residual of a channel may follow."""
     problem = found.problem
-    return list(problem.followed(found.predicted, channel).values()) if isinstance(problem, SimulatorProblem) else []
+    return problem.followed(found.predicted, channel) if isinstance(problem, SimulatorProblem) else []
 
 
 def is_high(found: Fit, block: Block) -> Mask:
@@ -252,3 +269,31 @@ def is_quick(found: Fit, block: Block) -> Mask:
     """Return where a channel of a run changes faster than usual, (n,)."""
     rate = np.abs(np.gradient(found.predicted[block.place], found.problem.case.runs[block.run].t_s))
     return np.asarray(rate > np.median(rate), dtype=np.bool_)
+
+
+MEMORIES = (0.01, 0.03, 0.1, 0.3)
+"""Fading times of the memories that terms may follow, as shares of the longest run."""
+
+
+def terms_of(found: Fit) -> Iterator[SimulatorTerm]:
+    """Give every term that may be tried on what a simulator leaves, without its coefficient."""
+    problem = found.problem
+    if not isinstance(problem, SimulatorProblem):
+        return
+    runs = problem.case.runs
+    longest_s = max(float(run.elapsed_s[-1]) for run in runs)
+    signals = {name: [problem.recorded(k, name) for k in range(len(runs))] for name in problem.of.inputs}
+    signals |= {c: [found.predicted[b.place] for b in problem.blocks_of(c)] for c in problem.of.channels}
+    for place in problem.of.channels:
+        span = max(float(np.ptp(problem.measured[b.place])) for b in problem.blocks_of(place))
+        yield SimulatorTerm(place, TIME, "", 0.0, 0.0, 1.0, 1.0, 0.0, span)
+        for name, parts in signals.items():
+            low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)
+            half = 0.5 * (high - low)
+            if half <= 0.0:
+                continue
+            rates = [np.abs(np.gradient(p, run.t_s)) / half for p, run in zip(parts, runs, strict=True)]
+            per_s = max(float(np.median(np.concatenate(rates))), 1e-3 / longest_s)
+            one = SimulatorTerm(place, LEVEL, name, 0.0, 0.5 * (low + high), half, per_s, 0.0, span)
+            yield from (replace(one, kind=kind) for kind in (LEVEL, SQUARE, CUBE, RATE, WAY, SIZED_WAY, SIZED_TIME))
+            yield from (replace(one, kind=REMEMBERED, tau_s=share * longest_s) for share in MEMORIES)

@@ -50,7 +50,7 @@ class SimulatorSearch(EffectSearch):
     def _start_again(self) -> None:
         """Fit every cause and every pair from several starts where the likeliest hypothesis leaves structure.
 
-        A level that was never reached promises nothing to first order, and two causes may gain only together.
+        A level that was never reached promises nothing to first order; two causes may gain only together.
         """
         if self.is_clean(self._leader):
             return
@@ -83,7 +83,6 @@ class SimulatorSearch(EffectSearch):
         return sorted(gains, key=lambda pair: -gains[pair])[: METHOD.search.most_pairs]
 
     def _try(self, effects: tuple[Effect, ...]) -> None:
-        """Fit causes from the likeliest of many places, and from what each promises."""
         problem, hypothesis, fits = self.base.problem, self.base.hypothesis.adding(*effects), []
         for effect in effects:
             parent = self.fits.get(tuple(sorted(e.id for e in effects if e is not effect)))
@@ -105,7 +104,6 @@ class SimulatorSearch(EffectSearch):
 
 
 def _rows(effect: Effect) -> list[tuple[float, ...]]:
-    """Return values of an effect's parameters all over their bounds."""
     places = scattered(effect.parameters, DRAWS)
     return [tuple(from_fit(p, float(x)) for p, x in zip(effect.parameters, place, strict=True)) for place in places]
 

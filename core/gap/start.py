@@ -7,13 +7,11 @@ from math import comb
 import numpy as np
 from scipy.optimize import nnls
 
-from softcal.core.gap.case import Case
-from softcal.core.gap.coordinates import fit_scale, to_fit
-from softcal.core.gap.drive import HALF_WIDTH
+from softcal.core.gap.case import HALF_WIDTH, Case
+from softcal.core.gap.coordinates import RigScale, fit_scale, to_fit
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import energy
 from softcal.core.gap.problem import BASE, Hypothesis, Problem
-from softcal.core.gap.scale import RigScale
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Parameter
 
@@ -118,20 +116,16 @@ def with_driving_noise(problem: Problem, found: Fit) -> Problem:
         run = case.runs[block.run]
         if run.kind != "press" or run.stage_mm is not None or run.force_N is None:
             continue
-        slope = _slope(run.force_N, found.predicted[block.place])
+        order = np.argsort(run.force_N, kind="stable")
+        x, y = run.force_N[order], found.predicted[block.place][order]
+        # A slope from neighbours would be noise over noise; over a 24th of the samples it is the curve's.
+        edges = np.linspace(0, len(x) - 1, 25).astype(int)
+        keep = np.concatenate([[True], np.diff(x[edges]) > 1e-7 * np.ptp(x)])
+        slopes = np.gradient(y[edges][keep], x[edges][keep]) if keep.sum() > 2 else np.zeros(int(keep.sum()))
+        slope = np.interp(run.force_N, x[edges][keep], slopes)
         # Smoothed noise moves slowly: it counts as often as samples share it.
         extra[block.place] = (2 * HALF_WIDTH + 1) * (slope * run.driving_force.sigma_N) ** 2
     return replace(problem, extra_variance=extra)
-
-
-def _slope(force_N: Array, output_V: Array) -> Array:
-    order = np.argsort(force_N, kind="stable")
-    x, y = force_N[order], output_V[order]
-    # A slope from neighbours would be noise over noise; over a 24th of the samples it is the curve's.
-    edges = np.linspace(0, len(x) - 1, 25).astype(int)
-    keep = np.concatenate([[True], np.diff(x[edges]) > 1e-7 * np.ptp(x)])
-    slopes = np.gradient(y[edges][keep], x[edges][keep]) if keep.sum() > 2 else np.zeros(int(keep.sum()))
-    return np.asarray(np.interp(force_N, x[edges][keep], slopes))
 
 
 def _first_noise(case: Case) -> dict[str, float]:

@@ -12,7 +12,7 @@ from softcal.core.gap.case import Case, Run
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.posterior import Yardstick
 from softcal.core.gap.shared_cause import Searched, diagnose_lot, joint_logs, lot_logs
-from softcal.core.gap.worth import CalibrationWorth
+from softcal.core.gap.transfer import CalibrationWorth
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate
 
