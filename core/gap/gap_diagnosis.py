@@ -252,7 +252,7 @@ class GapDiagnosis(Generic[T]):
         )
 
     @classmethod
-    def of(cls, base: Fit, best: Fit, group: tuple[Fit, ...], quantified: Quantified, **own: Any) -> Self:
+    def of(cls, base: Fit, found: Fit, group: tuple[Fit, ...], quantified: Quantified, **own: Any) -> Self:
         """Return the diagnosis of a base and its rival hypotheses, with what follows from them alone."""
         return cls(
             base=base,
@@ -261,7 +261,7 @@ class GapDiagnosis(Generic[T]):
             protocol=quantified.protocol,
             chosen=quantified.chosen,
             ambiguous_with=confused_pairs(group),
-            hidden_fraction={i: hidden_fraction(best, i) for i in best.hypothesis.ids},
+            hidden_fraction={i: hidden_fraction(found, i) for i in found.hypothesis.ids},
             **own,
         )
 
