@@ -147,7 +147,7 @@ class _Choice(Generic[T]):
         # What each run has of its own is fitted anew by every prediction; its jumps would drown a small derivative.
         self._bare = fit(parent.problem.bare, parent.hypothesis, parent.coordinates, steps=0)
         # Per run, which samples it has and, (directions, samples), orthonormal directions of its own offsets.
-        problem, bare = self.parent.problem, self._bare
+        problem, bare = parent.problem, self._bare
         along = problem.directions(bare.hypothesis, bare.coordinates, bare.predicted, {})
         rows, self._nuisance = rows_of_runs(problem, along), []
         for run in sorted({block.run for block in problem.blocks}):
@@ -155,9 +155,18 @@ class _Choice(Generic[T]):
             own = np.array([problem.whitened(row)[at] for row in rows[run]]) if run in rows else np.zeros((0, len(at)))
             left, size, _ = np.linalg.svd(own.T, full_matrices=False)
             self._nuisance.append((at, left[:, size > 1e-6 * max(float(size.max(initial=0.0)), 1e-300)].T))
-        self._own = self._cleared(self._bare.jacobian[np.any(self._bare.jacobian != 0.0, axis=1)])
-        self.candidates, columns = self._columns(tried)
-        self._rows = np.vstack([self._own, columns, self._cleared(self._bare.residual[np.newaxis])])
+        self._own = self._cleared(bare.jacobian[np.any(bare.jacobian != 0.0, axis=1)])
+        orthogonal, self.candidates, columns = np.linalg.qr(self._own.T)[0], list[T](), list[Array]()
+        for term in tried:
+            # (samples,) derivative of the prediction with respect to a coefficient that is 0.
+            effect, step = term.effect, 0.01 * term.effect.parameters[0].usual
+            moved = bare.problem.predict(bare.hypothesis.adding(effect), np.append(bare.coordinates, step))
+            column = self._cleared(problem.whitened(np.asarray((moved - bare.predicted) / step))[np.newaxis])
+            rest = column[0] - orthogonal @ (orthogonal.T @ column[0])
+            if energy(rest) > CONFIG.distinct * max(energy(column[0]), 1e-12):
+                self.candidates.append(term)
+                columns.append(column)
+        self._rows = np.vstack([self._own, *columns, self._cleared(bare.residual[np.newaxis])])
 
     def _cleared(self, rows: Array) -> Array:
         """(k, samples) rows without what the offsets of each run take up."""
@@ -165,22 +174,6 @@ class _Choice(Generic[T]):
         for at, directions in self._nuisance:
             out[:, at] -= (out[:, at] @ directions.T) @ directions
         return out
-
-    def _columns(self, tried: Sequence[T]) -> tuple[list[T], Array]:
-        problem = self.parent.problem
-        orthogonal = np.linalg.qr(self._own.T)[0]
-        terms, columns = [], [np.empty((0, len(problem.measured)))]
-        for term in tried:
-            # (samples,) derivative of the prediction with respect to a coefficient that is 0.
-            effect, bare = term.effect, self._bare
-            step = 0.01 * effect.parameters[0].usual
-            moved = bare.problem.predict(bare.hypothesis.adding(effect), np.append(bare.coordinates, step))
-            column = self._cleared(problem.whitened(np.asarray((moved - bare.predicted) / step))[np.newaxis])[0]
-            rest = column - orthogonal @ (orthogonal.T @ column)
-            if energy(rest) > CONFIG.distinct * max(energy(column), 1e-12):
-                terms.append(term)
-                columns.append(column[np.newaxis])
-        return terms, np.vstack(columns)
 
     @cached_property
     def all_cells(self) -> frozenset[Cell]:
@@ -203,13 +196,14 @@ class _Choice(Generic[T]):
         """Return χ² of noise alone on the cells, each sample as often as it is held back."""
         problem, runs = self.parent.problem, self.parent.problem.case.runs
         held = {k: sum(1 for cell in cells if cell[0] == k) / SHRINK.parts for k in range(len(runs))}
-        return times_held(cells) * sum(len(runs[b.run]) * held[b.run] for b in problem.blocks)
+        return len(splits(cells)) * sum(len(runs[b.run]) * held[b.run] for b in problem.blocks)
 
     def forward(self, cells: frozenset[Cell]) -> tuple[list[T], float]:
         """Choose terms on these cells; return them and χ² on parts held back in turn."""
         # Special runs always count for the fit: they calibrate, and are never held back.
         special = [cell for cell in self._products if cell not in self.all_cells]
-        folds = [(self._added((*(cells - held), *special)), self._added(held)) for held in parts_of(cells)]
+        parts = splits(cells)
+        folds = [(self._added((*(cells - held), *special)), self._added(held)) for part in parts for held in part]
         taken: list[int] = []
         lost, noise = self._lost(folds, taken), self.noise(cells)
         while folds and len(taken) < CONFIG.most:
@@ -217,7 +211,7 @@ class _Choice(Generic[T]):
             if not tried:
                 break
             best = min(tried, key=lambda k: tried[k])
-            if lost - tried[best] <= CONFIG.least * max(lost - noise, 0.0) + CONFIG.chance * times_held(cells):
+            if lost - tried[best] <= CONFIG.least * max(lost - noise, 0.0) + CONFIG.chance * len(parts):
                 break
             taken, lost = [*taken, best], tried[best]
         return [self.candidates[k] for k in taken], lost
@@ -236,17 +230,12 @@ class _Choice(Generic[T]):
         return total
 
 
-def times_held(cells: frozenset[Cell]) -> int:
-    """Return how often a sample is held back: with its quarter, and with its run among several."""
-    return (len({run for run, _ in cells}) > 1) + (len({quarter for _, quarter in cells}) > 1)
-
-
-def parts_of(cells: frozenset[Cell]) -> list[frozenset[Cell]]:
-    """Return what is held back in turn: each of several runs, and the same quarter of every run."""
-    runs, quarters = sorted({run for run, _ in cells}), sorted({quarter for _, quarter in cells})
-    by_run = [frozenset(c for c in cells if c[0] == run) for run in runs] if len(runs) > 1 else []
-    by_quarter = [frozenset(c for c in cells if c[1] == quarter) for quarter in quarters] if len(quarters) > 1 else []
-    return by_run + by_quarter
+def splits(cells: frozenset[Cell]) -> list[list[frozenset[Cell]]]:
+    """Return what is held back in turn: each of several runs, then the same quarter of every run."""
+    names = [sorted({cell[k] for cell in cells}) for k in (0, 1)]
+    return [
+        [frozenset(cell for cell in cells if cell[k] == name) for name in names[k]] for k in (0, 1) if len(names[k]) > 1
+    ]
 
 
 def _chosen(choices: Sequence[_Choice[T]], cells: frozenset[Cell]) -> tuple[Fit, list[T]]:
@@ -328,14 +317,11 @@ def _held_out(base: Fit, choices: Sequence[_Choice[T]]) -> tuple[_Scores, list[l
             without = fit(parent.problem.seeing(seen), parent.hypothesis, parent.coordinates, steps=6)
         after, terms = _with_terms(without, terms, seen) if terms else (without, terms)
         taken.append(terms)
-        for what, found in (("before", before), ("without", without), ("after", after)):
-            error = problem.measured - found.predicted
-            for block in problem.blocks:
-                if block.channel in channels:
-                    squares[what][k, channels.index(block.channel)] += energy(error[block.place][unseen[block.place]])
-        for block in problem.blocks:
-            if block.channel in channels:
-                counts[k, channels.index(block.channel)] += np.count_nonzero(unseen[block.place])
+        for block in (b for b in problem.blocks if b.channel in channels):
+            at, hidden = channels.index(block.channel), unseen[block.place]
+            counts[k, at] += np.count_nonzero(hidden)
+            for what, found in (("before", before), ("without", without), ("after", after)):
+                squares[what][k, at] += energy((problem.measured - found.predicted)[block.place][hidden])
     return _Scores(squares, counts, np.array([problem.floor(c) for c in channels])), taken
 
 

@@ -185,20 +185,17 @@ def nearest(search: EffectSearch) -> Fit:
 
 def estimates_of(found: Fit, effect_id: str) -> dict[str, ParameterEstimate]:
     """Return value and 90 % interval of an effect's parameters; none where the fit lacks it."""
-    spread = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
-    for effect in found.hypothesis.effects:
-        if effect.id == effect_id:
-            at = found.hypothesis.slices[effect_id]
-            parameters = [found.problem.scale.sized(p) for p in effect.parameters]
-            coordinates, margin = found.coordinates[at], 1.645 * spread[at]
-            out = {}
-            for k, p in enumerate(parameters):
-                ends = [from_fit(p, float(coordinates[k] + side * margin[k])) for side in (-1.0, 1.0)]
-                low, high = (float(np.nan_to_num(v, posinf=p.high, neginf=p.low)) for v in sorted(ends))
-                value = float(np.nan_to_num(from_fit(p, float(coordinates[k])), posinf=p.high, neginf=p.low))
-                out[p.name] = ParameterEstimate(value, low, high, p.unit)
-            return out
-    return {}
+    effect = next((e for e in found.hypothesis.effects if e.id == effect_id), None)
+    if effect is None:
+        return {}
+    at, out = found.hypothesis.slices[effect_id], {}
+    margins = 1.645 * np.sqrt(np.maximum(np.diag(found.covariance), 0.0))[at]
+    for parameter, x, margin in zip(effect.parameters, found.coordinates[at], margins, strict=True):
+        p = found.problem.scale.sized(parameter)
+        ends = sorted(from_fit(p, float(x + side * margin)) for side in (-1.0, 1.0))
+        three = (from_fit(p, float(x)), *ends)
+        out[p.name] = ParameterEstimate(*(float(np.nan_to_num(v, posinf=p.high, neginf=p.low)) for v in three), p.unit)
+    return out
 
 
 SCHEMA = "softcal.gap/1"

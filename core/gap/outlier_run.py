@@ -42,7 +42,6 @@ ODDITIES = (
     _Oddity("gain", "output", ((Hook.OUTPUT, "output_V", True),)),
     _Oddity("zero", "output", ((Hook.OUTPUT, "output_V", False),)),
     _Oddity("zero", "stage", ((Hook.MOTION, "pad_mm", False),)),
-    _Oddity("gain", "stage", ((Hook.MOTION, "pad_mm", True),)),
     _Oddity(
         "other_unit",
         "",
@@ -126,11 +125,10 @@ def _promised(base: Fit, runs: Sequence[int]) -> list[tuple[float, int, _Oddity]
         rows: dict[tuple[str, str], list[Array]] = {}
         for block in (b for b in problem.blocks if b.run == run):
             inside[block.place] = 1.0
-            if (channel := block.channel.split("_")[0]) != "stage":
-                here = np.zeros(len(problem.measured))
-                here[block.place] = 1.0
-                rows["zero", channel] = [problem.whitened(here)]
-                rows["gain", channel] = [problem.whitened(here * base.predicted)]
+            channel, here = block.channel.split("_")[0], np.zeros(len(problem.measured))
+            here[block.place] = 1.0
+            rows["zero", channel] = [problem.whitened(here)]
+            rows["gain", channel] = [problem.whitened(here * base.predicted)]
         rows["other_unit", ""] = [row * inside for row in slopes]
         if problem.is_free[0]:
             rows["zero", "stage"] = [slopes[0] * inside]
@@ -176,8 +174,7 @@ def _finding(fitted: Fit, run: int, oddity: _Oddity, share: float) -> DataMistak
     column = {"force": "force_N", "output": "output_V", "stage": "stage_mm"}[oddity.channel]
     span, size = _span(case, column), sizes[0]
     if oddity.what == "gain":
-        # The stage's number is what the pad's path must be multiplied by, the others' what the reading was.
-        ratio = 1.0 + size if oddity.channel != "stage" else 1.0 / (1.0 + size)
+        ratio = 1.0 + size
         if abs(ratio - 1.0) < CONFIG.least:
             return None
         evidence = reason("data.run.gain", channel=oddity.channel, ratio=ratio, share=min(share, 1.0))

@@ -31,6 +31,7 @@ class Searched:
     logs: dict[Ids, float]
     found: dict[Ids, tuple[Hypothesis, Array]]
     left: dict[Ids, tuple[float, float]] = field(default_factory=dict)
+    """χ² of every fit, and what its parameters cost."""
 
     @classmethod
     def of(cls, fits: Fits) -> "Searched":

@@ -55,18 +55,12 @@ class Failures:
 class SimulatorProblem(Problem):
     """Recorded channels of a mechanism as one vector, and what its simulator says of them."""
 
-    simulator: Simulator | None = None
+    of: Simulator = field(kw_only=True)
     failures: Failures = field(default_factory=Failures)
     known: dict[tuple[tuple[str, float], ...], Array] = field(default_factory=dict)
     """What the simulator said lately, by its parameters; noise and samples do not matter."""
     of_base: tuple[bool, ...] = ()
     """Of every offset, whether the base has what all runs share of it; not known where empty."""
-
-    @property
-    def of(self) -> Simulator:
-        if self.simulator is None:
-            raise ValueError("a problem of a simulator needs one")
-        return self.simulator
 
     @cached_property
     def channels_of_runs(self) -> list[tuple[str, ...]]:
@@ -97,12 +91,13 @@ class SimulatorProblem(Problem):
         return list(self.of.channels)
 
     @cached_property
-    def _times_slower(self) -> float:
+    def times_slower(self) -> float:
+        """By what these runs are slower than those of a common rig."""
         return float(np.median(np.concatenate([run.step_s[1:] for run in self.case.runs]))) / COMMON_STEP_s
 
     @cached_property
     def colour_config(self) -> ColourConfig:
-        return METHOD.colour.slower(self._times_slower)
+        return METHOD.colour.slower(self.times_slower)
 
     @property
     def smooth_order(self) -> int:
@@ -201,23 +196,6 @@ class SimulatorProblem(Problem):
             out[block.place] = channels[block.channel]
         return out
 
-    def followed(self, predicted: Array, channel: str) -> list[Sequence[Array]]:
-        """Return groups of (samples,) columns of inputs and channels that a residual may follow."""
-        signals = {name: [run.columns[name] for run in self._runs] for name in self.of.inputs if name != channel}
-        for name in self.of.channels:
-            signals[name] = [predicted[b.place] for b in self.blocks_of(name)]
-        out, blocks = list[Sequence[Array]](), self.blocks_of(channel)
-        for parts in signals.values():
-            low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)
-            scaled = [(2.0 * parts[b.run] - low - high) / max(high - low, 1e-300) for b in blocks]
-            each = [columns_of(x, self._runs[b.run], self._times_slower) for x, b in zip(scaled, blocks, strict=True)]
-            for kind in each[0]:
-                rows = np.zeros((len(each[0][kind]), len(predicted)))
-                for block, columns in zip(blocks, each, strict=True):
-                    rows[:, block.place] = columns[kind]
-                out.append(list(rows))
-        return out
-
     @cached_property
     def _runs(self) -> list[SimulatorRun]:
         return runs_of(self.case)
@@ -232,7 +210,7 @@ def rough_problem(simulator: Simulator, case: Case) -> SimulatorProblem:
     """Return recordings with a fiftieth of the spread of a channel as its noise."""
     columns = {c: np.concatenate([run.columns[c] for run in runs_of(case)]) for c in simulator.channels}
     rough = {c: 0.02 * max(float(np.std(values)), 1e-12) for c, values in columns.items()}
-    return SimulatorProblem(case, rough, simulator=simulator)
+    return SimulatorProblem(case, rough, of=simulator)
 
 
 def shifted(values: Array, t_s: Array, delay_s: float, straight: float) -> Array:
@@ -254,9 +232,24 @@ def shifted(values: Array, t_s: Array, delay_s: float, straight: float) -> Array
 
 
 def followed(found: Fit, channel: str) -> list[Sequence[Array]]:
-    """Return groups of (samples,) columns that a residual of a channel may follow."""
-    problem = found.problem
-    return problem.followed(found.predicted, channel) if isinstance(problem, SimulatorProblem) else []
+    """Return groups of (samples,) columns of inputs and channels that a residual of a channel may follow."""
+    problem, out = found.problem, list[Sequence[Array]]()
+    if not isinstance(problem, SimulatorProblem):
+        return out
+    runs, blocks = runs_of(problem.case), problem.blocks_of(channel)
+    signals = {name: [run.columns[name] for run in runs] for name in problem.of.inputs if name != channel}
+    for name in problem.of.channels:
+        signals[name] = [found.predicted[b.place] for b in problem.blocks_of(name)]
+    for parts in signals.values():
+        low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)
+        scaled = [(2.0 * parts[b.run] - low - high) / max(high - low, 1e-300) for b in blocks]
+        each = [columns_of(x, runs[b.run], problem.times_slower) for x, b in zip(scaled, blocks, strict=True)]
+        for kind in each[0]:
+            rows = np.zeros((len(each[0][kind]), len(found.predicted)))
+            for block, columns in zip(blocks, each, strict=True):
+                rows[:, block.place] = columns[kind]
+            out.append(list(rows))
+    return out
 
 
 def is_high(found: Fit, block: Block) -> Mask:
