@@ -272,8 +272,8 @@ def _unknown_places(
     stages: tuple[str, ...] = likely_stages(search.base, maps)
     if search.stranger is not None:
         stranger = stranger_of(search.stranger)
-        stages = tuple(dict.fromkeys((stranger.effect.stage, *stages)))
-        detail = reason("gap.seen.like", like=stranger.like, seen=detail)
+        stages = tuple(dict.fromkeys((stranger.stage, *stages)))
+        detail = reason("gap.seen.like", like=Reason(stranger.id), seen=detail)
     elif loose is not None and (not stages or is_clean(search.best)):
         stages = tuple(dict.fromkeys((loose.stage, *stages)))
         detail = reason("gap.seen.noise", noise=loose.detail, seen=detail)

@@ -11,7 +11,6 @@ not tell a second cause from another equation of the first.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter
 
@@ -30,7 +29,6 @@ from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import ChainStage, Effect, Flow, Hook, Memory, Parameter, Step
 from softcal.core.twin.mechanics import elastic_force_at
 from softcal.core.twin.signals import low_pass
-from softcal.core.words.reason import Reason
 
 CONFIG = METHOD.stranger
 
@@ -61,21 +59,11 @@ def _cell_lag(flow: Flow, values: Sequence[float], _: Memory) -> None:
     flow.reading_N = low_pass(flow.reading_N, flow.step_s, max(values[0], 1e-4), np.full(2, flow.reading_N[0]))
 
 
-@dataclass(frozen=True)
-class Stranger:
-    """A generic departure."""
-
-    like: Reason
-    effect: Effect
-    is_warming: bool
-
-
 def _stranger(
     code: str, stage: ChainStage, hook: Hook, step: Step, unit: str, usual: float, is_signed: bool = True
-) -> Stranger:
+) -> Effect:
     size = Parameter("size", unit, -30.0 * usual if is_signed else 0.0, 30.0 * usual, usual, neutral=0.0)
-    effect = Effect(code, stage, hook, "", "no effect of the catalogue", (size,), step)
-    return Stranger(Reason(code), effect, unit.endswith("/K"))
+    return Effect(code, stage, hook, "", "no effect of the catalogue", (size,), step)
 
 
 STRANGERS = (
@@ -91,7 +79,7 @@ STRANGERS = (
     _stranger("gap.like.cell_by_position", "load_cell", Hook.READING, _offset("reading_N", PLACE), "N/mm", 0.05),
     _stranger("gap.like.cell_late", "load_cell", Hook.READING, _cell_lag, "s", 0.1, is_signed=False),
 )
-"""Generic departures."""
+"""Generic departures; the identifier is the reason that says what one is like."""
 
 WARM_DIVIDER = _stranger("gap.like.divider_when_warm", "electronics", Hook.REFERENCE, _divider, "1/K", 1e-3)
 """Looks like a channel that follows the temperature, sign reversed, while the channel is read."""
@@ -103,9 +91,9 @@ def stranger(best: Fit, parents: Sequence[Fit], fits: Sequence[Fit]) -> Fit | No
         return None
     case, scale = best.problem.case, best.problem.scale
     is_warming = any(run.temperature_C is not None and np.ptp(run.temperature_C) > 0 for run in case.presses)
-    felt = [one.effect for one in STRANGERS if is_warming or not one.is_warming]
-    seen = [effect for effect in felt if effect.stage not in case.unseen_stages]
-    seen += [WARM_DIVIDER.effect] if case.has_warmed_dummy else []
+    seen = [e for e in STRANGERS if e.stage not in case.unseen_stages]
+    seen = [e for e in seen if is_warming or not e.parameters[0].unit.endswith("/K")]
+    seen += [WARM_DIVIDER] if case.has_warmed_dummy else []
     probes = [Probe(e, (scale.sized(e.parameters[0]).usual,), e.parameters[0].low == 0.0) for e in seen]
     found = [joined(parent, lead) for parent in parents for lead in screen(parent, probes)[:1]]
     if not found:
@@ -118,9 +106,9 @@ def stranger(best: Fit, parents: Sequence[Fit], fits: Sequence[Fit]) -> Fit | No
     return closest if is_decisive and (is_simpler or closest.chi2 < best.chi2 - CONFIG.least_gain) else None
 
 
-def stranger_of(found: Fit) -> Stranger:
+def stranger_of(found: Fit) -> Effect:
     """Return the stranger of a hypothesis that has one."""
-    return next(one for one in (*STRANGERS, WARM_DIVIDER) if one.effect in found.hypothesis.effects)
+    return next(one for one in (*STRANGERS, WARM_DIVIDER) if one in found.hypothesis.effects)
 
 
 def imitated_causes(best: Fit, smaller: Mapping[str, Fit]) -> list[str]:

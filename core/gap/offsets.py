@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -59,15 +58,6 @@ class Offsets:
     seat_mm: float = 0.0
 
 
-def offsets(problem: "Problem", base: BaseParameters, clean: Array) -> list[Offsets]:
-    """Return the least-squares offsets of every run within their bounds: what is beyond them stays a gap.
-
-    Of resistance and seat only what the runs differ by is taken: their common part is the base's own R0 and u0.
-    """
-    runs, sizes = _solved(problem, directions(problem, base, clean), clean, {})
-    return [Offsets(run, *map(float, row)) for run, row in zip(runs, sizes, strict=True)]
-
-
 Sizes: TypeAlias = Mapping[int, Array]
 """By run, (k,), the sizes of its offsets that are in a prediction."""
 
@@ -81,7 +71,16 @@ class Nearby:
 
     def sizes(self, problem: "Problem", clean: Array) -> dict[int, Array]:
         """Return what is still to be added to a prediction, (samples,) with `moved` in it."""
-        runs, sizes = _solved(problem, self.directions, clean, self.moved)
+        pairs = list(zip(problem.blocks, self.directions, strict=True))
+        runs, count = list(dict.fromkeys(b.run for b, rows in pairs if rows is not None)), len(problem.largest_offsets)
+        normal, slope = np.zeros((len(runs), count, count)), np.zeros((len(runs), count))
+        for block, rows in pairs:
+            if rows is not None:
+                k, at = runs.index(block.run), block.place
+                noise = problem.slow_noise[at]
+                _add_normal_equations(normal[k], slope[k], rows, problem.measured[at], clean[at], noise)
+        has = np.array([self.moved.get(run, np.zeros(count)) for run in runs]).reshape(len(runs), count)
+        sizes = _sizes(normal, slope, has, problem.largest_offsets, problem.are_relative)
         return dict(zip(runs, sizes, strict=True))
 
     def added(self, problem: "Problem", clean: Array) -> Array:
@@ -91,6 +90,15 @@ class Nearby:
             if rows is not None:
                 out[block.place] += combine(sizes[block.run], rows)
         return out
+
+
+def offsets(problem: "Problem", base: BaseParameters, clean: Array) -> list[Offsets]:
+    """Return the least-squares offsets of every run within their bounds: what is beyond them stays a gap.
+
+    Of resistance and seat only what the runs differ by is taken: their common part is the base's own R0 and u0.
+    """
+    sizes = Nearby(directions(problem, base, clean, {})).sizes(problem, clean)
+    return [Offsets(run, *map(float, row)) for run, row in sizes.items()]
 
 
 def with_offsets(
@@ -157,19 +165,6 @@ def _moves(rows: Array, sizes: Array, bending: NDArray[np.int64], noise: Array) 
     return most / least
 
 
-def _solved(problem: "Problem", directions: Directions, clean: Array, moved: Sizes) -> tuple[list[int], Array]:
-    """Return the runs with offsets and, (runs, k), what is to be added to these."""
-    runs = list(dict.fromkeys(b.run for b, rows in zip(problem.blocks, directions, strict=True) if rows is not None))
-    count = len(problem.largest_offsets)
-    normal, slope = np.zeros((len(runs), count, count)), np.zeros((len(runs), count))
-    for block, rows in zip(problem.blocks, directions, strict=True):
-        if rows is not None:
-            k, at = runs.index(block.run), block.place
-            _add_normal_equations(normal[k], slope[k], rows, problem.measured[at], clean[at], problem.slow_noise[at])
-    has = np.array([moved.get(run, np.zeros(count)) for run in runs]).reshape(len(runs), count)
-    return runs, _sizes(normal, slope, has, problem.largest_offsets, problem.are_relative)
-
-
 @compiled
 def _sizes(normal: Array, slope: Array, has: Array, largest: Array, are_relative: NDArray[np.bool_]) -> Array:
     """Solve (runs, k, k) normal equations within bounds; a direction that a run does not have gets 0.
@@ -210,9 +205,7 @@ def _range(case: Case, channel: str) -> float:
     return max((float(np.ptp(v)) for v in values if v is not None), default=0.0)
 
 
-def directions(
-    problem: "Problem", base: BaseParameters, clean: Array, sizes: Sizes = MappingProxyType({})
-) -> Directions:
+def directions(problem: "Problem", base: BaseParameters, clean: Array, sizes: Sizes) -> Directions:
     """Return per block, (3, n), how the channel changes with each offset; None without the unit."""
     own = bases_of(base, sizes)
     out: Directions = []
