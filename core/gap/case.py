@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ Mask: TypeAlias = NDArray[np.bool_]
 """Which samples are meant."""
 
 RunKind = Literal["press", "rigid_block", "dummy_resistor", "dead_weights", "rest"]
-KINDS: tuple[RunKind, ...] = ("press", "rigid_block", "dummy_resistor", "dead_weights", "rest")
+KINDS: tuple[RunKind, ...] = get_args(RunKind)
 CHANNELS = ("stage_mm", "force_N", "output_V", "temperature_C")
 NEEDED: dict[RunKind, tuple[str, ...]] = {
     "press": (),
@@ -48,12 +48,7 @@ HALF_WIDTH = 4
 
 @dataclass(frozen=True, eq=False)
 class DrivingForce:
-    """A measured force made ready to drive the chain.
-
-    Args:
-        force_N: (n,) smoothed.
-        sigma_N: (n,) standard deviation of the noise that is left.
-    """
+    """A measured force, (n,), smoothed to drive the chain, and the SD of the noise that is left."""
 
     force_N: Array
     sigma_N: Array

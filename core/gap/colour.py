@@ -21,7 +21,7 @@ COMMON_STEP_s = 0.02
 
 @dataclass(frozen=True)
 class Colour:
-    """The part of a channel's noise that fades: standard deviation, and time in which its correlation is 1/e."""
+    """The part of a channel's noise that fades: its SD, and the time to a correlation of 1/e."""
 
     spread: float
     fading_s: float
@@ -34,7 +34,7 @@ class Colour:
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """A residual of one channel of one run, or a part of it: (n,) each; `use` is 1 where a sample counts, else 0."""
+    """A residual of one channel of one run, or a part: (n,) each; `use` is 1 where a sample counts."""
 
     error: Array
     step_s: Array
@@ -43,7 +43,7 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Noise:
-    """White and fading noise of one channel; `gain` is by how much it is likelier, in logarithms, than white noise."""
+    """White and fading noise of one channel; `gain` is log likelihood above white noise alone."""
 
     white: float
     colour: Colour

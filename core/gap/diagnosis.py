@@ -83,7 +83,7 @@ class Diagnosis(GapDiagnosis[EmpiricalTerm]):
 
     @property
     def empirical(self) -> Twin | None:
-        """The twin with the empirical terms and the causes they stand beside: no diagnosis; None without terms."""
+        """The twin with empirical terms and the causes they stand beside, no diagnosis; None without."""
         if self.residual is None:
             return None
         return explained_twin(self.residual.fit, [one.term for one in self.residual.terms])

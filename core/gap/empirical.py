@@ -39,7 +39,7 @@ Cell: TypeAlias = tuple[int, int]
 
 @dataclass(frozen=True)
 class LearnedTerm(Generic[T]):
-    """A term, how well it is known, and the share of the choices without a run (or quarter) that took it too."""
+    """A term, how well it is known, and which share of the choices without a part took it too."""
 
     term: T
     standard_error: float
@@ -140,7 +140,7 @@ def terms_of_twin(base: Fit) -> Iterator[EmpiricalTerm]:
 
 
 class _Choice(Generic[T]):
-    """Which terms stand beside one parent: all products of its derivatives, its residual and the terms' columns."""
+    """Which terms stand beside one parent, by products of derivatives, residual and columns of terms."""
 
     def __init__(self, parent: Fit, tried: Sequence[T]) -> None:
         self.parent = parent
@@ -269,7 +269,7 @@ def _error(found: Fit, effect_id: str) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Scores:
-    """Sums of squares on samples held back, by twin (before, without terms, after), fold and channel."""
+    """Sums of squares on samples held back, by twin (before, without, after), fold and channel."""
 
     squares: dict[str, Array]
     """(folds, channels) each."""

@@ -29,7 +29,7 @@ CONFIG = METHOD.floor
 
 
 def noise_of(found: Fit, channels: Iterable[str] | None = None) -> tuple[dict[str, float], dict[str, Colour]]:
-    """Return the white noise of every channel and, in these or where there is one already, the fading part."""
+    """Return white noise and, in these channels or where there already is one, the fading part."""
     levels, colours, config = noise_levels(found), {}, found.problem.colour_config
     for channel in found.problem.colour if channels is None else channels:
         noise = read_noise([_stretch(found, b) for b in found.problem.blocks_of(channel)], config)
@@ -68,7 +68,7 @@ def under_load(found: Fit, block: Block) -> Mask | None:
 
 
 def of_chain(found: Fit, channel: str) -> list[list[Array]]:
-    """Return what the chain of the fitted base knows as one group, 0 outside the pressed runs of a channel."""
+    """Return what the chain of the base knows as one group, 0 outside the pressed runs."""
     problem, out = found.problem, dict[str, Array]()
     blocks = [b for b in problem.blocks_of(channel, "press") if problem.case.runs[b.run].stage_mm is not None]
     runs = [problem.case.runs[b.run] for b in blocks]
@@ -117,7 +117,7 @@ def columns_of(signal: Array, run: Run, times: float) -> dict[str, list[Array]]:
 
 
 def is_noise(found: Fit, halves: Sequence[Halves] = (under_load,), follows: Variables = of_chain) -> bool:
-    """Whether what a fit leaves in channels of fading noise fades alike everywhere and passes for noise."""
+    """Whether what a fit leaves in channels of fading noise fades alike everywhere and is noise."""
     # What has not faded by the longest time that is tried is no noise but a wander: an R0 that walks, a drift.
     longest_s = found.problem.colour_config.longest_s
     if any(colour.fading_s > CONFIG.wanders * longest_s for colour in found.problem.colour.values()):
@@ -127,7 +127,7 @@ def is_noise(found: Fit, halves: Sequence[Halves] = (under_load,), follows: Vari
 
 
 def noise_chance(found: Fit, channels: Sequence[str] = (), follows: Variables = of_chain) -> float:
-    """Return how likely noise alone leaves as much as a fit does, in these channels or in all that are scored."""
+    """Return how likely noise leaves as much as a fit does, in these channels or all scored ones."""
     problem, chances = found.problem, []
     for channel in channels or problem.scored_channels:
         # By how many standard errors what is left is more than noise. A filter has taken the memory out of noise that

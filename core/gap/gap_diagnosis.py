@@ -88,7 +88,7 @@ class Partial:
 
 
 def on_unseen(group: tuple[Fit, ...], gone: set[str]) -> tuple[tuple[Fit, ...], set[str]]:
-    """Return the rivals without those that add a cause which lowers nothing on unseen samples, and these causes."""
+    """Return rivals but those that add a cause that lowers nothing on unseen samples; and these causes."""
     best, in_play, idle = group[0], [group[0]], set()
     for other in group[1:]:
         added = set(other.hypothesis.ids) - set(best.hypothesis.ids)
@@ -151,7 +151,7 @@ S = TypeVar("S", bound=EffectSearch)
 def under_its_floor(
     search: S, searched: Callable[[Problem], S], is_floor: Callable[[Fit], bool], say: Callable[[str], None]
 ) -> S:
-    """Search once more where what is left may be noise that fades; keep that only where it is shown to be noise."""
+    """Search once more under noise that fades; keep that only where what is left is shown to be noise."""
     problem = coloured(search.closest)
     if problem is None:
         return search
@@ -250,7 +250,7 @@ class GapDiagnosis(Generic[T]):
 
     @classmethod
     def of(cls, base: Fit, found: Fit, group: tuple[Fit, ...], quantified: Quantified, **own: Any) -> Self:
-        """Return the diagnosis of a base and its rival hypotheses, with what follows from them alone."""
+        """Return the diagnosis of a base and its rivals, with what follows from them alone."""
         return cls(
             base=base,
             gap=quantified.gap,

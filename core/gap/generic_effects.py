@@ -38,7 +38,7 @@ TIME, WARMTH, PLACE = attrgetter("t_s"), attrgetter("warmed_K"), attrgetter("sta
 
 
 def changing(signal: str, follows: Callable[[Flow], Array | float], is_offset: bool = False) -> Step:
-    """Return the step of an effect that raises a signal by its size, or such a share, times what it follows."""
+    """Return a step that raises a signal by its size, or such a share, times what it follows."""
 
     def step(flow: Flow, values: Sequence[float], _: Memory) -> None:
         now, change = getattr(flow, signal), values[0] * follows(flow)
@@ -86,7 +86,7 @@ WARM_DIVIDER = _stranger("gap.like.divider_when_warm", "electronics", Hook.REFER
 
 
 def stranger(best: Fit, parents: Sequence[Fit], fits: Sequence[Fit]) -> Fit | None:
-    """Return the best hypothesis with a stranger beside one of these parents; None where none beats the catalogue."""
+    """Return the best fit with a stranger beside a parent; None where none beats the catalogue."""
     if best.problem.is_driven_by_force:
         return None
     case, scale = best.problem.case, best.problem.scale
@@ -112,7 +112,7 @@ def stranger_of(found: Fit) -> Effect:
 
 
 def imitated_causes(best: Fit, smaller: Mapping[str, Fit]) -> list[str]:
-    """Return the causes that a free form of the others, fitted without them, imitates, the weakest first."""
+    """Return the causes that a free form of the others, `smaller`, imitates, the weakest first."""
     order = sorted(smaller, key=lambda effect_id: smaller[effect_id].chi2)
     return [effect_id for effect_id in order if imitation(smaller[effect_id], best) >= CONFIG.imitated]
 

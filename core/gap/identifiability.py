@@ -61,7 +61,7 @@ class ParameterTold:
 
 @dataclass(frozen=True)
 class Identifiability:
-    """What the runs tell of every parameter of the base and every cause, and causes that are one to them."""
+    """What the runs tell of every base parameter and cause, and causes that are one to them."""
 
     every: tuple[ParameterTold, ...]
     alike: tuple[tuple[str, str], ...] = ()

@@ -27,7 +27,7 @@ LEVELS = 6
 
 @dataclass(frozen=True)
 class MenuEntry:
-    """One experiment that may be proposed: its run, the measured channels still zeros, and bench time with set-up."""
+    """One experiment that may be proposed: its run, channels still zeros, and minutes with set-up."""
 
     name: str
     run: Run
@@ -36,7 +36,7 @@ class MenuEntry:
 
 @dataclass(frozen=True)
 class NextExperiment:
-    """The proposed run, and how far refitted rivals stand apart over it in standard deviations of the noise."""
+    """The proposed run, and by how many standard deviations refitted rivals stand apart over it."""
 
     profile: str
     why: Reason

@@ -1,4 +1,4 @@
-"""What every rig has and no cause has to explain: a cell not tared, a unit that sits anew in every run."""
+"""What every rig has and no cause has to explain: a cell not tared, a unit that sits anew."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -64,7 +64,7 @@ Sizes: TypeAlias = Mapping[int, Array]
 
 @dataclass(frozen=True, eq=False)
 class Nearby:
-    """The offsets around one prediction: nearby they follow along the same directions; `moved` is in it already."""
+    """The offsets around one prediction, and along what they move nearby; `moved` is in it already."""
 
     directions: Directions
     moved: Sizes = field(default_factory=dict)

@@ -88,7 +88,7 @@ def outlier_run_beside(search: EffectSearch) -> DataMistake | None:
 
 
 def nearest(base: Fit, promised_share: float = CONFIG.promised) -> list[_Fitted]:
-    """Return fitted mistakes of one run that promise this share of what is left, the simplest of equals first."""
+    """Return fitted mistakes of one run that promise this share of what is left, simplest first."""
     if is_clean(base):
         return []
     # Small zeros of single runs are taken off every fit; a mistake is looked for with none of them.

@@ -24,7 +24,7 @@ CONFIG = METHOD.place
 
 @dataclass(frozen=True)
 class Tone:
-    """The strongest tone of a channel: its rms in units of the noise, and the distance of two ordinates."""
+    """The strongest tone of a channel, in units of the noise; `width_Hz` is of its spectrum."""
 
     channel: str
     frequency_Hz: float
@@ -208,15 +208,26 @@ def _is_motion(base: Fit) -> bool:
     blocks = base.problem.blocks_of("force_N", "press")
     if not blocks:
         return False
-    errors, travels, trends = [], [], 0.0
+    errors, travels, jumps, trends, sets = [], [], 0.0, 0.0, 0.0
     for block in blocks:
         travel = np.asarray(base.problem.case.runs[block.run].stage_mm)
         depth_mm = np.maximum(0.0, travel - base.base.u0_mm)
         slope = base.base.k1_N_mm + 3.0 * base.base.k3_N_mm3 * depth_mm**2
         # So scaled a wrong position weighs alike at any depth.
         scaled = base.residual[block.place] * float(np.median(slope)) / np.maximum(slope, 1e-9 * float(np.max(slope)))
-        error, t = np.where(depth_mm > 0, scaled, 0.0), np.arange(len(travel)) - 0.5 * (len(travel) - 1)
+        error, total = np.where(depth_mm > 0, scaled, 0.0), len(travel)
+        # The energy that one step in time takes away, beyond the mean ...
+        whole, count, left = float(error.sum()), np.arange(1, total), np.cumsum(error)[:-1]
+        steps = left**2 / count + (whole - left) ** 2 / (total - count)
+        jumps += float(np.max(steps) - whole**2 / total)
+        # ... a straight line in time ...
+        t = np.arange(total) - 0.5 * (total - 1)
         trends += float((error @ t) ** 2 / (t @ t))
+        # ... and a function of the deepest position so far.
+        deepest = np.maximum.accumulate(travel)
+        place = np.digitize(deepest, np.linspace(deepest.min(), deepest.max() + 1e-12, 9))
+        sums = np.bincount(place, weights=error) ** 2 / np.maximum(np.bincount(place), 1)
+        sets += float(np.sum(sums) - whole**2 / total)
         errors.append(error)
         travels.append(travel)
     every = np.concatenate(errors)
@@ -224,25 +235,4 @@ def _is_motion(base: Fit) -> bool:
     share, swings = _static(every, np.concatenate(travels), excess)
     if share > CONFIG.most and swings >= CONFIG.swings:
         return True
-    jumps = sum(_jump(error) for error in errors)
-    sets = sum(_by_deepest(*pair) for pair in zip(errors, travels, strict=True))
     return jumps > CONFIG.most * excess and jumps > 1.2 * max(sets, trends)
-
-
-def _jump(error: Array) -> float:
-    """Return the energy that one step in time takes away."""
-    count = np.arange(1, len(error))
-    left = np.cumsum(error)[:-1]
-    right = float(error.sum()) - left
-    mean = float(error.sum()) ** 2 / len(error)
-    return float(np.max(left**2 / count + right**2 / (len(error) - count)) - mean)
-
-
-def _by_deepest(error: Array, travel: Array) -> float:
-    """Return the energy that a function of the deepest position so far takes, beyond its mean."""
-    deepest = np.maximum.accumulate(travel)
-    edges = np.linspace(deepest.min(), deepest.max() + 1e-12, 9)
-    place = np.digitize(deepest, edges)
-    sums = np.bincount(place, weights=error)
-    count = np.maximum(np.bincount(place), 1)
-    return float(np.sum(sums**2 / count) - error.sum() ** 2 / len(error))

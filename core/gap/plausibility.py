@@ -51,7 +51,7 @@ def mistakes(case: Case) -> tuple[DataMistake, ...]:
 
 
 def doubts(case: Case) -> tuple[DataMistake, ...]:
-    """Return units of a whole case that would make an unusual pad a usual one: questions, no findings."""
+    """Return units that would make an unusual pad of a case a usual one: questions, no findings."""
     size = _size(case)
     if case.stiffness_N_mm is not None or not size.is_odd:
         return ()
@@ -276,12 +276,11 @@ class _Size:
 
     @property
     def is_odd(self) -> bool:
-        stiffness = self.stiffness_N_mm
-        if stiffness is not None:
-            return not CONFIG.stiffness_N_mm[0] <= stiffness <= CONFIG.stiffness_N_mm[1]
-        if self.depth_mm is not None:
-            return not CONFIG.depth_mm[0] <= self.depth_mm <= CONFIG.depth_mm[1]
-        return self.force_N is not None and not CONFIG.force_N[0] <= self.force_N <= CONFIG.force_N[1]
+        for name in ("stiffness_N_mm", "depth_mm", "force_N"):
+            if (value := getattr(self, name)) is not None:
+                low, high = getattr(CONFIG, name)
+                return not low <= value <= high
+        return False
 
 
 def _size(case: Case) -> _Size:

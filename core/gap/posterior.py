@@ -1,4 +1,4 @@
-"""How probable each effect is, by hypotheses not trusted to the last sigma, and what cannot be told apart."""
+"""How probable each effect is, by equations that may be a little wrong; what cannot be told apart."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ def misfit(excess: float) -> float:
 
 @dataclass(frozen=True)
 class Yardstick:
-    """χ² of the hypothesis that comes closest, and of the structure that even this one may leave."""
+    """χ² of the hypothesis that comes closest, and of the structure even this one may leave."""
 
     chi2: float
     floor: float
@@ -154,7 +154,7 @@ def confused_pairs(group: tuple[Fit, ...]) -> list[list[str]]:
 
 
 def hidden_fraction(found: Fit, effect_id: str) -> float:
-    """Return which share of an effect's signature, at its size, the refitted base would swallow here."""
+    """Return which share of an effect's signature, at its size, the refitted base would swallow."""
     signature = _signature(found, effect_id)
     size = energy(signature)
     if size <= 0.0:

@@ -94,7 +94,7 @@ class Hypothesis:
         return int(self.slices[effect_id].start)
 
     def without(self, effect_id: str) -> tuple["Hypothesis", Mask]:
-        """Return this hypothesis without one effect, and which of its coordinates, (parameters,), are left."""
+        """Return this without one effect, and which coordinates, (parameters,), are left."""
         left = np.ones(len(self.parameters), dtype=np.bool_)
         if effect_id in self.slices:
             left[self.slices[effect_id]] = False

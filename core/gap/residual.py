@@ -25,7 +25,7 @@ TIED = 1e-6
 
 @dataclass(frozen=True)
 class Structure:
-    """How much of a residual is not noise: its excess in standard errors, and its rms in units of the noise."""
+    """How much of a residual is not noise: excess in standard errors, rms in units of the noise."""
 
     z: float
     rms: float
@@ -45,7 +45,7 @@ class Map:
 
 @dataclass(frozen=True)
 class Regime:
-    """A condition under which the gap of a channel stands out: share of its energy, and that over the share of time."""
+    """A condition in which a channel's gap stands out: share of its energy, and over that of time."""
 
     channel: str
     name: Reason
@@ -134,7 +134,7 @@ def suspects(maps: tuple[Map, ...], sensor_type: SensorType = "pressure") -> tup
 
 
 def regimes(found: Fit) -> tuple[Regime, ...]:
-    """Return the regimes in which the residual of a fit stands out, channel by channel, strongest first."""
+    """Return the regimes in which the residual of a fit stands out, the strongest first."""
     out = []
     for channel in ("force_N", "output_V"):
         blocks = found.problem.blocks_of(channel, "press")
@@ -148,7 +148,7 @@ def regimes(found: Fit) -> tuple[Regime, ...]:
 def shares_of_gap(
     found: Fit, blocks: list[Block], conditions: Mapping[Reason, Array]
 ) -> Iterator[tuple[Reason, float, float]]:
-    """Yield each condition with its share of the structured energy of these blocks and its share of the time."""
+    """Yield each condition with its share of the structured energy of these blocks, and of the time."""
     excess = np.concatenate([found.residual[b.place] ** 2 - 1.0 for b in blocks])
     total = float(excess.sum())
     # Within four standard errors of the sum of squares there is no gap to divide.

@@ -1,4 +1,4 @@
-"""Which effects a case can show and which are worth a full fit: score tests of every probe against a fit."""
+"""Which effects a case can show and which are worth a full fit: score tests of every probe."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from softcal.core.twin.probes import Extent
 
 @dataclass(frozen=True)
 class Probe:
-    """An effect at a small size and one shape, to see which way it would move the prediction; the size stands first."""
+    """An effect at a small size and one shape, to see which way it would move the prediction."""
 
     effect: Effect
     values: tuple[float, ...]
@@ -93,7 +93,7 @@ class Lead:
     shift: Array
 
     def start(self, found: Fit, share: float = 1.0) -> Array:
-        """Return the coordinates at which a fit of the larger hypothesis begins, at a share of the promised size."""
+        """Return where a fit of the larger hypothesis begins, at a share of the promised size."""
         _, left = found.hypothesis.without(self.effect.id)
         kept = (found.coordinates + share * self.shift)[left]
         first = self.effect.parameters[0]

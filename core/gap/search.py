@@ -49,7 +49,7 @@ class EffectSearch:
 
     @classmethod
     def of(cls, case: Case, say: Progress = lambda _: None, problem: Problem | None = None) -> "EffectSearch":
-        """Return the search over the catalogue for a case, under the noise of a problem if one is given."""
+        """Return the search over the catalogue for a case, under the noise of a problem if given."""
         say("fitting the base twin to all runs")
         base = base_fit(case)
         base = base if problem is None else fit(problem, Hypothesis(), base.coordinates)
@@ -92,7 +92,7 @@ class EffectSearch:
         self._conclude()
 
     def _start_again(self) -> None:
-        """Fit the likeliest hypotheses from other bases again: one fitted through a large gap may be far off."""
+        """Fit the likeliest from other bases: one fitted through a large gap may be far off."""
         if self.is_clean(self._leader):
             return
         likely = sorted(self.fits.values(), key=lambda f: f.bic)[: self._config.again]
@@ -135,7 +135,7 @@ class EffectSearch:
             self.stranger = stranger(self.best, [self.base, *parents], list(self.fits.values()))
 
     def hold_open(self) -> None:
-        """Take causes that a free form of the others imitates out of the best hypothesis; they stay in play."""
+        """Take causes that a free form of the others imitates out of the best; they stay in play."""
         while len(self.best.hypothesis.ids) > 1:
             smaller = {i: found for i, found in self.one_less(self.best).items() if self.is_explained(found)}
             imitated = imitated_causes(self.best, smaller)

@@ -24,7 +24,7 @@ FEWEST_UNITS = 2
 
 @dataclass(eq=False)
 class Searched:
-    """What one unit's search leaves for the lot; the fits themselves are too large to keep for every unit."""
+    """What one unit's search leaves for the lot; the fits themselves are too large to keep."""
 
     problem: Problem
     yardstick: Yardstick
@@ -62,7 +62,7 @@ class Searched:
         return float(np.logaddexp(np.log1p(-METHOD.evidence.stray_odds) + self.shared(ids), self.stray))
 
     def add(self, ids: Ids, donor: tuple[Hypothesis, Array]) -> None:
-        """Fit causes that this unit's search did not try, from another unit's sizes and those reversed."""
+        """Fit causes that this unit's search did not try, from another unit's sizes, also reversed."""
         hypothesis = donor[0].without_episodes()
         base = self.found[max(self.logs, key=lambda i: self.logs[i])][1][hypothesis.of_base]
         sizes = donor[1][hypothesis.of_base.stop :]
@@ -256,7 +256,7 @@ def _best(logs: Mapping[Ids, float], held: Sequence[set[str]]) -> tuple[Ids, tup
 
 
 def _held_open(one: Diagnosis, searched: Searched) -> set[str]:
-    """Return the causes that a free form of the others imitates in a unit: open although the evidence is for them."""
+    """Return the causes that a free form of the others imitates in a unit, though likelier."""
     ids = one.best.hypothesis.ids
     every = [rival.hypothesis.ids for rival in one.rivals[1:] if set(rival.hypothesis.ids) > set(ids)]
     larger = [other for other in every if searched.logs[other] > searched.logs[ids]]

@@ -138,7 +138,7 @@ def _pooled(folds: list[_Fold], problem: Problem, channel: str, errors: list[Arr
 
 
 def unsupported(best: Fit, smaller: Mapping[str, Fit]) -> list[str]:
-    """Return the causes that do not lower χ² on samples held back against the fits without each, weakest first."""
+    """Return causes that lower nothing on samples held back, the weakest first; `smaller` lacks each."""
     folds = [_refit(best, best, unseen) for unseen in _folds(best.problem, best.hypothesis)[0]]
     sure = {}
     for effect_id, rest in smaller.items():

@@ -232,7 +232,7 @@ def shifted(values: Array, t_s: Array, delay_s: float, straight: float) -> Array
 
 
 def followed(found: Fit, channel: str) -> list[Sequence[Array]]:
-    """Return groups of (samples,) columns of inputs and channels that a residual of a channel may follow."""
+    """Return groups of (samples,) columns of inputs and channels that a residual may follow."""
     problem, out = found.problem, list[Sequence[Array]]()
     if not isinstance(problem, SimulatorProblem):
         return out

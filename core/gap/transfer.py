@@ -1,4 +1,4 @@
-"""What a cause explains of the calibration error: lots and f on the rig, and on twins without and with causes."""
+"""What a cause explains of the calibration error: on the rig, and on twins without and with it."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -53,7 +53,7 @@ class PressedLot:
 
 @dataclass(frozen=True)
 class LotErrors:
-    """Errors of a lot, medians over units, in N: without a map, with the unit's, with a network of its own."""
+    """Errors of a lot, medians in N: without a map, with the unit's, with a network of its own."""
 
     before: float
     after: float
@@ -95,7 +95,7 @@ _PLACES = ("rig", "base", "explained")
 def transfer(
     rig: PressedLot, base: Twin, explained: Twin, seed: int = 0, say: Callable[[str], None] = lambda _: None
 ) -> Transfer:
-    """Calibrate the rig's lot and one simulated lot per twin, of one seed, pressed along the same stage positions."""
+    """Calibrate the rig's lot and a simulated one per twin, of one seed, along the same positions."""
     say("calibrating the rig's lot")
     on_rig = lot_errors(rig)
     say("calibrating a lot of the base twin")
@@ -167,7 +167,7 @@ class CalibrationWorth:
 
     @property
     def worth(self) -> int | None:
-        """Fewest rig recordings whose f is not worse than the explained twin's; None if all are too few."""
+        """Fewest rig recordings whose f is not worse than the explained twin's; None if too few."""
         return _fewest(self.rig, self.explained)
 
     @property
