@@ -63,12 +63,10 @@ class Run:
         stage_mm, force_N, output_V, temperature_C: (n,) recorded channels.
         known_force_N: (n,) weights laid on, of a run with dead weights.
         dummy_ohm: the resistor in place of the sensor, of a run with a dummy resistor.
-        kind: `press`, or one of the special runs.
         is_planned: not recorded yet; its measured channels hold zeros and are not looked at.
 
     Raises:
-        InputError: a channel has another length, is not finite, is constant where it carries the diagnosis, time
-            goes back, or the kind lacks a channel it lives by.
+        InputError: a channel is too short, not finite or constant, time goes back, or one is missing.
     """
 
     name: str
@@ -159,9 +157,9 @@ def straightened(signal: Array, sigma: float, half: int) -> tuple[Array, Array]:
     """Return the smoothed signal and, per sample, which share of the noise variance is left."""
     out, share = signal.copy(), np.ones(len(signal))
     for k in range(len(signal)):
-        # A line that leaves more than twice the noise's variance lies across a bend: the sample stays as it is.
+        # A line that leaves more than twice the noise's variance lies across a bend.
         best = 2.0 * sigma * sigma
-        # Centred first, for it takes the most noise off; one-sided lines keep corners where they are.
+        # Centred takes the most noise off; one-sided lines keep corners where they are.
         for first, last in ((k - half, k + half), (k - half, k), (k, k + half)):
             if first < 0 or last >= len(signal):
                 continue
@@ -188,10 +186,10 @@ class Case:
 
     Args:
         is_planned: a case of runs that are not recorded yet; a special run alone will do.
-        stiffness_N_mm: lowest and highest peak force over depth that units of this lot have, where the lot states it.
+        stiffness_N_mm: lowest and highest peak force over depth of this lot, where it states them.
 
     Raises:
-        InputError: no run in which the sensor is pressed, or runs whose units, rates or electronics differ.
+        InputError: nothing is pressed, or units, rates or electronics of the runs differ.
     """
 
     serial: str

@@ -1,8 +1,8 @@
-"""Noise that is not white: a part that fades beside a white part, found by likelihood and taken out of residuals.
+"""Noise that is not white: a part that fades beside a white one, found by likelihood.
 
-The fading part is a first-order process, correlation exp(−t/τ). A Kalman filter turns the sum of both into independent
-values of variance 1; it is the exact likelihood, for any step of time and with samples left out
-(Brockwell and Davis, Time Series: Theory and Methods, 2nd ed. 1991, ch. 12).
+The fading part is a first-order process, correlation exp(−t/τ). A Kalman filter turns the sum into
+independent values of variance 1; it is the exact likelihood, for any step of time and with samples
+left out (Brockwell and Davis, Time Series: Theory and Methods, 2nd ed. 1991, ch. 12).
 """
 
 from collections.abc import Sequence
@@ -56,10 +56,10 @@ class ColourConfig:
     """How noise is read from a residual.
 
     Args:
-        shortest_s, longest_s: fading times that are told from white noise and from a drift. Indicators and load cells
+        shortest_s, longest_s: fading times that are told from white noise and from a drift. Load cells
             filter over 0.05–2 s; a room wanders over minutes.
-        ratios, fading_s: where the search of the likelihood begins: one start per decade of what a rig shows.
-        gain: log likelihood that noise must gain by a fading part; two parameters more pay ln(n) ≈ 9 at 8,000 samples.
+        ratios, fading_s: where the search begins: one start per decade of what a rig shows.
+        gain: log likelihood to be gained by a fading part; two parameters pay ln(n) ≈ 9 at n = 8,000.
     """
 
     shortest_s: float = setting(0.04)

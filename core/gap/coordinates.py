@@ -1,6 +1,6 @@
-"""Parameters in a fit: the coordinates it moves them in, and bounds and usual sizes that grow with the size of the rig.
+"""Parameters in a fit: the coordinates it moves them in, and bounds that grow with the rig.
 
-Pads of 0.2 N and of 200 N, outputs in volts or millivolts, strokes of 0.3 or 30 mm then give the same diagnosis.
+Pads of 0.2 N and of 200 N, outputs in V or mV, strokes of 0.3 or 30 mm give the same diagnosis.
 Time is not scaled: creep, mains and clocks have their own.
 """
 

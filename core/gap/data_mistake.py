@@ -30,7 +30,7 @@ class DataMistake:
     """One mistake: what it is, where it shows, and what would repair it.
 
     Args:
-        channel: `stage`, `force`, `output`, `temperature` or `time`; two with a plus where columns are swapped.
+        channel: `stage`, `force`, `output`, `temperature` or `time`; `one+other` where exchanged.
         runs: numbers of the runs; empty for all.
         factor: repaired values over recorded ones; None where there is no such number.
     """

@@ -47,12 +47,10 @@ from softcal.core.words.reason import Reason, reason, several
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Diagnosis(GapDiagnosis[EmpiricalTerm]):
-    """The diagnosis of the soft sensor's twin.
-
-    `best` has each cause by the equation that fits best, as the twin has it.
+    """The diagnosis of the soft sensor's twin; `best` has each cause by the equation that fits best.
 
     Args:
-        named: the best hypothesis with every cause by the catalogue's equation, as the report gives it.
+        named: the best hypothesis with every cause by the catalogue's equation, as reported.
         rivals: hypotheses that cannot be told apart, the best first.
         maps: the three chain relations fitted separately.
     """
@@ -71,7 +69,7 @@ class Diagnosis(GapDiagnosis[EmpiricalTerm]):
 
     @property
     def explained(self) -> Twin:
-        """The twin to go on with: with the named causes, or the refitted base alone where nothing explains the gap.
+        """The twin to go on with: with the named causes, or the refitted base where nothing explains.
 
         Raises:
             InputError: the recordings hold a mistake; a twin of them would hold it too.
@@ -147,7 +145,7 @@ def diagnose(
     """Diagnose the gap between the base twin and the recordings of a case.
 
     Args:
-        on_fits: called with every hypothesis that was fitted, under one noise level; not where the verdict is `data`.
+        on_fits: called with every hypothesis that was fitted; not where the verdict is `data`.
     """
     say = progress or (lambda _: None)
     say("looking for mistakes in the recordings")
@@ -281,14 +279,14 @@ def _unknown_places(
         stages = tuple(dict.fromkeys(EFFECTS[i].stage for i in search.best.hypothesis.ids)) or ("unknown",)
     code = "gap.seen.left" if search.stranger is None else "gap.seen.better"
     text = reason(code, seen=detail, share=share)
-    # Nothing measures how a gap splits between stages that may each hold all of it: the order tells which is likelier.
+    # Nothing measures how a gap splits between stages that may each hold it: the likelier is first.
     seen = found[0].share if found else 1.0
     others = [GapPlace(s, channel, regime, seen, Reason("gap.seen.same_maps")) for s in stages[1:]]
     return [GapPlace(stages[0], channel, regime, seen, text), *others]
 
 
 def _next(case: Case, search: EffectSearch, group: tuple[Fit, ...], verdict: DiagnosisVerdict) -> NextExperiment:
-    # Where something is left besides, causes that look alike are told apart all the same, if a run can.
+    # Where something is left besides, causes that look alike are told apart all the same.
     proposed = propose(case, group, search.extent)
     if proposed is not None and (verdict != "unknown" or proposed.profile != "none"):
         return proposed

@@ -1,8 +1,8 @@
 """The learned residual: a few empirical terms that describe what no named cause explains.
 
-Terms are chosen forward from the variables of the twin, each together with a refit of base and causes, by what runs and
-contiguous quarters of runs that were held back say. The choice itself is held back as well: for every run that scores
-the result, terms are chosen anew without it (nested cross-validation; Varma and Simon, BMC Bioinformatics 2006).
+Terms are chosen forward, each with a refit of base and causes, by what runs and quarters of runs
+that were held back say. The choice is held back as well: for every run that scores the result,
+terms are chosen anew without it (nested cross-validation; Varma and Simon, BMC Bioinf. 2006).
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -48,12 +48,10 @@ class LearnedTerm(Generic[T]):
 
 @dataclass(frozen=True, eq=False)
 class LearnedResidual(Generic[T]):
-    """What is left of a gap, described.
+    """What is left of a gap, described by terms, the largest first.
 
     Args:
-        terms: the largest first.
-        shrink: of the gap of the base, by causes and terms together, on runs that neither saw. The forecast of another
-            run is what runs held back have shown.
+        shrink: of the gap of the base, by causes and terms together, on runs that neither saw.
         without: the same by the causes alone.
     """
 
@@ -91,14 +89,14 @@ class LearnedResidual(Generic[T]):
 
 
 def learned(base: Fit, parents: Sequence[Fit], known: Callable[[Fit], Iterable[T]]) -> LearnedResidual[T] | None:
-    """Return the terms that describe what the parents leave; None where none holds on samples that were held back.
+    """Return the terms that describe what is left; None where none holds on samples held back.
 
     Args:
         base: the bare base; the gap is counted from it.
         parents: hypotheses the terms may stand beside, the simplest first.
         known: the terms that may be tried, without their coefficients.
     """
-    # A base that explains nothing stands for itself, and what belongs to one run says nothing of another.
+    # A base alone stands for itself, and what belongs to one run says nothing of another.
     parents = [p for k, p in enumerate(parents) if k == 0 or p.hypothesis.ids]
     parents = [p for p in parents if not any(effect.belongs_to_run for effect in p.hypothesis.effects)]
     if all(map(is_clean, parents)):
@@ -144,9 +142,9 @@ class _Choice(Generic[T]):
 
     def __init__(self, parent: Fit, tried: Sequence[T]) -> None:
         self.parent = parent
-        # What each run has of its own is fitted anew by every prediction; its jumps would drown a small derivative.
+        # Offsets are fitted anew by every prediction; their jumps would drown a small derivative.
         self._bare = fit(parent.problem.bare, parent.hypothesis, parent.coordinates, steps=0)
-        # Per run, which samples it has and, (directions, samples), orthonormal directions of its own offsets.
+        # Per run, its samples and, (directions, samples), orthonormal directions of its offsets.
         problem, bare = parent.problem, self._bare
         along = problem.directions(bare.hypothesis, bare.coordinates, bare.predicted, {})
         rows, self._nuisance = rows_of_runs(problem, along), []

@@ -45,7 +45,7 @@ Placer: TypeAlias = Callable[[Fit, Effect, Extent], Fit | None]
 def with_losses(found: Fit, effect: Effect, _: Extent) -> Fit | None:
     """Add an effect that loses samples: place the losses, fit, place again.
 
-    A skew that was fitted through losses is wrong between them, and steps of one sample stand in for the rest of it.
+    A skew fitted through losses is wrong between them, and steps of one sample stand in for the rest.
     So they are placed by the skew of the clock at which placed losses leave least.
     """
     rates, best, least = _clocks(found, "rate"), found, np.inf
@@ -83,7 +83,7 @@ def with_intervals(found: Fit, effect: Effect, _: Extent) -> Fit | None:
             for values in (grown.predicted, problem.measured)
         )
         pull, power = pull + float(fitted @ seen), power + energy(fitted)
-    # Neighbouring differences share most of their noise: of white noise their sum has Σ|w|² times as many samples.
+    # Neighbouring differences share most of their noise: their sum has that of Σ|w|² as many.
     error = np.sqrt(energy(ACROSS) * len(ACROSS) * power)
     is_bad = power > 0.0 and pull > CONFIG.event_share * power and pull > CONFIG.event_sigma * error
     return grown if is_bad else None
@@ -146,7 +146,7 @@ def _lost_samples(found: Fit, effect_id: str) -> tuple[list[Array], float]:
     case = found.problem.case
     rows: list[Array] = [np.empty((0, 2)) for _ in case.runs]
     plain = replace(found.hypothesis, episodes=_merged(found, effect_id, rows))
-    # Zero, seat and resistance of a run are fitted to what was measured: with its losses open they would follow them.
+    # Offsets of a run are fitted to what was measured: with its losses open they would follow them.
     bare = found.problem.bare
     closed = bare.predict(plain, found.coordinates)
     own = found.predicted - bare.predict(found.hypothesis, found.coordinates)
@@ -154,7 +154,7 @@ def _lost_samples(found: Fit, effect_id: str) -> tuple[list[Array], float]:
         own = np.zeros(len(own))
     blocks = found.problem.blocks_of("output_V", "press")
     level = _robust_noise(found, blocks)
-    # A delay that was fitted through the losses lies in their middle: the first samples then stand before it.
+    # A delay fitted through the losses lies in their middle: the first samples stand before it.
     lead = CONFIG.longest_lead if _clocks(found, "delay") else 0
     for block in blocks:
         measured = found.problem.measured[block.place]
@@ -172,7 +172,7 @@ def _lost_samples(found: Fit, effect_id: str) -> tuple[list[Array], float]:
 def lag_path(measured: Array, predicted: Array, noise: Array, lead: int, longest: int, penalty: float) -> Array:
     """Return how many samples were lost before each sample: the cheapest path that never falls.
 
-    Viterbi over the loss so far; each further loss costs `penalty`, a sample at most 25 (it may be an outlier).
+    Viterbi over the loss so far; a further loss costs `penalty`, a sample at most 25: an outlier.
 
     Args:
         measured, noise: (n,).
@@ -196,7 +196,7 @@ def lag_path(measured: Array, predicted: Array, noise: Array, lead: int, longest
             if stay < cheapest:
                 cheapest, source = stay, s
         for s in range(longest + 1):
-            # After the end of the run nobody knows what was measured: it costs what a right prediction would.
+            # After the end nobody knows what was measured: it costs what a right prediction would.
             z = (measured[k] - predicted[k + s]) / noise[k] if k + s < n + lead else 1.0
             cost[s] = moved[s] + min(z * z, 25.0)
     out = np.empty(n)

@@ -17,8 +17,8 @@ from softcal.core.twin.simulate import EffectSetting, Twin
 def explained_twin(found: Fit, terms: Sequence[EmpiricalTerm] = ()) -> Twin:
     """Return base parameters, noise and causes of a fitted hypothesis as a twin.
 
-    A cause enters by the equation it was fitted by, the catalogue's or another form. Episodes belong to the recording
-    they were found in and are left out: losses of samples and bad contacts are repaired, not simulated.
+    A cause enters by the equation it was fitted by. Episodes belong to the recording they were found in
+    and are left out: losses of samples and bad contacts are repaired, not simulated.
     """
     found = with_constants(found)
     readout = found.problem.case.readout
@@ -33,7 +33,7 @@ def explained_twin(found: Fit, terms: Sequence[EmpiricalTerm] = ()) -> Twin:
             continue
         given = {p.name: v for p, v in zip(effect.parameters, values, strict=True)} | dict(effect.constants)
         form = form_of(effect)
-        # What belongs to a recording alone, as the phase of a hum in each run, is no parameter of the twin.
+        # What belongs to a recording alone, as the phase of a hum, is no parameter of the twin.
         known = effect if form else EFFECTS[effect.id].side_with([effect.parameters[0].name])
         fitted = {k: v for k, v in given.items() if k in known.value_names and np.isfinite(v)}
         settings.append(EffectSetting(effect.id, fitted, form=form))
@@ -64,10 +64,10 @@ def form_of(effect: Effect) -> str:
 
 
 def with_constants(found: Fit) -> Fit:
-    """Return the fit with the constants of every form set to one value for all runs, as a twin holds them.
+    """Return the fit with the constants of every form set to one value for all runs.
 
-    A fit reads them off each run by itself: the largest force of a run, of which strokes are shares. A twin has one
-    number: the largest of the runs. Base and causes are refitted with it.
+    A fit reads them off each run: its largest force, of which strokes are shares. A twin has one number,
+    the largest of the runs. Base and causes are refitted with it.
     """
     effects = found.hypothesis.effects
     if not any(_is_open(effect) for effect in effects):

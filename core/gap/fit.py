@@ -79,7 +79,7 @@ class Fit:
     @property
     def penalty(self) -> float:
         """p·ln(n) of Schwarz for the flexibility, and −2·ln of the prior odds of the causes."""
-        # Twenty-five causes are tried: without prior odds the luckiest of them would often win by chance.
+        # Many causes are tried: without prior odds the luckiest would often win by chance.
         each = -2.0 * float(np.log(METHOD.evidence.prior_odds))
         each += METHOD.evidence.driven_cost if self.problem.is_driven_by_force else 0.0
         # An episode counts as many parameters, for it was searched for all over the runs.
@@ -148,7 +148,7 @@ class _Space:
         self.high = np.array([b[1] for b in bounds])
         for k, p in enumerate(hypothesis.parameters):
             if p.scale == "inverse_square":
-                # Coordinate 0 stands for an infinite value, "no such effect": the fit must be able to reach it.
+                # Coordinate 0 stands for an infinite value, "no such effect": a fit must reach it.
                 self.low[k] = 0.0
         self.scale = np.array([fit_scale(p) for p in parameters])
         self.is_free = np.array([not p.is_fixed for p in parameters])
@@ -158,11 +158,11 @@ class _Space:
         """(parameters, samples) derivative of the prediction, one-sided, away from a bound."""
         out = np.zeros((len(x), len(predicted)))
         for k in np.flatnonzero(self.is_free):
-            # One-sided: a central difference costs a second pass of the chain and gains nothing on kinked effects.
+            # One-sided: a central difference costs twice and gains nothing on kinked effects.
             step = DIFFERENCE * self.scale[k]
             if x[k] + step > self.high[k]:
                 step = -step
-            # Beside a place where a simulator fails the other side tells; between two such places a parameter is held.
+            # Where a simulator fails the other side tells; between two failures a parameter is held.
             for side in (step, -step):
                 moved = x.copy()
                 moved[k] += side
@@ -185,7 +185,7 @@ class _Space:
             candidate[k] += np.linalg.solve(damped, slope[k] / size) / size
             outside = (candidate < self.low) | (candidate > self.high)
             candidate = np.clip(candidate, self.low, self.high)
-            # What stands on its bound and wants beyond it is taken out; the others are solved again without it.
+            # What stands on its bound and wants beyond is taken out, and the others are solved again.
             held = free & outside & (candidate == x)
             if not held.any():
                 break

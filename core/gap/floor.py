@@ -1,9 +1,8 @@
 """The noise floor: is what a hypothesis leaves noise, and is it the same noise everywhere?
 
-A gap that nothing explains could be called noise, and noise that fades looks like a gap. What is left counts as noise
-only where it passes these tests. It is no larger than its noise level. It follows nothing that is known of the runs:
-depth, speed, load, time, temperature, what came before, its own past, another channel at the same time. And what fades
-of it fades in time and is as strong at rest as under load.
+What is left counts as noise where it is no larger than its level and follows nothing that is known
+of the runs: depth, speed, load, time, temperature, what came before, its own past, another channel.
+What fades of it fades in time and is as strong at rest as under load.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -41,7 +40,7 @@ def noise_of(found: Fit, channels: Iterable[str] | None = None) -> tuple[dict[st
 def coloured(found: Fit) -> Problem | None:
     """Return the problem with noise that fades, read from what is left; None where it is white."""
     problem = found.problem
-    # A measured force that drives the chain brings its own noise along; it cannot be told from the output's.
+    # The noise of a measured force that drives the chain cannot be told from the output's.
     if problem.is_driven_by_force:
         return None
     levels, colours = noise_of(found, problem.scored_channels)
@@ -98,10 +97,10 @@ def of_chain(found: Fit, channel: str) -> list[list[Array]]:
 
 
 def columns_of(signal: Array, run: Run, times: float) -> dict[str, list[Array]]:
-    """Return what a residual may follow of any signal, (n,) within −1 and 1: groups of (n,) columns, tested one by one.
+    """Return what a residual may follow of a signal within −1 and 1: groups of (n,) columns.
 
     Args:
-        times: by what this rig is slower than a common one; the memories fade by so much more slowly.
+        times: by what this rig is slower than a common one; memories fade by so much more slowly.
     """
     rate, hats = np.gradient(signal, run.t_s), CONFIG.hats
     way, quick = np.sign(rate), np.gradient(rate, run.t_s)
@@ -118,7 +117,7 @@ def columns_of(signal: Array, run: Run, times: float) -> dict[str, list[Array]]:
 
 def is_noise(found: Fit, halves: Sequence[Halves] = (under_load,), follows: Variables = of_chain) -> bool:
     """Whether what a fit leaves in channels of fading noise fades alike everywhere and is noise."""
-    # What has not faded by the longest time that is tried is no noise but a wander: an R0 that walks, a drift.
+    # What has not faded by the longest time tried is no noise but a wander: an R0 that walks.
     longest_s = found.problem.colour_config.longest_s
     if any(colour.fading_s > CONFIG.wanders * longest_s for colour in found.problem.colour.values()):
         return False
@@ -136,7 +135,7 @@ def noise_chance(found: Fit, channels: Sequence[str] = (), follows: Variables = 
         if channel not in problem.colour:
             squares = np.concatenate([found.residual[b.place] for b in blocks]) ** 2
             count = int(np.count_nonzero(squares))
-            # The noise level was estimated from the same samples: its error adds as much as it takes.
+            # The noise level is of the same samples: its error adds as much as it takes.
             tests.append((float(np.sum(squares)) - count) / float(np.sqrt(2.0 * max(count, 1))))
         if tests and not problem.is_driven_by_force:
             tests.append(_remembers(found, blocks))
@@ -146,7 +145,7 @@ def noise_chance(found: Fit, channels: Sequence[str] = (), follows: Variables = 
         for block in blocks:
             if block.run in others and problem.case.runs[block.run].kind == "press":
                 elsewhere[block.place] = (problem.measured - found.predicted)[others[block.run].place]
-        # A measured force that drives the chain is smoothed: what is left of its noise has a memory, and is small.
+        # A measured force that drives the chain is smoothed: what is left of its noise has a memory.
         for group in () if problem.is_driven_by_force else follows(found, channel):
             columns = [*group, elsewhere] if elsewhere.any() else group
             seen = projected([problem.whitened(column) for column in columns], found.jacobian)

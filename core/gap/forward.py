@@ -123,7 +123,7 @@ def mean_code_V(clean_V: Array, noise_V: float, step_V: float) -> Array:
     out = clean_V.copy()
     for k in range(1, HARMONICS + 1):
         height = step_V / (np.pi * k) * np.exp(-2.0 * (np.pi * k * noise_V / step_V) ** 2)
-        # Higher harmonics die out faster than exponentially: the rest is below a ten-thousandth of a step.
+        # Higher harmonics die out faster than exponentially: the rest is still smaller.
         if height < 1e-4 * step_V:
             break
         height = -height if k % 2 else height

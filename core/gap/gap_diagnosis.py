@@ -53,8 +53,8 @@ class RankedCause:
 
     Args:
         shrink: share of the gap that goes when it is added, of the explained whole.
-        parameters: by the catalogue's equation; empty where the effect is not in the best hypothesis.
-        form: the other equation that fits better and that the twin has, empty where the catalogue's does.
+        parameters: by the catalogue's equation; empty where it is not in the best hypothesis.
+        form: the other equation that fits better, empty where the catalogue's does.
     """
 
     effect: str
@@ -92,7 +92,7 @@ def on_unseen(group: tuple[Fit, ...], gone: set[str]) -> tuple[tuple[Fit, ...], 
     best, in_play, idle = group[0], [group[0]], set()
     for other in group[1:]:
         added = set(other.hypothesis.ids) - set(best.hypothesis.ids)
-        # Another form of a cause may hold what a second one is: beside it nothing is left for that to lower.
+        # Another form of a cause may hold what a second one is: nothing is left for that to lower.
         is_larger = set(best.hypothesis.ids) < set(other.hypothesis.ids) and not any(
             map(form_of, best.hypothesis.effects)
         )
@@ -110,7 +110,7 @@ def judged(
     as_told: Callable[[Fit], Fit] = lambda found: found,
     is_uneven: Callable[[Fit], bool] = lambda _: False,
 ) -> tuple[tuple[Fit, ...], Quantified, DiagnosisVerdict, dict[str, float]]:
-    """Return best hypothesis and rivals of a search, the shrink on samples held back, the verdict, chances of effects.
+    """Return a search's best and rival hypotheses, the shrink held out, verdict, chances of effects.
 
     Args:
         as_told: the best hypothesis as it is handed on.
@@ -205,15 +205,14 @@ NOT_MEASURED = "not measured: the recordings hold a mistake"
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GapDiagnosis(Generic[T]):
-    """Everything a report or a page needs of one diagnosis. With the verdict `data` only what has no default is there.
+    """Everything a report or a page needs; with the verdict `data` only what has no default.
 
     Args:
-        chosen: causes that are chosen where each part of the samples in turn is held back, those the shrink is of.
+        chosen: causes that are chosen where each part of the samples in turn is held back.
         explained_share: of the structured gap energy, 1 when nothing but noise is left.
-        mistakes: what is wrong with the recordings; with the verdict `data` they stand in the way of everything else,
-            beside another one they are questions.
-        residual: empirical terms that describe what no named cause explains, where they hold on runs held back.
-        told: what the runs tell of the base and of every effect; None where the recordings hold a mistake.
+        mistakes: in the recordings; with another verdict than `data` they are questions.
+        residual: empirical terms for what no named cause explains, if they hold on runs held back.
+        told: what the runs tell of the base and of every effect; None where there is a mistake.
     """
 
     verdict: DiagnosisVerdict
@@ -322,8 +321,8 @@ def ranked_causes(
     """Return every effect with how it stands, the likeliest first.
 
     Args:
-        fits: where the parameters of an effect are taken from, the first that has it; else from the effect alone.
-        held_out: share of the gap that goes on samples held back, split among the causes of the best hypothesis.
+        fits: where parameters are taken from, the first that has them; else from the effect alone.
+        held_out: share of the gap that goes on samples held back, split among the best causes.
     """
     ids = best.hypothesis.ids
     # The explained χ² is split among several causes: the mean of adding each first and last.

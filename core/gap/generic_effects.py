@@ -1,13 +1,11 @@
-"""What no equation of the catalogue says: departures of another kind, and other equations of its causes.
+"""What no equation of the catalogue says: departures of another kind, other equations of its causes.
 
-Each signal of the chain may have a gain or an offset that follows time or temperature, and the load cell a delay or a
-share of the position. They are no causes a report can name; where one wins, the report says `unknown` and what it is
-like.
+A signal of the chain may have a gain or an offset that follows time or temperature, the load cell a
+delay or a share of the position. They are no causes: where one wins, the report says `unknown`.
 
-A rig does not follow the catalogue's equations, and what the equation of one cause leaves often looks like a second
-cause. So every further cause is held against a free form of those beside it: the same cause at other sizes and shapes,
-all mixed, and with a size that changes with load and time. Where that explains the same nearly as well, these runs do
-not tell a second cause from another equation of the first.
+What the equation of one cause leaves on a rig often looks like a second cause. So every further one
+is held against a free form of those beside it: other sizes and shapes, all mixed, and a size that
+changes with load and time. Where that explains nearly as much, these runs do not tell the two.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence

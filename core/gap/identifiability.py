@@ -1,7 +1,7 @@
-"""What these runs can tell, seen from the fitted base before any cause is tried; and which run would tell the rest.
+"""What these runs can tell, seen from the fitted base, and which run would tell the rest.
 
-Everything is first order: of the change a parameter makes by its usual size, the part that neither the others nor what
-each run may have of its own can imitate, in standard deviations of the noise.
+Everything is first order: of the change a parameter makes by its usual size, the part that neither
+the others nor what each run may have of its own can imitate, in standard deviations of the noise.
 """
 
 from collections.abc import Sequence
@@ -141,7 +141,7 @@ def alike(one: str, other: str) -> Reason:
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Products of rows over some runs: derivatives of the base, what runs have of their own, and changes by causes.
+    """Products of rows over some runs: of the base, of what runs have of their own, and of causes.
 
     Args:
         base: names of the base parameters with a row.

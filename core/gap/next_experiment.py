@@ -71,10 +71,10 @@ def menu(case: Case, extent: Extent) -> tuple[MenuEntry, ...]:
 
 
 def propose(case: Case, rivals: Sequence[Fit], extent: Extent) -> NextExperiment | None:
-    """Return the experiment that tells most rivals from the first, and does so best per minute; None without rivals.
+    """Return the experiment that tells most rivals from the first, best per minute; None without rivals.
 
-    The distance of two rivals is what the second's prediction keeps from the first after the first has been refitted
-    to the old runs and the new one together (T-optimality with refit, to first order).
+    Their distance is what the second's prediction keeps from the first's after that was refitted to the
+    old runs and the new one together (T-optimality with refit, to first order).
     """
     return None if len(rivals) < 2 else most_telling(menu(case, extent), rivals)
 

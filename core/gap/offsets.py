@@ -93,9 +93,9 @@ class Nearby:
 
 
 def offsets(problem: "Problem", base: BaseParameters, clean: Array) -> list[Offsets]:
-    """Return the least-squares offsets of every run within their bounds: what is beyond them stays a gap.
+    """Return the least-squares offsets of every run within their bounds: the rest stays a gap.
 
-    Of resistance and seat only what the runs differ by is taken: their common part is the base's own R0 and u0.
+    Of resistance and seat only what the runs differ by is taken: the rest is the base's R0 and u0.
     """
     sizes = Nearby(directions(problem, base, clean, {})).sizes(problem, clean)
     return [Offsets(run, *map(float, row)) for run, row in sizes.items()]
@@ -108,13 +108,13 @@ def with_offsets(
     near = Nearby(problem.directions(hypothesis, coordinates, clean, {}))
     for _ in range(PASSES - 1):
         sizes, bending = near.sizes(problem, clean), np.flatnonzero(problem.are_bending)
-        # Where no offset moves a channel by so much that its slope does not foretell it, the slope will do.
+        # Where no offset moves a channel further than its slope foretells, the slope will do.
         if not len(bending) or not any(
             rows is not None and _moves(rows, sizes[block.run], bending, problem.noise[block.place]) > STRAIGHT_SIGMA
             for block, rows in zip(problem.blocks, near.directions, strict=True)
         ):
             break
-        # A surface that lies lower moves the corner of first touch: a straight step along the slope would leave it.
+        # A lower surface moves the corner of first touch, which a step along the slope would leave.
         moved = {run: step + near.moved.get(run, 0.0) for run, step in sizes.items()}
         clean = problem.clean(hypothesis, coordinates, moved)
         near = Nearby(problem.directions(hypothesis, coordinates, clean, moved), moved)
@@ -167,9 +167,9 @@ def _moves(rows: Array, sizes: Array, bending: NDArray[np.int64], noise: Array) 
 
 @compiled
 def _sizes(normal: Array, slope: Array, has: Array, largest: Array, are_relative: NDArray[np.bool_]) -> Array:
-    """Solve (runs, k, k) normal equations within bounds; a direction that a run does not have gets 0.
+    """Solve (runs, k, k) normal equations within bounds; a direction that a run lacks gets 0.
 
-    Of those that are relative the middle run is taken off: one far off for another reason must not move the others.
+    Of those that are relative the middle run is taken off: one far off must not move the others.
     """
     count, kinds = slope.shape
     free = np.zeros((count, kinds))

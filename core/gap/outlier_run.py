@@ -1,7 +1,7 @@
-"""A run that stands apart from all others by a gain, a zero, or as that of another unit: mistakes, not effects.
+"""A run that stands apart by a gain, a zero, or as that of another unit: mistakes, not effects.
 
-An effect acts in every run. Where one number, or the base parameters, of one run alone explain what the twin leaves in
-all of them, that run was recorded otherwise.
+An effect acts in every run. Where one number, or the base parameters, of one run alone explain what
+the twin leaves in all of them, that run was recorded otherwise.
 """
 
 from collections.abc import Sequence
@@ -73,13 +73,13 @@ def outlier_run_beside(search: EffectSearch) -> DataMistake | None:
     singles = sorted((f for ids, f in search.fits.items() if len(ids) == 1), key=lambda f: f.chi2)[: CONFIG.parents]
     tried = [(parent, found) for parent in (*singles, best) for found in nearest(parent)[:1]]
     if not search.is_explained(best):
-        # A cause as large as the mistake hides it from the base alone; beside the mistake it may explain the rest.
+        # A cause as large as the mistake hides it from the base; beside it, it may explain the rest.
         for fitted, run, oddity, share in nearest(base, CONFIG.least_promised)[:2]:
             clean = [grown for grown in search.grown_from(fitted) if search.is_clean(grown)]
             tried += [(base, (grown, run, oddity, share)) for grown in clean]
     priced = []
     for parent, (fitted, run, oddity, share) in tried:
-        # The mistake counts as one number more; it belongs to no catalogue and has no prior odds of its own.
+        # The mistake counts as one number more; it is of no catalogue and has no prior odds.
         price = parent.penalty if parent is not base or not singles else singles[0].penalty
         price += float(np.log(base.problem.count)) * len(oddity.hooks)
         if (share > CONFIG.share_beside or parent is base) and fitted.chi2 + price < best.bic - CONFIG.ahead:

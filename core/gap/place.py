@@ -1,8 +1,8 @@
-"""Which stage of the chain the gap sits in, from the maps and the character of the residual; no effect is needed.
+"""Which stage of the chain the gap sits in, from maps and residual; no effect is needed.
 
-The three maps name a group of stages. Within it the residual of the base tells. A function of the stage position that
-swings to and fro, or a jump in time, is motion. What lasts at rest or swings with the voltage is electronics. What
-follows the slope of the output is acquisition. What is left acts only under load.
+The three maps name a group of stages, the residual one within it. What swings to and fro over the
+stage position, or jumps in time, is motion. What lasts at rest or swings with the voltage is
+electronics. What follows the slope of the output is acquisition. The rest acts only under load.
 """
 
 import math
@@ -38,9 +38,9 @@ class Tone:
 
 
 def strongest_tone(found: Fit) -> Tone | None:
-    """Return the strongest tone of one frequency in the residuals of a channel; None where there is none.
+    """Return the strongest tone in the residuals of a channel; None where there is none.
 
-    A ripple over the travel has another frequency at every speed: of several runs two must show the same one.
+    A ripple over the travel changes with the speed: of several runs two must show the same tone.
     """
     tones = [t for block in found.problem.blocks if (t := _tone(found, block)) is not None]
     alone = len(found.problem.case.presses) == 1
@@ -51,8 +51,8 @@ def strongest_tone(found: Fit) -> Tone | None:
 def _tone(found: Fit, block: Block) -> Tone | None:
     """Return the strongest tone of one channel of one run.
 
-    The largest of m ordinates of a periodogram of white noise exceeds g times their mean with a chance of about
-    m·exp(−g) (R. A. Fisher, Proc. R. Soc. A 125, 54, 1929).
+    The largest of m ordinates of a periodogram of white noise exceeds g times their mean with a chance
+    of about m·exp(−g) (R. A. Fisher, Proc. R. Soc. A 125, 54, 1929).
     """
     run = found.problem.case.runs[block.run]
     residual = found.residual[block.place]
@@ -65,7 +65,7 @@ def _tone(found: Fit, block: Block) -> Tone | None:
     if len(power) < CONFIG.fewest:
         return None
     at = int(np.argmax(power))
-    # The median of exponential ordinates is ln 2 of their mean; a strong tone would raise the mean itself.
+    # The median of exponential ordinates is ln 2 of their mean, which a strong tone would raise.
     level = float(np.median(power)) / math.log(2.0)
     rms = math.sqrt(2.0 * max(power[at] - level, 0.0) / len(residual))
     if rms < CONFIG.faintest or power[at] < level * math.log(len(power) / CONFIG.chance):
@@ -84,7 +84,7 @@ class LooseNoise:
 def loose_noise(found: Fit) -> LooseNoise | None:
     """Return what is wrong with the noise, None where it is even.
 
-    A clock that jitters makes fast samples noisier than slow ones. A bad contact or a disturbed line throws single
+    A clock that jitters makes fast samples noisier. A bad contact or a disturbed line throws single
     samples far off; a line picks up a tone. None of these leaves a structure that sums up.
     """
     problem = found.problem

@@ -1,8 +1,8 @@
-"""Mistakes in the recordings that stand in the way of any diagnosis: units, signs, columns, rates, mixed-up runs.
+"""Mistakes in recordings that stand in the way of any diagnosis: units, signs, columns, rates, runs.
 
-Evidence lies inside the case: the steps of the ADC, Vref, time stamps, two channels that contradict each other, one
-run against the others, what the lot states. A pad of an unusual size is none: it is asked about, and diagnosed. No
-effect of the catalogue is fitted before this has found nothing.
+Evidence lies inside the case: steps of the ADC, Vref, time stamps, channels that contradict each
+other, one run against the others, what the lot states. A pad of an unusual size is asked about, and
+diagnosed. No effect of the catalogue is fitted before this has found nothing.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -137,7 +137,7 @@ def _columns(run: Run) -> Iterator[DataMistake]:
 def _output_by_steps(run: Run, channels: Mapping[str, Array]) -> str | None:
     """Return the column that stands on the steps of the ADC, None where the steps do not tell."""
     step_V, vref_V = run.readout.step_V, run.readout.vref_V
-    # The last digit of a file moves a value off its step; where steps are finer than that, no column stands on them.
+    # The last digit of a file moves a value off its step; on finer steps no column stands.
     tolerance = CONFIG.off_step * step_V
     shares = {}
     for name, values in channels.items():
@@ -353,7 +353,7 @@ def _runs_apart(case: Case) -> list[DataMistake]:
 def _spread_at(reference: Array, values: Array) -> float:
     """Return the slope of a channel against another one over the middle of what both show.
 
-    Both are sorted first: one that is late, or has lost samples, shows the same values at other instants.
+    Both are sorted: one that is late, or has lost samples, shows the same values at other instants.
     """
     reference, values = np.sort(reference), np.sort(values)
     low, high = np.quantile(reference, (0.05, 0.95))

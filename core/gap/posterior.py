@@ -22,9 +22,9 @@ Fits = Mapping[tuple[str, ...], Fit]
 def misfit(excess: float) -> float:
     """Return −2·ln of the likelihood of an excess of χ² when every equation may be a little wrong.
 
-    The difference between equation and rig is taken as `modes` normal coordinates of unknown common size,
-    at the size that fits best. An excess below counts as in white noise, one above it by its logarithm: by which factor
-    a hypothesis lowers what the others leave, not how many σ that is.
+    The difference between equation and rig is `modes` normal coordinates of unknown common size, at the
+    size that fits best. A large excess counts by its logarithm: by which factor a hypothesis lowers
+    what the others leave, not how many σ that is.
     """
     modes = EVIDENCE.modes
     return excess if excess < modes else modes * (1.0 + float(np.log(excess / modes)))
@@ -58,10 +58,10 @@ def exact_log_evidence(found: Fit) -> float:
 
 
 def penalty(found: Fit) -> float:
-    """Return the penalty with episodes after the first at a fraction: a loose lead is one cause, however often it gaps.
+    """Return the penalty where a loose lead is one cause, however often it gaps.
 
-    Each episode was paid for in full when it was placed. A size that these runs hardly determine pays less than
-    Schwarz's ln n, which takes it that every sample tells of it: −2·ln of posterior over prior (Laplace).
+    Each episode was paid for in full when it was placed. A size that these runs hardly determine pays
+    less than Schwarz's ln n: −2·ln of posterior over prior (Laplace).
     """
     problem, most = found.problem, float(np.log(found.problem.count))
     more = max(found.hypothesis.episode_count - 1, 0)
@@ -88,9 +88,9 @@ def log_evidences(fits: Fits) -> dict[tuple[str, ...], float]:
 
 
 def probabilities(logs: Mapping[tuple[str, ...], float], effects: Iterable[str] = tuple(EFFECTS)) -> dict[str, float]:
-    """Return for every effect the probability that it is present, from log evidences of hypotheses.
+    """Return for every effect the probability that it is present, from log evidences.
 
-    Effects that were screened away have no hypothesis of their own and get 0; the numbers need not sum to 1.
+    Effects that were screened away have no hypothesis and get 0; the numbers need not sum to 1.
     """
     top = max(logs.values())
     weights = {ids: float(np.exp(value - top)) for ids, value in logs.items()}
@@ -103,7 +103,7 @@ def rivals(
 ) -> tuple[Fit, ...]:
     """Return the best hypothesis, those held open, and those the evidence cannot rule out.
 
-    One that merely adds a cause counts only where the evidence for that cause is neither negligible nor decisive.
+    One that adds a cause counts where the evidence for that is neither negligible nor decisive.
     """
     if not best.hypothesis.ids:
         return (best,)
@@ -112,7 +112,7 @@ def rivals(
     in_play: list[Fit] = [best, *held_open]
     for found in near:
         ids = set(found.hypothesis.ids)
-        # A larger set of causes holds the evidence of the smaller one: as its rival it says nothing new.
+        # A larger set of causes holds the evidence of the smaller one and says nothing new.
         if ids and not any(ids >= set(other.hypothesis.ids) for other in in_play):
             in_play.append(found)
     most = max(RIVAL.most_causes, len(best.hypothesis.ids) + 1)
@@ -121,7 +121,7 @@ def rivals(
     larger = [f for ids, f in fits.items() if set(ids) > best_ids and len(ids) == len(best_ids) + 1]
     ahead = {f.hypothesis.ids: exact_log_evidence(f) - exact_log_evidence(best) for f in larger}
     least = max(ahead.values(), default=0.0) - RIVAL.odds
-    # Another realisation of one cause may be two causes in the catalogue's equations: a joint is a frame with a toe.
+    # Another form of one cause may be two in the catalogue's equations: a joint is frame and toe.
     is_in_other_form = any(form.effect is e for e in best.hypothesis.effects for form in FORMS.get(e.id, ()))
     within = RIVAL.odds if is_in_other_form else RIVAL.added
     most_z = max(METHOD.structure.dirty_z, RIVAL.structure_left * structure(best).z)
@@ -140,7 +140,7 @@ def rivals(
 def confused_pairs(group: tuple[Fit, ...]) -> list[list[str]]:
     """Return the pairs of effects that stand for each other in rival hypotheses.
 
-    A cause that one rival has beside another's stands for what the equation of the largest of those leaves.
+    A cause beside another rival's stands for what the equation of the largest of those leaves.
     """
     best = set(group[0].hypothesis.ids)
     pairs: list[list[str]] = []

@@ -44,7 +44,7 @@ class Hypothesis:
 
     Args:
         episodes: per run, the rows of its episodic effects.
-        of_all: parameters of the base, which every hypothesis has; the twin's where nothing else is said.
+        of_all: parameters of the base, which every hypothesis has.
     """
 
     effects: tuple[Effect, ...] = ()
@@ -124,7 +124,7 @@ class Problem:
     """The measured channels of a case as one vector with noise weights.
 
     Args:
-        sigma: per channel, standard deviation of the white noise, (n,) or a number, in the channel's unit.
+        sigma: per channel, standard deviation of the white noise, in the channel's unit.
         use: (samples,) which samples a fit may see; all where None.
         colour: per channel whose noise is not white, the part that fades.
     """
@@ -259,7 +259,7 @@ class Problem:
         """(5,) which base parameters these channels determine."""
         case = self.case
         stage, force, output = (case.has(c) for c in ("stage_mm", "force_N", "output_V"))
-        # Without a force only κ·k1 and κ·k3 act; k1 stays where it is and κ takes their common factor.
+        # Without a force only κ·k1 and κ·k3 act; k1 stays and κ takes their common factor.
         return np.array([stage, stage and force, stage, output, output])
 
     @cached_property
@@ -318,7 +318,7 @@ class Problem:
         return {run: size + nearby.moved.get(run, 0.0) for run, size in sizes.items()}
 
     def _known(self, out: Array) -> Array:
-        # A sample nobody can foretell costs as much as a right prediction would: nothing is won by not knowing.
+        # A sample nobody can foretell costs what a right prediction would: ignorance wins nothing.
         unknown = np.isnan(out)
         return np.where(unknown, self.measured - self.noise, out) if unknown.any() else out
 

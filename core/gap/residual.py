@@ -58,7 +58,7 @@ def structure(found: Fit, channel: str | None = None) -> Structure:
     parts = [found.residual[b.place] for b in found.problem.blocks if channel in (None, b.channel)]
     largest = -np.inf
     for length in CONFIG.block_samples:
-        # Sums over blocks of white noise keep variance 1 at any length; structure adds up in them, noise does not.
+        # Block sums of white noise keep variance 1 at any length; structure adds up in them.
         sums = [_block_sums(part, length) for part in parts]
         every = np.concatenate(sums)
         if len(every) > 3:
@@ -101,14 +101,14 @@ BEHIND: tuple[ChainStage, ...] = ("transduction", "electronics", "acquisition")
 def suspects(maps: tuple[Map, ...], sensor_type: SensorType = "pressure") -> tuple[ChainStage, ...]:
     """Return the stages that the pattern of dirty maps points to; none when all are clean.
 
-    A dirty map stage→force with a clean force→output is motion or mechanics, the reverse is the channel or its
-    electronics; when stage→output alone is clean, the load cell is what both others share.
+    A dirty stage→force with a clean force→output is motion or mechanics, the reverse is the channel or
+    its electronics; when stage→output alone is clean, the load cell is what both others share.
     """
     dirty = {m.name: m.structure for m in maps}
     if not any(s.is_significant for s in dirty.values()):
         return ()
     if sensor_type == "strain":
-        # A strain sensor does not feel the force: the pad's force and the cell's reading look alike.
+        # A strain sensor does not feel the force: pad and cell look alike.
         is_bad = {name for name, seen in dirty.items() if seen.is_significant}
         pad_or_behind = BEFORE if "stage→force" in is_bad else BEHIND
         return pad_or_behind if "stage→output" in is_bad else ("mechanics", "load_cell")

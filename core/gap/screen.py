@@ -81,7 +81,7 @@ class Lead:
     """A probe that would lower χ².
 
     Args:
-        gain: expected drop of χ² when the effect is added and everything is fitted again, to first order.
+        gain: expected drop of χ² when the effect is added and all is refitted, to first order.
         hidden: share of its signature that the fitted parameters imitate.
         shift: (parameters of the fit,) how its coordinates would move along.
     """
@@ -103,9 +103,9 @@ class Lead:
 
 
 def joined(parent: Fit, lead: Lead, steps: int = 20) -> Fit:
-    """Fit an effect jointly with everything of its parent, from other starts too where the first leads nowhere.
+    """Fit an effect jointly with its parent, from other starts too where the first leads nowhere.
 
-    A step along the slopes ends far off where the surface bends. An effect that is nearly off can only gain.
+    A step along the slopes ends far off where the surface bends; an effect nearly off can only gain.
     """
     hypothesis = parent.hypothesis.adding(lead.effect)
     best = fit(parent.problem, hypothesis, lead.start(parent), steps=steps)
@@ -120,8 +120,8 @@ def joined(parent: Fit, lead: Lead, steps: int = 20) -> Fit:
 def screen(found: Fit, candidates: Sequence[Probe]) -> list[Lead]:
     """Return the best lead of every effect that is not in the fit yet, best first.
 
-    The signature of a probe is the change it makes in the weighted prediction; only what the fitted parameters cannot
-    imitate counts (Rao's score test).
+    Of the change that a probe makes only what the fitted parameters cannot imitate counts (Rao's score
+    test).
     """
     space = Tangent(found)
     best: dict[str, Lead] = {}

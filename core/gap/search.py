@@ -120,7 +120,7 @@ class EffectSearch:
         self.best = self._most_likely
         for _ in range(2):
             before = self.best
-            # Each cause in another realisation with one other left out: that one may be what its equation leaves.
+            # One cause in another form, another left out: that may be what the equation leaves.
             for smaller in self.one_less(before).values():
                 for cause in smaller.hypothesis.ids if len(smaller.hypothesis.ids) > 1 else ():
                     for form in self.forms.get(cause, ()):
@@ -171,7 +171,7 @@ class EffectSearch:
                 # A better base found beside a larger hypothesis serves the smaller one as well.
                 closest = min(larger, key=lambda found: found.chi2)
                 self.keep(fit(parent.problem, parent.hypothesis, closest.coordinates[: len(parent.coordinates)]))
-            # In the place of each of several causes effects that hide are fitted: they promise little.
+            # Effects that hide promise little: they are fitted in the place of each cause.
             for rest in self.one_less(parent).values():
                 for probe in hiding(rest, self._probes, self._config.hiding) if rest.hypothesis.ids else ():
                     if tuple(sorted({*rest.hypothesis.ids, probe.effect.id})) not in self.fits:
@@ -247,7 +247,7 @@ class EffectSearch:
     def _grow(self, parent: Fit, count: int) -> list[Fit]:
         leads = screen(parent, self._probes)
         strongest = leads[0].gain if leads else 0.0
-        # A promise is first order: the refitted base gives more than it, so that less is asked for at first.
+        # A promise is first order: the refitted base gives more, so that less is asked at first.
         need = max(self._config.gain / 3, self._config.relative_gain * strongest)
         tried = {lead.effect.id: tuple(sorted({*parent.hypothesis.ids, lead.effect.id})) for lead in leads}
         new = [lead for lead in leads[:count] if lead.gain >= need and tried[lead.effect.id] not in self.fits]
@@ -265,7 +265,7 @@ class EffectSearch:
                 size = side.parameters[0].name
                 raise ValueError(f"{side.id} ({size}) has a side that is placed and must be placed too")
             found.append((placing, PLACERS[placing](parent, side, self.extent)))
-        # Steps placed freely in time take a little off any structure; they must take a visible part of the gap.
+        # Steps placed freely in time take a little off any structure; they must take a visible part.
         least = self._config.patch * max(self.base.chi2 - self.base.problem.count, 0.0)
         return [
             child
@@ -279,7 +279,7 @@ class EffectSearch:
         problem = with_driving_noise(best.problem.with_noise(*noise_of(best)), best)
         self.fits = {ids: found.under(problem) for ids, found in self.fits.items()}
         if problem.colour:
-            # Under noise of another colour the least squares lie elsewhere: the likeliest are fitted on from there.
+            # Under another colour the least squares lie elsewhere: the likeliest are fitted on.
             likely = sorted(self.fits.values(), key=lambda f: f.bic)[: self._config.again]
             for found in {id(f): f for f in (self.fits[()], *likely)}.values():
                 self.fits[found.hypothesis.ids] = fit(problem, found.hypothesis, found.coordinates, steps=6)

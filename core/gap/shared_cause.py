@@ -81,13 +81,13 @@ class Searched:
 
 @dataclass(frozen=True, eq=False)
 class LotMember:
-    """One unit of a lot.
+    """One unit of a lot; with a mistake in its recordings it follows nothing and has no odds and no fit.
 
     Args:
-        follows: whether it shares the lot's causes; of a unit whose recordings hold a mistake, False.
-        log_odds: of sharing them against causes of its own; None where the recordings hold a mistake.
+        follows: whether it shares the lot's causes.
+        log_odds: of sharing them against causes of its own.
         sizes: of the lot's causes in this unit, with 90 % intervals; empty where it does not follow.
-        fit: of the lot's causes to this unit; None where the recordings hold a mistake.
+        fit: of the lot's causes to this unit.
     """
 
     name: str
@@ -123,8 +123,8 @@ class LotDiagnosis:
         causes: of the best shared hypothesis, empty for none.
         rivals: sets of causes that the lot cannot tell apart, the best first.
         probability: of every cause that any unit's search considered.
-        logs: logarithm of prior times evidence over the units that follow, by hypothesis.
-        ruled_out: hypotheses whose bound is so far behind that they were not fitted to the units that lack them.
+        logs: log of prior times evidence over the units that follow, by hypothesis.
+        ruled_out: hypotheses too far behind at their bound to be fitted to the units that lack them.
     """
 
     verdict: DiagnosisVerdict
@@ -192,7 +192,7 @@ def diagnose_lot(cases: Mapping[str, Case], progress: Callable[[str], None] | No
     best, rivals, imitated = _best(logs, [_held_open(alone[name], one) for name, one in searched.items()])
     members = tuple(_member(name, one, searched.get(name), best) for name, one in alone.items())
     verdict = _verdict(best, rivals, members)
-    # Where nothing explains the units, the truth is most likely none of the causes that were compared.
+    # Where nothing explains the units, the truth is most likely none of the causes compared.
     doubt = METHOD.verdict.unknown_trust if verdict == "unknown" else 1.0
     chances = probabilities(logs, sorted({i for ids in logs for i in ids}))
     probability = {i: p * doubt * (METHOD.verdict.imitated_trust if i in imitated else 1.0) for i, p in chances.items()}
@@ -202,9 +202,9 @@ def diagnose_lot(cases: Mapping[str, Case], progress: Callable[[str], None] | No
 def joint_logs(following: Sequence[Searched], hypotheses: Iterable[Ids]) -> dict[Ids, float]:
     """Return the log evidence of every hypothesis over units that share their causes, up to a constant.
 
-    What a hypothesis leaves is summed over the units, and only then judged as of one unit: where an equation is a
-    little wrong it is wrong in all of them, and does not become more so by being repeated. Within the noise every unit
-    counts in full.
+    What a hypothesis leaves is summed over the units, and only then judged as of one unit: an equation
+    that is a little wrong does not become more so by being repeated. Within the noise every unit counts
+    in full.
     """
     floor = sum(one.yardstick.floor for one in following)
     # The first unit's parameters are paid for apart. Paid for in every unit, what one cause is a little cheaper than

@@ -80,9 +80,9 @@ class _Fold:
 def quantify(base: Fit, best: Fit, others: Iterable[Fit] = (), is_given: bool = False) -> Quantified:
     """Refit base and hypothesis without a part of the samples, forecast the shrink there, then look.
 
-    Whole runs are held back, one after the other; with one run, or an effect that belongs to one run, stretches of
-    every run are. The forecast is of the best hypothesis. What is measured on a part is what the hypothesis reaches
-    that would have been chosen without it: causes that were chosen by the samples they are judged on look too good.
+    Whole runs are held back in turn; with one run, or an effect of one run, stretches of every run are.
+    The forecast is of the best hypothesis. What is measured on a part is what the hypothesis reaches
+    that would have been chosen without it: causes look too good on the samples they were chosen by.
 
     Args:
         others: hypotheses that may be chosen where a part is held back, fitted to all samples.
@@ -93,7 +93,7 @@ def quantify(base: Fit, best: Fit, others: Iterable[Fit] = (), is_given: bool = 
     if not best.hypothesis.ids:
         gap = {c: _channel_gap(seen, best.problem, c) for c in best.problem.scored_channels}
         return Quantified(gap, Shrink(0.0, 0.0, 0.0, 0.0), protocol)
-    # Without causes it is the base, which every fold has; what belongs to one run foretells no other.
+    # Every fold has the base; what belongs to one run foretells no other.
     rivals = [
         other
         for other in others
@@ -189,9 +189,9 @@ def _shrink_of(channels: Iterable[ChannelGap]) -> float:
 def _forecast(folds: list[_Fold], best: Fit) -> tuple[float, float, float]:
     """Forecast the shrink from the fitted parts alone.
 
-    Before: the two fitted twins' predictions part by so much. After: the parameters' uncertainty carried to the
-    unseen samples, plus what the hypothesis leaves unexplained on the samples it has seen. Where that has no structure
-    it is an error of the noise level, and widens the interval alone.
+    Before: the two fitted twins part by so much. After: the parameters' uncertainty carried to the
+    unseen samples, and what the hypothesis leaves on those it has seen. Where that has no structure it
+    is an error of the noise level, and widens the interval alone.
     """
     problem, spreads = best.problem, []
     for fold in folds:
@@ -209,7 +209,7 @@ def _forecast(folds: list[_Fold], best: Fit) -> tuple[float, float, float]:
         # nothing removes it on other samples either.
         parts = [(problem.measured - best.predicted)[b.place] for b in problem.blocks_of(channel)]
         error = np.concatenate(parts) / floor
-        # One standard error is taken off: a right hypothesis leaves a mean square that scatters about 1.
+        # One standard error is taken off: what a right hypothesis leaves scatters about 1.
         left = floor * float(np.sqrt(max(0.0, float(np.mean(error**2)) - 1.0 - np.sqrt(2.0 / len(error)))))
         parted = _pooled(folds, problem, channel, [f.after.predicted - f.before.predicted for f in folds])
         spread = _pooled(folds, problem, channel, spreads)

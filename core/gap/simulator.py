@@ -57,7 +57,7 @@ class SimulatorTerm:
     Args:
         kind: what of the signal it follows.
         signal: an input or a channel, empty for the time.
-        middle, half: what a signal of 0 and of 1 stand for: from the middle to the farthest that was recorded.
+        middle, half: what a signal of 0 and of 1 stand for: from the middle to the farthest recorded.
         per_s: the usual rate of change of the signal so counted, 1/s.
         span: the range of the channel, for the size of a step.
     """
@@ -284,7 +284,7 @@ def candidate(
         name: how the report names it.
         place: the part of the mechanism it sits in; the report's `where`.
         parameters: the first is its size and has the neutral value that switches it off.
-        probes: parameter values at which a search begins; a fifth of the usual size where none are given.
+        probes: values at which a search begins; a fifth of the usual size where none are given.
         hides_behind: candidates it is mistaken for.
     """
     signs = Signs(probes=_Rows(tuple(probes)) if probes else None, hides_behind=hides_behind)

@@ -1,7 +1,6 @@
-"""The diagnosis of a simulator of somebody else: where, which, how far, how sure, what to run next.
+"""The diagnosis of a simulator of somebody else: where, which, how far, how sure, what next.
 
-Hypotheses, evidence, rivals, hidden fractions and held-out shrink are those of the soft sensor's twin; only what
-predicts the channels is another.
+Hypotheses, evidence, rivals, hidden fractions and held-out shrink are those of the twin.
 """
 
 from collections.abc import Sequence
@@ -197,7 +196,7 @@ def diagnose_simulator(
 def check_simulator(
     simulator: Simulator, runs: Sequence[SimulatorRun]
 ) -> tuple[tuple[DataMistake, ...], Identifiability | None]:
-    """Return the mistakes in recordings and, where there is none, what they tell of a simulator: nothing is searched.
+    """Return the mistakes in recordings and, without any, what they tell of a simulator; no search.
 
     Raises:
         InputError: as for `diagnose_simulator`.
@@ -218,7 +217,7 @@ def _base_or_mistakes(simulator: Simulator, case: Case, say: Progress) -> tuple[
 
 
 def _searched(simulator: Simulator, base: Fit, told: Identifiability, say: Progress) -> "SimulatorSearch":
-    # What every run may have of its own needs no cause: a slightly other equation of it would be named as one.
+    # What every run may have of its own needs no cause: its equation's error would be named as one.
     candidates = tuple(c for c in simulator.candidates if not told[c.id].is_own)
     search = SimulatorSearch(candidates, base, say)
     search.run()
@@ -235,7 +234,7 @@ def _searched(simulator: Simulator, base: Fit, told: Identifiability, say: Progr
         return search
 
     def again(problem: Problem) -> SimulatorSearch:
-        # Another noise moves the minimum a little: it is near that of the base, or of the base of the closest.
+        # Another noise moves the minimum a little: it is near the base's, or that of the closest.
         starts = (base.coordinates, closest.coordinates[base.hypothesis.of_base])
         fits = [fit(problem, base.hypothesis, start, steps=60) for start in starts]
         return SimulatorSearch(candidates, min(fits, key=lambda found: found.chi2), say)

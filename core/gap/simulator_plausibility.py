@@ -1,7 +1,7 @@
-"""Mistakes in recordings of any mechanism: a channel that stands still, a unit of time, one run against the others.
+"""Mistakes in recordings of any mechanism: a dead channel, a unit of time, one run against the others.
 
-What one run shows alone is seen in its columns. What it takes the simulator to see is looked for only where the base
-leaves a large part of a channel: a run is held against what all others say of it, and against the same run repaired.
+What needs the simulator is looked for only where the base leaves a large part of a channel: a run
+is held against what all others say of it, and against the same run repaired.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

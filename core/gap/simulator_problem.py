@@ -214,9 +214,9 @@ def rough_problem(simulator: Simulator, case: Case) -> SimulatorProblem:
 
 
 def shifted(values: Array, t_s: Array, delay_s: float, straight: float) -> Array:
-    """Return (3, n) a channel as it is some time later, its rate of change, and straight lines less a curve.
+    """Return (3, n) a channel some time later, its rate of change, and straight lines less a curve.
 
-    The curve is the cubic spline through the samples, its third derivative continuous next to both ends.
+    The curve is the cubic spline through the samples, its third derivative continuous at both ends.
 
     Args:
         values: (n,) with n of 4 and more, at the times t_s.

@@ -48,9 +48,9 @@ class SimulatorSearch(EffectSearch):
         return self.noise_chance(found) > METHOD.floor.chance
 
     def _start_again(self) -> None:
-        """Fit every cause and every pair from several starts where the likeliest hypothesis leaves structure.
+        """Fit every cause and every pair from several starts where structure is left.
 
-        A level that was never reached promises nothing to first order; two causes may gain only together.
+        A level never reached promises nothing to first order; two causes may gain only together.
         """
         if self.is_clean(self._leader):
             return

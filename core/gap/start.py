@@ -35,7 +35,7 @@ def base_fit(case: Case) -> Fit:
 
 
 def scattered(parameters: Sequence[Parameter], count: int) -> Array:
-    """Return (count, parameters) coordinates within bounds, the usual values first, then near and far from them.
+    """Return (count, parameters) coordinates within bounds: the usual values, then near and far.
 
     A value that may be far off in either direction is drawn by its order of magnitude.
     """
@@ -62,7 +62,7 @@ def best_start(problem: Problem, hypothesis: Hypothesis, scattering: int = 32, t
 
     Args:
         scattering: places at which the prediction is made once.
-        tried: of these, those from which a fit takes a few steps; the usual values are tried besides.
+        tried: of these, those from which a fit takes a few steps, besides the usual values.
         steps: most steps from the best two of them.
     """
     usual, *others = scattered(hypothesis.parameters, scattering)
@@ -91,7 +91,7 @@ def noise_levels(found: Fit) -> dict[str, float]:
     squares: dict[str, list[Array]] = {}
     for block in problem.blocks:
         error = (problem.measured - found.predicted)[block.place]
-        # White noise of variance 1 gives differences of variance 2, second differences of variance 6.
+        # White noise of variance 1 gives differences of variance 2, second ones of 6.
         squares.setdefault(block.channel, []).append(np.diff(error, order) ** 2 / comb(2 * order, order))
     levels = dict(problem.sigma)
     for channel, parts in squares.items():
@@ -104,7 +104,7 @@ def noise_levels(found: Fit) -> dict[str, float]:
 
 
 def with_driving_noise(problem: Problem, found: Fit) -> Problem:
-    """Return the problem with the noise that a measured force brings along where it drives the chain.
+    """Return the problem with the noise of a measured force where it drives the chain.
 
     σ² = σV² + (dV/dF·σF)²: errors in variables to first order.
     """
@@ -118,7 +118,7 @@ def with_driving_noise(problem: Problem, found: Fit) -> Problem:
             continue
         order = np.argsort(run.force_N, kind="stable")
         x, y = run.force_N[order], found.predicted[block.place][order]
-        # A slope from neighbours would be noise over noise; over a 24th of the samples it is the curve's.
+        # A slope from neighbours would be noise over noise; a 24th of the samples shows the curve's.
         edges = np.linspace(0, len(x) - 1, 25).astype(int)
         keep = np.concatenate([[True], np.diff(x[edges]) > 1e-7 * np.ptp(x)])
         slopes = np.gradient(y[edges][keep], x[edges][keep]) if keep.sum() > 2 else np.zeros(int(keep.sum()))

@@ -191,13 +191,13 @@ def _fewest(rig: Sequence[float], error: float) -> int | None:
 def calibration_worth(
     unit: str, case: Case, audit: Case, shared: Fit, say: Callable[[str], None] = lambda _: None
 ) -> CalibrationWorth:
-    """Train f on the unit's nominal and explained twin and on its rig recordings, and test all on its audit.
+    """Train f on a unit's nominal and explained twin and on rig recordings, and test all on its audit.
 
-    Base parameters and sizes are fitted to the first recording alone. The twins are then pressed along the stage
-    positions of all recordings.
+    Base parameters and sizes are fitted to the first recording alone. The twins are pressed along the
+    stage positions of all recordings.
 
     Args:
-        shared: a fit of the lot's causes to this unit: it gives the equations; its sizes are only where a fit begins.
+        shared: a fit of the lot's causes to this unit: its sizes are only where a fit begins.
 
     Raises:
         InputError: a run lacks stage position, force or output.
