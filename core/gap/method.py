@@ -1,4 +1,4 @@
-"""The method of the diagnosis: every number that can change a verdict, a cause, a place or a forecast, with its origin.
+"""The method of the diagnosis: every number that can change a verdict, a cause, a place or a forecast.
 
 Numbers of a solver, of a cache or of what is shown stand where they are used.
 """
@@ -11,27 +11,27 @@ from softcal.core.settings import SET, NumberedMethod, setting, table
 
 @dataclass(frozen=True)
 class MistakeConfig:
-    """When a recording is held to be mistaken (`plausibility.py`, `simulator_plausibility.py`, `data_mistake.py`).
+    """When a recording is held to be mistaken (`plausibility.py`, `simulator_plausibility.py`).
 
     Args:
         fewest_runs: with two runs nobody can tell which one is wrong.
-        same_factor: a ratio this near to a unit's factor, beyond what the other runs differ by, is that unit.
+        same_factor: a ratio this near to a unit's factor, beyond what the others differ by, is it.
         apart: ratio of one run to the others that no effect but only a wrong unit or gain explains.
-        stiffness_N_mm: peak force over depth of a soft pad; beyond, a unit may be wrong, if one brings all back to
-        usual, near_usual: within this factor of the usual. A lot that states its stiffness is judged by that alone.
+        stiffness_N_mm: peak force over depth of a soft pad; beyond, a unit may be wrong, if one brings
+        usual, near_usual: all back to within this factor of the usual. A lot may state its stiffness.
         depth_mm, force_N: the same where the other channel is missing.
-        near_stated: a stiffness this near beyond what the lot states, once a unit is turned, is that unit.
-        few: share of samples up to which values out of range are a broken transmission, not a wrong unit.
-        far: a sample this many spans beyond what nearly all others show is off by a broken transmission.
+        near_stated: a stiffness this near beyond what the lot states, in another unit, is that unit.
+        few: share of samples out of range up to which the transmission is broken, not the unit wrong.
+        far: spans beyond what nearly all samples show that are a broken transmission.
         off_step: distance from a step of the ADC, in steps, up to which a sample stands on it.
-        on_grid, off_grid: share of samples on steps of the ADC from which a column is an output, and below which not.
-        smooth: a commanded position is this much smoother, against its span, than anything measured.
+        on_grid, off_grid: share of samples on steps above which a column is an output, or below not.
+        smooth: a commanded position is this much smoother, against its span, than what is measured.
         opposed: correlation below which two channels move against each other.
-        paired, unpaired: correlation above which two columns belong to one run, and below which they do not.
-        good, bad: share of a channel that a simulator's base takes up where it agrees, and below which it does not.
+        paired, unpaired: correlation above which two columns belong to one run, or below do not.
+        good, bad: share of a channel that a simulator's base takes up where it agrees, or does not.
         step_apart: factor from which the steps of time of one run are none of jitter.
-        stuck: share of samples on the largest or smallest value from which a channel may be cut off there.
-        resting: share of samples that repeat the one before up to which a channel does not rest on steps.
+        stuck: share of samples on the largest or smallest value that may be a channel cut off.
+        resting: share of repeated samples up to which a channel does not rest on steps.
     """
 
     fewest_runs: int = setting(3)
@@ -65,13 +65,12 @@ class OutlierConfig:
 
     Args:
         share: of what the twin leaves that one run's mistake must explain.
-        least: smallest gain, and zero against the span, that is a mistake and not tare or seating of a run.
-        share_beside: the share beside a cause: other equations of a cause leave much less to one run alone.
+        least: smallest gain, and zero against the span, that is no tare or seating of a run.
+        share_beside: the share beside a cause, of which other equations leave much less to one run.
         parents: single causes that are tried beside a mistake.
         ahead: by how much χ² with its penalty must then be ahead of the catalogue's best.
-        promised, least_promised: share that a mistake must promise to be fitted: alone, and beside a cause of the same
-            size.
-        each, dearer: what a number costs, in ln n, and which share of the gap besides where structure is left.
+        promised, least_promised: share to be promised for a fit: alone, and beside a cause of its size.
+        each, dearer: cost of a number in ln n, and as a share of the gap where structure is left.
     """
 
     share: float = setting(0.93)
@@ -90,8 +89,8 @@ class OffsetConfig:
     """What every run may have of its own (`offsets.py`).
 
     Args:
-        tare: largest force at rest of a cell that was not tared, as a share of the range of the force.
-        resistance: largest change of the unloaded resistance between runs that is seating or room temperature.
+        tare: largest force at rest of a cell that was not tared, as a share of the force's range.
+        resistance: largest change of R0 between runs that is seating or room temperature.
         seat: largest change of the surface's height between runs that is seating, over the stroke.
     """
 
@@ -105,8 +104,8 @@ class StructureConfig:
     """What of a residual is structure, and to which stages dirty maps point (`residual.py`).
 
     Args:
-        block_samples: lengths over which a residual is summed to see structure: 0.16 s and 0.8 s at 50 Hz.
-        dirty_z: a residual has structure when its block sums are this many standard errors above white noise.
+        block_samples: lengths over which a residual is summed: 0.16 s and 0.8 s at 50 Hz.
+        dirty_z: standard errors above white noise from which its block sums are structure.
         quiet: a map this much cleaner than the dirtiest counts as closed: no noise is quite white.
     """
 
@@ -124,16 +123,15 @@ class PlaceConfig:
         faintest: root mean square of a tone, in units of the noise, below which it hides nothing.
         fewest: ordinates of a spectrum below which nothing stands out of the others.
         slowest_Hz: below, block sums see it; and what is slow is a shape more often than a tone.
-        uneven_z, uneven_ratio: noise is uneven when fast samples are noisier than slow ones by so many standard errors
-            and this factor of the variance: an uneven clock that adds less than its noise belongs to every rig.
+        uneven_z, uneven_ratio: fast samples must be noisier than slow ones by so many standard errors
+            and this factor of the variance: every rig's clock is uneven by less.
         loaded: share of the range of the output above which a sample counts as under load.
         spike_sigma, fewest_spikes: what makes a spike, and how many of them are no chance.
         clipped_sigma: the output is clipped this near to a level it was fitted to be clipped at.
         bins: of a static residual over what it may depend on.
         swings: changes of sign from which a static residual is taken as a ripple, not as a bend.
-        faint_z: structure of the maps below which uneven noise says more of the place: it stirs them a little.
-        breathes_Hz, most_of_line: a tone so close to a named line, and so much smaller, is what is left of it as it
-            swells.
+        faint_z: structure of the maps below which uneven noise, which stirs them, tells more.
+        breathes_Hz, most_of_line: a tone so near to a named line, and so much smaller, belongs to it.
         most: share of the structured residual that a regularity must account for to count.
     """
 
@@ -160,14 +158,13 @@ class FloorConfig:
     """When what is left counts as noise (`floor.py`).
 
     Args:
-        uneven: log likelihood that noise of its own at rest, and of its own under load, may gain over the same fading
-            noise in both: two numbers more gain 1 on average and 9 in one of 10,000.
-        chance: from which what is left counts as noise: one channel of noise alone in a thousand does not.
+        uneven: log likelihood that noise of its own at rest and under load may gain over the same in
+            both: two numbers more gain 1 on average and 9 in one of 10,000.
+        chance: from which what is left is noise: one channel of noise alone in a thousand is not.
         lags: samples of its own past that a residual may follow.
         fewest: samples at rest and under load, each, that tell; fewer do not test.
         wanders: share of the longest fading time from which a time stands on its bound.
-        memory_s: fading times of the memories it may follow: half a second to the length of a run, a factor of four
-            apart.
+        memory_s: fading times of memories it may follow, up to a run's length, a factor of four apart.
         hats: depths at which a static curve may bend.
     """
 
@@ -189,12 +186,11 @@ class EpisodeConfig:
         longest_loss: most samples one run may lose in all; more is another recording.
         judged: samples that must follow a loss to judge it by.
         mains_tolerance_Hz: how far from its frequency mains may stand.
-        line_gain: χ² that the strongest line of a spectrum must take away, in units of the noise or of what surrounds
-            it, whichever is more: white noise reaches 20 in a thousand lines, a gap of other causes has power
-            everywhere.
-        flat_samples: that must lie clearly beyond a level before the output is taken as clipped there.
-        event_share, event_sigma: a contact is bad where the output jumps: share of the fitted jumps that it must show,
-            and standard errors. Intervals that only mop up a smooth gap show none.
+        line_gain: χ² that the strongest line must take away, in units of the noise or of what surrounds
+            it: white noise reaches 20 in a thousand lines, a gap has power everywhere.
+        flat_samples: that must lie clearly beyond a level for the output to be clipped there.
+        event_share, event_sigma: share of fitted jumps that a bad contact must show, and standard
+            errors. Intervals that only mop up a smooth gap show none.
     """
 
     longest_lead: int = setting(20)
@@ -212,23 +208,23 @@ class SearchConfig:
     """How wide the search goes (`search.py`, `simulator_search.py`).
 
     Args:
-        leads: effects fitted fully on top of the base, then of each hypothesis with one, with two effects.
+        leads: effects fitted fully on top of the base, then of hypotheses with one, with two effects.
         beam: hypotheses of one, two effects that are grown further.
         gain: a lead must promise this drop of χ² to be fitted (a third of it for the first effect).
         relative_gain: and this share of the χ² that the best lead promises.
-        with_forms: single causes whose other realisations are tried where the catalogue's leave structure.
-        enough: share of the gap that one, two, three causes must explain to be named although structure is left. Other
-            realisations of a cause leave less than a tenth, effects outside the catalogue more than a quarter. Several
-            causes together are more flexible.
-        likely, rival: share of what the best single cause explains from which another one is tried in its other
-            realisations, where structure is left and where the best one leaves none.
+        with_forms: single causes whose other realisations are tried where structure is left.
+        enough: share of the gap that one, two, three causes must explain to be named although structure
+            is left. Another realisation leaves less than a tenth, an effect outside the catalogue more
+            than a quarter; several causes are more flexible.
+        likely, rival: share of what the best single cause explains from which other realisations of
+            another are tried, where structure is left and where none is.
         patch: share of the gap that steps placed freely in time must take away.
         again: hypotheses fitted from the first base again where the best one leaves structure.
         beside: an effect beside the best hypothesis must promise this drop of χ² to be fitted, or
-        hiding: be imitated by the fitted parameters to this share, so that a first-order promise says little.
-        worth: share of the gap that a simulator's causes must gain after a few steps to be fitted on.
+        hiding: be imitated to this share, so that a first-order promise says little.
+        worth: share of the gap that a simulator's causes must gain after a few steps to go on.
         most_pairs: pairs of these that are tried from several starts: all of four or fewer.
-        base_sigma: standard deviations that a base may leave of the largest offset, the same in all runs.
+        base_sigma: standard deviations that a base may leave of the largest offset of all runs.
     """
 
     leads: tuple[int, ...] = setting((9, 6, 4))
@@ -254,14 +250,14 @@ class EvidenceConfig:
 
     Args:
         prior_odds: of each effect being present.
-        stray_odds: prior odds that a unit does not share the lot's causes: its evidence must be a thousandfold.
-        driven_cost: what a cause pays besides where a measured force drives the chain: what is left of its noise and of
-            the corners that smoothing rounds off feigns gains of up to 90 on recordings without any gap.
-        episode_cost: parameters that an episode counts as: two times, a size, and the places it was not found in.
+        stray_odds: prior odds that a unit does not share the lot's causes: it takes a thousandfold.
+        driven_cost: what a cause pays besides where a measured force drives the chain: its noise and
+            corners feign gains of up to 90 on recordings without any gap.
+        episode_cost: parameters that an episode counts as: two times, a size, and where it was not.
         further_episode_cost: the same of an episode after the first when causes are compared.
-        modes: degrees of freedom of the smooth difference between a catalogue equation and what a rig does.
+        modes: degrees of freedom of the smooth difference between an equation and what a rig does.
         bound_cost: what a cause pays whose size ends on its bound: it stands for something else.
-        exactness: share of the gap's energy below which no equation is believed: 0.7 % of its amplitude.
+        exactness: share of the gap's energy below which no equation is believed: 0.7 % in amplitude.
         usual_range: sizes that a rig may show, in usual ones: the width of the prior of a size.
     """
 
@@ -278,17 +274,17 @@ class EvidenceConfig:
 
 @dataclass(frozen=True)
 class RivalConfig:
-    """Which hypotheses the evidence cannot rule out (`posterior.py`, `shared_cause.py`); all odds are logarithms.
+    """Which hypotheses the evidence cannot rule out (`posterior.py`, `shared_cause.py`), in log odds.
 
     Args:
         odds: a hypothesis so near to the best (ΔBIC < 10) is a rival: weak evidence.
         most: rivals, the best one among them.
         most_causes: that an honest set may hold, or one more than the best hypothesis has.
         added: a cause more is a rival down to these odds behind the best hypothesis ...
-        exact: ... and where these odds would be ahead of it if every equation held exactly: what it takes away is then
-            that cause or what the equation of another one leaves, and these runs cannot tell which.
-        negligible: so far behind the best hypothesis a cause more is ruled out, even if every equation held.
-        structure_left: share of the structure left beside which a cause more mops up what another equation explains.
+        exact: ... and where it would be ahead by these if every equation held exactly: these runs
+            cannot tell that cause from what the equation of another one leaves.
+        negligible: so far behind a cause more is ruled out, even if every equation held.
+        structure_left: share of the structure beside which a cause more mops up another's equation.
     """
 
     odds: float = setting(5.0)
@@ -302,16 +298,16 @@ class RivalConfig:
 
 @dataclass(frozen=True)
 class StrangerConfig:
-    """Departures that no equation of the catalogue says, and other equations of its causes (`generic_effects.py`).
+    """Departures that no equation says, and other equations of causes (`generic_effects.py`).
 
     Args:
-        clean_odds: log evidence by which a stranger must beat a catalogue that leaves no structure; one that leaves
-            some must be no rival any more ...
-        least_gain: ... and by how much it must lower χ² besides, unless it stands for two causes more than itself:
-            fewer parameters alone do not make a stranger, but three causes that together imitate one departure do.
-        warmed_K: change of temperature from which a dummy resistor tells whether the electronics follow it.
+        clean_odds: log evidence by which a stranger must beat a catalogue that leaves no structure;
+            one that leaves some must be no rival any more ...
+        least_gain: ... and by how much it must lower χ² besides, unless it stands for two causes more
+            than itself: three that together imitate one departure.
+        warmed_K: change of temperature from which a dummy resistor tells of the electronics.
         ratios: sizes and shapes mixed in a free form, as multiples of the fitted ones.
-        imitated: share of what a cause takes away that a free form of the others must take away as well.
+        imitated: share of what a cause takes away that a free form of the others must take as well.
     """
 
     clean_odds: float = setting(2.0)
@@ -326,11 +322,11 @@ class ShrinkConfig:
     """Samples held back (`shrink.py`, `empirical.py`).
 
     Args:
-        parts: contiguous parts, or interleaved stretches, of every run that are held back beside whole runs.
+        parts: contiguous parts, or interleaved stretches, of every run that are held back.
         most_chosen_from: hypotheses that are fitted anew where a part is held back.
-        near: log odds against a hypothesis, by what its fit is foretold to gain, from which it is not fitted anew.
+        near: log odds against a hypothesis, by what it is foretold to gain, from which it is not.
         beyond: standard errors by which χ² must fall on samples held back.
-        block_s: length of the stretches that are held back inside a run where whole runs cannot be.
+        block_s: length of the stretches that are held back where whole runs cannot be.
         least_margin: one recording does not know its own forecast better than that.
     """
 
@@ -347,9 +343,9 @@ class LearnConfig:
     """When an empirical term is taken (`empirical.py`).
 
     Args:
-        least: share of what is left above the noise that a further term must take away on samples held back.
+        least: share of what is left above the noise that a further term must take when held back.
         chance: drop of χ² besides, for each time a sample is held back.
-        simpler: share of the gap by which terms beside the causes must do better than terms on the bare base.
+        simpler: share of the gap by which terms beside the causes must beat those on the bare base.
         errors: standard errors below which a coefficient is left out.
         distinct: share of a variable's energy that base and causes must leave to it.
         coverage: of the interval.
@@ -371,13 +367,13 @@ class TellingConfig:
     Args:
         sigma: standard deviations by which a change of the usual size must show.
         nothing: standard deviations below which nothing of it shows.
-        own: share, of what the base leaves of a cause, from which offsets of the runs take its shape.
+        own: share, of what the base leaves of a cause, from which offsets take its shape.
         alike: cosine of what is visible of two causes from which they are one to these runs.
-        lost: share of the energy of a parameter that must be left by the others, or it is none of these runs' business.
-        traded: share of what a parameter is imitated by from which another one is named beside it.
+        lost: share of a parameter's energy that the others must leave for it to matter here.
+        traded: share of what a parameter is imitated by from which another is named beside it.
         smaller: share of the usual size at which a cause is looked at too.
         on_bound: share of its largest from which an offset stands on its bound.
-        enough_sigma: rivals this many standard deviations apart are told apart on a real, coloured floor.
+        enough_sigma: rivals so many standard deviations apart are told on a real, coloured floor.
     """
 
     sigma: float = setting(5.0)
@@ -398,15 +394,14 @@ class VerdictConfig:
     """From a search to a verdict and to probabilities (`gap_diagnosis.py`).
 
     Args:
-        unknown_trust: how far probabilities are trusted where the catalogue leaves a gap, for a share of 1.
-        doubted_chance: how likely noise leaves as much, below which what causes leave is no noise. Of a small gap much
-            may go before the rest passes for noise at any stricter level; one right cause in twenty of a small gap is
-            given up for it.
-        down_to_noise: share of the gap, held out too, from which what causes leave is a difference between two
+        unknown_trust: how far probabilities are trusted beside an unknown gap, for a share of 1.
+        doubted_chance: how likely noise leaves as much, below which what causes leave is none. At any
+            stricter level a cause might take much of a small gap and its rest pass for noise; one
+            right cause in twenty of a small gap is given up for it.
+        down_to_noise: share of the gap, held out too, from which the rest is the difference between two
             equations of one cause.
         near_share: of the gap that one cause more must take to be told as what comes nearest.
-        imitated_trust: how far a cause is trusted that another equation of the causes beside it would explain as well:
-            it is not named, and not ruled out.
+        imitated_trust: in a cause that another equation of those beside it would explain as well.
     """
 
     unknown_trust: float = setting(0.3)
@@ -426,7 +421,7 @@ class WorthConfig:
 
     Args:
         train_share: of an audit that a unit's own calibration trains on; all errors are on the rest.
-        fitted_on: recordings of the rig that the twins are fitted to; other units of the lot tell the causes.
+        fitted_on: recordings of the rig that the twins are fitted to; other units tell the causes.
         alike: an f counts as not worse up to this ratio of errors.
     """
 
