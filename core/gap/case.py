@@ -229,11 +229,19 @@ class Case:
         """Whether the runs in which the sensor is pressed recorded this channel."""
         return all(getattr(run, channel) is not None for run in self.presses)
 
+    def recorded(self, channel: str) -> list[Array]:
+        """Return a channel, (n,) each, of the pressed runs that recorded it."""
+        return [values for run in self.presses if (values := getattr(run, channel)) is not None]
+
+    def changes(self, channel: str, kind: str = "press", by: float = 0.0) -> bool:
+        """Whether a channel changes, by so much, in any run of a kind."""
+        logs = [getattr(run, channel) for run in self.runs if run.kind == kind]
+        return any(log is not None and np.ptp(log) > 0 and np.ptp(log) >= by for log in logs)
+
     @property
     def has_warmed_dummy(self) -> bool:
         """Whether a dummy resistor was read while the logged temperature changed by 1 K or more."""
-        logs = [run.temperature_C for run in self.runs if run.kind == "dummy_resistor"]
-        return any(log is not None and np.ptp(log) >= METHOD.stranger.warmed_K for log in logs)
+        return self.changes("temperature_C", "dummy_resistor", METHOD.stranger.warmed_K)
 
     @property
     def unseen_stages(self) -> tuple[ChainStage, ...]:

@@ -71,8 +71,8 @@ class RigScale:
         """Read force and stroke off the runs that are pressed, the others off the metadata."""
         spans = {}
         for unit, channel in (("mm", "stage_mm"), ("N", "force_N")):
-            values = [v for run in case.presses if (v := getattr(run, channel)) is not None]
-            spans[unit] = max((float(np.ptp(v)) for v in values), default=0.0) / COMMON[unit] or None
+            reach = max((float(np.ptp(v)) for v in case.recorded(channel)), default=0.0)
+            spans[unit] = reach / COMMON[unit] or None
         # Without a cell, or without a stage, the pad is as stiff as the common one.
         known = [size for size in spans.values() if size]
         common = known[0] if known else 1.0

@@ -88,7 +88,7 @@ def stranger(best: Fit, parents: Sequence[Fit], fits: Sequence[Fit]) -> Fit | No
     if best.problem.is_driven_by_force:
         return None
     case, scale = best.problem.case, best.problem.scale
-    is_warming = any(run.temperature_C is not None and np.ptp(run.temperature_C) > 0 for run in case.presses)
+    is_warming = case.changes("temperature_C")
     seen = [e for e in STRANGERS if e.stage not in case.unseen_stages]
     seen = [e for e in seen if is_warming or not e.parameters[0].unit.endswith("/K")]
     seen += [WARM_DIVIDER] if case.has_warmed_dummy else []

@@ -116,7 +116,8 @@ def identifiability(
 
 def reasons(found: Identifiability) -> list[Reason]:
     """Return why runs do not tell what they do not tell, a reason for each."""
-    return [*map(why, found.untold), *(alike(*pair) for pair in found.alike)]
+    pairs = [[reason("gap.effect", effect=effect) for effect in pair] for pair in found.alike]
+    return [*map(why, found.untold), *(reason("gap.told.alike", one=a, other=b) for a, b in pairs)]
 
 
 def why(one: ParameterTold) -> Reason:
@@ -132,11 +133,6 @@ def why(one: ParameterTold) -> Reason:
     if one.sigma < CONFIG.nothing:
         return reason("gap.told.never", name=name, cure=cure)
     return reason("gap.told.small", name=name, sigma=one.sigma, cure=cure)
-
-
-def alike(one: str, other: str) -> Reason:
-    """Return that two causes are one to these runs."""
-    return reason("gap.told.alike", one=reason("gap.effect", effect=one), other=reason("gap.effect", effect=other))
 
 
 @dataclass(frozen=True, eq=False)

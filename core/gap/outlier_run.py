@@ -157,7 +157,7 @@ def _effects(run: int, oddity: _Oddity, base: Fit) -> list[Effect]:
 
 
 def _span(case: Case, column: str) -> float:
-    parts = [values for run in case.presses if (values := getattr(run, column)) is not None]
+    parts = case.recorded(column)
     return float(np.ptp(np.concatenate(parts))) if parts else 1.0
 
 

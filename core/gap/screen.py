@@ -29,12 +29,11 @@ class Probe:
 def extent_of(base: Fit) -> Extent:
     """Measure a case; depth and force beyond what was recorded come from the fitted base."""
     case = base.problem.case
-    depths = [float(run.stage_mm.max()) for run in case.presses if run.stage_mm is not None]
+    depths = [float(stage_mm.max()) for stage_mm in case.recorded("stage_mm")]
     depth_mm = max(depths) - base.base.u0_mm if depths else 1.0
-    forces = [float(run.force_N.max()) for run in case.presses if run.force_N is not None]
-    force_N = max(forces) if forces else base.base.k1_N_mm * depth_mm + base.base.k3_N_mm3 * depth_mm**3
-    outputs = [run.output_V for run in case.presses if run.output_V is not None]
-    every_V = np.concatenate(outputs) if outputs else np.array([0.0, 1.0])
+    forces = [float(force_N.max()) for force_N in case.recorded("force_N")]
+    force_N = max(forces, default=base.base.k1_N_mm * depth_mm + base.base.k3_N_mm3 * depth_mm**3)
+    every_V = np.concatenate(case.recorded("output_V") or [np.array([0.0, 1.0])])
     return Extent(
         depth_mm=max(depth_mm, 1e-9),
         force_N=max(force_N, 1e-9),
@@ -48,13 +47,8 @@ def extent_of(base: Fit) -> Extent:
 
 def visible_effects(case: Case) -> tuple[Effect, ...]:
     """Return the effects that the recorded channels can show at all."""
-
-    def is_followed(channel: str) -> bool:
-        logs = [getattr(run, channel) for run in case.presses]
-        return any(log is not None and np.ptp(log) > 0 for log in logs)
-
     seen = [effect for effect in EFFECTS.values() if effect.stage not in case.unseen_stages]
-    return tuple(effect for effect in seen if all(map(is_followed, effect.signs.needs)))
+    return tuple(effect for effect in seen if all(map(case.changes, effect.signs.needs)))
 
 
 def probes(case: Case, extent: Extent) -> tuple[Probe, ...]:
@@ -65,8 +59,7 @@ def probes(case: Case, extent: Extent) -> tuple[Probe, ...]:
 
 def is_told(case: Case, alias: Alias) -> bool:
     """Whether a run of the case tells an effect from what looks exactly like it elsewhere."""
-    logs = [getattr(run, alias.changing) for run in case.runs if run.kind == alias.told_by]
-    return any(log is not None and np.ptp(log) >= alias.by for log in logs)
+    return case.changes(alias.changing, alias.told_by, alias.by)
 
 
 GENTLER = (0.1, 0.003)

@@ -74,15 +74,6 @@ class SimulatorProblem(Problem):
         return np.ones(len(self.of.base), dtype=np.bool_)
 
     @cached_property
-    def scale(self) -> RigScale:
-        # A simulator states the bounds of its own parameters.
-        return RigScale()
-
-    @property
-    def is_driven_by_force(self) -> bool:
-        return False
-
-    @cached_property
     def dither_V(self) -> float | None:
         return None
 
@@ -210,7 +201,8 @@ def rough_problem(simulator: Simulator, case: Case) -> SimulatorProblem:
     """Return recordings with a fiftieth of the spread of a channel as its noise."""
     columns = {c: np.concatenate([run.columns[c] for run in runs_of(case)]) for c in simulator.channels}
     rough = {c: 0.02 * max(float(np.std(values)), 1e-12) for c, values in columns.items()}
-    return SimulatorProblem(case, rough, of=simulator)
+    # A simulator states the bounds of its own parameters.
+    return SimulatorProblem(case, rough, of_rig=RigScale(), of=simulator)
 
 
 def shifted(values: Array, t_s: Array, delay_s: float, straight: float) -> Array:

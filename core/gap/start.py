@@ -136,8 +136,7 @@ def _first_noise(case: Case) -> dict[str, float]:
         "stage_mm": 0.002 * of_rig.factor("mm"),
     }
     for channel in ("force_N", "output_V"):
-        values = [getattr(run, channel) for run in case.presses if getattr(run, channel) is not None]
-        if values:
+        if values := case.recorded(channel):
             spread = float(np.std(np.concatenate(values)))
             levels[channel] = max(0.02 * spread, 1e-5 * levels[channel])
     return levels
@@ -146,8 +145,7 @@ def _first_noise(case: Case) -> dict[str, float]:
 def rough_start(case: Case) -> Array:
     """Return base coordinates read off the recordings, (5,)."""
     stage, force, output = (
-        np.concatenate([getattr(run, c) for run in case.presses]) if case.has(c) else None
-        for c in ("stage_mm", "force_N", "output_V")
+        np.concatenate(case.recorded(c)) if case.has(c) else None for c in ("stage_mm", "force_N", "output_V")
     )
     u0, k1, k3, r0, kappa = (RigScale.of(case).sized(p).usual for p in BASE)
     loaded = force if force is not None else output
