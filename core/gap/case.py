@@ -37,10 +37,8 @@ SHOWN_BY: dict[ChainStage, str] = {
 }
 """The channel without which nothing of a stage shows."""
 
-
 SHORTEST = 30
 """Fewest samples of a run; five base parameters and a noise level are estimated from them."""
-
 
 HALF_WIDTH = 4
 """Samples on either side that a straight line is fitted to: 0.18 s at 50 Hz."""

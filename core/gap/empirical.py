@@ -29,7 +29,6 @@ from softcal.core.twin.mechanics import elastic_force
 
 CONFIG, SHRINK = METHOD.learn, METHOD.shrink
 
-
 T = TypeVar("T", bound=EmpiricalTerm | SimulatorTerm)
 """A term of the twin or of a simulator: place += coefficient · variable."""
 

@@ -20,17 +20,14 @@ from softcal.core.twin.signals import compiled
 
 CONFIG = METHOD.episode
 
-
 JUDGED = CONFIG.judged
 PLACEMENTS = 4
 """How often episodes are placed again; they hardly move after the third time."""
 
 MAINS_Hz = (50.0, 60.0)
 
-
 ACROSS = np.array([1.0, 1.0, 0.0, -1.0, -1.0]) / 2.0
 """Mean after an instant less mean before it; the sample that placed the instant is left out."""
-
 
 SKEW_STEPS = 8
 """Skews tried on either side before losses are placed, each half a sample more in a run."""

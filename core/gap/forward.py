@@ -28,7 +28,6 @@ INVERSE_STEPS = 4
 TOUCHING_share = 0.05
 """A rigid block is taken as touched above this share of the largest force."""
 
-
 Prediction: TypeAlias = dict[str, Array]
 """Clean channels that a run can show, (n,) each, NaN where nobody can know; of a rigid block `stage_mm`, where the
 stage must be when this force is read."""

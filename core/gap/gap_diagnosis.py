@@ -33,7 +33,6 @@ from softcal.core.words.reason import Reason, in_words, reason, several
 
 CONFIG = METHOD.verdict
 
-
 DiagnosisVerdict = Literal["no_gap", "explained", "ambiguous", "unknown", "data"]
 
 

@@ -30,7 +30,6 @@ from softcal.core.twin.signals import low_pass
 
 CONFIG = METHOD.stranger
 
-
 TIME, WARMTH, PLACE = attrgetter("t_s"), attrgetter("warmed_K"), attrgetter("stage_mm")
 """What of the flow a departure may follow."""
 

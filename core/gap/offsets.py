@@ -16,10 +16,8 @@ from softcal.core.twin.signals import compiled
 
 CONFIG = METHOD.offset
 
-
 if TYPE_CHECKING:
     from softcal.core.gap.problem import Hypothesis, Problem
-
 
 STRAIGHT_SIGMA = 0.5
 """Share of its noise that an offset may move a sample along the slope: bends err far less."""
@@ -35,7 +33,6 @@ PASSES = 3
 
 SEATED = ("press", "rest")
 """Kinds of run in which the unit lies under the stage."""
-
 
 Directions: TypeAlias = list[Array | None]
 """Per block, (k, n), how a channel changes with each offset; None where a run has none."""

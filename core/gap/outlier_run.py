@@ -54,7 +54,6 @@ ODDITIES = (
     ),
 )
 
-
 _Fitted = tuple[Fit, int, _Oddity, float]
 """A fit with a mistake, its run, what it is, and the share it explains."""
 

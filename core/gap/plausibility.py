@@ -18,7 +18,6 @@ from softcal.core.words.reason import Reason, reason
 
 CONFIG = METHOD.mistake
 
-
 COLUMNS = {"stage": "stage_mm", "force": "force_N", "output": "output_V"}
 
 TIME_UNITS = {"ms": 1e-3, "us": 1e-6, "min": 60.0}

@@ -18,7 +18,6 @@ from softcal.core.words.reason import Reason, reason
 
 CONFIG = METHOD.structure
 
-
 TIED = 1e-6
 """Share of the largest speed by which two samples of one ramp differ in rounding alone."""
 

@@ -18,7 +18,6 @@ from softcal.core.recording import Array
 Ids = tuple[str, ...]
 SCHEMA = "softcal.gap_lot/1"
 
-
 FEWEST_UNITS = 2
 
 

@@ -40,7 +40,6 @@ OFFSETS = ("zero", "gain", "delay", "drift")
 STRAIGHT = "straight"
 """How far a late channel goes by straight lines from sample to sample, 1, and not by a curve, 0."""
 
-
 BLUNT = 0.05
 """Share of the usual rate within which a direction turns."""
 

@@ -23,7 +23,6 @@ from softcal.core.words.reason import Reason, reason
 
 CONFIG = METHOD.mistake
 
-
 FACTORS: Mapping[str, float] = {
     "inch": 25.4,
     "kgf": 9.80665,
