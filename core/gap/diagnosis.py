@@ -233,7 +233,7 @@ def _places(
     if verdict == "unknown":
         places = _unknown_places(search, maps, found, detail)
     else:
-        named = [c for c in causes if c.effect in search.best.hypothesis.ids]
+        named = [c for c in causes if c.effect in search.best.ids]
         of_causes = places_of(named, channel, regime, lambda i: reason("gap.seen.effect", effect=i, seen=detail))
         aliases, places = _open_aliases(search.best), []
         for c, place in zip(named, of_causes, strict=True):
@@ -255,7 +255,7 @@ def _loudest(found: tuple[Regime, ...]) -> tuple[str, Reason]:
 
 def _open_aliases(best: Fit) -> dict[str, Alias]:
     """What a named cause may be outside the catalogue, where no run tells; by cause."""
-    aliases = {i: EFFECTS[i].signs.alias for i in best.hypothesis.ids}
+    aliases = {i: EFFECTS[i].signs.alias for i in best.ids}
     return {i: alias for i, alias in aliases.items() if alias is not None and not is_told(best.problem.case, alias)}
 
 
@@ -276,7 +276,7 @@ def _unknown_places(
         stages = tuple(dict.fromkeys((loose.stage, *stages)))
         detail = reason("gap.seen.noise", noise=loose.detail, seen=detail)
     if not stages:
-        stages = tuple(dict.fromkeys(EFFECTS[i].stage for i in search.best.hypothesis.ids)) or ("unknown",)
+        stages = tuple(dict.fromkeys(EFFECTS[i].stage for i in search.best.ids)) or ("unknown",)
     code = "gap.seen.left" if search.stranger is None else "gap.seen.better"
     text = reason(code, seen=detail, share=share)
     # Nothing measures how a gap splits between stages that may each hold it: the likelier is first.

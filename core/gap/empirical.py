@@ -84,7 +84,7 @@ class LearnedResidual(Generic[T]):
     def beside(self) -> tuple[str, ...]:
         """The causes the terms stand beside."""
         own = {one.term.effect.id for one in self.terms}
-        return tuple(i for i in self.fit.hypothesis.ids if i not in own)
+        return tuple(i for i in self.fit.ids if i not in own)
 
 
 def learned(base: Fit, parents: Sequence[Fit], known: Callable[[Fit], Iterable[T]]) -> LearnedResidual[T] | None:
@@ -96,8 +96,8 @@ def learned(base: Fit, parents: Sequence[Fit], known: Callable[[Fit], Iterable[T
         known: the terms that may be tried, without their coefficients.
     """
     # A base alone stands for itself, and what belongs to one run says nothing of another.
-    parents = [p for k, p in enumerate(parents) if k == 0 or p.hypothesis.ids]
-    parents = [p for p in parents if not any(effect.belongs_to_run for effect in p.hypothesis.effects)]
+    parents = [p for k, p in enumerate(parents) if k == 0 or p.ids]
+    parents = [p for p in parents if not any(effect.belongs_to_run for effect in p.effects)]
     if all(map(is_clean, parents)):
         return None
     tried = list(known(base))
@@ -310,7 +310,7 @@ def _held_out(base: Fit, choices: Sequence[_Choice[T]]) -> tuple[_Scores, list[l
         parent, terms = _chosen(choices, cells - held)
         before = fit(problem.seeing(seen), base.hypothesis, base.coordinates, steps=6)
         without = before
-        if parent.hypothesis.ids:
+        if parent.ids:
             without = fit(parent.problem.seeing(seen), parent.hypothesis, parent.coordinates, steps=6)
         after, terms = _with_terms(without, terms, seen) if terms else (without, terms)
         taken.append(terms)

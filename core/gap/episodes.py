@@ -62,7 +62,7 @@ def with_losses(found: Fit, effect: Effect, _: Extent) -> Fit | None:
 
 
 def _clocks(found: Fit, kind: str) -> list[str]:
-    return [e.id for e in found.hypothesis.effects if e.signs.clock == kind]
+    return [e.id for e in found.effects if e.signs.clock == kind]
 
 
 def with_intervals(found: Fit, effect: Effect, _: Extent) -> Fit | None:
@@ -108,7 +108,7 @@ def _placed(found: Fit, effect: Effect, place: Place) -> Fit | None:
 def placed_again(found: Fit) -> Fit:
     """Place the episodes of a hypothesis once more: what was added since may have blurred them."""
     best = found
-    episodic = sorted((e for e in found.hypothesis.effects if e.is_episodic), key=lambda e: list(ROWS).index(_how(e)))
+    episodic = sorted((e for e in found.effects if e.is_episodic), key=lambda e: list(ROWS).index(_how(e)))
     for effect in episodic:
         for _ in range(PLACEMENTS):
             rows, _ = ROWS[_how(effect)](best, effect.id)
@@ -208,7 +208,7 @@ def _bad_contacts(found: Fit, effect_id: str) -> tuple[list[Array], float]:
     case, readout = found.problem.case, found.problem.case.readout
     rows: list[Array] = [np.empty((0, 2)) for _ in case.runs]
     good = found.coordinates
-    if effect_id in found.hypothesis.ids:
+    if effect_id in found.ids:
         good = found.coordinates.copy()
         good[found.hypothesis.place_of(effect_id)] = 0.0
     clean = found.problem.predict(found.hypothesis, good)
@@ -281,7 +281,7 @@ def with_line(found: Fit, effect: Effect, _: Extent) -> Fit | None:
     grid = np.unique(np.concatenate(parts))
     if not len(grid):
         return None
-    losses = [e.id for e in found.hypothesis.effects if e.signs.placing == Placing.LOSSES]
+    losses = [e.id for e in found.effects if e.signs.placing == Placing.LOSSES]
     power = np.zeros(len(grid))
     sums: dict[int, NDArray[np.complex128]] = {}
     for block in blocks:

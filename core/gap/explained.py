@@ -28,7 +28,7 @@ def explained_twin(found: Fit, terms: Sequence[EmpiricalTerm] = ()) -> Twin:
         sigma_V = float(np.sqrt(max(_floor(found, "output_V") ** 2 - readout.step_V**2 / 12, 0.0)))
     base = found.base.with_values(sigma_output_V=sigma_V, sigma_force_N=_floor(found, "force_N"))
     settings = []
-    for effect, values in zip(found.hypothesis.effects, found.effect_values, strict=True):
+    for effect, values in zip(found.effects, found.effect_values, strict=True):
         if effect.id not in EFFECTS or EFFECTS[effect.id].is_episodic:
             continue
         given = {p.name: v for p, v in zip(effect.parameters, values, strict=True)} | dict(effect.constants)
@@ -46,11 +46,11 @@ def _floor(found: Fit, channel: str) -> float:
 
 def in_catalogue_form(found: Fit) -> Fit:
     """Return the fit with every cause by the catalogue's equation; itself where it already is."""
-    effects = tuple(EFFECTS[e.id] if form_of(e) else e for e in found.hypothesis.effects)
-    if effects == found.hypothesis.effects:
+    effects = tuple(EFFECTS[e.id] if form_of(e) else e for e in found.effects)
+    if effects == found.effects:
         return found
     rows = []
-    for effect, fitted, values in zip(effects, found.hypothesis.effects, found.effect_values, strict=True):
+    for effect, fitted, values in zip(effects, found.effects, found.effect_values, strict=True):
         given = {p.name: v for p, v in zip(fitted.parameters, values, strict=True)}
         rows.append([given.get(p.name, p.usual) for p in effect.parameters])
     start = np.append(found.coordinates[: len(BASE)], start_coordinates(effects, rows))
@@ -69,7 +69,7 @@ def with_constants(found: Fit) -> Fit:
     A fit reads them off each run: its largest force, of which strokes are shares. A twin has one number,
     the largest of the runs. Base and causes are refitted with it.
     """
-    effects = found.hypothesis.effects
+    effects = found.effects
     if not any(_is_open(effect) for effect in effects):
         return found
     seen = {effect.id: dict.fromkeys((name for name, _ in effect.constants), 0.0) for effect in effects}

@@ -10,6 +10,7 @@ from softcal.core.gap.linear import dots, energy, gram
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.problem import Around, Hypothesis, Problem
 from softcal.core.recording import Array
+from softcal.core.twin.effects import Effect
 from softcal.core.twin.parameters import BaseParameters
 
 DIFFERENCE = 2e-4
@@ -48,6 +49,16 @@ class Fit:
         """The base parameters of the twin."""
         return BaseParameters(*self.hypothesis.split(self.coordinates)[0])
 
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Identifiers of the causes, sorted."""
+        return self.hypothesis.ids
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The effects on top of the base."""
+        return self.hypothesis.effects
+
     @cached_property
     def effect_values(self) -> list[list[float]]:
         return self.hypothesis.split(self.coordinates)[1]
@@ -83,9 +94,9 @@ class Fit:
         each = -2.0 * float(np.log(METHOD.evidence.prior_odds))
         each += METHOD.evidence.driven_cost if self.problem.is_driven_by_force else 0.0
         # An episode counts as many parameters, for it was searched for all over the runs.
-        added = sum(p.weight for effect in self.hypothesis.effects for p in effect.parameters)
+        added = sum(p.weight for effect in self.effects for p in effect.parameters)
         count = int(self.problem.is_free.sum()) + added + METHOD.evidence.episode_cost * self.hypothesis.episode_count
-        return count * float(np.log(self.problem.count)) + each * len(self.hypothesis.ids)
+        return count * float(np.log(self.problem.count)) + each * len(self.ids)
 
     @property
     def bic(self) -> float:

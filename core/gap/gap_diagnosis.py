@@ -90,11 +90,9 @@ def on_unseen(group: tuple[Fit, ...], gone: set[str]) -> tuple[tuple[Fit, ...], 
     """Return rivals but those that add a cause that lowers nothing on unseen samples; and these causes."""
     best, in_play, idle = group[0], [group[0]], set()
     for other in group[1:]:
-        added = set(other.hypothesis.ids) - set(best.hypothesis.ids)
+        added = set(other.ids) - set(best.ids)
         # Another form of a cause may hold what a second one is: nothing is left for that to lower.
-        is_larger = set(best.hypothesis.ids) < set(other.hypothesis.ids) and not any(
-            map(form_of, best.hypothesis.effects)
-        )
+        is_larger = set(best.ids) < set(other.ids) and not any(map(form_of, best.effects))
         if is_larger and (added & gone or (len(added) == 1 and unsupported(other, dict.fromkeys(added, best)))):
             idle |= added
         else:
@@ -118,7 +116,7 @@ def judged(
     say("holding back samples from every cause")
     # Causes that lower nothing on unseen samples are taken out of the best hypothesis.
     gone: set[str] = set()
-    while len(search.best.hypothesis.ids) > 1:
+    while len(search.best.ids) > 1:
         rest = search.one_less(search.best)
         idle = unsupported(search.best, rest)
         if not idle:
@@ -132,13 +130,13 @@ def judged(
     quantified = quantify(search.base, as_told(best), search.fits.values())
     verdict = _verdict(search, group, quantified, is_uneven)
     # Where nothing explains the gap the truth is most likely none of the effects.
-    trust = 1.0 if quantified.stands or not best.hypothesis.ids else CONFIG.imitated_trust
+    trust = 1.0 if quantified.stands or not best.ids else CONFIG.imitated_trust
     trust = CONFIG.unknown_trust * search.explained_share(best) if verdict == "unknown" else trust
     # Of a cause held open beside the best hypothesis the mean counts of two readings: every equation may be a little
     # wrong, or they hold exactly.
-    larger = [f for f in group if set(f.hypothesis.ids) > set(best.hypothesis.ids)]
-    exact = probabilities({f.hypothesis.ids: exact_log_evidence(f) for f in (best, *larger)}, effects)
-    open_ = {i for f in larger for i in f.hypothesis.ids}.difference(best.hypothesis.ids)
+    larger = [f for f in group if set(f.ids) > set(best.ids)]
+    exact = probabilities({f.ids: exact_log_evidence(f) for f in (best, *larger)}, effects)
+    open_ = {i for f in larger for i in f.ids}.difference(best.ids)
     every = {i: 0.5 * (p + exact[i]) if i in open_ else p for i, p in probabilities(logs, effects).items()}
     chances = {i: p * trust * (CONFIG.imitated_trust if i in doubted else 1.0) for i, p in every.items()}
     return group, quantified, verdict, chances
@@ -166,7 +164,7 @@ def _verdict(
     best, base = search.best, search.base
     if search.stranger is not None:
         return "unknown"
-    if not best.hypothesis.ids or not quantified.stands:
+    if not best.ids or not quantified.stands:
         is_sound = search.is_clean(base) and search.noise_chance(base) > METHOD.floor.chance and not is_uneven(base)
         return "no_gap" if is_sound else "unknown"
     is_small = min(search.share(best), quantified.shrink.held_out) >= CONFIG.down_to_noise and search.is_explained(best)
@@ -179,12 +177,12 @@ def nearest(search: EffectSearch) -> Fit:
     """Return the simplest hypothesis that takes nearly the most of the gap away."""
     most = max(search.share(found) for found in search.fits.values())
     near = [found for found in search.fits.values() if search.share(found) >= most - CONFIG.near_share]
-    return min(near, key=lambda found: (len(found.hypothesis.ids), found.chi2))
+    return min(near, key=lambda found: (len(found.ids), found.chi2))
 
 
 def estimates_of(found: Fit, effect_id: str) -> dict[str, ParameterEstimate]:
     """Return value and 90 % interval of an effect's parameters; none where the fit lacks it."""
-    effect = next((e for e in found.hypothesis.effects if e.id == effect_id), None)
+    effect = next((e for e in found.effects if e.id == effect_id), None)
     if effect is None:
         return {}
     at, out = found.hypothesis.slices[effect_id], {}
@@ -256,7 +254,7 @@ class GapDiagnosis(Generic[T]):
             protocol=quantified.protocol,
             chosen=quantified.chosen,
             ambiguous_with=confused_pairs(group),
-            hidden_fraction={i: hidden_fraction(found, i) for i in found.hypothesis.ids},
+            hidden_fraction={i: hidden_fraction(found, i) for i in found.ids},
             **own,
         )
 
@@ -306,7 +304,7 @@ def partial_of(search: EffectSearch) -> Partial | None:
     """Return the causes that come nearest, and their share; None where none takes anything."""
     closest = nearest(search)
     share = search.explained_share(closest)
-    return Partial(closest.hypothesis.ids, share) if closest.hypothesis.ids and share > 0.0 else None
+    return Partial(closest.ids, share) if closest.ids and share > 0.0 else None
 
 
 def ranked_causes(
@@ -323,7 +321,7 @@ def ranked_causes(
         fits: where parameters are taken from, the first that has them; else from the effect alone.
         held_out: share of the gap that goes on samples held back, split among the best causes.
     """
-    ids = best.hypothesis.ids
+    ids = best.ids
     # The explained χ² is split among several causes: the mean of adding each first and last.
     worth = dict.fromkeys(ids, 1.0)
     for effect_id in ids if len(ids) > 1 else ():
@@ -332,10 +330,10 @@ def ranked_causes(
         last = rest.chi2 - best.chi2 if rest else 0.0
         worth[effect_id] = max(0.5 * (first + last), 0.0)
     total = sum(worth.values()) or 1.0
-    forms = {e.id: form_of(e) for e in best.hypothesis.effects}
+    forms = {e.id: form_of(e) for e in best.effects}
 
     def cause(effect: Effect) -> RankedCause:
-        found = next((f for f in fits if effect.id in f.hypothesis.ids), search.fits.get((effect.id,)))
+        found = next((f for f in fits if effect.id in f.ids), search.fits.get((effect.id,)))
         parameters = estimates_of(found, effect.id) if found is not None else {}
         share = worth.get(effect.id, 0.0) / total * held_out
         return RankedCause(effect.id, effect.stage, chances[effect.id], share, parameters, forms.get(effect.id, ""))

@@ -99,13 +99,13 @@ def stranger(best: Fit, parents: Sequence[Fit], fits: Sequence[Fit]) -> Fit | No
     closest = max(found, key=yardstick.log_evidence)
     ahead = yardstick.log_evidence(closest) - yardstick.log_evidence(best)
     is_decisive = ahead > (CONFIG.clean_odds if is_clean(closest) else METHOD.rival.odds)
-    is_simpler = len(closest.hypothesis.ids) <= len(best.hypothesis.ids) - 2
+    is_simpler = len(closest.ids) <= len(best.ids) - 2
     return closest if is_decisive and (is_simpler or closest.chi2 < best.chi2 - CONFIG.least_gain) else None
 
 
 def stranger_of(found: Fit) -> Effect:
     """Return the stranger of a hypothesis that has one."""
-    return next(one for one in (*STRANGERS, WARM_DIVIDER) if one in found.hypothesis.effects)
+    return next(one for one in (*STRANGERS, WARM_DIVIDER) if one in found.effects)
 
 
 def imitated_causes(best: Fit, smaller: Mapping[str, Fit]) -> list[str]:
@@ -117,9 +117,9 @@ def imitated_causes(best: Fit, smaller: Mapping[str, Fit]) -> list[str]:
 def imitation(rest: Fit, best: Fit) -> float:
     """Return which share of a larger hypothesis's gain a free form of a smaller one has as well."""
     gain = rest.chi2 - best.chi2
-    if gain <= 0.0 or not rest.hypothesis.ids:
+    if gain <= 0.0 or not rest.ids:
         return 0.0
-    rows = [rest.problem.whitened(row) for effect in rest.hypothesis.effects for row in _directions(rest, effect)]
+    rows = [rest.problem.whitened(row) for effect in rest.effects for row in _directions(rest, effect)]
     seen = projected(rows, rest.jacobian)
     if not len(seen):
         return 0.0

@@ -84,10 +84,7 @@ def most_telling(entries: Sequence[MenuEntry], rivals: Sequence[Fit]) -> NextExp
     first, others, enough = rivals[0], rivals[1:], METHOD.telling.enough_sigma
     candidates: list[tuple[int, float, float, MenuEntry]] = []
     # A larger hypothesis can take the shape of a smaller one.
-    pairs = [
-        [(a, b) for a, b in ((first, other), (other, first)) if not set(a.hypothesis.ids) > set(b.hypothesis.ids)]
-        for other in others
-    ]
+    pairs = [[(a, b) for a, b in ((first, other), (other, first)) if not set(a.ids) > set(b.ids)] for other in others]
     for experiment in entries:
         distances = [min(_distance(a, b, experiment.run) for a, b in both) for both in pairs]
         parted = [distance for distance in distances if distance >= enough]
@@ -96,7 +93,7 @@ def most_telling(entries: Sequence[MenuEntry], rivals: Sequence[Fit]) -> NextExp
     count, _, distance, experiment = max(candidates, key=lambda entry: entry[:2])
     causes = causes_of(rivals)
     if count == 0:
-        remedies = dict.fromkeys(e.signs.remedy for f in rivals for e in f.hypothesis.effects if e.signs.remedy)
+        remedies = dict.fromkeys(e.signs.remedy for f in rivals for e in f.effects if e.signs.remedy)
         remedy = several([Reason.of(one) for one in remedies] or [Reason("gap.remedy.usual")])
         return NextExperiment("none", reason("gap.next.inseparable", causes=causes, remedy=remedy))
     why = reason("gap.next.separates", causes=causes, distance=distance, minutes=experiment.minutes)
@@ -107,7 +104,7 @@ def most_telling(entries: Sequence[MenuEntry], rivals: Sequence[Fit]) -> NextExp
 
 def causes_of(rivals: Sequence[Fit]) -> Reason:
     """Return the causes of hypotheses in words, those of one together."""
-    return several([named(f.hypothesis.ids, "gap.together") for f in rivals], "gap.both")
+    return several([named(f.ids, "gap.together") for f in rivals], "gap.both")
 
 
 def named(effects: Sequence[str], code: str) -> Reason:

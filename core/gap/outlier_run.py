@@ -67,7 +67,7 @@ def outlier_run(base: Fit) -> DataMistake | None:
 def outlier_run_beside(search: EffectSearch) -> DataMistake | None:
     """Return the mistake of one run that, with one cause or none, explains more than all causes."""
     best, base = search.best, search.base
-    if len(best.hypothesis.ids) < 2 and search.is_clean(best):
+    if len(best.ids) < 2 and search.is_clean(best):
         return None
     singles = sorted((f for ids, f in search.fits.items() if len(ids) == 1), key=lambda f: f.chi2)[: CONFIG.parents]
     tried = [(parent, found) for parent in (*singles, best) for found in nearest(parent)[:1]]
@@ -163,7 +163,7 @@ def _span(case: Case, column: str) -> float:
 def _finding(fitted: Fit, run: int, oddity: _Oddity, share: float) -> DataMistake | None:
     case = fitted.problem.case
     number = (numbers(case)[run],)
-    of_run = {e.id: values[0] for e, values in zip(fitted.hypothesis.effects, fitted.effect_values, strict=True)}
+    of_run = {e.id: values[0] for e, values in zip(fitted.effects, fitted.effect_values, strict=True)}
     sizes = [of_run[effect.id] for effect in _effects(run, oddity, fitted)]
     if oddity.what == "other_unit":
         stiffness, sensitivity, resistance, _ = sizes

@@ -90,7 +90,7 @@ def loose_noise(found: Fit) -> LooseNoise | None:
     problem = found.problem
     if problem.dither_V is not None:
         return None
-    rows = zip(found.hypothesis.effects, found.effect_values, strict=True)
+    rows = zip(found.effects, found.effect_values, strict=True)
     fitted = [(effect.signs.placing, values) for effect, values in rows]
     tone = strongest_tone(found)
     # A named line breathes as that of mains does: what its equation leaves is a tone beside it.

@@ -68,9 +68,9 @@ def penalty(found: Fit) -> float:
     cheaper = more * (EVIDENCE.episode_cost - EVIDENCE.further_episode_cost) * most
     if problem.is_driven_by_force:
         # What its noise feigns is in the floor already.
-        cheaper += EVIDENCE.driven_cost * len(found.hypothesis.ids)
+        cheaper += EVIDENCE.driven_cost * len(found.ids)
     spared, on_bound = 0.0, 0
-    for effect, values in zip(found.hypothesis.effects, found.effect_values, strict=True):
+    for effect, values in zip(found.effects, found.effect_values, strict=True):
         size, at = problem.scale.sized(effect.parameters[0]), found.hypothesis.place_of(effect.id)
         ends = [end for end in (size.low, size.high) if end not in (0.0, size.neutral)]
         on_bound += size.scale == "linear" and any(abs(values[0] - end) < 0.01 * abs(end) for end in ends)
@@ -105,34 +105,34 @@ def rivals(
 
     One that adds a cause counts where the evidence for that is neither negligible nor decisive.
     """
-    if not best.hypothesis.ids:
+    if not best.ids:
         return (best,)
-    top = logs[best.hypothesis.ids]
+    top = logs[best.ids]
     near = [fits[ids] for ids in sorted(logs, key=lambda i: -logs[i]) if logs[ids] > top - RIVAL.odds]
     in_play: list[Fit] = [best, *held_open]
     for found in near:
-        ids = set(found.hypothesis.ids)
+        ids = set(found.ids)
         # A larger set of causes holds the evidence of the smaller one and says nothing new.
-        if ids and not any(ids >= set(other.hypothesis.ids) for other in in_play):
+        if ids and not any(ids >= set(other.ids) for other in in_play):
             in_play.append(found)
-    most = max(RIVAL.most_causes, len(best.hypothesis.ids) + 1)
+    most = max(RIVAL.most_causes, len(best.ids) + 1)
     # Hypotheses with one cause more that can be neither named nor left out.
-    best_ids = set(best.hypothesis.ids)
+    best_ids = set(best.ids)
     larger = [f for ids, f in fits.items() if set(ids) > best_ids and len(ids) == len(best_ids) + 1]
-    ahead = {f.hypothesis.ids: exact_log_evidence(f) - exact_log_evidence(best) for f in larger}
+    ahead = {f.ids: exact_log_evidence(f) - exact_log_evidence(best) for f in larger}
     least = max(ahead.values(), default=0.0) - RIVAL.odds
     # Another form of one cause may be two in the catalogue's equations: a joint is frame and toe.
-    is_in_other_form = any(form.effect is e for e in best.hypothesis.effects for form in FORMS.get(e.id, ()))
+    is_in_other_form = any(form.effect is e for e in best.effects for form in FORMS.get(e.id, ()))
     within = RIVAL.odds if is_in_other_form else RIVAL.added
     most_z = max(METHOD.structure.dirty_z, RIVAL.structure_left * structure(best).z)
-    for found in sorted(larger, key=lambda f: -ahead[f.hypothesis.ids]):
-        ids, behind = found.hypothesis.ids, top - logs[found.hypothesis.ids]
+    for found in sorted(larger, key=lambda f: -ahead[f.ids]):
+        ids, behind = found.ids, top - logs[found.ids]
         is_near = behind < within or (behind < RIVAL.negligible and ahead[ids] > RIVAL.exact)
         if not (ahead[ids] >= least and is_near and structure(found).z < most_z):
             continue
-        if any(ids == other.hypothesis.ids for other in in_play):
+        if any(ids == other.ids for other in in_play):
             continue
-        if len({*ids}.union(*(other.hypothesis.ids for other in in_play))) <= most:
+        if len({*ids}.union(*(other.ids for other in in_play))) <= most:
             in_play.append(found)
     return tuple(in_play[: RIVAL.most])
 
@@ -142,12 +142,12 @@ def confused_pairs(group: tuple[Fit, ...]) -> list[list[str]]:
 
     A cause beside another rival's stands for what the equation of the largest of those leaves.
     """
-    best = set(group[0].hypothesis.ids)
+    best = set(group[0].ids)
     pairs: list[list[str]] = []
     for other in group[1:]:
-        mine = sorted(best - set(other.hypothesis.ids))
-        theirs = sorted(set(other.hypothesis.ids) - best)
-        shared = sorted(best & set(other.hypothesis.ids), key=lambda i: -energy(_signature(group[0], i)))
+        mine = sorted(best - set(other.ids))
+        theirs = sorted(set(other.ids) - best)
+        shared = sorted(best & set(other.ids), key=lambda i: -energy(_signature(group[0], i)))
         between = [[a, b] for a in mine for b in theirs] or [[shared[0], extra] for extra in (*mine, *theirs)]
         pairs += [pair for pair in between if pair not in pairs]
     return pairs

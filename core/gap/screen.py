@@ -119,7 +119,7 @@ def screen(found: Fit, candidates: Sequence[Probe]) -> list[Lead]:
     space = Tangent(found)
     best: dict[str, Lead] = {}
     for probe in candidates:
-        if probe.effect.id in found.hypothesis.ids:
+        if probe.effect.id in found.ids:
             continue
         lead = space.lead(probe)
         if lead is not None and (probe.effect.id not in best or lead.gain > best[probe.effect.id].gain):
@@ -132,7 +132,7 @@ def hiding(found: Fit, candidates: Sequence[Probe], share: float) -> list[Probe]
     space = Tangent(found)
     last: dict[str, Probe] = {}
     for probe in candidates:
-        if probe.effect.id in found.hypothesis.ids:
+        if probe.effect.id in found.ids:
             continue
         signature = space.signature(probe)
         size = energy(signature)

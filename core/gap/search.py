@@ -78,15 +78,15 @@ class EffectSearch:
             # What promises nothing to first order must be placed to know.
             if not is_promised and not any(child.bic < leader.bic for child in self._placed(leader)):
                 break
-            ranked = sorted((f for f in self.fits.values() if len(f.hypothesis.ids) == size), key=lambda f: f.bic)
+            ranked = sorted((f for f in self.fits.values() if len(f.ids) == size), key=lambda f: f.bic)
             # Several are grown on: the right pair often begins with the second-best single cause.
             parents = ranked[: self._config.beam[size - 1]]
         self._start_again()
         # Smaller hypotheses get the episodes that the closest one has: places are no cause.
         donor = self.closest
-        placed = {e.id for e in donor.hypothesis.effects if e.is_episodic}
+        placed = {e.id for e in donor.effects if e.is_episodic}
         for ids, found in list(self.fits.items()) if donor.hypothesis.episode_count else ():
-            if set(ids) < set(donor.hypothesis.ids) and placed <= set(ids):
+            if set(ids) < set(donor.ids) and placed <= set(ids):
                 hypothesis = replace(found.hypothesis, episodes=donor.hypothesis.episodes)
                 self.keep(fit(found.problem, hypothesis, found.coordinates))
         self._conclude()
@@ -109,12 +109,12 @@ class EffectSearch:
         """Choose among the catalogue's equations and other realisations of the likely causes."""
         self._say("fitting other realisations of the likely causes")
         self.best = self._most_likely
-        is_settled = len(self.best.hypothesis.ids) < 2 and self.is_clean(self.best)
+        is_settled = len(self.best.ids) < 2 and self.is_clean(self.best)
         share = self._config.rival if is_settled else self._config.likely
         singles = sorted((f for ids, f in self.fits.items() if len(ids) == 1), key=lambda f: f.bic)
         likely = [f for f in singles if self.share(f) > share * self.share(singles[0])] if singles else []
         for found in likely[: self._config.with_forms]:
-            for form in self.forms.get(found.hypothesis.ids[0], ()):
+            for form in self.forms.get(found.ids[0], ()):
                 self.keep(self._in_form(found, form))
         self._settle_noise()
         self.best = self._most_likely
@@ -122,21 +122,21 @@ class EffectSearch:
             before = self.best
             # One cause in another form, another left out: that may be what the equation leaves.
             for smaller in self.one_less(before).values():
-                for cause in smaller.hypothesis.ids if len(smaller.hypothesis.ids) > 1 else ():
+                for cause in smaller.ids if len(smaller.ids) > 1 else ():
                     for form in self.forms.get(cause, ()):
                         self.keep(self._in_form(smaller, form))
-            if self._most_likely.hypothesis.ids == before.hypothesis.ids:
+            if self._most_likely.ids == before.ids:
                 break
             self.best = self._most_likely
         self._look_beside()
         if self.forms:
             # A departure outside the catalogue stands alone or in the place of a cause.
-            parents = self.one_less(self.best).values() if len(self.best.hypothesis.ids) > 1 else ()
+            parents = self.one_less(self.best).values() if len(self.best.ids) > 1 else ()
             self.stranger = stranger(self.best, [self.base, *parents], list(self.fits.values()))
 
     def hold_open(self) -> None:
         """Take causes that a free form of the others imitates out of the best; they stay in play."""
-        while len(self.best.hypothesis.ids) > 1:
+        while len(self.best.ids) > 1:
             smaller = {i: found for i, found in self.one_less(self.best).items() if self.is_explained(found)}
             imitated = imitated_causes(self.best, smaller)
             if not imitated:
@@ -145,19 +145,19 @@ class EffectSearch:
             self.best = smaller[imitated[0]]
         # Beside what is left, not beside one another.
         for effect_id, larger in self.held_open.items():
-            alone = tuple(sorted({*self.best.hypothesis.ids, effect_id}))
+            alone = tuple(sorted({*self.best.ids, effect_id}))
             self.held_open[effect_id] = self.fits.get(alone, larger)
 
     def one_less(self, found: Fit) -> dict[str, Fit]:
         """Return the fits without each of the causes of a hypothesis, by that cause."""
-        ids = found.hypothesis.ids
+        ids = found.ids
         return {i: self.fits[rest] for k, i in enumerate(ids) if (rest := ids[:k] + ids[k + 1 :]) in self.fits}
 
     def _look_beside(self) -> None:
         """Fit what may stand beside the best hypothesis: small or hidden effects."""
         for _ in range(3):
             parent = self.best
-            if not parent.hypothesis.ids:
+            if not parent.ids:
                 return
             larger = [
                 joined(parent, lead, steps=40)
@@ -173,12 +173,12 @@ class EffectSearch:
                 self.keep(fit(parent.problem, parent.hypothesis, closest.coordinates[: len(parent.coordinates)]))
             # Effects that hide promise little: they are fitted in the place of each cause.
             for rest in self.one_less(parent).values():
-                for probe in hiding(rest, self._probes, self._config.hiding) if rest.hypothesis.ids else ():
-                    if tuple(sorted({*rest.hypothesis.ids, probe.effect.id})) not in self.fits:
+                for probe in hiding(rest, self._probes, self._config.hiding) if rest.ids else ():
+                    if tuple(sorted({*rest.ids, probe.effect.id})) not in self.fits:
                         start = np.append(rest.coordinates, start_coordinates([probe.effect], [probe.values]))
                         self.keep(fit(rest.problem, rest.hypothesis.adding(probe.effect), start, steps=40))
             self.best = self._most_likely
-            if self.best.hypothesis.ids == parent.hypothesis.ids and self.best.chi2 > parent.chi2 - 1.0:
+            if self.best.ids == parent.ids and self.best.chi2 > parent.chi2 - 1.0:
                 return
 
     @property
@@ -213,7 +213,7 @@ class EffectSearch:
         if self.is_clean(found):
             return True
         enough = self._config.enough
-        return self.share(found) >= enough[min(len(found.hypothesis.ids), len(enough)) - 1]
+        return self.share(found) >= enough[min(len(found.ids), len(enough)) - 1]
 
     @property
     def _leader(self) -> Fit:
@@ -221,9 +221,9 @@ class EffectSearch:
         return min(self.fits.values(), key=lambda f: f.bic)
 
     def _in_form(self, found: Fit, form: Form) -> Fit:
-        at = [e.id for e in found.hypothesis.effects].index(form.effect.id)
+        at = [e.id for e in found.effects].index(form.effect.id)
         rows = [list(values) for values in found.effect_values]
-        others = [e for e in found.hypothesis.effects if e.id != form.effect.id]
+        others = [e for e in found.effects if e.id != form.effect.id]
         first = form.start(rows[at], found.problem.scale.factor)
         start = start_coordinates([*others, form.effect], [*rows[:at], *rows[at + 1 :], first])
         hypothesis = replace(found.hypothesis, effects=(*others, form.effect))
@@ -234,10 +234,10 @@ class EffectSearch:
         """Keep the best fit of its causes; one where a simulator fails is none."""
         if found.chi2 == np.inf:
             return
-        if (before := self.fits.get(found.hypothesis.ids)) is not None:
+        if (before := self.fits.get(found.ids)) is not None:
             # The same causes may end in several minima; one noise level judges them all.
             found = max(before, found, key=Yardstick.of((*self.fits.values(), found)).log_evidence)
-        self.fits[found.hypothesis.ids] = found
+        self.fits[found.ids] = found
 
     def grown_from(self, parent: Fit) -> list[Fit]:
         """Return fits of another start with each of its likeliest effects; none is kept."""
@@ -249,7 +249,7 @@ class EffectSearch:
         strongest = leads[0].gain if leads else 0.0
         # A promise is first order: the refitted base gives more, so that less is asked at first.
         need = max(self._config.gain / 3, self._config.relative_gain * strongest)
-        tried = {lead.effect.id: tuple(sorted({*parent.hypothesis.ids, lead.effect.id})) for lead in leads}
+        tried = {lead.effect.id: tuple(sorted({*parent.ids, lead.effect.id})) for lead in leads}
         new = [lead for lead in leads[:count] if lead.gain >= need and tried[lead.effect.id] not in self.fits]
         children = [joined(parent, lead) for lead in new] + self._placed(parent)
         for child in children:
@@ -258,7 +258,7 @@ class EffectSearch:
 
     def _placed(self, parent: Fit) -> list[Fit]:
         """Return the parent with each effect that must be placed first and could be."""
-        missing = [e for e in self._to_place if e.id not in parent.hypothesis.ids]
+        missing = [e for e in self._to_place if e.id not in parent.ids]
         found = []
         for side in (side for e in missing for side in (e, *e.sides)):
             if (placing := side.signs.placing) is None:
@@ -282,5 +282,5 @@ class EffectSearch:
             # Under another colour the least squares lie elsewhere: the likeliest are fitted on.
             likely = sorted(self.fits.values(), key=lambda f: f.bic)[: self._config.again]
             for found in {id(f): f for f in (self.fits[()], *likely)}.values():
-                self.fits[found.hypothesis.ids] = fit(problem, found.hypothesis, found.coordinates, steps=6)
+                self.fits[found.ids] = fit(problem, found.hypothesis, found.coordinates, steps=6)
         self.base = self.fits[()]

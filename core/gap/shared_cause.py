@@ -106,7 +106,7 @@ class LotMember:
             "unit": self.name,
             "serial": self.diagnosis.case.serial,
             "verdict": self.diagnosis.verdict,
-            "own": list(self.diagnosis.best.hypothesis.ids),
+            "own": list(self.diagnosis.best.ids),
             "follows": self.follows,
             "log_odds": self.log_odds,
             "sizes": {i: {name: vars(p) for name, p in rows.items()} for i, rows in self.sizes.items()},
@@ -179,7 +179,7 @@ def diagnose_lot(cases: Mapping[str, Case], progress: Callable[[str], None] | No
         alone[name] = found = diagnose(case, on_fits=lambda fits: every.append(Searched.of(fits)))
         if found.verdict != "data":
             searched[name] = every[-1]
-        named = " + ".join(found.best.hypothesis.ids) or "no cause"
+        named = " + ".join(found.best.ids) or "no cause"
         say(f"unit {number} of {len(cases)}, {name}: {found.verdict}, {named}")
     if not searched:
         return LotDiagnosis("data", (), (), {}, {}, 0, tuple(_member(n, d, None, ()) for n, d in alone.items()))
@@ -256,8 +256,8 @@ def _best(logs: Mapping[Ids, float], held: Sequence[set[str]]) -> tuple[Ids, tup
 
 def _held_open(one: Diagnosis, searched: Searched) -> set[str]:
     """Return the causes that a free form of the others imitates in a unit, though likelier."""
-    ids = one.best.hypothesis.ids
-    every = [rival.hypothesis.ids for rival in one.rivals[1:] if set(rival.hypothesis.ids) > set(ids)]
+    ids = one.best.ids
+    every = [rival.ids for rival in one.rivals[1:] if set(rival.ids) > set(ids)]
     larger = [other for other in every if searched.logs[other] > searched.logs[ids]]
     return {i for other in larger for i in other if i not in ids}
 

@@ -90,20 +90,19 @@ def quantify(base: Fit, best: Fit, others: Iterable[Fit] = (), is_given: bool = 
     """
     folds, protocol = _folds(base.problem, best.hypothesis)
     seen = [_refit(base, best, unseen) for unseen in folds]
-    if not best.hypothesis.ids:
+    if not best.ids:
         gap = {c: _channel_gap(seen, best.problem, c) for c in best.problem.scored_channels}
         return Quantified(gap, Shrink(0.0, 0.0, 0.0, 0.0), protocol)
     # Every fold has the base; what belongs to one run foretells no other.
     rivals = [
         other
         for other in others
-        if other.hypothesis.ids not in ((), best.hypothesis.ids)
-        and not any(effect.belongs_to_run for effect in other.hypothesis.effects)
+        if other.ids not in ((), best.ids) and not any(effect.belongs_to_run for effect in other.effects)
     ]
     chosen = seen if is_given else [fold.chosen(rivals) for fold in seen]
     gap = {c: _channel_gap(chosen, best.problem, c) for c in best.problem.scored_channels}
     shrink = Shrink(*_forecast(seen, best), _shrink_of(gap.values()))
-    ids = tuple(fold.after.hypothesis.ids for fold in chosen)
+    ids = tuple(fold.after.ids for fold in chosen)
     return Quantified(gap, shrink, protocol, ids, *_held_out_gain(chosen, best.problem))
 
 

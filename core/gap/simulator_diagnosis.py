@@ -61,13 +61,13 @@ def _places(
     loudest = max(base.problem.scored_channels, key=lambda channel: structure(base, channel).z)
     channel, regime = (seen[0].channel, seen[0].name) if seen else (loudest, Reason("gap.regime.everywhere"))
     if verdict == "unknown":
-        part, ids = search.explained_share(best), best.hypothesis.ids
+        part, ids = search.explained_share(best), best.ids
         nearest = Reason("gap.seen.no_candidate")
         if ids:
             nearest = reason("gap.seen.nearest", causes=next_experiment.named(ids, "gap.both"), share=part)
         places = [GapPlace("unknown", channel, regime, 1.0, nearest)]
     else:
-        named = [c for c in causes if c.effect in best.hypothesis.ids]
+        named = [c for c in causes if c.effect in best.ids]
         places = places_of(named, channel, regime, lambda effect_id: reason("gap.effect", effect=effect_id))
     return (*places, *regime_places(places[0].stage, seen, "gap.seen.energy_of_all"))
 
@@ -164,11 +164,11 @@ def diagnose_simulator(
         if not quantified.stands:
             best = search.base
             quantified = quantify(search.base, best)
-    elif verdict == "no_gap" and best.hypothesis.ids:
+    elif verdict == "no_gap" and best.ids:
         best, group = search.base, (search.base,)
         quantified = quantify(search.base, best)
     share = search.explained_share(best)
-    ids, held_out = best.hypothesis.ids, quantified.shrink.held_out
+    ids, held_out = best.ids, quantified.shrink.held_out
     causes = ranked_causes(search, best, simulator.candidates, (best, *group), chances, held_out)
     diagnosis = SimulatorDiagnosis.of(
         search.base,

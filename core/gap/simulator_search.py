@@ -98,7 +98,7 @@ class SimulatorSearch(EffectSearch):
         likely = likeliest(problem, hypothesis, places)[0]
         best = min((*fits, fit(problem, hypothesis, likely, steps=FIRST_STEPS)), key=lambda found: found.chi2)
         # What is not better after a few steps than the best with one cause less is left there.
-        parts = [f.chi2 for ids, f in self.fits.items() if set(ids) < set(best.hypothesis.ids)]
+        parts = [f.chi2 for ids, f in self.fits.items() if set(ids) < set(best.ids)]
         if best.chi2 < min(parts) - METHOD.search.worth * max(self.base.chi2 - problem.count, 0.0):
             self.keep(fit(problem, best.hypothesis, best.coordinates, steps=60))
 
