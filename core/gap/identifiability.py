@@ -6,6 +6,7 @@ the others nor what each run may have of its own can imitate, in standard deviat
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -104,13 +105,8 @@ def identifiability(
         there = here.with_run(_Rows.of(base, base.problem.of_run(entry.run), also))
         names = {one.name for one in left if there.shows(one.name)}
         every = [replace(one, by=(*one.by, entry.name)) if one.name in names else one for one in every]
-    ids = [e.id for e in effects]
-    alike = [
-        (one, other)
-        for k, one in enumerate(ids)
-        for other in ids[k + 1 :]
-        if abs(here.cosine(here.cause(one), here.cause(other))) > CONFIG.alike
-    ]
+    pairs = combinations([e.id for e in effects], 2)
+    alike = [pair for pair in pairs if abs(here.cosine(*map(here.cause, pair))) > CONFIG.alike]
     return Identifiability(tuple(every), tuple(alike))
 
 
