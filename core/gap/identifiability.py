@@ -193,8 +193,10 @@ class _Rows:
     def of_base(self) -> list[int]:
         return list(range(len(self.base)))
 
-    def of_own(self, kind: int | None = None) -> list[int]:
-        return [len(self.base) + k for k, of in enumerate(self.own) if kind is None or of == kind]
+    @property
+    def held(self) -> list[int]:
+        """Rows of base and offsets."""
+        return list(range(len(self.base) + len(self.own)))
 
     def left(self, row: int, held: Sequence[int]) -> float:
         """Return the energy of a row that others do not imitate."""
@@ -214,26 +216,27 @@ class _Rows:
             return self.sigma_of_base(self.base.index(name)) >= CONFIG.sigma
         if name not in self.causes:
             return False
-        at, held = self.cause(name), [*self.of_base, *self.of_own()]
-        return self.own_share(at) < CONFIG.own and self.left(at, held) >= CONFIG.sigma**2
+        at = self.cause(name)
+        return self.own_share(at) < CONFIG.own and self.left(at, self.held) >= CONFIG.sigma**2
 
     def sigma_of_base(self, k: int) -> float:
         """Return by how many σ a base parameter shows, 0 where others imitate it to rounding."""
-        left = self.left(k, [*(i for i in self.of_base if i != k), *self.of_own()])
+        left = self.left(k, [i for i in self.held if i != k])
         return float(np.sqrt(left)) if left > CONFIG.lost * float(self.gram[k, k]) else 0.0
 
     def own_share(self, cause: int, kind: int | None = None) -> float:
         """Return which share of what the base leaves of a cause, at either size, offsets take."""
+        own = [len(self.base) + k for k, of in enumerate(self.own) if kind in (None, of)]
         shares = [0.0]
         for row in (cause, cause + 1):
             seen = self.left(row, self.of_base)
             if seen > CONFIG.lost * float(self.gram[row, row]):
-                shares.append(1.0 - self.left(row, [*self.of_base, *self.of_own(kind)]) / seen)
+                shares.append(1.0 - self.left(row, [*self.of_base, *own]) / seen)
         return max(shares)
 
     def cosine(self, one: int, other: int) -> float:
         """Return how much alike two rows are beyond what base and offsets imitate."""
-        held = [*self.of_base, *self.of_own()]
+        held = self.held
         left = [self.left(row, held) for row in (one, other)]
         if min(left) < CONFIG.sigma**2:
             return 0.0
@@ -288,7 +291,7 @@ def _of_causes(here: _Rows, base: Fit, effects: Sequence[Effect], offsets: Seque
         at = here.cause(effect.id)
         whole, seen = float(here.gram[at, at]), here.left(at, here.of_base)
         own = here.own_share(at)
-        sigma = float(np.sqrt(here.left(at, [*here.of_base, *here.of_own()])))
+        sigma = float(np.sqrt(here.left(at, here.held)))
         kind = max(range(len(offsets)), key=lambda k: here.own_share(at, k), default=None)
         # A delay that all runs share, beyond the largest that each may have, is no longer theirs.
         is_own = kind is not None and own >= CONFIG.own and not is_full[kind]

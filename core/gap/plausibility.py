@@ -210,10 +210,8 @@ def _runs_exchanged(case: Case) -> list[DataMistake]:
                 if len(one) != len(other) or name not in mine or len(mine) < 2:
                     continue
                 rest = [r for r in mine if r != name]
-                if (
-                    len(rest) == 2
-                    and min(_agreement(*(run[r] for r in rest)) for run in (mine, theirs)) < CONFIG.paired
-                ):
+                alike = [_agreement(*(run[r] for r in rest)) for run in (mine, theirs) if len(rest) == 2]
+                if min(alike, default=1.0) < CONFIG.paired:
                     continue
                 now = max(abs(_agreement(run[name], run[r])) for run in (mine, theirs) for r in rest)
                 pairs = ((mine, theirs), (theirs, mine))
