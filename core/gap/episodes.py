@@ -51,7 +51,7 @@ def with_losses(found: Fit, effect: Effect, _: Extent) -> Fit | None:
         coordinates = found.coordinates.copy()
         coordinates[found.hypothesis.place_of(rates[0])] = skew
         start = replace(found, coordinates=coordinates, predicted=problem.predict(found.hypothesis, coordinates))
-        rows, _ = _lost_samples(start, effect.id)
+        rows = _lost_samples(start, effect.id)[0]
         placed = found.hypothesis.adding(effect, episodes=_merged(found, effect.id, rows))
         predicted = problem.predict(placed, np.append(coordinates, 0.0))
         left = energy(problem.whitened(problem.measured - predicted))

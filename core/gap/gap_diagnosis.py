@@ -191,7 +191,8 @@ def estimates_of(found: Fit, effect_id: str) -> dict[str, ParameterEstimate]:
         p = found.problem.scale.sized(parameter)
         ends = sorted(from_fit(p, float(x + side * margin)) for side in (-1.0, 1.0))
         three = (from_fit(p, float(x)), *ends)
-        out[p.name] = ParameterEstimate(*(float(np.nan_to_num(v, posinf=p.high, neginf=p.low)) for v in three), p.unit)
+        value, low, high = (float(np.nan_to_num(v, posinf=p.high, neginf=p.low)) for v in three)
+        out[p.name] = ParameterEstimate(value, low, high, p.unit)
     return out
 
 

@@ -126,13 +126,11 @@ def rivals(
     within = RIVAL.odds if is_in_other_form else RIVAL.added
     most_z = max(METHOD.structure.dirty_z, RIVAL.structure_left * structure(best).z)
     for found in sorted(larger, key=lambda f: -ahead[f.ids]):
-        ids, behind = found.ids, top - logs[found.ids]
-        is_near = behind < within or (behind < RIVAL.negligible and ahead[ids] > RIVAL.exact)
-        if not (ahead[ids] >= least and is_near and structure(found).z < most_z):
+        gain, behind = ahead[found.ids], top - logs[found.ids]
+        is_near = behind < within or (behind < RIVAL.negligible and gain > RIVAL.exact)
+        if gain < least or not is_near or structure(found).z >= most_z or any(found.ids == f.ids for f in in_play):
             continue
-        if any(ids == other.ids for other in in_play):
-            continue
-        if len({*ids}.union(*(other.ids for other in in_play))) <= most:
+        if len({*found.ids}.union(*(other.ids for other in in_play))) <= most:
             in_play.append(found)
     return tuple(in_play[: RIVAL.most])
 

@@ -80,17 +80,14 @@ def _block_sums(values: Array, length: int) -> Array:
 def three_maps(case: Case) -> tuple[Map, ...]:
     """Fit each chain relation of the base alone, without any effect, and measure what it leaves."""
     stage, force, output = (case.has(channel) for channel in ("stage_mm", "force_N", "output_V"))
-    relations = (
-        ("stage→force", stage and force, "output_V"),
-        ("force→output", force and output and case.readout.sensor_type == "pressure", "stage_mm"),
-        ("stage→output", stage and output, "force_N"),
-    )
-    maps = []
-    for name, is_recorded, left_out in relations:
-        if is_recorded:
-            alone = Case(case.serial, tuple(replace(run, **{left_out: None}) for run in case.presses))
-            maps.append(Map(name, structure(base_fit(alone))))
-    return tuple(maps)
+    is_pressure, runs = case.readout.sensor_type == "pressure", {}
+    if stage and force:
+        runs["stage→force"] = [replace(run, output_V=None) for run in case.presses]
+    if force and output and is_pressure:
+        runs["force→output"] = [replace(run, stage_mm=None) for run in case.presses]
+    if stage and output:
+        runs["stage→output"] = [replace(run, force_N=None) for run in case.presses]
+    return tuple(Map(name, structure(base_fit(Case(case.serial, tuple(of))))) for name, of in runs.items())
 
 
 BEFORE: tuple[ChainStage, ...] = ("mechanics", "motion")

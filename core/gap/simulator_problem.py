@@ -132,7 +132,7 @@ class SimulatorProblem(Problem):
         return out
 
     def directions(self, hypothesis: Hypothesis, coordinates: Array, clean: Array, sizes: Sizes) -> Directions:
-        raw, out = self._simulated(hypothesis, coordinates), []
+        raw, out = self._simulated(hypothesis, coordinates), Directions()
         for block in self.blocks:
             if block.channel not in self.of.per_run:
                 out.append(None)

@@ -209,13 +209,16 @@ def calibration_worth(
     # Episodes belong to the recordings they were found in.
     hypothesis = shared.hypothesis.without_episodes()
     start = np.append(bare.coordinates, shared.coordinates[hypothesis.of_base.stop :])
-    full, errors = fit(bare.problem, hypothesis, start, steps=40), []
-    for twin in (explained_twin(bare), explained_twin(full)):
+    full = fit(bare.problem, hypothesis, start, steps=40)
+
+    def error_of(twin: Twin) -> float:
         rng, pairs = np.random.default_rng(0), zip(recorded, case.presses, strict=True)
         simulated = [pressed(twin, one.unlabelled, rng, run.temperature_C) for one, run in pairs]
-        errors.append(_error(_joined(unit, simulated), test))
+        return _error(_joined(unit, simulated), test)
+
+    nominal, explained = error_of(explained_twin(bare)), error_of(explained_twin(full))
     of_rig = tuple(_error(_joined(unit, recorded[:k]), test) for k in range(1, len(recorded) + 1))
-    return CalibrationWorth(unit, *errors, of_rig)
+    return CalibrationWorth(unit, nominal, explained, of_rig)
 
 
 def _labelled(unit: str, run: Run) -> LabelledRecording:
