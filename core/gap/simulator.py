@@ -14,7 +14,7 @@ parameter of a candidate as `candidate.parameter`, at its neutral value where th
 """
 
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeAlias
@@ -23,6 +23,7 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.gap.case import SHORTEST, Run
+from softcal.core.gap.fit import Fit
 from softcal.core.gap.problem import Hypothesis
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs
@@ -39,6 +40,9 @@ OFFSETS = ("zero", "gain", "delay", "drift")
 
 STRAIGHT = "straight"
 """How far a late channel goes by straight lines from sample to sample, 1, and not by a curve, 0."""
+
+MEMORIES = (0.01, 0.03, 0.1, 0.3)
+"""Fading times of the memories that terms may follow, as shares of the longest run."""
 
 BLUNT = 0.05
 """Share of the usual rate within which a direction turns."""
@@ -333,6 +337,27 @@ def planned(simulator: Simulator, name: str) -> SimulatorRun:
     """Return an experiment as the run it would be, its channels still empty (zeros)."""
     inputs = {k: np.asarray(v, dtype=np.float64) for k, v in simulator.experiments[name].inputs.items()}
     return _run(name, {channel: np.zeros(len(inputs["t_s"])) for channel in simulator.channels} | inputs)
+
+
+def terms_of(simulator: Simulator, found: Fit) -> Iterator[SimulatorTerm]:
+    """Give every term that may be tried on what a simulator leaves, without its coefficient."""
+    problem, runs = found.problem, found.problem.case.runs
+    longest_s = max(float(run.elapsed_s[-1]) for run in runs)
+    signals = {name: [problem.recorded(k, name) for k in range(len(runs))] for name in simulator.inputs}
+    signals |= {c: [found.predicted[b.place] for b in problem.blocks_of(c)] for c in simulator.channels}
+    for place in simulator.channels:
+        span = max(float(np.ptp(problem.measured[b.place])) for b in problem.blocks_of(place))
+        yield SimulatorTerm(place, TIME, "", 0.0, 0.0, 1.0, 1.0, 0.0, span)
+        for name, parts in signals.items():
+            low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)
+            half = 0.5 * (high - low)
+            if half <= 0.0:
+                continue
+            rates = [np.abs(np.gradient(p, run.t_s)) / half for p, run in zip(parts, runs, strict=True)]
+            per_s = max(float(np.median(np.concatenate(rates))), 1e-3 / longest_s)
+            one = SimulatorTerm(place, LEVEL, name, 0.0, 0.5 * (low + high), half, per_s, 0.0, span)
+            yield from (replace(one, kind=kind) for kind in (LEVEL, SQUARE, CUBE, RATE, WAY, SIZED_WAY, SIZED_TIME))
+            yield from (replace(one, kind=REMEMBERED, tau_s=share * longest_s) for share in MEMORIES)
 
 
 def with_terms(simulator: Simulator, terms: Sequence[SimulatorTerm]) -> Simulator:

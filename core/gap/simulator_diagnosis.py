@@ -5,6 +5,7 @@ Hypotheses, evidence, rivals, hidden fractions and held-out shrink are those of 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -34,9 +35,9 @@ from softcal.core.gap.problem import Block, Problem
 from softcal.core.gap.residual import Regime, shares_of_gap, structure
 from softcal.core.gap.search import EffectSearch, Progress
 from softcal.core.gap.shrink import quantify
-from softcal.core.gap.simulator import Simulator, SimulatorRun, SimulatorTerm, planned
+from softcal.core.gap.simulator import Simulator, SimulatorRun, SimulatorTerm, planned, terms_of
 from softcal.core.gap.simulator_plausibility import against_others, cut_off, shown
-from softcal.core.gap.simulator_problem import Failures, SimulatorProblem, followed, is_high, is_quick, terms_of
+from softcal.core.gap.simulator_problem import Failures, SimulatorProblem, followed, is_high, is_quick
 from softcal.core.gap.simulator_search import SimulatorSearch, base_fit
 from softcal.core.recording import Array
 from softcal.core.words.reason import Reason, reason
@@ -190,7 +191,7 @@ def diagnose_simulator(
         return diagnosis
     say("describing what is left")
     parents = (search.base, best) if verdict == "unknown" else (best,)
-    return replace(diagnosis, residual=learned(search.base, parents, terms_of))
+    return replace(diagnosis, residual=learned(search.base, parents, partial(terms_of, simulator)))
 
 
 def check_simulator(

@@ -1,6 +1,6 @@
 """Recordings of a mechanism and what its simulator says of them, as one problem for a fit."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -15,23 +15,7 @@ from softcal.core.gap.floor import columns_of
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.offsets import Directions, Sizes
 from softcal.core.gap.problem import Block, Hypothesis, Problem
-from softcal.core.gap.simulator import (
-    CUBE,
-    LEVEL,
-    RATE,
-    REMEMBERED,
-    SIZED_TIME,
-    SIZED_WAY,
-    SQUARE,
-    STRAIGHT,
-    TIME,
-    WAY,
-    Simulator,
-    SimulatorFailed,
-    SimulatorRun,
-    SimulatorTerm,
-    TermStep,
-)
+from softcal.core.gap.simulator import STRAIGHT, Simulator, SimulatorFailed, SimulatorRun, TermStep
 from softcal.core.recording import Array
 
 KNOWN = 200
@@ -254,31 +238,3 @@ def is_quick(found: Fit, block: Block) -> Mask:
     """Return where a channel of a run changes faster than usual, (n,)."""
     rate = np.abs(np.gradient(found.predicted[block.place], found.problem.case.runs[block.run].t_s))
     return np.asarray(rate > np.median(rate), dtype=np.bool_)
-
-
-MEMORIES = (0.01, 0.03, 0.1, 0.3)
-"""Fading times of the memories that terms may follow, as shares of the longest run."""
-
-
-def terms_of(found: Fit) -> Iterator[SimulatorTerm]:
-    """Give every term that may be tried on what a simulator leaves, without its coefficient."""
-    problem = found.problem
-    if not isinstance(problem, SimulatorProblem):
-        return
-    runs = problem.case.runs
-    longest_s = max(float(run.elapsed_s[-1]) for run in runs)
-    signals = {name: [problem.recorded(k, name) for k in range(len(runs))] for name in problem.of.inputs}
-    signals |= {c: [found.predicted[b.place] for b in problem.blocks_of(c)] for c in problem.of.channels}
-    for place in problem.of.channels:
-        span = max(float(np.ptp(problem.measured[b.place])) for b in problem.blocks_of(place))
-        yield SimulatorTerm(place, TIME, "", 0.0, 0.0, 1.0, 1.0, 0.0, span)
-        for name, parts in signals.items():
-            low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)
-            half = 0.5 * (high - low)
-            if half <= 0.0:
-                continue
-            rates = [np.abs(np.gradient(p, run.t_s)) / half for p, run in zip(parts, runs, strict=True)]
-            per_s = max(float(np.median(np.concatenate(rates))), 1e-3 / longest_s)
-            one = SimulatorTerm(place, LEVEL, name, 0.0, 0.5 * (low + high), half, per_s, 0.0, span)
-            yield from (replace(one, kind=kind) for kind in (LEVEL, SQUARE, CUBE, RATE, WAY, SIZED_WAY, SIZED_TIME))
-            yield from (replace(one, kind=REMEMBERED, tau_s=share * longest_s) for share in MEMORIES)

@@ -40,10 +40,10 @@ NO_DECISION = {
     "core/gap/residual.py": {"TIED"},  # rounding
     "core/gap/screen.py": {"KEPT", "GENTLER"},  # where a fit begins
     "core/gap/shared_cause.py": {"FEWEST_UNITS"},  # what is refused
-    "core/gap/simulator.py": {"BLUNT"},  # part of a stored term
+    "core/gap/simulator.py": {"BLUNT", "MEMORIES"},  # parts of stored terms
     "core/gap/simulator_diagnosis.py": {"STANDS_OUT"},  # what is listed
     "core/gap/simulator_plausibility.py": {"FACTORS"},  # units
-    "core/gap/simulator_problem.py": {"MEMORIES", "KNOWN"},  # parts of terms, and a cache
+    "core/gap/simulator_problem.py": {"KNOWN"},  # a cache
     "core/gap/simulator_search.py": {"DRAWS", "FIRST_STEPS"},  # where a fit begins
     "core/gap/start.py": {"TRIMMED"},  # of an estimator
     "core/gap/transfer.py": {"NETWORK"},  # the same network for rig and twins
