@@ -7,6 +7,7 @@ diagnosed. No effect of the catalogue is fitted before this has found nothing.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import combinations, product
 
 import numpy as np
 
@@ -86,7 +87,8 @@ def _in_runs(look: Callable[[Run], Iterable[DataMistake]]) -> Callable[[Case], I
 
 
 def _presses(case: Case) -> list[tuple[int, Run]]:
-    return [(k, run) for k, run in enumerate(case.runs) if run.kind == "press"]
+    """Return the runs that are pressed, with their numbers."""
+    return [(n, run) for n, run in zip(numbers(case), case.runs, strict=True) if run.kind == "press"]
 
 
 def _channels(run: Run) -> dict[str, Array]:
@@ -202,24 +204,21 @@ def _agreement(one: Array, other: Array) -> float:
 
 def _runs_exchanged(case: Case) -> list[DataMistake]:
     """A column that fits its own run badly and that of another run well."""
-    presses, number = _presses(case), numbers(case)
-    for name in ("output", "force", "stage"):
-        for a, (i, one) in enumerate(presses):
-            for j, other in presses[a + 1 :]:
-                mine, theirs = _channels(one), _channels(other)
-                if len(one) != len(other) or name not in mine or len(mine) < 2:
-                    continue
-                rest = [r for r in mine if r != name]
-                alike = [_agreement(*(run[r] for r in rest)) for run in (mine, theirs) if len(rest) == 2]
-                if min(alike, default=1.0) < CONFIG.paired:
-                    continue
-                now = max(abs(_agreement(run[name], run[r])) for run in (mine, theirs) for r in rest)
-                pairs = ((mine, theirs), (theirs, mine))
-                exchanged = min(_agreement(to[r], of[name]) for to, of in pairs for r in rest)
-                if now < CONFIG.unpaired and exchanged > CONFIG.paired:
-                    evidence = reason("data.swapped_runs", channel=name, now=now, exchanged=exchanged)
-                    repair = reason("data.repair.exchange", channel=name, one=number[i], other=number[j])
-                    return [DataMistake("swapped_runs", name, (number[i], number[j]), None, evidence, repair)]
+    for name, ((i, one), (j, other)) in product(("output", "force", "stage"), combinations(_presses(case), 2)):
+        mine, theirs = _channels(one), _channels(other)
+        if len(one) != len(other) or name not in mine or len(mine) < 2:
+            continue
+        rest = [r for r in mine if r != name]
+        alike = [_agreement(*(run[r] for r in rest)) for run in (mine, theirs) if len(rest) == 2]
+        if min(alike, default=1.0) < CONFIG.paired:
+            continue
+        now = max(abs(_agreement(run[name], run[r])) for run in (mine, theirs) for r in rest)
+        pairs = ((mine, theirs), (theirs, mine))
+        exchanged = min(_agreement(to[r], of[name]) for to, of in pairs for r in rest)
+        if now < CONFIG.unpaired and exchanged > CONFIG.paired:
+            evidence = reason("data.swapped_runs", channel=name, now=now, exchanged=exchanged)
+            repair = reason("data.repair.exchange", channel=name, one=i, other=j)
+            return [DataMistake("swapped_runs", name, (i, j), None, evidence, repair)]
     return []
 
 
@@ -330,7 +329,7 @@ def _against_stated(case: Case) -> list[DataMistake]:
 
 def _runs_apart(case: Case) -> list[DataMistake]:
     """One run that differs from all others by a factor that no effect has."""
-    presses, number = _presses(case), numbers(case)
+    presses = _presses(case)
     if len(presses) < CONFIG.fewest_runs:
         return []
     for name, reference in (("force", "output"), ("stage", "output"), ("force", "stage"), ("stage", "force")):
@@ -343,7 +342,7 @@ def _runs_apart(case: Case) -> list[DataMistake]:
             ratio = float(np.exp(np.median(np.delete(spans, at)) - spans[at]))
             others = np.ptp(np.delete(spans, at))
             if abs(np.log(ratio)) > np.log(CONFIG.apart) + others:
-                return [apart(name, number[k], ratio, UNITS_OF_RUN[name], others)]
+                return [apart(name, k, ratio, UNITS_OF_RUN[name], others)]
     return []
 
 

@@ -100,33 +100,27 @@ def suspects(maps: tuple[Map, ...], sensor_type: SensorType = "pressure") -> tup
     A dirty stage→force with a clean force→output is motion or mechanics, the reverse is the channel or
     its electronics; when stage→output alone is clean, the load cell is what both others share.
     """
-    dirty = {m.name: m.structure for m in maps}
-    if not any(s.is_significant for s in dirty.values()):
+    z = {m.name: m.structure.z for m in maps}
+    dirty = {m.name for m in maps if m.structure.is_significant}
+    if not dirty:
         return ()
     if sensor_type == "strain":
         # A strain sensor does not feel the force: pad and cell look alike.
-        is_bad = {name for name, seen in dirty.items() if seen.is_significant}
-        pad_or_behind = BEFORE if "stage→force" in is_bad else BEHIND
-        return pad_or_behind if "stage→output" in is_bad else ("mechanics", "load_cell")
-    if len(dirty) < 3:
+        pad_or_behind = BEFORE if "stage→force" in dirty else BEHIND
+        return pad_or_behind if "stage→output" in dirty else ("mechanics", "load_cell")
+    if len(z) < 3:
         # One map alone: what lies on its own side, and the cell that reads its force.
-        side = {"stage→force": BEFORE, "force→output": BEHIND}.get(next(iter(dirty)))
+        side = {"stage→force": BEFORE, "force→output": BEHIND}.get(next(iter(z)))
         return (*BEFORE, *BEHIND) if side is None else (*side, "load_cell")
-    force, channel, direct = (dirty[n] for n in ("stage→force", "force→output", "stage→output"))
-    loud = max(force.z, channel.z, direct.z)
-
-    def is_dirty(seen: Structure) -> bool:
-        return seen.is_significant and seen.z > CONFIG.quiet * loud
-
-    if not is_dirty(direct):
-        return ("load_cell",)
-    if not is_dirty(channel):
-        return BEFORE
-    if not is_dirty(force):
-        return BEHIND
+    loud = max(z.values())
+    left_out: dict[str, tuple[ChainStage, ...]]
+    left_out = {"stage→output": ("load_cell",), "force→output": BEFORE, "stage→force": BEHIND}
+    for name, stages in left_out.items():
+        if name not in dirty or z[name] <= CONFIG.quiet * loud:
+            return stages
     # All three are dirty: the cleanest of them leaves out the stage that the other two share.
-    quietest = min((force, BEHIND), (channel, BEFORE), (direct, ("load_cell",)), key=lambda pair: pair[0].z)
-    return quietest[1] if quietest[0].z < 5 * CONFIG.quiet * loud else (*BEFORE, *BEHIND)
+    quietest = min(z, key=lambda name: z[name])
+    return left_out[quietest] if z[quietest] < 5 * CONFIG.quiet * loud else (*BEFORE, *BEHIND)
 
 
 def regimes(found: Fit) -> tuple[Regime, ...]:
