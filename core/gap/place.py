@@ -93,17 +93,15 @@ def loose_noise(found: Fit) -> LooseNoise | None:
     rows = zip(found.effects, found.effect_values, strict=True)
     fitted = [(effect.signs.placing, values) for effect, values in rows]
     tone = strongest_tone(found)
+    lines = [values for placing, values in fitted if placing == Placing.LINE]
     # A named line breathes as that of mains does: what its equation leaves is a tone beside it.
-    if tone is not None and not (
+    is_beside_line = tone is not None and any(
         tone.channel == "output_V"
-        and any(
-            abs(tone.frequency_Hz - frequency_Hz) < CONFIG.breathes_Hz
-            and tone.rms * problem.floor(tone.channel) < CONFIG.most_of_line * amplitude / np.sqrt(2.0)
-            for placing, values in fitted
-            if placing == Placing.LINE
-            for amplitude, frequency_Hz in [values[:2]]
-        )
-    ):
+        and abs(tone.frequency_Hz - frequency_Hz) < CONFIG.breathes_Hz
+        and tone.rms * problem.floor("output_V") < CONFIG.most_of_line * amplitude / np.sqrt(2.0)
+        for amplitude, frequency_Hz, *_ in lines
+    )
+    if tone is not None and not is_beside_line:
         stage: ChainStage = "electronics" if tone.channel == "output_V" else "load_cell"
         name = tone.channel.split("_")[0]
         seen = reason("gap.seen.tone", frequency_Hz=tone.frequency_Hz, channel=name, rms=tone.rms)
