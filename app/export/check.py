@@ -74,7 +74,16 @@ def check_folder(folder: Path, trusted: Sequence[TrustedKey] = ()) -> FolderChec
     if not manifest.files:
         raise InputError(f"{folder}: no manifest.json; export into it first")
     signed_by, problem = _signer(folder, manifest, trusted)
-    incomplete = tuple(_incomplete(folder, manifest))
+    here, listed, units = {path.name for path in folder.iterdir()}, set(manifest.files), set(manifest.units)
+    owners = {entry.serial for entry in manifest.files.values()}
+    withdrawn = {serial for serial, facts in manifest.units.items() if facts.get("withdrawn")}
+    stray, unowned = here - listed - {NAME, SIGNATURE, AUDIT}, {str(owner) for owner in owners - units - {None}}
+    incomplete = (
+        *(f"{name}: is missing; export it again" for name in sorted(listed - here)),
+        *(f"{name}: is not in the manifest; nobody exported it into this folder" for name in sorted(stray)),
+        *(f"unit {name}: is in the manifest without a file" for name in sorted(units - owners - withdrawn)),
+        *(f"unit {name}: has files, but the manifest does not say what it is" for name in sorted(unowned)),
+    )
     present = [entry for entry in manifest.files.values() if (folder / entry.name).exists()]
     changed = [text for entry in present for text in _file_problems(folder, entry)]
     opened = 0
@@ -91,8 +100,7 @@ def check_folder(folder: Path, trusted: Sequence[TrustedKey] = ()) -> FolderChec
 def _signer(folder: Path, manifest: Manifest, trusted: Sequence[TrustedKey]) -> tuple[str, str | None]:
     path = folder / SIGNATURE
     if not path.exists():
-        missing = f"{SIGNATURE}: is missing; the folder is not signed" if trusted else None
-        return NOT_SIGNED, missing
+        return NOT_SIGNED, f"{SIGNATURE}: is missing; the folder is not signed" if trusted else None
     if not trusted:
         return NOT_CHECKED, None
     apart = [name for name in manifest.files if name.endswith(APART) and (folder / name).is_file()]
@@ -105,20 +113,6 @@ def _signer(folder: Path, manifest: Manifest, trusted: Sequence[TrustedKey]) -> 
         except (InputError, OSError) as error:
             return WRONG, f"{name}: {error}"
     return signers[0], None
-
-
-def _incomplete(folder: Path, manifest: Manifest) -> Iterator[str]:
-    here = {path.name for path in folder.iterdir()}
-    for name in sorted(set(manifest.files) - here):
-        yield f"{name}: is missing; export it again"
-    for name in sorted(here - set(manifest.files) - {NAME, SIGNATURE, AUDIT}):
-        yield f"{name}: is not in the manifest; nobody exported it into this folder"
-    owners = {entry.serial for entry in manifest.files.values()}
-    withdrawn = {serial for serial, facts in manifest.units.items() if facts.get("withdrawn")}
-    for serial in sorted(set(manifest.units) - owners - withdrawn):
-        yield f"unit {serial}: is in the manifest without a file"
-    for serial in sorted(str(owner) for owner in owners - set(manifest.units) - {None}):
-        yield f"unit {serial}: has files, but the manifest does not say what it is"
 
 
 def _file_problems(folder: Path, entry: FileEntry) -> Iterator[str]:
@@ -140,35 +134,29 @@ def _device_problems(folder: Path, names: list[str]) -> tuple[list[str], int]:
     units: list[UnitFile] = []
     problems: list[str] = []
     for name in sorted(names):
+        path, is_network = folder / name, name.startswith("network-")
+        file: NetworkFile | UnitFile | None = None
         try:
-            file = _device_file(folder / name)
+            if path.suffix == ".ssc":
+                file = read_network(path.read_bytes()) if is_network else read_unit(path.read_bytes())
+            elif path.suffix == ".json":
+                values = json.loads(path.read_text(encoding="utf-8"))
+                if is_network:
+                    file = network_from_values(values)
+                elif values.get("device"):
+                    file = unit_from_values(values["device"])
         except InputError as error:
             problems.append(f"{name}: {error}")
-            continue
         if isinstance(file, NetworkFile):
             networks[file.id] = file
         elif file is not None:
             units.append(file)
     for unit in units:
-        network = networks.get(unit.network_id)
-        if network is None:
+        if unit.network_id not in networks:
             problems.append(f"unit {unit.serial}: its network file {unit.network_id.hex()} is not in the folder")
             continue
         try:
-            join(network, unit)
+            join(networks[unit.network_id], unit)
         except InputError as error:
             problems.append(str(error))
     return problems, len({unit.serial for unit in units})
-
-
-def _device_file(path: Path) -> NetworkFile | UnitFile | None:
-    """Return what a .ssc file or its JSON twin holds; None for other formats."""
-    is_network = path.name.startswith("network-")
-    if path.suffix == ".ssc":
-        return read_network(path.read_bytes()) if is_network else read_unit(path.read_bytes())
-    if path.suffix == ".json":
-        values = json.loads(path.read_text(encoding="utf-8"))
-        if is_network:
-            return network_from_values(values)
-        return unit_from_values(values["device"]) if values.get("device") else None
-    return None

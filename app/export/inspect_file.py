@@ -21,28 +21,24 @@ def read_device_file(path: Path) -> DeviceFile:
         InputError: it cannot be read, is damaged, or is none of these.
     """
     try:
-        return device_file_of(path.read_bytes())
+        content = path.read_bytes()
+        if content[:4] == MAGIC.to_bytes(4, "little"):
+            return read_network(content) if content[4:5] == b"\x01" else read_unit(content)
+        try:
+            values = json.loads(content)
+        except ValueError as error:
+            raise InputError("neither a calibration file (.ssc) nor its JSON twin") from error
+        if not isinstance(values, Mapping):
+            raise InputError("JSON, but no calibration file")
+        if values.get("schema") == "softcal.calibration/1":
+            if values.get("device") is None:
+                raise InputError(f"has no device file: {values.get('device_refused', 'none was exported')}")
+            return unit_from_values(values["device"])
+        return unit_from_values(values) if "serial" in values else network_from_values(values)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-
-
-def device_file_of(content: bytes) -> DeviceFile:
-    """Return what the bytes of a network or unit file hold, as `read_device_file`."""
-    if content[:4] == MAGIC.to_bytes(4, "little"):
-        return read_network(content) if content[4:5] == b"\x01" else read_unit(content)
-    try:
-        values = json.loads(content)
-    except ValueError as error:
-        raise InputError("neither a calibration file (.ssc) nor its JSON twin") from error
-    if not isinstance(values, Mapping):
-        raise InputError("JSON, but no calibration file")
-    if values.get("schema") == "softcal.calibration/1":
-        if values.get("device") is None:
-            raise InputError(f"has no device file: {values.get('device_refused', 'none was exported')}")
-        return unit_from_values(values["device"])
-    return unit_from_values(values) if "serial" in values else network_from_values(values)
 
 
 def file_values(file: DeviceFile) -> dict[str, object]:
@@ -53,34 +49,19 @@ def file_values(file: DeviceFile) -> dict[str, object]:
 def file_rows(file: DeviceFile, network: NetworkFile | None = None) -> list[tuple[str, str]]:
     """Return what a person wants to know of a file; beside its network a unit's is self-tested."""
     if isinstance(file, NetworkFile):
-        return _network_rows(file)
-    rows = _unit_rows(file)
-    if network is not None:
-        join(network, file)
-        rows.append(("self-tests", f"{len(file.self_tests)} of {len(file.self_tests)} give what they must"))
-    return rows
-
-
-def _network_rows(file: NetworkFile) -> list[tuple[str, str]]:
-    net = file.network
-    return [
-        ("kind", f"shared network, format {MAJOR}.{file.minor}"),
-        ("id", file.id.hex()),
-        ("registry id", file.network_sha256),
-        ("source unit", file.source_serial),
-        ("sizes", "-".join(map(str, net.sizes))),
-        ("multiplications per estimate", f"{net.multiplications}"),
-        ("bytes", f"{len(file.to_bytes())}"),
-        ("sample period", f"{file.period_us / 1000:g} ms; a gap is more than {file.gap_ms} ms"),
-        ("one count of the estimate", f"{10.0**net.output_exponent:g} {file.reference_unit}"),
-        (
-            "source window",
-            f"{net.input_zero:.6g} {file.output_unit} + {net.input_lsb:.6g} {file.output_unit} per count",
-        ),
-    ]
-
-
-def _unit_rows(file: UnitFile) -> list[tuple[str, str]]:
+        net, unit = file.network, file.output_unit
+        return [
+            ("kind", f"shared network, format {MAJOR}.{file.minor}"),
+            ("id", file.id.hex()),
+            ("registry id", file.network_sha256),
+            ("source unit", file.source_serial),
+            ("sizes", "-".join(map(str, net.sizes))),
+            ("multiplications per estimate", f"{net.multiplications}"),
+            ("bytes", f"{len(file.to_bytes())}"),
+            ("sample period", f"{file.period_us / 1000:g} ms; a gap is more than {file.gap_ms} ms"),
+            ("one count of the estimate", f"{10.0**net.output_exponent:g} {file.reference_unit}"),
+            ("source window", f"{net.input_zero:.6g} {unit} + {net.input_lsb:.6g} {unit} per count"),
+        ]
     form = file.device_map
     words = {0: "passed", CONDITIONAL: "passed conditionally", FAILED: "DID NOT PASS, exported on demand"}
     made = datetime.fromtimestamp(file.time_s, UTC).isoformat() if file.time_s else "unknown"
@@ -89,7 +70,7 @@ def _unit_rows(file: UnitFile) -> list[tuple[str, str]]:
     if form.mix is not None:
         parts.append(f"{'wide ' if form.mix.is_wide else ''}mix of {len(form.mix.bias)} shapes on every window")
     bands = ", ".join(f"up to {b.level}: -{b.minus} +{b.plus}" for b in file.bands)
-    return [
+    rows = [
         ("kind", f"unit, format {MAJOR}.{file.minor}"),
         ("serial", file.serial),
         ("network", file.network_id.hex()),
@@ -102,3 +83,7 @@ def _unit_rows(file: UnitFile) -> list[tuple[str, str]]:
         ("estimates are clamped to", f"{file.out_min} ... {file.out_max} counts"),
         ("90 % interval, counts", bands),
     ]
+    if network is not None:
+        join(network, file)
+        rows.append(("self-tests", f"{len(file.self_tests)} of {len(file.self_tests)} give what they must"))
+    return rows

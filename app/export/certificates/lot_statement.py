@@ -79,13 +79,9 @@ def lot_statement_pdf(facts: LotStatementFacts, words: Words = ENGLISH) -> bytes
         made_on=facts.made_on,
         across=words("paper.simulated") if facts.is_simulated else "",
     )
-    return parts.archival(parts.document_pdf(_story(facts, words), page), page)
-
-
-def _story(facts: LotStatementFacts, words: Words) -> list[Flowable]:
     colour, word = (GIVEN, "paper.given") if facts.decided.released else (NOT_GIVEN, "paper.not_given")
-    return [
-        Paragraph(marked_up(words("paper.title", lot=facts.lot.id)), parts.style(18, BOLD)),
+    story: list[Flowable] = [
+        Paragraph(marked_up(page.title), parts.style(18, BOLD)),
         Spacer(1, 4 * mm),
         parts.marked(words(word), colour, [said(facts.decided.statement, words)], 10),
         *parts.section(words("paper.lot"), parts.facts_table(_lot_rows(facts, words))),
@@ -95,6 +91,7 @@ def _story(facts: LotStatementFacts, words: Words) -> list[Flowable]:
         *parts.section(words("paper.means"), parts.paragraph(words("paper.means.is"), 7)),
         *parts.section(words("paper.assumes"), parts.paragraph(words("paper.assumes.is"), 7)),
     ]
+    return parts.archival(parts.document_pdf(story, page), page)
 
 
 def _lot_rows(facts: LotStatementFacts, words: Words) -> list[tuple[str, str]]:
