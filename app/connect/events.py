@@ -157,8 +157,8 @@ def _verdict(registry: Registry, entity: str, content: Mapping[str, Any]) -> dic
     # Two registries that put different maps into use stand against a verdict.
     now = registry.lots.units(lot_id, serial) if len(registry.outbox.end()) > 1 else []
     for unit in (unit for unit in now if unit.is_conflict):
-        reasons = {"reasons": [str(why) for why in unit.reasons], "reason_codes": [why.code for why in unit.reasons]}
-        return data | {"verdict": unit.verdict, "is_conflict": True, **reasons}
+        words = {"reasons": [str(why) for why in unit.reasons], "reason_codes": [why.code for why in unit.reasons]}
+        return data | {"verdict": unit.verdict, "is_conflict": True, **words}
     return data
 
 

@@ -113,9 +113,12 @@ def _send(source: Database, target: Database) -> int:
                 for entry in chunk:
                     if entry.entity in AUDITED:
                         table = metadata.tables[entry.entity]
-                        key = zip(table.primary_key.columns, json.loads(entry.key), strict=True)
-                        values = {column.name: _typed(column.type, value) for column, value in key}
-                        _copy(source, target, table, values, known)
+                        key = dict(zip(table.primary_key.columns.keys(), json.loads(entry.key), strict=True))
+                        for name, value in key.items():
+                            if isinstance(kind := table.c[name].type, UtcTime | Date):
+                                day_or_time = datetime if isinstance(kind, UtcTime) else date
+                                key[name] = day_or_time.fromisoformat(value)
+                        _copy(source, target, table, key, known)
                 target.change(insert(audit), [vars(entry) for entry in chunk])
                 connection.info[HAS_TOLD] = True
                 forget(connection)
@@ -170,9 +173,3 @@ def _copy(source: Database, target: Database, table: Table, key: dict[str, Any],
         else:
             _copy(source, target, constraint.referred_table, parent, known)
     target.change(insert(table), dict(row))
-
-
-def _typed(kind: object, value: Any) -> Any:
-    if isinstance(kind, UtcTime):
-        return datetime.fromisoformat(value)
-    return date.fromisoformat(value) if isinstance(kind, Date) else value

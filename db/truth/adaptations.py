@@ -17,11 +17,7 @@ Entry = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class AdaptedUnit:
-    """A unit in use and the newest step of its adaptation.
-
-    Args:
-        steps: how many steps the registry holds of it, without checkpoints.
-    """
+    """A unit in use, the newest step of its adaptation, and how many the registry holds without checkpoints."""
 
     serial: str
     stream: str

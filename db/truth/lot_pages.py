@@ -41,7 +41,6 @@ PLAIN_FIELDS = tuple(
 
 ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
 SORTABLE = ("serial", "verdict", "made_at", "family", *ERRORS)
-LATER_STATEMENT = ("made_at", "number", "origin")
 MADE_FIELDS = ("revision", "family", "map_sha256", *ERRORS)
 
 MOST_SERIALS = 30_000
@@ -123,11 +122,7 @@ class LotPages(RegistryBase):
     """The part of the registry that answers for a whole lot without reading all of it."""
 
     def unit_page(self, lot_id: str, wanted: UnitFilter, page: int = 1, size: int = 50) -> UnitPage:
-        """Return one page (1, 2, ...) of a lot's target units with their newest result.
-
-        Raises:
-            InputError: the lot is not in the registry.
-        """
+        """Return one page (1, 2, ...) of a lot's target units with their newest result (`InputError`: no such lot)."""
         with self.database.reading():
             self._lot_row(lot_id)
             standing = StandingQuery.of(self.database, lot_id)
@@ -166,14 +161,8 @@ class LotPages(RegistryBase):
 
     def find_serials(self, text: str, count: int = 50) -> list[str]:
         """Return serials of target units with a result that hold a text, best match first."""
-        has_result = sa.or_(
-            *(
-                select(table.c.serial)
-                .where(table.c.lot_id == units.c.lot_id, table.c.serial == units.c.serial)
-                .exists()
-                for table in (calibrations, refusals)
-            )
-        )
+        results = (select(table.c.serial).where(_is_of_unit(table)) for table in (calibrations, refusals))
+        has_result = sa.or_(*(result.exists() for result in results))
         query = select(units.c.serial).distinct().where(units.c.role == "target", has_result)
         order: list[ColumnElement[Any]] = [units.c.serial]
         if text:
@@ -238,9 +227,6 @@ class StandingQuery:
 
         "Nothing newer exists" is found through the index of the table; a window function over all
         rows is not, and its join with the units would take the square of their number.
-
-        Args:
-            serials, role: of these units only.
         """
         c, u, r = calibrations, in_use, refusals
         is_refused = and_(r.c.made_at.is_not(None), sa.or_(u.c.made_at.is_(None), r.c.made_at > u.c.made_at))
@@ -261,11 +247,9 @@ class StandingQuery:
             "is_doubted": sa.type_coerce(c.c.reasons, sa.Text).contains(f'"code":"{DOUBT}'),
             "evidence": case((is_unjudged, c.c.evidence), else_=None),
         }
-        joined = (
-            units.outerjoin(u, and_(_is_of_unit(u), _is_newest(u, LATER_STATEMENT)))
-            .outerjoin(c, OF_STATEMENT)
-            .outerjoin(r, and_(_is_of_unit(r), _is_newest(r, ("made_at", "origin"))))
-        )
+        stated = units.outerjoin(u, and_(_is_of_unit(u), _is_newest(u, ("made_at", "number", "origin"))))
+        refused = and_(_is_of_unit(r), _is_newest(r, ("made_at", "origin")))
+        joined = stated.outerjoin(c, OF_STATEMENT).outerjoin(r, refused)
         query = select(units.c.lot_id, units.c.serial, units.c.role, *(c.label(name) for name, c in columns.items()))
         query = query.select_from(joined).where(units.c.lot_id == self.lot_id)
         return query.where(*given((units.c.role, role), (units.c.serial, serials))).subquery("standing")
