@@ -23,11 +23,7 @@ Clocks of machines that share a registry agree better than that."""
 
 
 class NotDelivered(SoftcalError):
-    """A destination did not confirm that it has the events; they stay where they are.
-
-    Args:
-        delivered: how many of them it confirmed before.
-    """
+    """A destination confirmed only the first `delivered` events; the others stay where they are."""
 
     def __init__(self, said: str, delivered: int = 0) -> None:
         super().__init__(said)
@@ -41,11 +37,7 @@ class Sender(Protocol):
     """Events it takes at once."""
 
     def send(self, events: Sequence[RegistryEvent]) -> None:
-        """Bring events in their order; returns when the destination has confirmed them all.
-
-        Raises:
-            NotDelivered: it has not confirmed them all.
-        """
+        """Bring events in their order until the destination has confirmed all (`NotDelivered`: it has not)."""
 
 
 @dataclass(frozen=True)

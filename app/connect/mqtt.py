@@ -101,11 +101,7 @@ class MqttSender:
         client.on_connect = self._on_connect
 
     def wait_until_connected(self) -> None:
-        """Return once the broker has taken the connection.
-
-        Raises:
-            NotDelivered: it refuses, or does not answer in time.
-        """
+        """Return once the broker has taken the connection (`NotDelivered`: it refuses, or does not answer in time)."""
         end_s = time.monotonic() + self._settings.timeout_s
         while not self._client.is_connected():
             if self._refusal or time.monotonic() > end_s:
@@ -115,8 +111,7 @@ class MqttSender:
     def send(self, events: Sequence[RegistryEvent]) -> None:
         """Publish events with the states they change, and other states that changed.
 
-        Raises:
-            NotDelivered: the broker did not confirm them all, or has ended the connection.
+        `NotDelivered`: the broker did not confirm them all, or has ended the connection.
         """
         changed = [message for message in self._states() if self._shown.get(message[0]) != message[1]]
         self.publish([*(message for event in events for message in messages_of(event)), *changed])

@@ -46,11 +46,7 @@ account may. Every error is one line of `application/problem+json`.
 
 
 def rest_app(registry: Registry, hosts: Sequence[str] = ("127.0.0.1", "localhost", "testserver")) -> FastAPI:
-    """Return the application over an open registry.
-
-    Args:
-        hosts: names under which it may be asked; another one in a request's Host is refused.
-    """
+    """Return the application over an open registry; a Host in a request that is none of `hosts` is refused."""
     app = FastAPI(
         title="softcal",
         version=version("softcal"),

@@ -28,8 +28,7 @@ def run_connect(
 ) -> None:
     """Serve all destinations until `over` is set.
 
-    Raises:
-        InputError: nothing to do, an unreadable secret or certificate, or a taken port.
+    `InputError`: nothing to do, an unreadable secret or certificate, or a taken port.
     """
     destinations = [
         *(Destination(one, partial(open_webhook, one)) for one in settings.webhooks),
@@ -54,11 +53,7 @@ def run_connect(
 
 
 def reach(settings: ConnectSettings) -> Iterator[str]:
-    """Try every destination once, sending nothing; give the name of each once reached.
-
-    Raises:
-        InputError: one was not; the line says which, and why.
-    """
+    """Try every destination once, sending nothing; name each once reached (`InputError`: why one was not)."""
     for webhook in settings.webhooks:
         with open_webhook(webhook):
             parts = split_address("url", webhook.url)

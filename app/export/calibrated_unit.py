@@ -77,11 +77,7 @@ class ExportOptions:
 
 @dataclass(frozen=True, eq=False)
 class SharedNetwork:
-    """The network of a lot and the source it was trained on; its device file is made once.
-
-    Args:
-        source_since: UTC date the source's recording came into the registry.
-    """
+    """The network of a lot and its source, registered on `source_since` (UTC day); its device file is made once."""
 
     network: Network
     source: LabelledRecording

@@ -82,8 +82,7 @@ class Manifest:
 def read_manifest(folder: Path) -> Manifest:
     """Read a folder's manifest; an empty one where there is none yet.
 
-    Raises:
-        InputError: no manifest of softcal; it lists a file twice, or one elsewhere.
+    `InputError`: no manifest of softcal; it lists a file twice, or one elsewhere.
     """
     path = folder / NAME
     if not path.exists():

@@ -84,8 +84,7 @@ def open_signing_key(
 def trusted_keys(files: Sequence[Path]) -> list[TrustedKey]:
     """Read public keys (PEM), and key rings (TOML) that name several with the time each is valid.
 
-    Raises:
-        InputError: a file that is neither, or another kind of key.
+    `InputError`: a file that is neither, or another kind of key.
     """
     keys = []
     for file in files:

@@ -46,7 +46,7 @@ def _nobody() -> str:
 
 
 class People(RegistryBase):
-    """The part of the registry that knows people."""
+    """Accounts with role and PIN."""
 
     def set(
         self,
@@ -88,8 +88,8 @@ class People(RegistryBase):
             statement = insert(users) if known is None else update(users).where(users.c.name == name)
             self.database.change(statement.values(**values))
             row = self.database.rows(named)[0]
-            content = {"before": people_as_told(known) if known else None, "after": people_as_told(row)}
-            self._tell("set_user", "users", (name,), actor, reason=reason, **content)
+            before = people_as_told(known) if known else None
+            self._tell("set_user", "users", (name,), actor, after=people_as_told(row), before=before, reason=reason)
             return user_of(self.database, row)
 
     def all(self) -> list[User]:

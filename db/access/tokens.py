@@ -26,13 +26,12 @@ TOLD = ("account", "purpose", "ends_at", "is_withdrawn")
 
 
 class TokenTable(RegistryBase):
-    """The part of the registry that knows which program may do what."""
+    """Tokens of programs that ask over REST."""
 
     def add(self, account: str, purpose: str, days: int, *, actor: str | None = None) -> tuple[Token, str]:
         """Make a token for an account; return it and the secret text, which is kept nowhere.
 
-        Raises:
-            InputError: no such active account, no purpose, or an impossible number of days.
+        `InputError`: no such active account, no purpose, or an impossible number of days.
         """
         if not purpose.strip():
             raise InputError("a token needs a purpose: say which program it is for")

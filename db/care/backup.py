@@ -26,8 +26,7 @@ elsewhere. A token that was withdrawn since the backup must not come to life aga
 def back_up(database: Database, path: Path) -> None:
     """Write one consistent state of the registry into a new SQLite file, whole or not at all.
 
-    Raises:
-        RegistryError: the file exists, or cannot be written.
+    `RegistryError`: the file exists, or cannot be written.
     """
     if path.exists():
         raise RegistryError(f"backup {path} exists; give a new name: a backup is never overwritten")

@@ -56,8 +56,7 @@ def faults(
 
 
 def _checks(database: Database, is_quick: bool, anchors: Sequence[Anchor]) -> Iterator[tuple[str, Iterator[str]]]:
-    info = registry_info.c
-    origin = str(database.value(select(info.value).where(info.key == "origin")))
+    origin = str(database.value(select(registry_info.c.value).where(registry_info.c.key == "origin")))
     if not is_quick:
         yield "pages and indices", page_faults(database)
         yield "tables", schema_faults(database)
@@ -85,7 +84,7 @@ def _row_faults(database: Database) -> Iterator[str]:
     entries: dict[tuple[str, str], set[str]] = {}
     for entry in history.rows(database):
         if entry.entity in AUDITED and entry.after is not None:
-            entries.setdefault((entry.entity, entry.key), set()).add(hashlib.sha256(entry.after.encode()).hexdigest())
+            entries.setdefault((entry.entity, entry.key), set()).add(_sha256(entry.after))
     for name in AUDITED:
         table = metadata.tables[name]
         for row in database.stream(select(table)):
@@ -93,9 +92,7 @@ def _row_faults(database: Database) -> Iterator[str]:
             expected = entries.pop((name, key), None)
             if expected is None:
                 yield f"{name} {key}: was put in without an entry in the audit trail"
-            elif expected.isdisjoint(
-                hashlib.sha256(form.encode()).hexdigest() for form in history.forms(table, dict(row))
-            ):
+            elif expected.isdisjoint(_sha256(form) for form in history.forms(table, dict(row))):
                 yield f"{name} {key}: was changed after it was written"
     for name, key in entries:
         yield f"{name} {key}: is in the audit trail but was removed"
@@ -134,8 +131,7 @@ def page_faults(database: Database) -> Iterator[str]:
             if line != "ok":
                 yield f"database: {line}"
         return
-    known = database.row(text("SELECT 1 FROM pg_extension WHERE extname = 'amcheck'"))
-    if known is None:
+    if database.row(text("SELECT 1 FROM pg_extension WHERE extname = 'amcheck'")) is None:
         return
     indices = text(
         "SELECT c.oid, c.relname FROM pg_index i JOIN pg_class c ON c.oid = i.indexrelid JOIN pg_am a ON a.oid = "
@@ -158,8 +154,7 @@ def reference_faults(database: Database) -> Iterator[str]:
             is_there = select(pairs[0][1]).where(*(child == column for child, column in pairs)).correlate(table)
             is_set = and_(*(child.is_not(None) for child, _ in pairs))
             lost = select(func.count()).select_from(table).where(is_set, ~is_there.exists())
-            count = database.value(lost)
-            if count:
+            if count := database.value(lost):
                 yield f"{table.name}: {count} rows refer to {constraint.referred_table.name} that are not there"
 
 
@@ -210,11 +205,11 @@ TRIGGERS = {
 
 def trigger_faults(database: Database) -> Iterator[str]:
     """Give a line for every table whose triggers are gone, off, or others."""
-    rows = database.tuples(text(TRIGGERS[database.engine.dialect.name]))
+    dialect = database.engine.dialect.name
+    rows = database.tuples(text(TRIGGERS[dialect]))
     definitions = {name: " ".join(str(definition).split()) for name, definition in rows}
     for table in tables.APPEND_ONLY:
-        wanted = append_only.triggers_of(table, database.engine.dialect.name)
-        for name, definition in wanted.items():
+        for name, definition in append_only.triggers_of(table, dialect).items():
             if name not in definitions:
                 yield f"trigger {name}: is gone; rows of {table} can be changed"
             elif definitions.pop(name) != definition:
@@ -234,7 +229,11 @@ def origin_faults(database: Database) -> Iterator[str]:
 
 def origin_sha256(origin: str) -> str:
     """Return what stands beside the origin, so that a change of it alone is seen."""
-    return hashlib.sha256(f"origin {origin}".encode()).hexdigest()
+    return _sha256(f"origin {origin}")
+
+
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def people_faults(database: Database, origin: str) -> Iterator[str]:
@@ -289,8 +288,7 @@ def newest_faults(database: Database) -> Iterator[str]:
 def anchor_faults(database: Database, heads: Heads, where: str) -> Iterator[str]:
     """Give a line for every chain without the row that was its last when it was written down."""
     for origin, (seq, sha256) in heads.items():
-        query = select(audit.c.hash).where(audit.c.origin == origin, audit.c.seq == seq)
-        stored = database.value(query)
+        stored = database.value(select(audit.c.hash).where(audit.c.origin == origin, audit.c.seq == seq))
         if stored != sha256:
             what = "is gone" if stored is None else "is another one"
             yield f"audit {origin} row {seq}: {what} than was written down {where}; the trail was cut or rewritten"

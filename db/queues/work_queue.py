@@ -47,7 +47,7 @@ class WorkItem:
 
 
 class WorkQueue(RegistryBase):
-    """The work items of a registry. Every call is one short transaction, or part of one."""
+    """The durable work items of a registry. Every call is one short transaction, or part of one."""
 
     def enqueue(self, work: WorkSet, inputs: Mapping[str, str]) -> int:
         """Queue what is not queued or claimed yet and return how many items are new.

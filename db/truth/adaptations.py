@@ -27,7 +27,7 @@ class AdaptedUnit:
 
 
 class AdaptationTables(RegistryBase):
-    """The part of the registry that knows adaptations."""
+    """What was followed of units in use."""
 
     def add(self, serial: str, revision: int, entries: Sequence[Entry], actor: str | None = None) -> int:
         """Store steps, all or none, and return the last one's number (1, 2, ... a serial).

@@ -31,7 +31,7 @@ ASKING = ("batch", "line")
 
 
 class CalibrationTables(InUseTable):
-    """The part of the registry that knows calibrations."""
+    """The calibrations of every unit, and which one is in use."""
 
     def add(
         self,

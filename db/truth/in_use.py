@@ -127,9 +127,7 @@ class InUseTable(RegistryBase):
     def _in_use(self, lot_id: str, serial: str) -> RowMapping | None:
         """Return the newest statement of a unit, or None before the first.
 
-        Raises:
-            InputError: two registries put different maps into use.
-            RegistryError: the audit trail tells of a statement that was not found.
+        `InputError`: two registries put different maps into use. `RegistryError`: the trail tells of one not found.
         """
         heads = heads_of(self.database, lot_id, serial)
         # A damaged index hides rows without a word; the audit trail is found by another one.

@@ -21,7 +21,6 @@ from softcal.db.schema.tables import calibrations, in_use, refusals, units
 from softcal.db.truth import history
 from softcal.db.truth.in_use import (
     OF_STATEMENT,
-    LimitInForce,
     conflict_line,
     conflicts_of,
     limit_in_force,
@@ -119,13 +118,13 @@ class UnitErrors(NamedTuple):
 
 
 class LotPages(RegistryBase):
-    """The part of the registry that answers for a whole lot without reading all of it."""
+    """What stands of many units at once: pages, counts, errors, without reading all of a lot."""
 
     def unit_page(self, lot_id: str, wanted: UnitFilter, page: int = 1, size: int = 50) -> UnitPage:
         """Return one page (1, 2, ...) of a lot's target units with their newest result (`InputError`: no such lot)."""
         with self.database.reading():
             self._lot_row(lot_id)
-            standing = StandingQuery.of(self.database, lot_id)
+            standing = StandingQuery(self.database, lot_id)
             table = standing.table(role="target")
             condition: ColumnElement[bool] = and_(True, *wanted.conditions(table))
             order = wanted.order(table)
@@ -177,7 +176,7 @@ class LotPages(RegistryBase):
         """Return the count of a lot's target units by verdict; `none` counts those without."""
         with self.database.reading():
             self._lot_row(lot_id)
-            table = StandingQuery.of(self.database, lot_id).table(role="target")
+            table = StandingQuery(self.database, lot_id).table(role="target")
             verdict = func.coalesce(table.c.verdict, "none")
             counts = {str(v): int(n) for v, n in self.database.tuples(select(verdict, func.count()).group_by(verdict))}
         return {name: counts.get(name, 0) for name in (*_severities(), "none")}
@@ -186,7 +185,7 @@ class LotPages(RegistryBase):
         """Return the errors of every target unit with a map, by serial."""
         with self.database.reading():
             self._lot_row(lot_id)
-            table = StandingQuery.of(self.database, lot_id).table(role="target")
+            table = StandingQuery(self.database, lot_id).table(role="target")
             measured = {name: case((table.c.is_doubted, None), else_=table.c[name]) for name in ERRORS[1:]}
             query = select(table.c.revision, table.c.serial, table.c.verdict, table.c[ERRORS[0]], *measured.values())
             # Asked for in SQL, "with a map" makes PostgreSQL read the calibrations of all lots.
@@ -202,25 +201,14 @@ class LotPages(RegistryBase):
             return "|".join([lot_id, *(sha256 for _, sha256 in history.heads(self.database).values())])
 
 
-@dataclass(frozen=True)
 class StandingQuery:
-    """How the units of a lot are asked for.
+    """How a lot, or some of its units, are asked for now."""
 
-    Args:
-        undecided: units for which two registries put different maps into use.
-        limit: of the lot; a verdict against another one does not stand.
-    """
-
-    database: Database
-    lot_id: str
-    undecided: Sequence[str]
-    limit: LimitInForce
-
-    @classmethod
-    def of(cls, database: Database, lot_id: str, serials: Sequence[str] | None = None) -> StandingQuery:
-        """Return how a lot, or some of its units, are asked for now."""
-        undecided = [serial for _, serial in conflicts_of(database, lot_id, serials)]
-        return cls(database, lot_id, undecided, limit_in_force(database, lot_id))
+    def __init__(self, database: Database, lot_id: str, serials: Sequence[str] | None = None) -> None:
+        self.database, self.lot_id = database, lot_id
+        # For these two registries put different maps into use. A verdict against another limit does not stand.
+        self.undecided = [serial for _, serial in conflicts_of(database, lot_id, serials)]
+        self.limit = limit_in_force(database, lot_id)
 
     def table(self, serials: Sequence[str] | None = None, role: str | None = None) -> sa.Subquery:
         """Return every unit beside its map in use and its newest verdict, or a later refusal's.
@@ -271,7 +259,7 @@ def standing_units(
     database: Database, lot_id: str, serials: Sequence[str] | None = None
 ) -> list[tuple[UnitEntry, bool]]:
     """Return units of a lot, each with whether its calibration in use gives its verdict."""
-    standing = StandingQuery.of(database, lot_id, serials)
+    standing = StandingQuery(database, lot_id, serials)
     rows = database.rows(select(table := standing.table(serials)).order_by(table.c.serial))
     known = {row["serial"] for row in rows}
     # A damaged index hides rows without a word.

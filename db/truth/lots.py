@@ -20,7 +20,7 @@ STATED = "stated with the lot"
 
 
 class LotTables(RegistryBase):
-    """The part of the registry that knows lots, limits and units."""
+    """Lots and their units, limits and rules."""
 
     def add(self, lot: Lot, *, actor: str | None = None) -> None:
         """Register a lot and its source unit; another limit adds a version.
@@ -161,8 +161,7 @@ class LotTables(RegistryBase):
     ) -> LineRulesEntry:
         """Write the next version of a lot's rules, decided on `expected_version` as in `set_limit`.
 
-        Raises:
-            InputError: no reason, no such lot, or not the expected version.
+        `InputError`: no reason, no such lot, or not the expected version.
         """
         if not reason.strip():
             raise InputError("a change of the line's rules needs a reason; nothing was changed")

@@ -43,7 +43,7 @@ class NetworkState:
 
 
 class NetworkTables(RegistryBase):
-    """The part of the registry that knows networks, and which of them are released."""
+    """Shared networks, and which of them the line may use."""
 
     def add(
         self,
@@ -120,8 +120,7 @@ class NetworkTables(RegistryBase):
     def release(self, network_id: str, *, reason: str, actor: str | None = None) -> None:
         """Let the line use a network from now on, in place of the one it used.
 
-        Raises:
-            InputError: no reason, no such network, or it is the one in use.
+        `InputError`: no reason, no such network, or it is the one in use.
         """
         entry = self.entry(network_id)
         current = self.released(entry.lot_id)
@@ -132,8 +131,7 @@ class NetworkTables(RegistryBase):
     def withdraw(self, network_id: str, *, reason: str, actor: str | None = None) -> None:
         """Take a released network from the line; the one released before is in use again.
 
-        Raises:
-            InputError: no reason, no such network, or it is not released.
+        `InputError`: no reason, no such network, or it is not released.
         """
         entry = self.entry(network_id)
         states = {state.network.id: state.state for state in self.states(entry.lot_id)}

@@ -1,7 +1,7 @@
 """What every part of the registry stands on: who writes when, and rows that leave a trace."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime, timedelta
 from functools import wraps
 from types import FunctionType
@@ -11,6 +11,7 @@ from sqlalchemy import RowMapping, Table, bindparam, insert, select
 
 from softcal.core.errors import InputError, RegistryError
 from softcal.core.words.reason import reason
+from softcal.db.entries import AuditRow
 from softcal.db.schema.database import Database
 from softcal.db.schema.tables import (
     AUDITED,
@@ -24,12 +25,14 @@ from softcal.db.schema.tables import (
     registry_info,
     units,
 )
+from softcal.db.schema.transaction_cache import HAS_TOLD
 from softcal.db.truth import history
 
 Entry = TypeVar("Entry")
 TICK = timedelta(microseconds=1)
 KNOWN_LOT = select(lots).where(lots.c.id == bindparam("lot"))
 KNOWN_UNIT = select(units.c.role).where(units.c.lot_id == bindparam("lot"), units.c.serial == bindparam("unit"))
+INSERT_TOLD = insert(audit)
 INSERTS = {name: insert(metadata.tables[name]) for name in AUDITED}
 OF_UNITS = frozenset(table.name for table in (recordings, in_use, refusals))
 """Tables whose rows belong to a unit of a lot: of one that was not registered there can be none."""
@@ -42,12 +45,7 @@ def utc_now() -> datetime:
 
 @dataclass(frozen=True)
 class RegistrySettings:
-    """Who writes, and by which clock.
-
-    Args:
-        actor: who stands in the audit trail where a call names nobody.
-        clock: the time of every row.
-    """
+    """Who writes (`actor`, where a call names nobody), and by which clock."""
 
     actor: str = "softcal"
     clock: Callable[[], datetime] = utc_now
@@ -104,11 +102,28 @@ class RegistryBase:
         self._tell(action, table.name, key, actor, after=after, before=before, reason=reason)
 
     def _tell(
-        self, action: str, entity: str, key: tuple[str | int, ...], actor: str | None = None, **told: Any
+        self,
+        action: str,
+        entity: str,
+        key: tuple[str | int, ...],
+        actor: str | None = None,
+        *,
+        after: Mapping[str, object],
+        before: Mapping[str, object] | None = None,
+        reason: str = "",
     ) -> None:
-        """Write a row of the audit trail now; `told` is what `history.append` takes by name."""
-        at, who = self.settings.clock(), self._actor(actor)
-        history.append(self.database, self.origin, at, who, action, entity, key, **told)
+        """Write the next row of this registry's chain, in the transaction of the change it tells of."""
+        heads = self.database.found.heads
+        seq, prev_hash = heads.get(self.origin) or history.head(self.database, self.origin)
+        old = None if before is None else canonical_json(history.plain(before))
+        named = (self.origin, seq + 1, self.settings.clock(), self._actor(actor), action, entity, canonical_json(key))
+        new = canonical_json(history.plain(after))
+        row = AuditRow(*named, before=old, after=new, reason=reason, prev_hash=prev_hash, hash="")
+        row = replace(row, hash=history.row_hash(row))
+        self.database.change(INSERT_TOLD, vars(row))
+        with self.database.writing() as connection:
+            connection.info[HAS_TOLD] = True
+        heads[self.origin] = row.seq, row.hash
 
     def _check_row(self, table: Table, row: RowMapping) -> None:
         """Raise `RegistryError` where a row is not what the audit trail tells of it."""

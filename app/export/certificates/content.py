@@ -322,11 +322,7 @@ class Certificate:
 
 
 def certificate_of(unit: CalibratedUnit) -> Certificate:
-    """Gather the facts of a calibrated unit.
-
-    Raises:
-        InputError: the laboratory file cannot be used, or names another instrument.
-    """
+    """Gather the facts (`InputError`: no usable laboratory file, or it names another instrument)."""
     record, lot = unit.stored.record, unit.lot
     found, share = estimate(unit.network, unit.calibration, unit.recording), COVERAGE / NORMAL_90
     # U_est (k = 2) in place of the 90 % interval.
