@@ -1,7 +1,7 @@
 """Read exports back: what a calibration file holds; is a folder complete, unchanged, and who signed it?"""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime
 from pathlib import Path
@@ -85,7 +85,17 @@ def check_folder(folder: Path, trusted: Sequence[TrustedKey] = ()) -> FolderChec
         *(f"unit {name}: has files, but the manifest does not say what it is" for name in sorted(unowned)),
     )
     present = [entry for entry in manifest.files.values() if (folder / entry.name).exists()]
-    changed = [text for entry in present for text in _file_problems(folder, entry)]
+    changed = []
+    for entry in present:
+        path = folder / entry.name
+        if path.is_symlink() or not path.is_file():
+            changed.append(f"{entry.name}: is no file of this folder but a link or a folder; export it again")
+            continue
+        try:
+            if FileEntry.of(entry.name, path.read_bytes(), entry.serial) != entry:
+                changed.append(f"{entry.name}: is not what was exported (SHA-256 differs); export it again")
+        except OSError as error:
+            changed.append(f"{entry.name}: {error.strerror}; export it again")
     opened = 0
     if not changed:
         found, opened = _device_problems(folder, [entry.name for entry in present])
@@ -113,20 +123,6 @@ def _signer(folder: Path, manifest: Manifest, trusted: Sequence[TrustedKey]) -> 
         except (InputError, OSError) as error:
             return WRONG, f"{name}: {error}"
     return signers[0], None
-
-
-def _file_problems(folder: Path, entry: FileEntry) -> Iterator[str]:
-    path = folder / entry.name
-    if path.is_symlink() or not path.is_file():
-        yield f"{entry.name}: is no file of this folder but a link or a folder; export it again"
-        return
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        yield f"{entry.name}: {error.strerror}; export it again"
-        return
-    if FileEntry.of(entry.name, content, entry.serial) != entry:
-        yield f"{entry.name}: is not what was exported (SHA-256 differs); export it again"
 
 
 def _device_problems(folder: Path, names: list[str]) -> tuple[list[str], int]:

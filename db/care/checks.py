@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
-from sqlalchemy import Boolean, Connection, Date, and_, func, inspect, select, text, type_coerce
+from sqlalchemy import Boolean, Date, and_, func, inspect, select, text, type_coerce
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.types import NullType
 
@@ -41,7 +41,25 @@ def faults(
         is_quick: leave out what reads every page and every blob.
         anchors: what was written down of the chains elsewhere.
     """
-    for name, check in _checks(database, is_quick, anchors):
+    origin = str(database.value(select(registry_info.c.value).where(registry_info.c.key == "origin")))
+    pages = [("pages and indices", page_faults(database)), ("tables", schema_faults(database))]
+    facts = [
+        ("foreign tables", alien_tables(database)),
+        ("triggers", trigger_faults(database)),
+        ("origin", origin_faults(database)),
+        ("people", people_faults(database, origin)),
+        ("tokens", token_faults(database)),
+        *(("what was written down elsewhere", anchor_faults(database, one.heads, one.where)) for one in anchors),
+    ]
+    newest = [("rows", count_faults(database)), ("audit trail", newest_faults(database))]
+    content = [
+        ("references", reference_faults(database)),
+        ("audit trail", history.chain_faults(history.rows(database))),
+        ("rows", _row_faults(database)),
+        ("values", form_faults(database)),
+        ("recordings, networks and maps", _blob_faults(database)),
+    ]
+    for name, check in (*facts, *newest) if is_quick else (*pages, *facts, *content):
         on_step(name)
         try:
             # A query that fails ends a transaction of PostgreSQL; later checks go on.
@@ -53,30 +71,6 @@ def faults(
                 raise
             # A damaged value may not even be read: that is what was to be found out.
             yield f"{name}: cannot be read: {first_line(error)[:160]}"
-
-
-def _checks(database: Database, is_quick: bool, anchors: Sequence[Anchor]) -> Iterator[tuple[str, Iterator[str]]]:
-    origin = str(database.value(select(registry_info.c.value).where(registry_info.c.key == "origin")))
-    if not is_quick:
-        yield "pages and indices", page_faults(database)
-        yield "tables", schema_faults(database)
-    yield "foreign tables", alien_tables(database)
-    yield "triggers", trigger_faults(database)
-    yield "origin", origin_faults(database)
-    yield "people", people_faults(database, origin)
-    yield "tokens", token_faults(database)
-    for anchor in anchors:
-        yield "what was written down elsewhere", anchor_faults(database, anchor.heads, anchor.where)
-    if is_quick:
-        yield "rows", count_faults(database)
-        yield "audit trail", newest_faults(database)
-        return
-    yield "references", reference_faults(database)
-    yield "audit trail", history.chain_faults(history.rows(database))
-    yield "rows", _row_faults(database)
-    with database.reading() as connection:
-        yield "values", form_faults(connection)
-    yield "recordings, networks and maps", _blob_faults(database)
 
 
 def _row_faults(database: Database) -> Iterator[str]:
@@ -158,25 +152,26 @@ def reference_faults(database: Database) -> Iterator[str]:
                 yield f"{table.name}: {count} rows refer to {constraint.referred_table.name} that are not there"
 
 
-def form_faults(connection: Connection) -> Iterator[str]:
+def form_faults(database: Database) -> Iterator[str]:
     """Give a line for every value in other words than softcal's: it sorts as another.
 
     Python reads times, JSON and truth values in more than one form.
     """
-    dialect = connection.dialect
-    for table in (*(metadata.tables[name] for name in AUDITED), audit, users):
-        read = [column for column in table.columns if isinstance(column.type, IN_WORDS)]
-        key = list(table.primary_key.columns)
-        writers = [column.type.dialect_impl(dialect).bind_processor(dialect) for column in read]
-        in_order = {"yield_per": 1000}
-        stored = select(*key, *(type_coerce(column, NullType()) for column in read)).order_by(*key)
-        values = connection.execute(select(*read).order_by(*key), execution_options=in_order)
-        for row, found in zip(connection.execute(stored, execution_options=in_order), values, strict=True):
-            for column, kept, write, value in zip(read, row[len(key) :], writers, found, strict=True):
-                if kept != (value if write is None else write(value)):
-                    named = history.row_key(table, {part.name: row[k] for k, part in enumerate(key)})
-                    shown = f"{column.name} is not as softcal writes it: {str(kept)[:60]!r}"
-                    yield f"{table.name} {canonical_json(named)}: {shown}"
+    dialect = database.engine.dialect
+    with database.reading() as connection:
+        for table in (*(metadata.tables[name] for name in AUDITED), audit, users):
+            read = [column for column in table.columns if isinstance(column.type, IN_WORDS)]
+            key = list(table.primary_key.columns)
+            writers = [column.type.dialect_impl(dialect).bind_processor(dialect) for column in read]
+            in_order = {"yield_per": 1000}
+            stored = select(*key, *(type_coerce(column, NullType()) for column in read)).order_by(*key)
+            values = connection.execute(select(*read).order_by(*key), execution_options=in_order)
+            for row, found in zip(connection.execute(stored, execution_options=in_order), values, strict=True):
+                for column, kept, write, value in zip(read, row[len(key) :], writers, found, strict=True):
+                    if kept != (value if write is None else write(value)):
+                        named = history.row_key(table, {part.name: row[k] for k, part in enumerate(key)})
+                        shown = f"{column.name} is not as softcal writes it: {str(kept)[:60]!r}"
+                        yield f"{table.name} {canonical_json(named)}: {shown}"
 
 
 def schema_faults(database: Database) -> Iterator[str]:

@@ -339,6 +339,13 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
     inside = found.estimate[(found.estimate >= low) & (found.estimate <= high)]
     if len(inside):
         low, high = float(inside.min()), float(inside.max())
+    by_audits = ""
+    if record.common_line is not None:
+        gain, zero = record.common_line
+        by_audits = (
+            "what the audited units of the lot misread alike was taken off the map: estimates less "
+            f"{zero:+.4g} {lot.reference_unit}, divided by {gain:.4g}"
+        )
     limit, evidence = None, record.evidence
     if record.limit_rmse is not None:
         expanded = float(str(evidence.get("reference_expanded") or 0.0))
@@ -376,7 +383,7 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
         budget=_budget(unit, float(np.sqrt(np.mean(source**2)))),
         map_family=record.family,
         by_loads=_by_loads(record, lot.output_unit),
-        by_audits=_by_audits(record, lot.reference_unit),
+        by_audits=by_audits,
         made_because=unit.stored.reason,
         hashes=(
             ("network", record.network_id),
@@ -432,17 +439,6 @@ def _by_loads(record: CalibrationRecord, unit: str) -> str:
     return (
         f"the map was {how} by known loads: what it gave is multiplied by {float(gain):.4g} and moved by "
         f"{float(offset):+.4g} {unit}; what these loads are traced to is {NOT_STATED}"
-    )
-
-
-def _by_audits(record: CalibrationRecord, unit: str) -> str:
-    """Say what audits of other units of the lot did to the map; empty where they did nothing."""
-    if record.common_line is None:
-        return ""
-    gain, zero = record.common_line
-    return (
-        f"what the audited units of the lot misread alike was taken off the map: estimates less {zero:+.4g} {unit}, "
-        f"divided by {gain:.4g}"
     )
 
 

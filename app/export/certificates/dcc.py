@@ -153,12 +153,21 @@ def _statements(facts: Certificate) -> ET.Element:
 
 def _result(facts: Certificate) -> ET.Element:
     because = f" Revision {facts.revision}: {facts.made_because}." if facts.made_because else ""
-    title = f"Calibration of {facts.quantity}, transferred from source unit {facts.source}"
+    title = f"{_simulated(facts)}Calibration of {facts.quantity}, transferred from source unit {facts.source}"
     method = _node(
         "usedMethod",
         _text("name", f"Transfer calibration: {facts.method_name}"),
         _text("description", facts.method + because),
     )
+    given, conditions = facts.laboratory.conditions, []
+    for name, kind, value, shift, factor, unit in (
+        ("Temperature", "basic_temperature", given.temperature_C, 273.15, 1.0, r"\kelvin"),
+        ("Relative humidity", "basic_humidityRelative", given.humidity_pct, 0.0, 0.01, r"\one"),
+    ):
+        if value is not None:
+            quantity = _node("quantity", _text("name", name), _real(value * factor + shift, unit), refType=kind)
+            condition = _node("influenceCondition", _text("name", name), _node("data", quantity), refType=kind)
+            conditions.append(condition)
     recorded = f"{facts.samples} samples at {facts.sample_rate_Hz:g} Hz, output in {facts.output_unit}"
     provenance = [f"Map of family {facts.map_family}, from {recorded}."]
     provenance += [f"SHA-256 of the {name}: {sha256}" for name, sha256 in facts.hashes]
@@ -172,19 +181,26 @@ def _result(facts: Certificate) -> ET.Element:
     if facts.bands:
         errors.append(_quantity(facts, "Lower end of the calibrated range", facts.low, kind="basic_validityRangeMin"))
         errors.append(_quantity(facts, "Upper end of the calibrated range", facts.high, kind="basic_validityRangeMax"))
+    budget = None
+    if (of := facts.budget) is not None:
+        what = f"Uncertainty budget of an estimate at {of.load:.4g} {facts.reference_unit} (GUM, JCGM 100:2008)"
+        values = [(f"Standard uncertainty: {c.name} ({c.distribution})", c.standard) for c in of.contributions]
+        values.append(("Combined standard uncertainty", of.standard))
+        values.append(("U_est: expanded uncertainty, k = 2", of.expanded))
+        budget = _listed(what, *(_quantity(facts, name, value) for name, value in values))
     results = (
         _listed("Error of the unit", *errors),
         _listed("U_est: expanded uncertainty of an estimate, k = 2, by range of the estimate", _expanded(facts)),
-        _budget(facts),
+        budget,
         _listed("Provenance", *(_text("text", said) for said in provenance)),
     )
     return _node(
         "measurementResult",
-        _text("name", f"{_simulated(facts)}{title}"),
+        _text("name", title),
         _node("usedMethods", method),
         _node("usedSoftware", _software(facts)),
         _load_cell(facts),
-        _conditions(facts),
+        _node("influenceConditions", *conditions) if conditions else None,
         _node("results", *results),
     )
 
@@ -231,20 +247,6 @@ def _load_cell(facts: Certificate) -> ET.Element | None:
     return _node("measuringEquipments", equipment)
 
 
-def _conditions(facts: Certificate) -> ET.Element | None:
-    given = facts.laboratory.conditions
-    conditions = []
-    for name, kind, value, shift, factor, unit in (
-        ("Temperature", "basic_temperature", given.temperature_C, 273.15, 1.0, r"\kelvin"),
-        ("Relative humidity", "basic_humidityRelative", given.humidity_pct, 0.0, 0.01, r"\one"),
-    ):
-        if value is not None:
-            quantity = _node("quantity", _text("name", name), _real(value * factor + shift, unit), refType=kind)
-            condition = _node("influenceCondition", _text("name", name), _node("data", quantity), refType=kind)
-            conditions.append(condition)
-    return _node("influenceConditions", *conditions) if conditions else None
-
-
 def _quantity(
     facts: Certificate,
     name: str,
@@ -269,16 +271,6 @@ def _quantity(
             )
         said = _real(value * factor, unit, coverage)
     return _node(element, _text("name", name), said, **({"refType": kind} if kind else {}))
-
-
-def _budget(facts: Certificate) -> ET.Element | None:
-    if facts.budget is None:
-        return None
-    title = f"Uncertainty budget of an estimate at {facts.budget.load:.4g} {facts.reference_unit} (GUM, JCGM 100:2008)"
-    values = [(f"Standard uncertainty: {c.name} ({c.distribution})", c.standard) for c in facts.budget.contributions]
-    values.append(("Combined standard uncertainty", facts.budget.standard))
-    values.append(("U_est: expanded uncertainty, k = 2", facts.budget.expanded))
-    return _listed(title, *(_quantity(facts, name, value) for name, value in values))
 
 
 def _expanded(facts: Certificate) -> ET.Element:
