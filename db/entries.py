@@ -147,13 +147,7 @@ UNDECIDED = "retest"
 
 @dataclass(frozen=True)
 class UnitStanding:
-    """Where a unit stands: its verdict, why and since when.
-
-    Args:
-        verdict, reasons: of the calibration in use, or of a newer refusal.
-        made_at: when that was stated, UTC.
-        made: the calibration in use; None after a refusal, or in a conflict.
-    """
+    """Where a unit stands, why and since when (UTC); `made` is in use, None after a refusal or in a conflict."""
 
     serial: str
     verdict: str
@@ -288,12 +282,7 @@ class GoldenRun:
 
 @dataclass(frozen=True)
 class User:
-    """A person with a role; the PIN is never given out.
-
-    Args:
-        version: counts the changes, so that two editors do not overwrite each other.
-        is_alone: whether nobody else has an account, and the role decides about people.
-    """
+    """A person with a role, never the PIN; `is_alone`: nobody else has an account, and the role decides on people."""
 
     name: str
     role: str

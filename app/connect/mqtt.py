@@ -50,12 +50,8 @@ States = Callable[[], Sequence[Message]]
 def open_mqtt(settings: MqttSettings, states: States = tuple) -> Iterator["MqttSender"]:
     """Connect to the broker; the status is `online` inside the block, then `offline`.
 
-    Args:
-        states: gives the states that are published whenever they have changed.
-
-    Raises:
-        NotDelivered: the broker cannot be reached or refuses.
-        InputError: a secret or certificate cannot be read.
+    `states` are published whenever they have changed. `NotDelivered`: the broker cannot be reached or refuses.
+    `InputError`: a secret or certificate cannot be read.
     """
     client = paho.Client(CallbackAPIVersion.VERSION2, reconnect_on_failure=False)
     parts = split_address("broker", settings.broker)
@@ -170,12 +166,8 @@ def json_text(value: object) -> str:
 def publish_estimates(lines: Iterable[str], serial: str, settings: MqttSettings, most_per_s: float) -> tuple[int, int]:
     """Publish rows of estimates; return how many were published and left out.
 
-    A live value is worth nothing later: what comes faster than `most_per_s`, and what comes while
-    the broker is away, is left out. The rows themselves are whole in the output of `softcal adapt`.
-
-    Raises:
-        InputError: these are no rows of estimates.
-        NotDelivered: the broker was away from the beginning.
+    A live value is worth nothing later: what comes faster than `most_per_s`, or while the broker is away, is left out.
+    `InputError`: these are no rows of estimates. `NotDelivered`: the broker was away from the beginning.
     """
     rows = iter(lines)
     if next(rows, "").strip() != HEADER.strip():

@@ -138,14 +138,9 @@ class ServingOptions:
 
 
 def serve_api(options: ServingOptions, on_first_write: Callable[[str], None]) -> None:
-    """Serve until Ctrl-C.
+    """Serve until Ctrl-C; `on_first_write` gets the registry's URL once something was written to it.
 
-    Args:
-        on_first_write: told the registry's URL once something was written to it.
-
-    Raises:
-        InputError: nobody can listen there.
-        RegistryError: the registry cannot be opened.
+    `InputError`: nobody can listen there. `RegistryError`: the registry cannot be opened.
     """
     url = registry_url(options.registry)
     # A job is a process of its own; it finds the registry there.

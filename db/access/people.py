@@ -59,13 +59,9 @@ class People(RegistryBase):
         is_active: bool = True,
         version: int = 0,
     ) -> User:
-        """Add a person (version 0), or change the version that was looked at.
+        """Add a person (version 0), or change the version that was looked at; without a `pin` the old one stays.
 
-        Args:
-            pin: digits, at least four; None keeps the one there is.
-
-        Raises:
-            InputError: no such role, a PIN too short, or another change since `version`.
+        `InputError`: no such role, a PIN too short, or another change since `version`.
         """
         if not name.strip():
             raise InputError(Reason("account.no_name"))

@@ -69,9 +69,7 @@ class TokenTable(RegistryBase):
     def user_of(self, secret: str) -> User:
         """Return the account a token belongs to, with the role it has now.
 
-        Raises:
-            InputError: unknown, ended, withdrawn, or its account is not active.
-            RegistryError: the token stands in the table and not in the audit trail.
+        `InputError`: unknown, ended, withdrawn, or an inactive account. `RegistryError`: not as the trail tells of it.
         """
         query = select(tokens, users.c.name, users.c.role, users.c.is_active, users.c.version).join(users)
         with self.database.reading():

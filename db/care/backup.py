@@ -56,11 +56,8 @@ def back_up(database: Database, path: Path) -> None:
 def restore(path: Path, url: str) -> None:
     """Fill an empty database from a backup, after checking every byte of it.
 
-    The restored registry writes a chain of its own in the audit trail from here on, so that it can
-    be told from any other copy of the same backup.
-
-    Raises:
-        RegistryError: the backup is missing, damaged or too new, or the target is not empty.
+    It writes a chain of its own in the audit trail from here on: no other copy of the same backup is taken for it.
+    `RegistryError`: the backup is missing, damaged or too new, or the target is not empty.
     """
     if not path.is_file():
         raise RegistryError(f"backup {path}: there is no such file")

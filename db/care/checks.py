@@ -37,9 +37,7 @@ def faults(
 ) -> Iterator[str]:
     """Give one line for every page, row, blob, trigger or link that is not what was written.
 
-    Args:
-        is_quick: leave out what reads every page and every blob.
-        anchors: what was written down of the chains elsewhere.
+    `is_quick` leaves out what reads every page and blob; `anchors` were written down of the chains elsewhere.
     """
     origin = str(database.value(select(registry_info.c.value).where(registry_info.c.key == "origin")))
     pages = [("pages and indices", page_faults(database)), ("tables", schema_faults(database))]

@@ -145,11 +145,7 @@ def _missing(source: Database, target: Database, origin: str) -> list[AuditRow]:
 
 
 def _copy(source: Database, target: Database, table: Table, key: dict[str, Any], known: set[Named]) -> None:
-    """Copy a row and, before it, whatever it refers to, unless the target has it already.
-
-    Args:
-        known: rows the target has; a network that ten thousand maps refer to is looked up once.
-    """
+    """Copy a row and, before it, what it refers to, unless the target has it, as it has those `known`."""
     named = (table.name, *key.values())
     if named in known:
         return

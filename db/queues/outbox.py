@@ -72,12 +72,9 @@ class Outbox(RegistryBase):
             return Delivery(**self.database.rows(known)[0])
 
     def hold(self, destination: str, holder: str, now: datetime, until: datetime) -> Delivery | None:
-        """Take a destination for one process, or keep it; None where another one holds it.
+        """Take a destination for one process, or keep it, until then; None where another one holds it.
 
-        Args:
-            holder: names the process; no other one has that name.
-            now: a hold that ended before is free.
-            until: how long it is held, unless it is held again or released.
+        `holder` names the process and no other one. A hold that ended before `now` is free.
         """
         c = deliveries.c
         is_free = or_(c.holder.is_(None), c.holder == holder, c.held_until <= now)

@@ -184,8 +184,7 @@ class CalibrationTables(InUseTable):
     ) -> None:
         """Register that a unit got no map; the verdict (fail or retest) and reasons it has are not written again.
 
-        Args:
-            work_sha256: hash of what it answers; None: asking again may end otherwise.
+        `work_sha256` is of what it answers; None: asking again may end otherwise.
         """
         with self.database.writing():
             self._lot_row(lot_id)

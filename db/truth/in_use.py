@@ -157,10 +157,7 @@ class InUseTable(RegistryBase):
     ) -> None:
         """Write a statement behind every one that nothing follows yet, so that no conflict is left.
 
-        Args:
-            named: `revision` and `made_by` of the calibration.
-            told: `decided_by`, and the work and input that asked for it.
-            made_at: its time where the calibration was made just now.
+        `named` has `revision` and `made_by` of the calibration, `told` who decided and what asked for it.
         """
         is_first = (in_use.name, lot_id, serial) in self.database.found.without
         heads = [] if is_first else heads_of(self.database, lot_id, serial)

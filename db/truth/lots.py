@@ -23,12 +23,9 @@ class LotTables(RegistryBase):
     """Lots and their units, limits and rules."""
 
     def add(self, lot: Lot, *, actor: str | None = None) -> None:
-        """Register a lot and its source unit; another limit adds a version.
+        """Register a lot and its source unit; another limit than the lot stated before adds a version.
 
-        A limit set in the registry stays until the lot states another one than before.
-
-        Raises:
-            InputError: a lot of this id with other facts is registered.
+        `InputError`: a lot of this id with other facts is registered.
         """
         facts = {name: value for name, value in lot.settings().items() if name != "limit_rmse"}
         with self.database.writing():

@@ -27,13 +27,7 @@ ACTIONS = {RELEASED: "release", WITHDRAWN: "withdraw"}
 
 @dataclass(frozen=True)
 class NetworkState:
-    """Whether the line may use a network.
-
-    Args:
-        state: draft, released or withdrawn.
-        since: when it became so; of a draft when it was trained.
-        actor, reason: who decided it, and why; "" where nobody had to decide.
-    """
+    """Whether the line may use a network (draft, released, withdrawn), since when, and who decided it, and why."""
 
     network: NetworkEntry
     state: str

@@ -38,11 +38,7 @@ def certificate_xml(facts: Certificate) -> bytes:
 
 
 def _node(name: str, *content: ET.Element | str | None, **attributes: str) -> ET.Element:
-    """Return an element with a text or with elements; None is one that is left out.
-
-    Args:
-        name: of the DCC's own namespace, or of the D-SI's with "si:" before it.
-    """
+    """Return an element of the DCC (D-SI: "si:" before its name) with a text or elements; None is left out."""
     space, _, tag = name.rpartition(":")
     element = ET.Element(f"{{{SI if space else DCC}}}{tag}", attributes)
     for part in content:
