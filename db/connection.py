@@ -7,13 +7,9 @@ from softcal.db.truth.registry_base import RegistrySettings
 
 
 def open_registry(url: str, settings: RegistrySettings | None = None, *, create: bool = True) -> Registry:
-    """Open the registry behind an SQLAlchemy URL.
+    """Open the registry behind an SQLAlchemy URL (`RegistryError`: URL, folder, file, server or schema are unusable).
 
-    An empty database or a new SQLite file gets the tables when `create` is set; an existing
-    registry is never upgraded here.
-
-    Raises:
-        RegistryError: URL, folder, file, server or schema cannot be used.
+    With `create` an empty database or a new SQLite file gets the tables; an older registry is never upgraded here.
     """
     database = open_database(url, create=create)
     try:

@@ -147,13 +147,7 @@ UNDECIDED = "retest"
 
 @dataclass(frozen=True)
 class UnitStanding:
-    """Where a unit stands: its verdict, why and since when.
-
-    Args:
-        verdict, reasons: of the calibration in use, or of a newer refusal.
-        made_at: when that was stated, UTC.
-        made: the calibration in use; None after a refusal, or in a conflict.
-    """
+    """Where a unit stands, why and since when (UTC); `made` is in use, None after a refusal or in a conflict."""
 
     serial: str
     verdict: str
@@ -164,12 +158,7 @@ class UnitStanding:
 
 @dataclass(frozen=True)
 class NetworkEntry:
-    """What is known of a shared network beside its weights.
-
-    Args:
-        input_sha256: content hash of what it was trained from.
-        metrics: what the training reached.
-    """
+    """What is known of a shared network beside its weights; `input_sha256` is of what it was trained from."""
 
     id: str
     lot_id: str
@@ -181,13 +170,7 @@ class NetworkEntry:
 
 @dataclass(frozen=True)
 class RecordingEntry:
-    """What is known of a recording without reading it.
-
-    Args:
-        sha256: content hash, with serial, rate and units.
-        kind: source, unit or audit.
-        reference_unit: None where it has no reference.
-    """
+    """What is known of a recording (source, unit or audit) without reading it; `sha256` is of all its content."""
 
     sha256: str
     lot_id: str
@@ -202,12 +185,7 @@ class RecordingEntry:
 
 @dataclass(frozen=True)
 class LimitEntry:
-    """One version of a lot's limit.
-
-    Args:
-        version: 1, 2, 3 ... per lot.
-        rmse: largest acceptable error in the lot's unit; None: the source's own error.
-    """
+    """One version (1, 2, 3 ... per lot) of its limit, the largest error in its unit; None is the source's own."""
 
     lot_id: str
     version: int
@@ -286,12 +264,7 @@ class CellCertificate:
 
 @dataclass(frozen=True)
 class GoldenRun:
-    """One check of a station with a golden unit.
-
-    Args:
-        value: what is charted, such as the mean error, in `unit`.
-        passed: whether it was inside the limits that held then; `reasons` say why not.
-    """
+    """One check of a station with a golden unit: what is charted, in `unit`, and whether it held the limits of then."""
 
     station: str
     serial: str
@@ -309,12 +282,7 @@ class GoldenRun:
 
 @dataclass(frozen=True)
 class User:
-    """A person with a role; the PIN is never given out.
-
-    Args:
-        version: counts the changes, so that two editors do not overwrite each other.
-        is_alone: whether nobody else has an account, and the role decides about people.
-    """
+    """A person with a role, never the PIN; `is_alone`: nobody else has an account, and the role decides on people."""
 
     name: str
     role: str

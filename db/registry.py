@@ -49,35 +49,20 @@ class Registry(RegistryBase):
     """An open registry, made by `open_registry`; its parts share transactions."""
 
     lots: LotTables = _part("truth.lots", "LotTables")
-    """Lots and their units, limits and rules."""
     pages: LotPages = _part("truth.lot_pages", "LotPages")
-    """What stands of many units at once: pages, counts, errors."""
     recordings: RecordingTables = _part("truth.recordings", "RecordingTables")
-    """Recordings, by the hash of their content."""
     networks: NetworkTables = _part("truth.networks", "NetworkTables")
-    """Shared networks, and which of them the line may use."""
     calibrations: CalibrationTables = _part("truth.calibrations", "CalibrationTables")
-    """The calibrations of every unit, and which one is in use."""
     adaptations: AdaptationTables = _part("truth.adaptations", "AdaptationTables")
-    """What was followed of units in use."""
     stations: StationTables = _part("truth.stations", "StationTables")
-    """Certificates of load cells and runs of golden units."""
     people: People = _part("access.people", "People")
-    """Accounts with role and PIN."""
     tokens: TokenTable = _part("access.tokens", "TokenTable")
-    """Tokens of programs that ask over REST."""
     trail: AuditTrail = _part("truth.trail", "AuditTrail")
-    """Who did what, and when."""
     work_queue: WorkQueue = _part("queues.work_queue", "WorkQueue")
-    """The durable work items of this registry's lots."""
     order_queue: OrderQueue = _part("queues.order_queue", "OrderQueue")
-    """The orders to this registry's stations, their runs and heartbeats."""
     line_places: LinePlaces = _part("queues.order_queue", "LinePlaces")
-    """What stands at each line: the unit that waits for its run, the last sentence, the badge."""
     job_board: JobBoard = _part("queues.job_board", "JobBoard")
-    """Long computations that pages ask for."""
     outbox: Outbox = _part("queues.outbox", "Outbox")
-    """How far each destination outside is in the audit trail."""
 
     def __enter__(self) -> Registry:
         return self
@@ -99,24 +84,20 @@ class Registry(RegistryBase):
     def part(self) -> Iterator[None]:
         """Keep all of the block or nothing, inside a transaction that goes on either way.
 
-        Raises:
-            InputError: a value that the database cannot take.
+        `InputError`: a value that the database cannot take.
         """
         with self.database.writing() as connection, connection.begin_nested():
             try:
                 yield
-            except DataError as error:
-                raise InputError(f"a value cannot be stored: {error.orig}") from error
             except StatementError as error:
-                if isinstance(error, DBAPIError):
+                if isinstance(error, DBAPIError) and not isinstance(error, DataError):
                     raise
                 raise InputError(f"a value cannot be stored: {error.orig}") from error
 
     def verify(
         self, *, is_quick: bool = False, anchors: Sequence[Anchor] = (), on_step: Callable[[str], None] = lambda _: None
     ) -> list[str]:
-        """Check the database, every blob, every row and the audit chain; return one line per fault,
-        none when all is well. `db.care.checks.faults` says what the arguments mean."""
+        """Check database, blobs, rows and audit chain as `db.care.checks.faults`; return one line per fault."""
         # Only the check pays for what it needs.
         from softcal.db.care.checks import faults
 

@@ -59,12 +59,13 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _status(options: argparse.Namespace) -> None:
-    from softcal.app.connect.forwarder import status_json, status_rows
+    from softcal.app.connect.forwarder import status_json
 
     with registry_of(options) as registry:
         status = status_json(registry)
     answer(options, "connect.status/1", {"destinations": status})
-    print_table(("destination", "sent", "waits", "failed", "next try", "why", "served by"), status_rows(status))
+    rows = [list(delivery.values()) for delivery in status]
+    print_table(("destination", "sent", "waits", "failed", "next try", "why", "served by"), rows)
 
 
 def _secret(options: argparse.Namespace) -> None:

@@ -24,7 +24,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Read, check and show one file."""
-    from softcal.app.export.inspect_file import file_rows, file_values, read_device_file
+    from softcal.app.export.check import file_rows, file_values, read_device_file
     from softcal.core.errors import InputError
     from softcal.core.export.blob import NetworkFile
 

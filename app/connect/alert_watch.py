@@ -4,7 +4,7 @@ import json
 from datetime import datetime
 from typing import Any
 
-from softcal.app.connect.events import ALERTS, lots_judged_since
+from softcal.app.connect.events import ABOUT, ALERTS, lots_judged_since
 from softcal.app.texts.catalogue import LANGUAGES, instant, text
 from softcal.app.views.alerts import Alert, lot_alerts, plant_alerts
 from softcal.app.views.lot import lot_view
@@ -13,9 +13,6 @@ from softcal.db.registry import Registry
 
 WATCHER = "softcal connect"
 """Who stands in the audit trail."""
-
-ABOUT = ("station", "cell")
-"""Values of an alert that say which one is meant, beside its kind and lot."""
 
 AlertKey = tuple[str, str, str]
 """Kind, lot and what it is about; "" where it has none."""

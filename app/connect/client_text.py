@@ -73,8 +73,19 @@ TYPES = {"string": "str", "integer": "int", "number": "float", "boolean": "bool"
 
 def client_text(document: Schema) -> str:
     """Return the client as Python text: a type for each schema, a method for each path."""
-    schemas = document["components"]["schemas"]
-    types = [line for name, schema in _by_need(schemas) for line in _typed_dict(name, schema)]
+    left, ordered = dict(document["components"]["schemas"]), dict[str, Schema]()
+    # Each schema stands behind those it names.
+    while left:
+        named = {name: {*re.findall(r"#/components/schemas/(\w+)", json.dumps(one))} for name, one in left.items()}
+        ready = [name for name, needs in named.items() if not (needs & left.keys()) - {name}]
+        ordered |= {name: left.pop(name) for name in ready}
+    types: list[str] = []
+    for name, schema in ordered.items():
+        types += [f"\nclass {name}(TypedDict):", f'    """{_sentence(schema.get("description", name))}"""\n']
+        for key, value in schema["properties"].items():
+            said = _type(value)
+            types.append(f"    {key}: {said if key in schema.get('required', []) else f'NotRequired[{said}]'}")
+        types.append("")
     methods = [
         line
         for path, asked in document["paths"].items()
@@ -83,25 +94,6 @@ def client_text(document: Schema) -> str:
     ]
     head = HEAD.replace("{version}", document["info"]["version"])
     return head + "\n".join(types) + "\n" + CLIENT + "\n".join(methods).rstrip() + "\n" + TAIL
-
-
-def _by_need(schemas: Mapping[str, Schema]) -> Iterator[tuple[str, Schema]]:
-    """Yield schemas so that each stands behind those it names."""
-    left = dict(schemas)
-    while left:
-        named = {name: {*re.findall(r"#/components/schemas/(\w+)", json.dumps(one))} for name, one in left.items()}
-        ready = [name for name, needs in named.items() if not (needs & left.keys()) - {name}]
-        yield from ((name, left.pop(name)) for name in ready)
-
-
-def _typed_dict(name: str, schema: Schema) -> Iterator[str]:
-    needed = schema.get("required", [])
-    yield f"\nclass {name}(TypedDict):"
-    yield f'    """{_sentence(schema.get("description", name))}"""\n'
-    for key, value in schema["properties"].items():
-        said = _type(value)
-        yield f"    {key}: {said if key in needed else f'NotRequired[{said}]'}"
-    yield ""
 
 
 def _type(schema: Schema) -> str:

@@ -26,6 +26,9 @@ FOR_ALL = (VERDICT, "alert")
 ALERTS = "alerts"
 """What the audit trail calls the entity of an alert."""
 
+ABOUT = ("station", "cell")
+"""Values of an alert that say which one is meant, beside its kind and lot."""
+
 ROWS_AT_ONCE = 500
 MOST_ROWS = 20_000
 """So many rows are looked at for one page of events; who asks again goes on where it ended."""
@@ -151,18 +154,12 @@ def _verdict(registry: Registry, entity: str, content: Mapping[str, Any]) -> dic
         "decided_by": content.get("decided_by", "batch"),
         "is_conflict": False,
     }
-    return data | _undecided(registry, lot_id, serial)
-
-
-def _undecided(registry: Registry, lot_id: str, serial: str) -> dict[str, Any]:
-    """Return what stands against a verdict: two registries that put different maps into use."""
-    if len(registry.outbox.end()) < 2:
-        return {}
-    now = next((unit for unit in registry.lots.units(lot_id, serial) if unit.is_conflict), None)
-    if now is None:
-        return {}
-    reasons = {"reasons": [str(why) for why in now.reasons], "reason_codes": [why.code for why in now.reasons]}
-    return {"verdict": now.verdict, "is_conflict": True, **reasons}
+    # Two registries that put different maps into use stand against a verdict.
+    now = registry.lots.units(lot_id, serial) if len(registry.outbox.end()) > 1 else []
+    for unit in (unit for unit in now if unit.is_conflict):
+        words = {"reasons": [str(why) for why in unit.reasons], "reason_codes": [why.code for why in unit.reasons]}
+        return data | {"verdict": unit.verdict, "is_conflict": True, **words}
+    return data
 
 
 def path_part(name: str) -> str:

@@ -3,7 +3,6 @@
 import os
 import secrets
 import socket
-import threading
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import dataclass
@@ -18,18 +17,13 @@ from softcal.db.registry import Registry
 FIRST_DELAY_S, LONGEST_DELAY_S = 1.0, 900.0
 """A failed try is repeated after 1 s, then twice as long each time, up to a quarter of an hour."""
 
-
 LEASE_S = 30.0
 """A destination is held for so long after each look; one whose process was killed is free then.
 Clocks of machines that share a registry agree better than that."""
 
 
 class NotDelivered(SoftcalError):
-    """A destination did not confirm that it has the events; they stay where they are.
-
-    Args:
-        delivered: how many of them it confirmed before.
-    """
+    """A destination confirmed only the first `delivered` events; the others stay where they are."""
 
     def __init__(self, said: str, delivered: int = 0) -> None:
         super().__init__(said)
@@ -43,11 +37,7 @@ class Sender(Protocol):
     """Events it takes at once."""
 
     def send(self, events: Sequence[RegistryEvent]) -> None:
-        """Bring events in their order; returns when the destination has confirmed them all.
-
-        Raises:
-            NotDelivered: it has not confirmed them all.
-        """
+        """Bring events in their order until the destination has confirmed all (`NotDelivered`: it has not)."""
 
 
 @dataclass(frozen=True)
@@ -56,11 +46,6 @@ class Destination:
 
     settings: DestinationSettings
     open_sender: Callable[[], AbstractContextManager[Sender]]
-
-
-def delay_s(failures: int) -> float:
-    """Return the seconds until the next try after so many failures in a row (1, 2, ...)."""
-    return min(LONGEST_DELAY_S, FIRST_DELAY_S * 2.0 ** min(failures - 1, 30))
 
 
 class Forwarder:
@@ -108,33 +93,14 @@ class Forwarder:
         except NotDelivered as error:
             if error.delivered:
                 outbox.moved(settings.name, page.events[error.delivered - 1].after, error.delivered, self.holder)
-            wait = timedelta(seconds=delay_s(1 if error.delivered else place.failures + 1))
+            before = 0 if error.delivered else place.failures
+            wait = timedelta(seconds=min(LONGEST_DELAY_S, FIRST_DELAY_S * 2.0 ** min(before, 30)))
             outbox.failed(settings.name, str(error), self._clock() + wait, self.holder)
             self.close()
             return False
         if page.cursor != place.cursor or place.failures:
             outbox.moved(settings.name, page.cursor, len(page.events), self.holder)
         return not page.is_end
-
-
-def forward(
-    registry: Registry,
-    destination: Destination,
-    clock: Callable[[], datetime],
-    over: threading.Event,
-    every_s: float,
-    on_trouble: Callable[[str], None] = lambda _: None,
-) -> None:
-    """Bring events to a destination until `over` is set; a registry that is away is asked again."""
-    with Forwarder(registry, destination, clock) as forwarder:
-        while not over.is_set():
-            try:
-                has_more = forwarder.step()
-            except SoftcalError as error:
-                on_trouble(f"{destination.settings.name}: {error}")
-                has_more = False
-            if not has_more:
-                over.wait(every_s)
 
 
 def status_json(registry: Registry) -> list[dict[str, Any]]:
@@ -152,8 +118,3 @@ def status_json(registry: Registry) -> list[dict[str, Any]]:
         }
         for delivery in registry.outbox.deliveries()
     ]
-
-
-def status_rows(deliveries: list[dict[str, Any]]) -> list[list[object]]:
-    """Return the rows of the table a person reads."""
-    return [list(delivery.values()) for delivery in deliveries]

@@ -31,11 +31,7 @@ class MailSender:
         self._settings = settings
 
     def send(self, events: Sequence[RegistryEvent]) -> None:
-        """Send events as one mail; the server's word that it has taken it confirms.
-
-        Raises:
-            NotDelivered: the server did not take it.
-        """
+        """Send events as one mail (`NotDelivered`: the server did not say that it has taken it)."""
         if not events:
             return
         try:

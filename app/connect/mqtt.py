@@ -19,7 +19,7 @@ from typing import Any
 import paho.mqtt.client as paho
 from paho.mqtt.enums import CallbackAPIVersion
 
-from softcal.app.connect.events import CLEARED, RAISED, VERDICT, RegistryEvent, path_part
+from softcal.app.connect.events import ABOUT, CLEARED, RAISED, VERDICT, RegistryEvent, path_part
 from softcal.app.connect.forwarder import NotDelivered
 from softcal.app.connect.settings import MqttSettings, read_secret, split_address
 from softcal.app.connect.stations import stations_json
@@ -34,7 +34,6 @@ KEEP_ALIVE_S = 20
 AT_LEAST_ONCE = 1
 LOOK_S = 0.2
 """Between two looks at whether the connection still stands."""
-
 
 RETRY_S = 2.0
 """Between two tries to reach a broker that is away."""
@@ -51,16 +50,23 @@ States = Callable[[], Sequence[Message]]
 def open_mqtt(settings: MqttSettings, states: States = tuple) -> Iterator["MqttSender"]:
     """Connect to the broker; the status is `online` inside the block, then `offline`.
 
-    Args:
-        states: gives the states that are published whenever they have changed.
-
-    Raises:
-        NotDelivered: the broker cannot be reached or refuses.
-        InputError: a secret or certificate cannot be read.
+    `states` are published whenever they have changed. `NotDelivered`: the broker cannot be reached or refuses.
+    `InputError`: a secret or certificate cannot be read.
     """
-    client, parts = _client(settings), split_address("broker", settings.broker)
-    status = f"{settings.topic}/status"
-    client.will_set(status, OFFLINE, AT_LEAST_ONCE, retain=True)
+    client = paho.Client(CallbackAPIVersion.VERSION2, reconnect_on_failure=False)
+    parts = split_address("broker", settings.broker)
+    if parts.username:
+        password = None if settings.password_file is None else read_secret(settings.password_file)
+        client.username_pw_set(parts.username, password)
+    if parts.scheme == "mqtts":
+        context = tls_context(settings.ca_file)
+        if settings.cert_file is not None:
+            try:
+                context.load_cert_chain(settings.cert_file, settings.key_file)
+            except OSError as error:
+                raise InputError(f"certificate {settings.cert_file} cannot be read: {error}") from error
+        client.tls_set_context(context)
+    client.will_set(f"{settings.topic}/status", OFFLINE, AT_LEAST_ONCE, retain=True)
     sender = MqttSender(client, settings, states)
     try:
         client.connect(parts.hostname or "", parts.port or PORTS[parts.scheme], KEEP_ALIVE_S)
@@ -79,23 +85,6 @@ def open_mqtt(settings: MqttSettings, states: States = tuple) -> Iterator["MqttS
         client.loop_stop()
 
 
-def _client(settings: MqttSettings) -> paho.Client:
-    client = paho.Client(CallbackAPIVersion.VERSION2, reconnect_on_failure=False)
-    parts = split_address("broker", settings.broker)
-    if parts.username:
-        password = None if settings.password_file is None else read_secret(settings.password_file)
-        client.username_pw_set(parts.username, password)
-    if parts.scheme == "mqtts":
-        context = tls_context(settings.ca_file)
-        if settings.cert_file is not None:
-            try:
-                context.load_cert_chain(settings.cert_file, settings.key_file)
-            except OSError as error:
-                raise InputError(f"certificate {settings.cert_file} cannot be read: {error}") from error
-        client.tls_set_context(context)
-    return client
-
-
 class MqttSender:
     """Publishes over one connection; once it is cut this sender is of no more use."""
 
@@ -108,11 +97,7 @@ class MqttSender:
         client.on_connect = self._on_connect
 
     def wait_until_connected(self) -> None:
-        """Return once the broker has taken the connection.
-
-        Raises:
-            NotDelivered: it refuses, or does not answer in time.
-        """
+        """Return once the broker has taken the connection (`NotDelivered`: it refuses, or does not answer in time)."""
         end_s = time.monotonic() + self._settings.timeout_s
         while not self._client.is_connected():
             if self._refusal or time.monotonic() > end_s:
@@ -122,8 +107,7 @@ class MqttSender:
     def send(self, events: Sequence[RegistryEvent]) -> None:
         """Publish events with the states they change, and other states that changed.
 
-        Raises:
-            NotDelivered: the broker did not confirm them all, or has ended the connection.
+        `NotDelivered`: the broker did not confirm them all, or has ended the connection.
         """
         changed = [message for message in self._states() if self._shown.get(message[0]) != message[1]]
         self.publish([*(message for event in events for message in messages_of(event)), *changed])
@@ -131,10 +115,11 @@ class MqttSender:
 
     def publish(self, messages: Sequence[Message]) -> None:
         """Publish messages until the broker has confirmed each (`NotDelivered`: it did not)."""
-        sent = []
-        for topic, payload, is_kept in messages:
-            full = f"{self._settings.topic}/{topic}"
-            sent.append(self._client.publish(full, payload.encode(), AT_LEAST_ONCE, retain=is_kept))
+        top = self._settings.topic
+        sent = [
+            self._client.publish(f"{top}/{topic}", payload.encode(), AT_LEAST_ONCE, retain=is_kept)
+            for topic, payload, is_kept in messages
+        ]
         end_s = time.monotonic() + self._settings.timeout_s
         for waiting in sent:
             while waiting.rc == paho.MQTT_ERR_SUCCESS and self._client.is_connected() and time.monotonic() < end_s:
@@ -158,15 +143,12 @@ def messages_of(event: RegistryEvent) -> list[Message]:
     if event.kind == VERDICT:
         messages.append((f"{event.subject}/verdict", text, True))
     if event.kind in (RAISED, CLEARED):
-        parts = (event.data["kind"], event.data["lot"] or "", alert_about(event.data))
+        values = event.data["values"]
+        about = next((str(values[name]) for name in ABOUT if values.get(name)), "")
+        parts = (event.data["kind"], event.data["lot"] or "", about)
         topic = "/".join(path_part(part) or "-" for part in parts)
         messages.append((f"alerts/{topic}", text if event.kind == RAISED else "", True))
     return messages
-
-
-def alert_about(data: Any) -> str:
-    """Return the station or load cell an alert is about; "" without one."""
-    return str(data["values"].get("station") or data["values"].get("cell") or "")
 
 
 def state_messages(registry: Registry) -> list[Message]:
@@ -184,12 +166,8 @@ def json_text(value: object) -> str:
 def publish_estimates(lines: Iterable[str], serial: str, settings: MqttSettings, most_per_s: float) -> tuple[int, int]:
     """Publish rows of estimates; return how many were published and left out.
 
-    A live value is worth nothing later: what comes faster than `most_per_s`, and what comes while
-    the broker is away, is left out. The rows themselves are whole in the output of `softcal adapt`.
-
-    Raises:
-        InputError: these are no rows of estimates.
-        NotDelivered: the broker was away from the beginning.
+    A live value is worth nothing later: what comes faster than `most_per_s`, or while the broker is away, is left out.
+    `InputError`: these are no rows of estimates. `NotDelivered`: the broker was away from the beginning.
     """
     rows = iter(lines)
     if next(rows, "").strip() != HEADER.strip():
@@ -245,10 +223,9 @@ def estimate_json(line: str, serial: str) -> str:
     """Return one row as JSON; what is no number is null (`InputError`: it is no such row)."""
     cells = line.rstrip("\r\n").split(",", len(COLUMNS) - 1)
     try:
-        numbers = [float(cell) if cell else None for cell in cells[:4]]
+        numbers = [float(cell) if cell else math.nan for cell in cells[:4]]
+        row = dict(zip(COLUMNS, [*numbers, *cells[4:]], strict=True))
     except ValueError as error:
         raise InputError(f"{line[:80]!r}: a row of {', '.join(COLUMNS)} was expected") from error
-    if len(cells) != len(COLUMNS):
-        raise InputError(f"{line[:80]!r}: a row of {', '.join(COLUMNS)} was expected")
-    finite = [None if value is None or not math.isfinite(value) else value for value in numbers]
-    return json.dumps({"serial": serial, **dict(zip(COLUMNS, [*finite, cells[4]], strict=True))})
+    finite = {name: None if isinstance(v, float) and not math.isfinite(v) else v for name, v in row.items()}
+    return json.dumps({"serial": serial, **finite})

@@ -46,11 +46,7 @@ account may. Every error is one line of `application/problem+json`.
 
 
 def rest_app(registry: Registry, hosts: Sequence[str] = ("127.0.0.1", "localhost", "testserver")) -> FastAPI:
-    """Return the application over an open registry.
-
-    Args:
-        hosts: names under which it may be asked; another one in a request's Host is refused.
-    """
+    """Return the application over an open registry; a Host in a request that is none of `hosts` is refused."""
     app = FastAPI(
         title="softcal",
         version=version("softcal"),
@@ -142,14 +138,9 @@ class ServingOptions:
 
 
 def serve_api(options: ServingOptions, on_first_write: Callable[[str], None]) -> None:
-    """Serve until Ctrl-C.
+    """Serve until Ctrl-C; `on_first_write` gets the registry's URL once something was written to it.
 
-    Args:
-        on_first_write: told the registry's URL once something was written to it.
-
-    Raises:
-        InputError: nobody can listen there.
-        RegistryError: the registry cannot be opened.
+    `InputError`: nobody can listen there. `RegistryError`: the registry cannot be opened.
     """
     url = registry_url(options.registry)
     # A job is a process of its own; it finds the registry there.

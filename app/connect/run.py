@@ -9,8 +9,11 @@ from datetime import UTC, datetime
 from functools import partial
 
 from softcal.app.connect.alert_watch import AlertWatch
-from softcal.app.connect.forwarder import Destination, forward
+from softcal.app.connect.forwarder import Destination, Forwarder
+from softcal.app.connect.mail import MailSender, open_mail
+from softcal.app.connect.mqtt import open_mqtt, state_messages
 from softcal.app.connect.settings import ConnectSettings, OpcUaSettings, is_here, split_address
+from softcal.app.connect.webhook import open_webhook
 from softcal.core.errors import InputError, SoftcalError
 from softcal.db.registry import Registry
 
@@ -20,42 +23,25 @@ EVERY_S = 0.5
 Trouble = Callable[[str], None]
 
 
-def destinations(registry: Registry, settings: ConnectSettings) -> list[Destination]:
-    """Return the destinations of a file; each imports only what it needs."""
-    found: list[Destination] = []
-    if settings.webhooks:
-        from softcal.app.connect.webhook import open_webhook
-
-        found += [Destination(one, partial(open_webhook, one)) for one in settings.webhooks]
-    if settings.mails:
-        from softcal.app.connect.mail import open_mail
-
-        found += [Destination(one, partial(open_mail, one)) for one in settings.mails]
-    if settings.mqtts:
-        from softcal.app.connect.mqtt import open_mqtt, state_messages
-
-        states = partial(state_messages, registry)
-        found += [Destination(one, partial(open_mqtt, one, states)) for one in settings.mqtts]
-    return found
-
-
 def run_connect(
     registry: Registry, settings: ConnectSettings, over: threading.Event, on_trouble: Trouble = lambda _: None
 ) -> None:
     """Serve all destinations until `over` is set.
 
-    Raises:
-        InputError: nothing to do, an unreadable secret or certificate, or a taken port.
+    `InputError`: nothing to do, an unreadable secret or certificate, or a taken port.
     """
-    works: list[Callable[[], None]] = [
-        partial(forward, registry, one, _now, over, EVERY_S, on_trouble) for one in destinations(registry, settings)
+    destinations = [
+        *(Destination(one, partial(open_webhook, one)) for one in settings.webhooks),
+        *(Destination(one, partial(open_mail, one)) for one in settings.mails),
+        *(Destination(one, partial(open_mqtt, one, partial(state_messages, registry))) for one in settings.mqtts),
     ]
+    works = [partial(_forward, registry, one, over, on_trouble) for one in destinations]
     if settings.opcua is not None:
         works.append(partial(_serve_opcua, registry, settings.opcua, over, on_trouble))
     if not works:
         raise InputError("the file names no destination; docs/connect.md shows how")
     if settings.alerts_every_s:
-        works.append(partial(watch_alerts, registry, settings.alerts_every_s, over, on_trouble))
+        works.append(partial(_watch_alerts, registry, settings.alerts_every_s, over, on_trouble))
     with ThreadPoolExecutor(len(works), thread_name_prefix="connect") as threads:
         running = [threads.submit(work) for work in works]
         try:
@@ -67,26 +53,21 @@ def run_connect(
 
 
 def reach(settings: ConnectSettings) -> Iterator[str]:
-    """Try every destination once, sending nothing; give the name of each once reached.
-
-    Raises:
-        InputError: one was not; the line says which, and why.
-    """
+    """Try every destination once, sending nothing; name each once reached (`InputError`: why one was not)."""
     for webhook in settings.webhooks:
-        from softcal.app.connect.webhook import open_webhook
-
         with open_webhook(webhook):
             parts = split_address("url", webhook.url)
-            _connect(webhook.name, parts.hostname or "", parts.port or (443 if parts.scheme == "https" else 80))
+            host, port = parts.hostname or "", parts.port or (443 if parts.scheme == "https" else 80)
+            try:
+                socket.create_connection((host, port), timeout=5).close()
+            except OSError as error:
+                why = error.strerror or error
+                raise InputError(f"{webhook.name}: {host}:{port} cannot be reached: {why}") from error
         yield webhook.name
     for mail in settings.mails:
-        from softcal.app.connect.mail import MailSender
-
         MailSender(mail).check()
         yield mail.name
     for mqtt in settings.mqtts:
-        from softcal.app.connect.mqtt import open_mqtt
-
         with open_mqtt(mqtt):
             pass
         yield mqtt.name
@@ -100,29 +81,34 @@ def reach(settings: ConnectSettings) -> Iterator[str]:
         yield "opcua"
 
 
-def _connect(name: str, host: str, port: int) -> None:
-    try:
-        socket.create_connection((host, port), timeout=5).close()
-    except OSError as error:
-        raise InputError(f"{name}: {host}:{port} cannot be reached: {error.strerror or error}") from error
+def _forward(registry: Registry, destination: Destination, over: threading.Event, on_trouble: Trouble) -> None:
+    with Forwarder(registry, destination, partial(datetime.now, UTC)) as forwarder:
+        _repeat(forwarder.step, destination.settings.name, EVERY_S, over, on_trouble)
 
 
-def watch_alerts(registry: Registry, every_s: float, over: threading.Event, on_trouble: Trouble) -> None:
-    """Look for alerts until `over` is set; a registry that is away for a moment is asked again."""
+def _watch_alerts(registry: Registry, every_s: float, over: threading.Event, on_trouble: Trouble) -> None:
     watch = AlertWatch(registry)
+
+    def look() -> bool:
+        watch.look(datetime.now(UTC))
+        return False
+
+    _repeat(look, "alerts", every_s, over, on_trouble)
+
+
+def _repeat(step: Callable[[], bool], name: str, every_s: float, over: threading.Event, on_trouble: Trouble) -> None:
+    """Do steps until `over` is set, at once while more is to do; a registry that is away is asked again."""
     while not over.is_set():
         try:
-            watch.look(_now())
+            has_more = step()
         except SoftcalError as error:
-            on_trouble(f"alerts: {error}")
-        over.wait(every_s)
+            on_trouble(f"{name}: {error}")
+            has_more = False
+        if not has_more:
+            over.wait(every_s)
 
 
 def _serve_opcua(registry: Registry, settings: OpcUaSettings, over: threading.Event, on_trouble: Trouble) -> None:
     from softcal.app.connect.opcua import serve_opcua
 
     asyncio.run(serve_opcua(registry, settings, over.is_set, on_trouble))
-
-
-def _now() -> datetime:
-    return datetime.now(UTC)

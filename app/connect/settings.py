@@ -172,12 +172,7 @@ class AlertSettings:
 
 @dataclass(frozen=True)
 class ConnectSettings:
-    """All destinations of a file.
-
-    Args:
-        opcua: the OPC UA server; None for none.
-        alerts_every_s: seconds between two looks for alerts; 0 for none.
-    """
+    """All destinations of a file; without `opcua` no server, with `alerts_every_s` 0 no looks for alerts."""
 
     webhooks: tuple[WebhookSettings, ...] = ()
     mails: tuple[MailSettings, ...] = ()
@@ -192,8 +187,7 @@ Destination = TypeVar("Destination", bound=DestinationSettings)
 def read_settings(path: Path) -> ConnectSettings:
     """Read a file of destinations.
 
-    Raises:
-        InputError: it cannot be read, names something unknown, or two destinations have one name.
+    `InputError`: it cannot be read, names something unknown, or two destinations have one name.
     """
     content = read_toml(path)
     check_known(f"{path}: section", content, ("webhook", "mail", "mqtt", "opcua", "alerts"))

@@ -32,11 +32,7 @@ def new_secret() -> str:
 
 
 def write_new_secret(path: Path) -> None:
-    """Write a new secret into a new file that only its owner may read.
-
-    Raises:
-        InputError: the file exists, or cannot be written.
-    """
+    """Write a new secret that only its owner may read (`InputError`: the file exists, or cannot be written)."""
     try:
         with os.fdopen(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600), "w", encoding="utf-8") as file:
             file.write(new_secret() + "\n")

@@ -72,17 +72,12 @@ class ExportOptions:
                 f"a converter of {self.adc_bits} bits over {self.adc_full_scale}: 1 ... 16 bits and a positive full "
                 "scale were expected"
             )
-        scale = InputScale.of_converter(self.adc_bits, self.adc_full_scale)
-        return replace(self.device, scale=scale)
+        return replace(self.device, scale=InputScale.of_converter(self.adc_bits, self.adc_full_scale))
 
 
 @dataclass(frozen=True, eq=False)
 class SharedNetwork:
-    """The network of a lot and the source it was trained on; its device file is made once.
-
-    Args:
-        source_since: UTC date the source's recording came into the registry.
-    """
+    """The network of a lot and its source, registered on `source_since` (UTC day); its device file is made once."""
 
     network: Network
     source: LabelledRecording
@@ -157,11 +152,11 @@ class CalibratedUnit:
 
         Who names a revision asks for that one, whatever came after it.
         """
-        found = self.standing
-        if found.made is None and self.options.revision is None:
+        now = self.standing
+        if now.made is None and self.options.revision is None:
             raise UnitRefused(
-                f"unit {self.serial} of lot {self.lot.id} is {found.verdict}: {joined(found.reasons)}; no file of the "
-                "map it had before is given out"
+                f"unit {self.serial} of lot {self.lot.id} is {now.verdict}: {joined(now.reasons)}; no file of the map "
+                "it had before is given out"
             )
 
     def check_usable(self) -> None:
@@ -173,14 +168,10 @@ class CalibratedUnit:
             judged = self.standing
         if not self.options.releases(judged.verdict):
             why = judged.reasons[0] if judged.reasons else "no reason is stored"
-            asked = (
-                "conditional units are released"
-                if judged.verdict == Verdict.CONDITIONAL
-                else "those of failed units are asked for"
-            )
+            is_conditional = judged.verdict == Verdict.CONDITIONAL
             raise UnitRefused(
-                f"unit {self.serial} has the verdict {judged.verdict} ({why}); its device files are not written "
-                f"unless {asked}"
+                f"unit {self.serial} has the verdict {judged.verdict} ({why}); its device files are not written unless "
+                + ("conditional units are released" if is_conditional else "those of failed units are asked for")
             )
 
     @cached_property
@@ -209,18 +200,16 @@ class UnitLoader:
             recording = as_given_now(recording, before, after)
         lot = self.registry.lots.get(stored.lot_id)
         since = self._since(stored.lot_id, stored.record.recording_sha256) or stored.made_at.date()
-        standing = standing_of(self.registry, stored)
-        return CalibratedUnit(stored, lot, self._shared(stored), recording, since, self.options, standing)
+        network_id = stored.record.network_id
+        if network_id not in self._networks:
+            sha256, source = source_sha256(self.registry, network_id), source_recording(self.registry, network_id)
+            source_since = self._since(self.registry.networks.entry(network_id).lot_id, sha256)
+            network = self.registry.networks.get(network_id)
+            self._networks[network_id] = SharedNetwork(network, source, sha256, source_since)
+        shared, standing = self._networks[network_id], standing_of(self.registry, stored)
+        return CalibratedUnit(stored, lot, shared, recording, since, self.options, standing)
 
     def _since(self, lot_id: str, sha256: str) -> date | None:
         """Return the UTC day a recording came into the registry."""
         entries = self.registry.recordings.of_lot(lot_id)
         return next((entry.added_at.date() for entry in entries if entry.sha256 == sha256), None)
-
-    def _shared(self, stored: StoredCalibration) -> SharedNetwork:
-        network_id = stored.record.network_id
-        if network_id not in self._networks:
-            sha256, source = source_sha256(self.registry, network_id), source_recording(self.registry, network_id)
-            since = self._since(self.registry.networks.entry(network_id).lot_id, sha256)
-            self._networks[network_id] = SharedNetwork(self.registry.networks.get(network_id), source, sha256, since)
-        return self._networks[network_id]

@@ -1,20 +1,21 @@
-"""Read an export folder back: is it complete, is it unchanged, and who signed it?"""
+"""Read exports back: what a calibration file holds; is a folder complete, unchanged, and who signed it?"""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import date
+from datetime import UTC, date, datetime
 from pathlib import Path
 
 from softcal.app.export.manifest import NAME, SIGNATURE, FileEntry, Manifest, read_manifest
 from softcal.app.export.names import APART, AUDIT
 from softcal.app.export.signature import TrustedKey, check_signature
 from softcal.core.errors import InputError
-from softcal.core.export.blob import NetworkFile, UnitFile, serial_field
+from softcal.core.export.blob import CONDITIONAL, FAILED, MAGIC, MAJOR, NetworkFile, UnitFile, serial_field
 from softcal.core.export.blob_reader import read_network, read_unit
-from softcal.core.export.json_text import network_from_values, unit_from_values
+from softcal.core.export.json_text import network_from_values, network_values, unit_from_values, unit_values
 from softcal.core.export.loader import join
 
+DeviceFile = NetworkFile | UnitFile
 NOT_SIGNED, NOT_CHECKED, WRONG = "not signed", "not checked", "wrong"
 
 
@@ -67,16 +68,34 @@ def _yes(problems: tuple[str, ...], how: str) -> str:
 def check_folder(folder: Path, trusted: Sequence[TrustedKey] = ()) -> FolderCheck:
     """Check a folder against its manifest, its device files by opening them, signatures by keys.
 
-    Raises:
-        InputError: there is no manifest, or it lists a file twice or outside the folder.
+    `InputError`: there is no manifest, or it lists a file twice or outside the folder.
     """
     manifest = read_manifest(folder)
     if not manifest.files:
         raise InputError(f"{folder}: no manifest.json; export into it first")
     signed_by, problem = _signer(folder, manifest, trusted)
-    incomplete = tuple(_incomplete(folder, manifest))
+    here, listed, units = {path.name for path in folder.iterdir()}, set(manifest.files), set(manifest.units)
+    owners = {entry.serial for entry in manifest.files.values()}
+    withdrawn = {serial for serial, facts in manifest.units.items() if facts.get("withdrawn")}
+    stray, unowned = here - listed - {NAME, SIGNATURE, AUDIT}, {str(owner) for owner in owners - units - {None}}
+    incomplete = (
+        *(f"{name}: is missing; export it again" for name in sorted(listed - here)),
+        *(f"{name}: is not in the manifest; nobody exported it into this folder" for name in sorted(stray)),
+        *(f"unit {name}: is in the manifest without a file" for name in sorted(units - owners - withdrawn)),
+        *(f"unit {name}: has files, but the manifest does not say what it is" for name in sorted(unowned)),
+    )
     present = [entry for entry in manifest.files.values() if (folder / entry.name).exists()]
-    changed = [text for entry in present for text in _file_problems(folder, entry)]
+    changed = []
+    for entry in present:
+        path = folder / entry.name
+        if path.is_symlink() or not path.is_file():
+            changed.append(f"{entry.name}: is no file of this folder but a link or a folder; export it again")
+            continue
+        try:
+            if FileEntry.of(entry.name, path.read_bytes(), entry.serial) != entry:
+                changed.append(f"{entry.name}: is not what was exported (SHA-256 differs); export it again")
+        except OSError as error:
+            changed.append(f"{entry.name}: {error.strerror}; export it again")
     opened = 0
     if not changed:
         found, opened = _device_problems(folder, [entry.name for entry in present])
@@ -91,8 +110,7 @@ def check_folder(folder: Path, trusted: Sequence[TrustedKey] = ()) -> FolderChec
 def _signer(folder: Path, manifest: Manifest, trusted: Sequence[TrustedKey]) -> tuple[str, str | None]:
     path = folder / SIGNATURE
     if not path.exists():
-        missing = f"{SIGNATURE}: is missing; the folder is not signed" if trusted else None
-        return NOT_SIGNED, missing
+        return NOT_SIGNED, f"{SIGNATURE}: is missing; the folder is not signed" if trusted else None
     if not trusted:
         return NOT_CHECKED, None
     apart = [name for name in manifest.files if name.endswith(APART) and (folder / name).is_file()]
@@ -107,68 +125,105 @@ def _signer(folder: Path, manifest: Manifest, trusted: Sequence[TrustedKey]) -> 
     return signers[0], None
 
 
-def _incomplete(folder: Path, manifest: Manifest) -> Iterator[str]:
-    here = {path.name for path in folder.iterdir()}
-    for name in sorted(set(manifest.files) - here):
-        yield f"{name}: is missing; export it again"
-    for name in sorted(here - set(manifest.files) - {NAME, SIGNATURE, AUDIT}):
-        yield f"{name}: is not in the manifest; nobody exported it into this folder"
-    owners = {entry.serial for entry in manifest.files.values()}
-    withdrawn = {serial for serial, facts in manifest.units.items() if facts.get("withdrawn")}
-    for serial in sorted(set(manifest.units) - owners - withdrawn):
-        yield f"unit {serial}: is in the manifest without a file"
-    for serial in sorted(str(owner) for owner in owners - set(manifest.units) - {None}):
-        yield f"unit {serial}: has files, but the manifest does not say what it is"
-
-
-def _file_problems(folder: Path, entry: FileEntry) -> Iterator[str]:
-    path = folder / entry.name
-    if path.is_symlink() or not path.is_file():
-        yield f"{entry.name}: is no file of this folder but a link or a folder; export it again"
-        return
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        yield f"{entry.name}: {error.strerror}; export it again"
-        return
-    if FileEntry.of(entry.name, content, entry.serial) != entry:
-        yield f"{entry.name}: is not what was exported (SHA-256 differs); export it again"
-
-
 def _device_problems(folder: Path, names: list[str]) -> tuple[list[str], int]:
     networks: dict[bytes, NetworkFile] = {}
     units: list[UnitFile] = []
     problems: list[str] = []
     for name in sorted(names):
+        path, is_network = folder / name, name.startswith("network-")
+        file: DeviceFile | None = None
         try:
-            file = _device_file(folder / name)
+            if path.suffix == ".ssc":
+                file = read_network(path.read_bytes()) if is_network else read_unit(path.read_bytes())
+            elif path.suffix == ".json":
+                values = json.loads(path.read_text(encoding="utf-8"))
+                if is_network:
+                    file = network_from_values(values)
+                elif values.get("device"):
+                    file = unit_from_values(values["device"])
         except InputError as error:
             problems.append(f"{name}: {error}")
-            continue
         if isinstance(file, NetworkFile):
             networks[file.id] = file
         elif file is not None:
             units.append(file)
     for unit in units:
-        network = networks.get(unit.network_id)
-        if network is None:
+        if unit.network_id not in networks:
             problems.append(f"unit {unit.serial}: its network file {unit.network_id.hex()} is not in the folder")
             continue
         try:
-            join(network, unit)
+            join(networks[unit.network_id], unit)
         except InputError as error:
             problems.append(str(error))
     return problems, len({unit.serial for unit in units})
 
 
-def _device_file(path: Path) -> NetworkFile | UnitFile | None:
-    """Return what a .ssc file or its JSON twin holds; None for other formats."""
-    is_network = path.name.startswith("network-")
-    if path.suffix == ".ssc":
-        return read_network(path.read_bytes()) if is_network else read_unit(path.read_bytes())
-    if path.suffix == ".json":
-        values = json.loads(path.read_text(encoding="utf-8"))
-        if is_network:
-            return network_from_values(values)
-        return unit_from_values(values["device"]) if values.get("device") else None
-    return None
+def read_device_file(path: Path) -> DeviceFile:
+    """Read a network or unit file: .ssc or its JSON twin (`InputError`: it is none, or damaged)."""
+    try:
+        content = path.read_bytes()
+        if content[:4] == MAGIC.to_bytes(4, "little"):
+            return read_network(content) if content[4:5] == b"\x01" else read_unit(content)
+        try:
+            values = json.loads(content)
+        except ValueError as error:
+            raise InputError("neither a calibration file (.ssc) nor its JSON twin") from error
+        if not isinstance(values, Mapping):
+            raise InputError("JSON, but no calibration file")
+        if values.get("schema") == "softcal.calibration/1":
+            if values.get("device") is None:
+                raise InputError(f"has no device file: {values.get('device_refused', 'none was exported')}")
+            return unit_from_values(values["device"])
+        return unit_from_values(values) if "serial" in values else network_from_values(values)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def file_values(file: DeviceFile) -> dict[str, object]:
+    """Return everything in a file as JSON values."""
+    return network_values(file) if isinstance(file, NetworkFile) else unit_values(file)
+
+
+def file_rows(file: DeviceFile, network: NetworkFile | None = None) -> list[tuple[str, str]]:
+    """Return what a person wants to know of a file; beside its network a unit's is self-tested."""
+    if isinstance(file, NetworkFile):
+        net, unit = file.network, file.output_unit
+        return [
+            ("kind", f"shared network, format {MAJOR}.{file.minor}"),
+            ("id", file.id.hex()),
+            ("registry id", file.network_sha256),
+            ("source unit", file.source_serial),
+            ("sizes", "-".join(map(str, net.sizes))),
+            ("multiplications per estimate", f"{net.multiplications}"),
+            ("bytes", f"{len(file.to_bytes())}"),
+            ("sample period", f"{file.period_us / 1000:g} ms; a gap is more than {file.gap_ms} ms"),
+            ("one count of the estimate", f"{10.0**net.output_exponent:g} {file.reference_unit}"),
+            ("source window", f"{net.input_zero:.6g} {unit} + {net.input_lsb:.6g} {unit} per count"),
+        ]
+    form = file.device_map
+    words = {0: "passed", CONDITIONAL: "passed conditionally", FAILED: "DID NOT PASS, exported on demand"}
+    made = datetime.fromtimestamp(file.time_s, UTC).isoformat() if file.time_s else "unknown"
+    parts = [] if form.curve is None else [f"curve of {len(form.curve.codes)} knots on every sample"]
+    parts += [] if form.layer is None else ["linear layer on every window"]
+    if form.mix is not None:
+        parts.append(f"{'wide ' if form.mix.is_wide else ''}mix of {len(form.mix.bias)} shapes on every window")
+    bands = ", ".join(f"up to {b.level}: -{b.minus} +{b.plus}" for b in file.bands)
+    rows = [
+        ("kind", f"unit, format {MAJOR}.{file.minor}"),
+        ("serial", file.serial),
+        ("network", file.network_id.hex()),
+        ("revision", f"{file.revision}, calibrated {made}"),
+        ("verdict", words.get(file.flags, f"unknown flags {file.flags}")),
+        ("bytes", f"{len(file.to_bytes())}"),
+        ("map", ", then ".join(parts)),
+        ("code", f"output = {file.scale.zero:.6g} + {file.scale.lsb:.6g} × code"),
+        ("codes of the calibration", f"{file.code_min} ... {file.code_max}"),
+        ("estimates are clamped to", f"{file.out_min} ... {file.out_max} counts"),
+        ("90 % interval, counts", bands),
+    ]
+    if network is not None:
+        join(network, file)
+        rows.append(("self-tests", f"{len(file.self_tests)} of {len(file.self_tests)} give what they must"))
+    return rows

@@ -62,7 +62,16 @@ def export_units(
     if not formats:
         raise InputError(f"no format is given; known: {', '.join(known_formats())}")
     writers = {name: writer_of(name) for name in dict.fromkeys(formats)}
-    _check_serials(registry, serials, options.lot_id)
+    seen: dict[str, str] = {}
+    for serial in serials:
+        for shown in {serial.casefold(), serial_field(serial).rstrip(b"\0").decode().casefold()}:
+            if shown in seen:
+                raise InputError(f"serials {seen[shown]} and {serial} look the same to a device; export one of them")
+            seen[shown] = serial
+    if len(serials) > 1:
+        known = {unit.serial for unit in registry.lots.units(options.lot_id) if unit.revision is not None}
+        if unknown := [serial for serial in serials if serial not in known]:
+            raise InputError(f"the registry has no calibration of {', '.join(unknown[:5])}; nothing was written")
     key = options.signing_key
     manifest, loader = read_manifest(out), UnitLoader(registry, options)
     exported = []
@@ -82,21 +91,6 @@ def lot_serials(registry: Registry, lot_id: str, options: ExportOptions) -> list
     if not serials:
         raise InputError(f"lot {lot_id!r} has no unit to export: {len(units)} are calibrated, none of them is released")
     return serials
-
-
-def _check_serials(registry: Registry, serials: Sequence[str], lot_id: str | None) -> None:
-    """Refuse unknown serials and those a device or a file system would mix up."""
-    seen: dict[str, str] = {}
-    for serial in serials:
-        for key in {serial.casefold(), serial_field(serial).rstrip(b"\0").decode().casefold()}:
-            if key in seen:
-                raise InputError(f"serials {seen[key]} and {serial} look the same to a device; export one of them")
-            seen[key] = serial
-    is_many = len(serials) > 1
-    known = {unit.serial for unit in registry.lots.units(lot_id) if unit.revision is not None} if is_many else None
-    unknown = [serial for serial in serials if known is not None and serial not in known]
-    if unknown:
-        raise InputError(f"the registry has no calibration of {', '.join(unknown[:5])}; nothing was written")
 
 
 def _export(

@@ -174,12 +174,9 @@ WRITERS: Mapping[str, Writer] = dict(
 
 
 def writer_of(name: str) -> Writer:
-    """Return what writes a format, its own or a plug-in's.
+    """Return what writes a format; it raises `UnitRefused` where result, verdict or map of a unit forbid such a file.
 
-    It raises `UnitRefused` where result, verdict or map of a unit forbid such a file.
-
-    Raises:
-        InputError: no such format, or a plug-in that cannot be loaded or takes a name.
+    `InputError`: no such format, or a plug-in that cannot be loaded or takes a name.
     """
     points = [point for point in installed(GROUP) if point.name == name]
     if name in WRITERS and not points:

@@ -48,12 +48,7 @@ class FileEntry:
 
 @dataclass
 class Manifest:
-    """What an export folder holds.
-
-    Args:
-        files, units: by name and by serial.
-        signed_on: day of the signature, which it covers; None where nobody signed.
-    """
+    """Files by name and units by serial; `signed_on`, which the signature covers, is None where nobody signed."""
 
     files: dict[str, FileEntry]
     units: dict[str, Mapping[str, object]]
@@ -82,8 +77,7 @@ class Manifest:
 def read_manifest(folder: Path) -> Manifest:
     """Read a folder's manifest; an empty one where there is none yet.
 
-    Raises:
-        InputError: no manifest of softcal; it lists a file twice, or one elsewhere.
+    `InputError`: no manifest of softcal; it lists a file twice, or one elsewhere.
     """
     path = folder / NAME
     if not path.exists():

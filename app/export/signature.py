@@ -40,10 +40,6 @@ class TrustedKey:
     def label(self) -> str:
         return f"{self.name} ({fingerprint(self.key)})"
 
-    @property
-    def has_period(self) -> bool:
-        return self.valid_from is not None or self.valid_until is not None
-
     def signs_on(self, day: date) -> bool:
         is_early = self.valid_from is not None and day < self.valid_from
         return not is_early and (self.valid_until is None or day < self.valid_until)
@@ -64,7 +60,12 @@ def open_signing_key(
     """
     try:
         content = key_file.read_bytes()
-        passphrase = _passphrase(key_file, passphrase_file, ask) if b"ENCRYPTED" in content else None
+        passphrase = None
+        if b"ENCRYPTED" in content and passphrase_file is not None:
+            passphrase = next(iter(passphrase_file.read_bytes().splitlines()), None)
+        elif b"ENCRYPTED" in content:
+            given = os.environ.get(PASSPHRASE_VARIABLE) or (ask(f"passphrase of {key_file}: ") if ask else "")
+            passphrase = given.encode() or None
         key = load_pem_private_key(content, passphrase)
     except TypeError as error:
         raise InputError(
@@ -80,40 +81,31 @@ def open_signing_key(
     return key
 
 
-def _passphrase(key_file: Path, file: Path | None, ask: Callable[[str], str] | None) -> bytes | None:
-    if file is not None:
-        lines = file.read_bytes().splitlines()
-        return lines[0] if lines else None
-    given = os.environ.get(PASSPHRASE_VARIABLE) or (ask(f"passphrase of {key_file}: ") if ask else "")
-    return given.encode() or None
-
-
 def trusted_keys(files: Sequence[Path]) -> list[TrustedKey]:
     """Read public keys (PEM), and key rings (TOML) that name several with the time each is valid.
 
-    Raises:
-        InputError: a file that is neither, or another kind of key.
+    `InputError`: a file that is neither, or another kind of key.
     """
-    return [key for file in files for key in (_ring(file) if file.suffix == ".toml" else [_trusted(file, file.stem)])]
-
-
-def _ring(file: Path) -> list[TrustedKey]:
-    ring = read_toml(file)
-    try:
-        keys = []
-        for row in ring["key"]:
-            if set(row) - RING_KEYS:
-                raise ValueError(f"{', '.join(sorted(set(row) - RING_KEYS))} unknown")
-            days = {name: row.get(name) for name in ("valid_from", "valid_until")}
-            if any(day is not None and type(day) is not date for day in days.values()):
-                raise ValueError("valid_from and valid_until are dates such as 2026-01-31")
-            keys.append(_trusted(file.parent / row["file"], str(row["name"]), **days))
-        return keys
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"{file}: no key ring ({error}); [[key]] with name, file, valid_from and valid_until was expected; nothing "
-            "was checked"
-        ) from error
+    keys = []
+    for file in files:
+        if file.suffix != ".toml":
+            keys.append(_trusted(file, file.stem))
+            continue
+        ring = read_toml(file)
+        try:
+            for row in ring["key"]:
+                if unknown := set(row) - RING_KEYS:
+                    raise ValueError(f"{', '.join(sorted(unknown))} unknown")
+                days = {name: row.get(name) for name in ("valid_from", "valid_until")}
+                if any(day is not None and type(day) is not date for day in days.values()):
+                    raise ValueError("valid_from and valid_until are dates such as 2026-01-31")
+                keys.append(_trusted(file.parent / row["file"], str(row["name"]), **days))
+        except (ValueError, KeyError, TypeError) as error:
+            raise InputError(
+                f"{file}: no key ring ({error}); [[key]] with name, file, valid_from and valid_until was expected; "
+                "nothing was checked"
+            ) from error
+    return keys
 
 
 def _trusted(file: Path, name: str, valid_from: date | None = None, valid_until: date | None = None) -> TrustedKey:
@@ -140,7 +132,7 @@ def check_signature(content: bytes, signature: bytes, trusted: Sequence[TrustedK
             one.key.verify(signature, content)
         except InvalidSignature:
             continue
-        if signed_on is None and one.has_period:
+        if signed_on is None and (one.valid_from is not None or one.valid_until is not None):
             raise InputError(f"is by {one.label}, but does not say when; its key is not valid at all times")
         if signed_on is not None and not one.signs_on(signed_on):
             period = f"{one.valid_from or 'ever'} until {one.valid_until or 'ever'}"

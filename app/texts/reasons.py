@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from datetime import datetime
 
-from softcal.core.words.reason import PLAIN, Reason, Value, unpacked
+from softcal.core.words.reason import PLAIN, Reason, unpacked
 
 Words = Callable[..., str]
 
@@ -33,19 +33,17 @@ def said(why: Reason, words: Words) -> str:
     """Return one reason in words, those in its values too."""
     if why.code == PLAIN:
         return str(why)
-    return words(f"{PREFIX}{why.code}", **{name: _value_said(name, v, words) for name, v in why.values.items()})
-
-
-def _value_said(name: str, value: Value, words: Words) -> object:
-    if isinstance(value, Reason):
-        return said(value, words)
-    if not isinstance(value, str):
-        return value
-    if name == INSTANT:
-        # A station that was not updated yet gives the hour alone.
-        with suppress(ValueError):
-            return datetime.fromisoformat(value)
-    return phrase(NAMES[name], value, words) if name in NAMES else value
+    values: dict[str, object] = dict(why.values)
+    for name, value in why.values.items():
+        if isinstance(value, Reason):
+            values[name] = said(value, words)
+        elif isinstance(value, str) and name == INSTANT:
+            # A station that was not updated yet gives the hour alone.
+            with suppress(ValueError):
+                values[name] = datetime.fromisoformat(value)
+        elif isinstance(value, str) and name in NAMES:
+            values[name] = phrase(NAMES[name], value, words)
+    return words(f"{PREFIX}{why.code}", **values)
 
 
 def plainly(why: Reason, words: Words) -> str:

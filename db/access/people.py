@@ -1,6 +1,7 @@
 """People with a role and a PIN. PINs are kept as Argon2id hashes and never leave this module."""
 
 import hashlib
+from contextlib import suppress
 from datetime import timedelta
 from functools import cache
 from typing import TYPE_CHECKING
@@ -45,7 +46,7 @@ def _nobody() -> str:
 
 
 class People(RegistryBase):
-    """The part of the registry that knows people."""
+    """Accounts with role and PIN."""
 
     def set(
         self,
@@ -58,13 +59,9 @@ class People(RegistryBase):
         is_active: bool = True,
         version: int = 0,
     ) -> User:
-        """Add a person (version 0), or change the version that was looked at.
+        """Add a person (version 0), or change the version that was looked at; without a `pin` the old one stays.
 
-        Args:
-            pin: digits, at least four; None keeps the one there is.
-
-        Raises:
-            InputError: no such role, a PIN too short, or another change since `version`.
+        `InputError`: no such role, a PIN too short, or another change since `version`.
         """
         if not name.strip():
             raise InputError(Reason("account.no_name"))
@@ -86,10 +83,9 @@ class People(RegistryBase):
                 values["pin_hash"] = _hasher().hash(pin)
             statement = insert(users) if known is None else update(users).where(users.c.name == name)
             self.database.change(statement.values(**values))
-            before = people_as_told(known) if known else None
             row = self.database.rows(named)[0]
-            content = {"before": before, "after": people_as_told(row)}
-            self._tell("set_user", "users", (name,), actor, reason=reason, **content)
+            before = people_as_told(known) if known else None
+            self._tell("set_user", "users", (name,), actor, after=people_as_told(row), before=before, reason=reason)
             return user_of(self.database, row)
 
     def all(self) -> list[User]:
@@ -97,17 +93,17 @@ class People(RegistryBase):
             return [user_of(self.database, row) for row in self.database.rows(select(users).order_by(users.c.name))]
 
     def sign_in(self, name: str, pin: str) -> User:
-        """Return the person when the PIN is right.
+        """Return the person (`InputError`: wrong name or PIN, not active, or a pause after wrong ones)."""
+        from argon2.exceptions import InvalidHashError, VerificationError
 
-        Raises:
-            InputError: wrong name or PIN, not active, or a pause after wrong ones.
-        """
         with self.database.writing():
             row = self.database.row(select(users).where(users.c.name == name))
             now = self.settings.clock()
             is_locked = row is not None and row["locked_until"] is not None and row["locked_until"] > now
             # The hash is checked even for an unknown name, so that the time it takes says nothing.
-            is_right = _is_pin(row["pin_hash"] if row else _nobody(), pin)
+            is_right = False
+            with suppress(VerificationError, InvalidHashError):
+                is_right = _hasher().verify(row["pin_hash"] if row else _nobody(), pin)
             if row is not None and not is_locked:
                 failures = 0 if is_right else row["failures"] + 1
                 pause = now + LOCKED_FOR if failures >= MOST_FAILURES else None
@@ -150,12 +146,3 @@ def people_as_told(row: RowMapping) -> dict[str, object]:
     """Return a person as the audit trail tells of one: of the PIN's hash only a hash."""
     content = {name: row[name] for name in ("name", "role", "is_active", "version")}
     return content | {"pin_sha256": hashlib.sha256(row["pin_hash"].encode()).hexdigest()}
-
-
-def _is_pin(stored: str, pin: str) -> bool:
-    from argon2.exceptions import InvalidHashError, VerificationError
-
-    try:
-        return _hasher().verify(stored, pin)
-    except (VerificationError, InvalidHashError):
-        return False

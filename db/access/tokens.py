@@ -26,13 +26,12 @@ TOLD = ("account", "purpose", "ends_at", "is_withdrawn")
 
 
 class TokenTable(RegistryBase):
-    """The part of the registry that knows which program may do what."""
+    """Tokens of programs that ask over REST."""
 
     def add(self, account: str, purpose: str, days: int, *, actor: str | None = None) -> tuple[Token, str]:
         """Make a token for an account; return it and the secret text, which is kept nowhere.
 
-        Raises:
-            InputError: no such active account, no purpose, or an impossible number of days.
+        `InputError`: no such active account, no purpose, or an impossible number of days.
         """
         if not purpose.strip():
             raise InputError("a token needs a purpose: say which program it is for")
@@ -70,9 +69,7 @@ class TokenTable(RegistryBase):
     def user_of(self, secret: str) -> User:
         """Return the account a token belongs to, with the role it has now.
 
-        Raises:
-            InputError: unknown, ended, withdrawn, or its account is not active.
-            RegistryError: the token stands in the table and not in the audit trail.
+        `InputError`: unknown, ended, withdrawn, or an inactive account. `RegistryError`: not as the trail tells of it.
         """
         query = select(tokens, users.c.name, users.c.role, users.c.is_active, users.c.version).join(users)
         with self.database.reading():

@@ -3,10 +3,11 @@
 import os
 import shutil
 import tempfile
+from contextlib import closing
 from itertools import islice
 from pathlib import Path
 
-from sqlalchemy import Select, delete, insert, select
+from sqlalchemy import ColumnElement, Select, delete, insert, select, true
 
 from softcal.core.errors import RegistryError
 from softcal.db.care.checks import faults
@@ -25,8 +26,7 @@ elsewhere. A token that was withdrawn since the backup must not come to life aga
 def back_up(database: Database, path: Path) -> None:
     """Write one consistent state of the registry into a new SQLite file, whole or not at all.
 
-    Raises:
-        RegistryError: the file exists, or cannot be written.
+    `RegistryError`: the file exists, or cannot be written.
     """
     if path.exists():
         raise RegistryError(f"backup {path} exists; give a new name: a backup is never overwritten")
@@ -37,7 +37,13 @@ def back_up(database: Database, path: Path) -> None:
         part.unlink(missing_ok=True)
         # SQLite keeps the mode of a file that is there and empty.
         os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600))
-        _write_copy(database, part)
+        if database.is_sqlite:
+            with database.outside_transactions() as connection:
+                connection.execute("VACUUM INTO ?", (str(part),))
+        else:
+            with closing(open_database(f"sqlite:///{part}")) as copy, database.reading(), copy.writing():
+                migrate(copy)
+                _copy_tables(database, copy, true())
         with part.open("rb+") as file:
             os.fsync(file.fileno())
         part.rename(path)
@@ -50,74 +56,44 @@ def back_up(database: Database, path: Path) -> None:
 def restore(path: Path, url: str) -> None:
     """Fill an empty database from a backup, after checking every byte of it.
 
-    The restored registry writes a chain of its own in the audit trail from here on, so that it can
-    be told from any other copy of the same backup.
-
-    Raises:
-        RegistryError: the backup is missing, damaged or too new, or the target is not empty.
+    It writes a chain of its own in the audit trail from here on: no other copy of the same backup is taken for it.
+    `RegistryError`: the backup is missing, damaged or too new, or the target is not empty.
     """
     if not path.is_file():
         raise RegistryError(f"backup {path}: there is no such file")
     with tempfile.TemporaryDirectory(prefix="softcal-restore-") as folder:
         # The copy may be upgraded and gets files beside it; the backup itself stays as it is.
         source = open_database(f"sqlite:///{shutil.copy(path, Path(folder) / 'backup.db')}")
-        try:
-            _check_backup(source, path)
-            _fill(source, open_database(url))
-        finally:
-            source.close()
+        with closing(source):
+            schema = schema_of(source)
+            if schema is None:
+                raise RegistryError(f"backup {path} is empty; nothing was restored")
+            if schema < SCHEMA:
+                schema = migrate(source)
+            check_schema(source, schema)
+            with source.reading():
+                problems = list(faults(source))
+            if problems:
+                raise RegistryError(
+                    f"backup {path} is damaged, nothing was restored: {problems[0]} ({len(problems)} faults in all)"
+                )
+            with closing(open_database(url)) as target, source.reading(), target.writing():
+                if schema_of(target) is not None:
+                    raise RegistryError(f"registry {target.name} is not empty; restore into a new one")
+                migrate(target)
+                _copy_tables(source, target, registry_info.c.key.not_in(["origin", "origin_sha256"]))
+                Adoption(target, RegistrySettings()).state_restored(history.heads(source))
 
 
-def _write_copy(database: Database, part: Path) -> None:
-    if database.is_sqlite:
-        with database.outside_transactions() as connection:
-            connection.execute("VACUUM INTO ?", (str(part),))
-        return
-    copy = open_database(f"sqlite:///{part}")
-    try:
-        with database.reading(), copy.writing():
-            migrate(copy)
-            copy.change(delete(registry_info))
-            _copy_tables(database, copy, keep_origin=True)
-    finally:
-        copy.close()
-
-
-def _check_backup(source: Database, path: Path) -> None:
-    schema = schema_of(source)
-    if schema is None:
-        raise RegistryError(f"backup {path} is empty; nothing was restored")
-    if schema < SCHEMA:
-        schema = migrate(source)
-    check_schema(source, schema)
-    with source.reading():
-        problems = list(faults(source))
-    if problems:
-        raise RegistryError(
-            f"backup {path} is damaged, nothing was restored: {problems[0]} ({len(problems)} faults in all)"
-        )
-
-
-def _fill(source: Database, target: Database) -> None:
-    try:
-        with source.reading(), target.writing():
-            if schema_of(target) is not None:
-                raise RegistryError(f"registry {target.name} is not empty; restore into a new one")
-            migrate(target)
-            target.change(delete(registry_info).where(registry_info.c.key.not_in(["origin", "origin_sha256"])))
-            _copy_tables(source, target, keep_origin=False)
-            Adoption(target, RegistrySettings()).state_restored(history.heads(source))
-    finally:
-        target.close()
-
-
-def _copy_tables(source: Database, target: Database, *, keep_origin: bool) -> None:
+def _copy_tables(source: Database, target: Database, facts: ColumnElement[bool]) -> None:
+    """Copy all that is no work under way; of what the registry knows of itself only some `facts`."""
+    target.change(delete(registry_info).where(facts))
     for table in metadata.sorted_tables:
-        query: Select[tuple[object, ...]] = select(table)
         if table in PASSING:
             continue
-        if table is registry_info and not keep_origin:
-            query = query.where(registry_info.c.key.not_in(["origin", "origin_sha256"]))
+        query: Select[tuple[object, ...]] = select(table)
+        if table is registry_info:
+            query = query.where(facts)
         rows = source.stream(query, ROWS_AT_ONCE)
         while chunk := [dict(row) for row in islice(rows, ROWS_AT_ONCE)]:
             target.change(insert(table), chunk)

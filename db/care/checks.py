@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
-from sqlalchemy import Boolean, Connection, Date, and_, func, inspect, select, text, type_coerce
+from sqlalchemy import Boolean, Date, and_, func, inspect, select, text, type_coerce
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.types import NullType
 
@@ -37,11 +37,27 @@ def faults(
 ) -> Iterator[str]:
     """Give one line for every page, row, blob, trigger or link that is not what was written.
 
-    Args:
-        is_quick: leave out what reads every page and every blob.
-        anchors: what was written down of the chains elsewhere.
+    `is_quick` leaves out what reads every page and blob; `anchors` were written down of the chains elsewhere.
     """
-    for name, check in _checks(database, is_quick, anchors):
+    origin = str(database.value(select(registry_info.c.value).where(registry_info.c.key == "origin")))
+    pages = [("pages and indices", page_faults(database)), ("tables", schema_faults(database))]
+    facts = [
+        ("foreign tables", alien_tables(database)),
+        ("triggers", trigger_faults(database)),
+        ("origin", origin_faults(database)),
+        ("people", people_faults(database, origin)),
+        ("tokens", token_faults(database)),
+        *(("what was written down elsewhere", anchor_faults(database, one.heads, one.where)) for one in anchors),
+    ]
+    newest = [("rows", count_faults(database)), ("audit trail", newest_faults(database))]
+    content = [
+        ("references", reference_faults(database)),
+        ("audit trail", history.chain_faults(history.rows(database))),
+        ("rows", _row_faults(database)),
+        ("values", form_faults(database)),
+        ("recordings, networks and maps", _blob_faults(database)),
+    ]
+    for name, check in (*facts, *newest) if is_quick else (*pages, *facts, *content):
         on_step(name)
         try:
             # A query that fails ends a transaction of PostgreSQL; later checks go on.
@@ -55,37 +71,12 @@ def faults(
             yield f"{name}: cannot be read: {first_line(error)[:160]}"
 
 
-def _checks(database: Database, is_quick: bool, anchors: Sequence[Anchor]) -> Iterator[tuple[str, Iterator[str]]]:
-    info = registry_info.c
-    origin = str(database.value(select(info.value).where(info.key == "origin")))
-    if not is_quick:
-        yield "pages and indices", page_faults(database)
-        yield "tables", schema_faults(database)
-    yield "foreign tables", alien_tables(database)
-    yield "triggers", trigger_faults(database)
-    yield "origin", origin_faults(database)
-    yield "people", people_faults(database, origin)
-    yield "tokens", token_faults(database)
-    for anchor in anchors:
-        yield "what was written down elsewhere", anchor_faults(database, anchor.heads, anchor.where)
-    if is_quick:
-        yield "rows", count_faults(database)
-        yield "audit trail", newest_faults(database)
-        return
-    yield "references", reference_faults(database)
-    yield "audit trail", history.chain_faults(history.rows(database))
-    yield "rows", _row_faults(database)
-    with database.reading() as connection:
-        yield "values", form_faults(connection)
-    yield "recordings, networks and maps", _blob_faults(database)
-
-
 def _row_faults(database: Database) -> Iterator[str]:
     # Two registries may have registered the same thing: the row is the one or the other.
     entries: dict[tuple[str, str], set[str]] = {}
     for entry in history.rows(database):
         if entry.entity in AUDITED and entry.after is not None:
-            entries.setdefault((entry.entity, entry.key), set()).add(hashlib.sha256(entry.after.encode()).hexdigest())
+            entries.setdefault((entry.entity, entry.key), set()).add(_sha256(entry.after))
     for name in AUDITED:
         table = metadata.tables[name]
         for row in database.stream(select(table)):
@@ -93,9 +84,7 @@ def _row_faults(database: Database) -> Iterator[str]:
             expected = entries.pop((name, key), None)
             if expected is None:
                 yield f"{name} {key}: was put in without an entry in the audit trail"
-            elif expected.isdisjoint(
-                hashlib.sha256(form.encode()).hexdigest() for form in history.forms(table, dict(row))
-            ):
+            elif expected.isdisjoint(_sha256(form) for form in history.forms(table, dict(row))):
                 yield f"{name} {key}: was changed after it was written"
     for name, key in entries:
         yield f"{name} {key}: is in the audit trail but was removed"
@@ -134,8 +123,7 @@ def page_faults(database: Database) -> Iterator[str]:
             if line != "ok":
                 yield f"database: {line}"
         return
-    known = database.row(text("SELECT 1 FROM pg_extension WHERE extname = 'amcheck'"))
-    if known is None:
+    if database.row(text("SELECT 1 FROM pg_extension WHERE extname = 'amcheck'")) is None:
         return
     indices = text(
         "SELECT c.oid, c.relname FROM pg_index i JOIN pg_class c ON c.oid = i.indexrelid JOIN pg_am a ON a.oid = "
@@ -158,30 +146,30 @@ def reference_faults(database: Database) -> Iterator[str]:
             is_there = select(pairs[0][1]).where(*(child == column for child, column in pairs)).correlate(table)
             is_set = and_(*(child.is_not(None) for child, _ in pairs))
             lost = select(func.count()).select_from(table).where(is_set, ~is_there.exists())
-            count = database.value(lost)
-            if count:
+            if count := database.value(lost):
                 yield f"{table.name}: {count} rows refer to {constraint.referred_table.name} that are not there"
 
 
-def form_faults(connection: Connection) -> Iterator[str]:
+def form_faults(database: Database) -> Iterator[str]:
     """Give a line for every value in other words than softcal's: it sorts as another.
 
     Python reads times, JSON and truth values in more than one form.
     """
-    dialect = connection.dialect
-    for table in (*(metadata.tables[name] for name in AUDITED), audit, users):
-        read = [column for column in table.columns if isinstance(column.type, IN_WORDS)]
-        key = list(table.primary_key.columns)
-        writers = [column.type.dialect_impl(dialect).bind_processor(dialect) for column in read]
-        in_order = {"yield_per": 1000}
-        stored = select(*key, *(type_coerce(column, NullType()) for column in read)).order_by(*key)
-        values = connection.execute(select(*read).order_by(*key), execution_options=in_order)
-        for row, found in zip(connection.execute(stored, execution_options=in_order), values, strict=True):
-            for column, kept, write, value in zip(read, row[len(key) :], writers, found, strict=True):
-                if kept != (value if write is None else write(value)):
-                    named = history.row_key(table, {part.name: row[k] for k, part in enumerate(key)})
-                    shown = f"{column.name} is not as softcal writes it: {str(kept)[:60]!r}"
-                    yield f"{table.name} {canonical_json(named)}: {shown}"
+    dialect = database.engine.dialect
+    with database.reading() as connection:
+        for table in (*(metadata.tables[name] for name in AUDITED), audit, users):
+            read = [column for column in table.columns if isinstance(column.type, IN_WORDS)]
+            key = list(table.primary_key.columns)
+            writers = [column.type.dialect_impl(dialect).bind_processor(dialect) for column in read]
+            in_order = {"yield_per": 1000}
+            stored = select(*key, *(type_coerce(column, NullType()) for column in read)).order_by(*key)
+            values = connection.execute(select(*read).order_by(*key), execution_options=in_order)
+            for row, found in zip(connection.execute(stored, execution_options=in_order), values, strict=True):
+                for column, kept, write, value in zip(read, row[len(key) :], writers, found, strict=True):
+                    if kept != (value if write is None else write(value)):
+                        named = history.row_key(table, {part.name: row[k] for k, part in enumerate(key)})
+                        shown = f"{column.name} is not as softcal writes it: {str(kept)[:60]!r}"
+                        yield f"{table.name} {canonical_json(named)}: {shown}"
 
 
 def schema_faults(database: Database) -> Iterator[str]:
@@ -210,11 +198,11 @@ TRIGGERS = {
 
 def trigger_faults(database: Database) -> Iterator[str]:
     """Give a line for every table whose triggers are gone, off, or others."""
-    rows = database.tuples(text(TRIGGERS[database.engine.dialect.name]))
+    dialect = database.engine.dialect.name
+    rows = database.tuples(text(TRIGGERS[dialect]))
     definitions = {name: " ".join(str(definition).split()) for name, definition in rows}
     for table in tables.APPEND_ONLY:
-        wanted = append_only.triggers_of(table, database.engine.dialect.name)
-        for name, definition in wanted.items():
+        for name, definition in append_only.triggers_of(table, dialect).items():
             if name not in definitions:
                 yield f"trigger {name}: is gone; rows of {table} can be changed"
             elif definitions.pop(name) != definition:
@@ -234,7 +222,11 @@ def origin_faults(database: Database) -> Iterator[str]:
 
 def origin_sha256(origin: str) -> str:
     """Return what stands beside the origin, so that a change of it alone is seen."""
-    return hashlib.sha256(f"origin {origin}".encode()).hexdigest()
+    return _sha256(f"origin {origin}")
+
+
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def people_faults(database: Database, origin: str) -> Iterator[str]:
@@ -289,8 +281,7 @@ def newest_faults(database: Database) -> Iterator[str]:
 def anchor_faults(database: Database, heads: Heads, where: str) -> Iterator[str]:
     """Give a line for every chain without the row that was its last when it was written down."""
     for origin, (seq, sha256) in heads.items():
-        query = select(audit.c.hash).where(audit.c.origin == origin, audit.c.seq == seq)
-        stored = database.value(query)
+        stored = database.value(select(audit.c.hash).where(audit.c.origin == origin, audit.c.seq == seq))
         if stored != sha256:
             what = "is gone" if stored is None else "is another one"
             yield f"audit {origin} row {seq}: {what} than was written down {where}; the trail was cut or rewritten"

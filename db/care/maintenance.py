@@ -21,11 +21,7 @@ IN_USE_IS_STATED = "0007"
 
 
 def migrate(database: Database, to: str = "head") -> str:
-    """Bring an empty or older database to the newest schema at once; return its revision.
-
-    Args:
-        to: an older revision, for tests of the upgrade itself.
-    """
+    """Bring an empty or older database up to a schema (`to`, for tests: an older one) at once; return its revision."""
     # Alembic takes half a second to import: only those who migrate pay.
     from alembic.operations import Operations
     from alembic.runtime.migration import MigrationContext

@@ -6,7 +6,6 @@ loses nothing, and sending twice changes nothing. Work items, orders and people 
 """
 
 import json
-from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import date, datetime, timedelta
 from typing import Any
@@ -50,9 +49,8 @@ class SyncReport:
 def synchronise(here: RegistryBase, there: RegistryBase) -> SyncReport:
     """Send what `there` does not have, take what `here` does not have.
 
-    Raises:
-        InputError: both are the same registry, or copies of one file that were both written to.
-        RegistryError: a chain is damaged or a connection broke; run it again.
+    `InputError`: both are one registry, or copies of one file that were both written to. `RegistryError`: a chain is
+    damaged or a connection broke; run it again.
     """
     if here.origin == there.origin:
         raise InputError(
@@ -60,7 +58,23 @@ def synchronise(here: RegistryBase, there: RegistryBase) -> SyncReport:
             "make copies with `softcal registry backup` and `restore`"
         )
     sent, received = _send(here.database, there.database), _send(there.database, here.database)
-    return SyncReport(sent, received, tuple(conflicts(here)), tuple(_clocks(here, there)))
+    now, clocks = here.settings.clock(), list[str]()
+    # Of a server its clock now, of a registry its newest row.
+    for side in (here, there):
+        if not side.database.is_sqlite:
+            server: datetime = side.database.value(select(func.clock_timestamp()))
+            if abs(server - now) > CLOCKS_AGREE:
+                name = side.database.name
+                clocks.append(f"the clock of this computer and the server's of {name} are {server - now} apart")
+    for origin in history.origins(here.database):
+        newest = select(audit.c.at).where(audit.c.origin == origin).order_by(audit.c.seq.desc()).limit(1)
+        at: datetime = here.database.value(newest)
+        if at - now > CLOCKS_AGREE:
+            clocks.append(
+                f"registry {origin} wrote its newest row at {at:%Y-%m-%d %H:%M:%S} UTC, {at - now} ahead of this "
+                "computer's clock; set that station's clock, and do not trust which of two results is the newer"
+            )
+    return SyncReport(sent, received, tuple(conflicts(here)), tuple(clocks))
 
 
 def conflicts(registry: RegistryBase) -> list[str]:
@@ -86,24 +100,6 @@ def conflicts(registry: RegistryBase) -> list[str]:
     return [*used, *twice, *differing]
 
 
-def _clocks(here: RegistryBase, there: RegistryBase) -> Iterator[str]:
-    """Give a line for every wrong clock: of a server now, of a registry by its newest row."""
-    now = here.settings.clock()
-    for side in (here, there):
-        if not side.database.is_sqlite:
-            server: datetime = side.database.value(select(func.clock_timestamp()))
-            if abs(server - now) > CLOCKS_AGREE:
-                yield f"the clock of this computer and the server's of {side.database.name} are {server - now} apart"
-    for origin in history.origins(here.database):
-        newest = select(audit.c.at).where(audit.c.origin == origin).order_by(audit.c.seq.desc()).limit(1)
-        at: datetime = here.database.value(newest)
-        if at - now > CLOCKS_AGREE:
-            yield (
-                f"registry {origin} wrote its newest row at {at:%Y-%m-%d %H:%M:%S} UTC, {at - now} ahead of this "
-                "computer's clock; set that station's clock, and do not trust which of two results is the newer"
-            )
-
-
 def _send(source: Database, target: Database) -> int:
     sent = 0
     known: set[Named] = set()
@@ -113,9 +109,12 @@ def _send(source: Database, target: Database) -> int:
                 for entry in chunk:
                     if entry.entity in AUDITED:
                         table = metadata.tables[entry.entity]
-                        key = zip(table.primary_key.columns, json.loads(entry.key), strict=True)
-                        values = {column.name: _typed(column.type, value) for column, value in key}
-                        _copy(source, target, table, values, known)
+                        key = dict(zip(table.primary_key.columns.keys(), json.loads(entry.key), strict=True))
+                        for name, value in key.items():
+                            if isinstance(kind := table.c[name].type, UtcTime | Date):
+                                day_or_time = datetime if isinstance(kind, UtcTime) else date
+                                key[name] = day_or_time.fromisoformat(value)
+                        _copy(source, target, table, key, known)
                 target.change(insert(audit), [vars(entry) for entry in chunk])
                 connection.info[HAS_TOLD] = True
                 forget(connection)
@@ -146,11 +145,7 @@ def _missing(source: Database, target: Database, origin: str) -> list[AuditRow]:
 
 
 def _copy(source: Database, target: Database, table: Table, key: dict[str, Any], known: set[Named]) -> None:
-    """Copy a row and, before it, whatever it refers to, unless the target has it already.
-
-    Args:
-        known: rows the target has; a network that ten thousand maps refer to is looked up once.
-    """
+    """Copy a row and, before it, what it refers to, unless the target has it, as it has those `known`."""
     named = (table.name, *key.values())
     if named in known:
         return
@@ -170,9 +165,3 @@ def _copy(source: Database, target: Database, table: Table, key: dict[str, Any],
         else:
             _copy(source, target, constraint.referred_table, parent, known)
     target.change(insert(table), dict(row))
-
-
-def _typed(kind: object, value: Any) -> Any:
-    if isinstance(kind, UtcTime):
-        return datetime.fromisoformat(value)
-    return date.fromisoformat(value) if isinstance(kind, Date) else value

@@ -71,14 +71,10 @@ class Job:
 
 
 class JobBoard(RegistryBase):
-    """The jobs of a registry. Every call is one short transaction."""
+    """Long computations that pages ask for. Every call is one short transaction."""
 
     def place(self, kind: str, request: Mapping[str, Any], actor: str, job_id: str | None = None) -> str:
-        """Ask for a computation and return its id.
-
-        Args:
-            job_id: 32 characters of whoever asks: asking twice makes one job; None makes an id.
-        """
+        """Ask for a computation; return its id (32 characters): who gives one asks twice for one job."""
         now, job_id = self.settings.clock(), job_id or uuid.uuid4().hex
         values = {"job_id": job_id, "kind": kind, "request": dict(request), "actor": actor, "created": now}
         fresh = {"state": RunState.QUEUED, "fraction": 0.0, "message": "", "trace": {}, "result": {}}
@@ -88,11 +84,7 @@ class JobBoard(RegistryBase):
         return job_id
 
     def take(self, job_id: str) -> Job:
-        """Mark a queued job running and return it.
-
-        Raises:
-            InputError: there is no such job, or it was taken or cancelled already.
-        """
+        """Mark a queued job running and return it (`InputError`: none waits under this id)."""
         queued = update(jobs).where(jobs.c.job_id == job_id, jobs.c.state == RunState.QUEUED)
         if not self.database.change(queued.values(state=RunState.RUNNING, beaten_at=self.settings.clock())):
             raise InputError(f"job {job_id!r} is not waiting to be done")

@@ -48,13 +48,9 @@ class OrderQueue(RegistryBase):
     """Orders, runs and heartbeats of a registry's stations. Every call is one short transaction."""
 
     def place(self, order: Order, until_s: float | None = None) -> bool:
-        """Ask a station for something; return whether in time. The same id changes nothing.
+        """Ask a station for something before `until_s` (`time.monotonic()`); return whether in time.
 
-        Args:
-            until_s: `time.monotonic()` after which it is not asked any more.
-
-        Raises:
-            InputError: the station has a run that is not over.
+        The same id changes nothing. `InputError`: the station has a run that is not over.
         """
         values = {name: getattr(order, name) for name in ORDER_FIELDS}
         values["created"] = order.created or self.settings.clock()
@@ -146,13 +142,9 @@ class OrderQueue(RegistryBase):
         return order_ids
 
     def beat(self, heartbeat: Heartbeat, after: timedelta = TAKEN_OVER_AFTER) -> None:
-        """Write that a station lives and what it does.
+        """Write that a station lives and what it does, once the beat of another owner is older than `after`.
 
-        Args:
-            after: how old the beat of another owner must be; zero: it is known to be gone.
-
-        Raises:
-            InputError: another process serves this station; ports have one owner.
+        `InputError`: another process serves this station; ports have one owner.
         """
         gate = [[to_kept(c.name), c.is_good, to_kept(c.says)] for c in heartbeat.gate]
         values = vars(heartbeat) | {"reasons": [to_kept(why) for why in heartbeat.reasons], "gate": gate}

@@ -6,6 +6,8 @@ The trail is the outbox: what is written in the transaction of its change is not
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
+from heapq import merge
+from itertools import islice
 
 from sqlalchemy import insert, or_, select, update
 
@@ -55,7 +57,10 @@ class Outbox(RegistryBase):
     def after(self, cursor: Cursor, count: int) -> list[AuditRow]:
         """Return the next rows behind a cursor: in the order of each chain, else of time."""
         with self.database.reading():
-            return history.after(self.database, cursor, count)
+            names = history.origins(self.database)
+            chains = [list(history.rows(self.database, name, cursor.get(name, 0), count)) for name in names]
+        # A clock that was set back must not put a row before the one it follows.
+        return list(islice(merge(*chains, key=lambda row: row.at), count))
 
     def begin(self, destination: str, cursor: Cursor) -> Delivery:
         """Return where a destination stands; one that is new begins behind `cursor`."""
@@ -67,12 +72,9 @@ class Outbox(RegistryBase):
             return Delivery(**self.database.rows(known)[0])
 
     def hold(self, destination: str, holder: str, now: datetime, until: datetime) -> Delivery | None:
-        """Take a destination for one process, or keep it; None where another one holds it.
+        """Take a destination for one process, or keep it, until then; None where another one holds it.
 
-        Args:
-            holder: names the process; no other one has that name.
-            now: a hold that ended before is free.
-            until: how long it is held, unless it is held again or released.
+        `holder` names the process and no other one. A hold that ended before `now` is free.
         """
         c = deliveries.c
         is_free = or_(c.holder.is_(None), c.holder == holder, c.held_until <= now)
@@ -91,9 +93,7 @@ class Outbox(RegistryBase):
     def moved(self, destination: str, cursor: Cursor, delivered: int, holder: str | None = None) -> None:
         """Write that a destination has all up to a cursor, `delivered` events of it now.
 
-        Args:
-            holder: where it is given and no longer holds the destination, nothing is written: the cursor of who
-                holds it now may be further.
+        Nothing is written where a given `holder` no longer holds it: the cursor of who does may be further.
         """
         values = {"cursor": dict(cursor), "delivered": deliveries.c.delivered + delivered}
         self._change(destination, values | {"failures": 0, "not_before": None, "error": ""}, holder)

@@ -47,15 +47,14 @@ class WorkItem:
 
 
 class WorkQueue(RegistryBase):
-    """The work items of a registry. Every call is one short transaction, or part of one."""
+    """The durable work items of a registry. Every call is one short transaction, or part of one."""
 
     def enqueue(self, work: WorkSet, inputs: Mapping[str, str]) -> int:
         """Queue what is not queued or claimed yet and return how many items are new.
 
-        An item that failed before is queued again, and attempts are counted anew: asking is a
-        decision to retry. Sets of the lot that nobody works at any more are forgotten. Each few
-        hundred items are a transaction of their own, so that other writers wait for milliseconds
-        only.
+        An item that failed before is queued again, and attempts are counted anew: asking is a decision to retry.
+        Sets of the lot that nobody works at any more are forgotten. Each few hundred items are a transaction of their
+        own, so that other writers wait for milliseconds only.
         """
         now, c = self.settings.clock(), work_items.c
         named = {"lot_id": work.lot_id, "kind": work.kind, "work_set": work.name}
@@ -65,10 +64,16 @@ class WorkQueue(RegistryBase):
         alive = select(c.work_set).where(*others, c.state == "claimed", c.lease_until >= now)
         with self.database.writing():
             self.database.change(delete(work_items).where(*others, c.work_set.not_in(alive)))
-        new = 0
+        # A dialect takes a tenth of a second to load: who only reads needs neither.
+        if self.database.is_sqlite:
+            from sqlalchemy.dialects.sqlite import insert
+        else:
+            from sqlalchemy.dialects.postgresql import insert  # type: ignore[assignment]
+
+        insert_new, new = insert(work_items).on_conflict_do_nothing(), 0
         for part in parts(rows):
             with self.database.writing() as connection:
-                new += connection.execute(self._insert_new(), part, execution_options=COUNTED).rowcount
+                new += connection.execute(insert_new, part, execution_options=COUNTED).rowcount
                 serials = c.serial.in_([row["serial"] for row in part])
                 failed = update(work_items).where(*_of(work), c.state == "failed", serials)
                 new += self.database.change(failed.values(**FREE, attempts=0, changed_at=now))
@@ -153,16 +158,6 @@ class WorkQueue(RegistryBase):
         query: Select[Any] = select(c.state, func.count().label("items")).group_by(c.state)
         query = query.where(*given((c.lot_id, lot_id)), *(() if work is None else _of(work)))
         return dict.fromkeys(STATES, 0) | {row["state"]: row["items"] for row in self.database.rows(query)}
-
-    def _insert_new(self) -> Any:
-        # A dialect takes a tenth of a second to load: who only reads needs neither.
-        if self.database.is_sqlite:
-            from sqlalchemy.dialects.sqlite import insert as on_sqlite
-
-            return on_sqlite(work_items).on_conflict_do_nothing()
-        from sqlalchemy.dialects.postgresql import insert
-
-        return insert(work_items).on_conflict_do_nothing()
 
     def _free(self, work: WorkSet, count: int, condition: Any) -> list[WorkItem]:
         c = work_items.c

@@ -52,11 +52,7 @@ def put_arrays(database: Database, arrays: Arrays) -> str:
 
 
 def get_arrays(database: Database, sha256: str) -> dict[str, NDArray[np.generic]]:
-    """Return the named arrays stored under a hash.
-
-    Raises:
-        RegistryError: nothing is stored there, or its bytes are not the ones that were stored.
-    """
+    """Return the named arrays stored under a hash (`RegistryError`: there are none, or damaged ones)."""
     from safetensors import SafetensorError
     from safetensors.numpy import load
 
@@ -113,11 +109,7 @@ def copy_blob(source: Database, target: Database, sha256: str) -> None:
 
 
 def get_bytes(database: Database, sha256: str) -> bytes:
-    """Return the bytes stored under a hash, after checking them.
-
-    Raises:
-        RegistryError: nothing is stored there, or its bytes are not the ones that were stored.
-    """
+    """Return the bytes stored under a hash, after checking them (`RegistryError`: gone, or damaged)."""
     content = database.value(READ_BLOB, {"sha": sha256})
     if content is None:
         raise RegistryError(f"blob {sha256[:12]} is missing from the registry; restore a backup")

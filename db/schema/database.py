@@ -51,8 +51,8 @@ class _Joined(threading.local):
 class Database:
     """An open database: short read transactions, write transactions one after another.
 
-    A transaction of this thread is joined by every read inside it, a write transaction by every write, too.
-    Several steps are seen, kept or lost together.
+    Every read joins the open transaction of its thread, every write an open write transaction: all is seen, kept or
+    lost together.
     """
 
     def __init__(self, engine: Engine) -> None:
@@ -173,10 +173,8 @@ class Database:
     def once_more(self, action: Callable[[], Answer], *, is_repeatable: bool = False) -> Answer:
         """Do whole transactions, and do them once more where their connection was cut.
 
-        Inside an open transaction it is done once: what came before is lost, too.
-
-        Args:
-            is_repeatable: twice changes nothing; else repeated only where nothing was kept.
+        Inside an open transaction once: what came before is lost, too. Else again where nothing was kept, or where
+        twice changes nothing (`is_repeatable`).
         """
         if self._joined is not None:
             return action()
@@ -259,14 +257,9 @@ def parts(values: Sequence[Part]) -> Iterator[Sequence[Part]]:
 
 
 def open_database(url: str, *, create: bool = True) -> Database:
-    """Connect to an SQLite file, `sqlite://` (in memory) or PostgreSQL, whatever is inside.
+    """Connect to an SQLite file, made with `create`, to `sqlite://` (in memory) or PostgreSQL, whatever is inside.
 
-    Args:
-        create: an SQLite file that does not exist is made.
-
-    Raises:
-        RegistryError: the URL is wrong, the folder is missing or on a network share, the file is no database, or the
-            server does not answer.
+    `RegistryError`: a wrong URL, no folder or one on a network share, no database, or a server that does not answer.
     """
     try:
         parsed = make_url(url)
@@ -292,11 +285,7 @@ def open_database(url: str, *, create: bool = True) -> Database:
 
 
 def schema_of(database: Database) -> str | None:
-    """Return the schema revision of a registry, or None where the database is empty.
-
-    Raises:
-        RegistryError: the database holds tables of something else.
-    """
+    """Return the schema revision, None of an empty database (`RegistryError`: it holds tables of something else)."""
     with database.reading() as connection:
         tables = inspect(connection).get_table_names()
         if not tables:

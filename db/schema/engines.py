@@ -24,28 +24,6 @@ NETWORK_TYPES = frozenset("nfs nfs4 cifs smb smb2 smb3 smbfs 9p afs ceph gluster
 MOUNTS = Path("/proc/mounts")
 
 
-def _prepare_file(path: Path, create: bool) -> None:
-    """Make the file of a registry unless it is there (`RegistryError`: it cannot be used)."""
-    folder = path.absolute().parent
-    if not folder.is_dir():
-        raise RegistryError(f"registry {path}: the folder {folder} does not exist; make it or give another URL")
-    if path.is_dir():
-        raise RegistryError(f"registry {path} is a folder; a file was expected")
-    if not create and not path.exists():
-        raise RegistryError(f"registry {path}: there is no such file; `softcal batch` or `softcal demo` makes one")
-    if not os.access(path if path.exists() else folder, os.W_OK) or not os.access(folder, os.W_OK):
-        raise RegistryError(f"registry {path}: {folder} cannot be written; SQLite needs the folder, too")
-    refuse_network_share(folder)
-    if not path.exists():
-        # It holds hashes of PINs: for its owner alone. SQLite gives its log the same mode.
-        try:
-            os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600))
-        except FileExistsError:
-            pass
-        except OSError as error:
-            raise RegistryError(f"registry {path}: cannot be written: {error.strerror}") from error
-
-
 def refuse_network_share(folder: Path, mounts: Path = MOUNTS) -> None:
     """Raise `RegistryError` where `folder` is on a network share (Linux mounts, UNC paths)."""
     inside, best, kind = folder.resolve(), Path("/"), ""
@@ -67,11 +45,29 @@ def refuse_network_share(folder: Path, mounts: Path = MOUNTS) -> None:
 
 
 def sqlite_engine(url: URL, create: bool) -> Engine:
-    """Return the engine of an SQLite file, which is made when `create` is set, or of memory."""
+    """Return the engine of memory or of a file, made with `create` (`RegistryError`: it cannot be used)."""
     if url.database in IN_MEMORY:
         engine = create_engine(url, poolclass=StaticPool, connect_args={"check_same_thread": False})
     else:
-        _prepare_file(Path(str(url.database)), create)
+        path = Path(str(url.database))
+        folder = path.absolute().parent
+        if not folder.is_dir():
+            raise RegistryError(f"registry {path}: the folder {folder} does not exist; make it or give another URL")
+        if path.is_dir():
+            raise RegistryError(f"registry {path} is a folder; a file was expected")
+        if not create and not path.exists():
+            raise RegistryError(f"registry {path}: there is no such file; `softcal batch` or `softcal demo` makes one")
+        if not os.access(path if path.exists() else folder, os.W_OK) or not os.access(folder, os.W_OK):
+            raise RegistryError(f"registry {path}: {folder} cannot be written; SQLite needs the folder, too")
+        refuse_network_share(folder)
+        # It holds hashes of PINs: for its owner alone. SQLite gives its log the same mode.
+        try:
+            if not path.exists():
+                os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600))
+        except FileExistsError:
+            pass
+        except OSError as error:
+            raise RegistryError(f"registry {path}: cannot be written: {error.strerror}") from error
         engine = create_engine(url, connect_args={"timeout": SQLITE_WAIT_S, "check_same_thread": False})
     event.listen(engine, "connect", _set_up_sqlite)
     event.listen(engine, "begin", _begin_sqlite)

@@ -17,11 +17,7 @@ Entry = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class AdaptedUnit:
-    """A unit in use and the newest step of its adaptation.
-
-    Args:
-        steps: how many steps the registry holds of it, without checkpoints.
-    """
+    """A unit in use, the newest step of its adaptation, and how many the registry holds without checkpoints."""
 
     serial: str
     stream: str
@@ -31,7 +27,7 @@ class AdaptedUnit:
 
 
 class AdaptationTables(RegistryBase):
-    """The part of the registry that knows adaptations."""
+    """What was followed of units in use."""
 
     def add(self, serial: str, revision: int, entries: Sequence[Entry], actor: str | None = None) -> int:
         """Store steps, all or none, and return the last one's number (1, 2, ... a serial).

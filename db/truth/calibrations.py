@@ -14,7 +14,7 @@ from softcal.db.schema.arrays import get_arrays, put_arrays
 from softcal.db.schema.database import given
 from softcal.db.schema.tables import calibrations, networks, refusals
 from softcal.db.truth import history
-from softcal.db.truth.in_use import NEWEST_FIRST, InUseTable, heads_of, lots_of, names_several, newest_of_unit
+from softcal.db.truth.in_use import NEWEST_FIRST, InUseTable, heads_of, names_several, newest_of_unit
 from softcal.db.truth.lot_pages import PLAIN_FIELDS, record_of, standing_units
 from softcal.db.truth.registry_base import damaged, of_row
 
@@ -26,13 +26,12 @@ LAST_REVISION = select(
     func.max(calibrations.c.revision).label("revision"), func.max(calibrations.c.made_at).label("made_at")
 ).where(calibrations.c.serial == bindparam("unit"))
 
-
 ASKING = ("batch", "line")
 """Who asks for what an input gives; all others decide about what there is."""
 
 
 class CalibrationTables(InUseTable):
-    """The part of the registry that knows calibrations."""
+    """The calibrations of every unit, and which one is in use."""
 
     def add(
         self,
@@ -109,9 +108,8 @@ class CalibrationTables(InUseTable):
                 if (old["map_sha256"], old["blob_sha256"]) == (used["map_sha256"], used["blob_sha256"]):
                     raise InputError(f"revision {to} of {serial} is the one in use; nothing was changed")
                 before = {"revision": used["revision"], "map_sha256": used["map_sha256"]}
-            content = {"decided_by": "rollback"}
-            again = {**old, "rolled_back_to": to}
-            return self._add_revision(again, content, "rollback", actor, reason, before)
+            values, content = {**old, "rolled_back_to": to}, {"decided_by": "rollback"}
+            return self._add_revision(values, content, "rollback", actor, reason, before)
 
     def find(self, serial: str, input_sha256: str, *, lot_id: str | None = None) -> StoredCalibration | None:
         """Return the newest calibration of a serial from this input; None: it is to be made."""
@@ -125,10 +123,10 @@ class CalibrationTables(InUseTable):
         """Return the input hashes of the calibrations of some units of a lot, by serial."""
         c = calibrations.c
         query = select(c.serial, c.input_sha256).where(c.lot_id == lot_id, c.serial.in_(serials))
-        known: dict[str, set[str]] = {}
-        for row in self.database.rows(query):
-            known.setdefault(row["serial"], set()).add(row["input_sha256"])
-        return {serial: frozenset(hashes) for serial, hashes in known.items()}
+        known: dict[str, frozenset[str]] = {}
+        for serial, sha256 in self.database.tuples(query):
+            known[serial] = known.get(serial, frozenset()) | {sha256}
+        return known
 
     def get(
         self, serial: str, revision: int | None = None, *, lot_id: str | None = None, origin: str | None = None
@@ -158,11 +156,7 @@ class CalibrationTables(InUseTable):
             return self._stored(row)
 
     def history(self, serial: str, lot_id: str | None = None) -> list[StoredCalibration]:
-        """Return every revision of a serial, of one lot or of all, oldest first.
-
-        Raises:
-            InputError: the serial is not in the registry.
-        """
+        """Return every revision of a serial, of one lot or of all, oldest first (`InputError`: no such serial)."""
         query = select(calibrations).where(calibrations.c.serial == serial).order_by(*NEWEST_FIRST)
         with self.database.reading():
             self._known_serial(serial)
@@ -188,12 +182,9 @@ class CalibrationTables(InUseTable):
         actor: str | None = None,
         work_sha256: str | None = None,
     ) -> None:
-        """Register that a unit got no map; its verdict is fail or retest.
+        """Register that a unit got no map; the verdict (fail or retest) and reasons it has are not written again.
 
-        The verdict and reasons the unit has already are not written again.
-
-        Args:
-            work_sha256: hash of what it answers; None: asking again may end otherwise.
+        `work_sha256` is of what it answers; None: asking again may end otherwise.
         """
         with self.database.writing():
             self._lot_row(lot_id)
@@ -232,7 +223,7 @@ class CalibrationTables(InUseTable):
     def _only_lot(self, serial: str, lot_id: str | None) -> str:
         """Return the lot of a serial; one that stands in several is asked for with its lot."""
         self._known_serial(serial)
-        lots = lots_of(self.database, serial)
+        lots = self.lots_of(serial)
         if lot_id is None and len(lots) > 1:
             raise InputError(f"serial {serial!r} stands in the lots {', '.join(map(repr, lots))}; say which lot")
         if lot_id is not None and lot_id not in lots:
@@ -260,10 +251,6 @@ class CalibrationTables(InUseTable):
         is_conflict = names_several(self.database, heads)
         named = {(head["revision"], head["made_by"]) for head in (heads if is_conflict else heads[:1])}
         is_named = (row["revision"], row["origin"]) in named
-        return of_row(
-            StoredCalibration,
-            row,
-            record=record_of(row, get_arrays(self.database, row["blob_sha256"]), row["settings"]),
-            is_current=is_named and not is_conflict,
-            is_conflict=is_named and is_conflict,
-        )
+        stands = {"is_current": is_named and not is_conflict, "is_conflict": is_named and is_conflict}
+        record = record_of(row, get_arrays(self.database, row["blob_sha256"]), row["settings"])
+        return of_row(StoredCalibration, row, record=record, **stands)

@@ -6,18 +6,14 @@ or put in between is found (after Schneier and Kelsey 1999, Secure audit logs, s
 
 import hashlib
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from datetime import date, datetime
-from heapq import merge
-from itertools import islice
 
-from sqlalchemy import Table, bindparam, insert, select
+from sqlalchemy import Table, bindparam, select
 
 from softcal.core.errors import RegistryError
 from softcal.db.entries import AuditRow, Heads
 from softcal.db.schema.database import Database
 from softcal.db.schema.tables import LATER_COLUMNS, TOLD_BY_HASH, audit, canonical_json
-from softcal.db.schema.transaction_cache import HAS_TOLD
 
 FIRST_HASH = "0" * 64
 Values = Mapping[str, object]
@@ -25,35 +21,6 @@ NEWEST = (
     select(audit.c.seq, audit.c.hash).where(audit.c.origin == bindparam("chain")).order_by(audit.c.seq.desc()).limit(1)
 )
 """Built once, as every write needs it: building a statement takes longer than running it."""
-
-INSERT = insert(audit)
-
-
-def append(
-    database: Database,
-    origin: str,
-    at: datetime,
-    actor: str,
-    action: str,
-    entity: str,
-    key: tuple[str | int, ...],
-    *,
-    after: Values | None,
-    before: Values | None = None,
-    reason: str = "",
-) -> AuditRow:
-    """Write the next row of the chain of `origin`, in the transaction of the change it tells of."""
-    heads = database.found.heads
-    seq, prev_hash = heads[origin] if origin in heads else head(database, origin)
-    old, new = (None if values is None else canonical_json(plain(values)) for values in (before, after))
-    named = (origin, seq + 1, at, actor, action, entity, canonical_json(key))
-    row = AuditRow(*named, before=old, after=new, reason=reason, prev_hash=prev_hash, hash="")
-    row = replace(row, hash=row_hash(row))
-    database.change(INSERT, vars(row))
-    with database.writing() as connection:
-        connection.info[HAS_TOLD] = True
-    heads[origin] = row.seq, row.hash
-    return row
 
 
 def row_hash(row: AuditRow) -> str:
@@ -85,23 +52,8 @@ def rows(
         yield AuditRow(**row)
 
 
-def after(database: Database, cursor: Mapping[str, int], count: int) -> list[AuditRow]:
-    """Return up to `count` rows behind a cursor; between chains the older is first.
-
-    Args:
-        cursor: number of the last row taken of each chain; 0 where it names none.
-    """
-    chains = [list(rows(database, origin, cursor.get(origin, 0), count)) for origin in origins(database)]
-    # A clock that was set back must not put a row before the one it follows.
-    return list(islice(merge(*chains, key=lambda row: row.at), count))
-
-
 def chain_faults(trail: Iterator[AuditRow], after_seq: int = 0, after_hash: str = FIRST_HASH) -> Iterator[str]:
-    """Give one line for every row that does not fit its chain.
-
-    Args:
-        after_seq, after_hash: the row before the first, of a chain read in part.
-    """
+    """Give one line for every row that does not fit its chain, read behind the row `after_seq`, `after_hash`."""
     origin, seq, prev_hash = "", after_seq, after_hash
     for row in trail:
         if row.origin != origin:

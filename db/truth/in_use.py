@@ -16,7 +16,7 @@ from sqlalchemy import RowMapping, and_, bindparam, func, select
 from softcal.core.errors import InputError
 from softcal.core.words.reason import Reason, reason
 from softcal.db.schema.database import Database, given, parts
-from softcal.db.schema.tables import calibrations, in_use, limits, lots, refusals, units
+from softcal.db.schema.tables import calibrations, in_use, limits, lots, refusals
 from softcal.db.truth import history
 from softcal.db.truth.registry_base import RegistryBase, damaged
 
@@ -60,12 +60,11 @@ class InUseTable(RegistryBase):
         work_sha256: str | None = None,
         actor: str | None = None,
     ) -> bool:
-        """Put the calibration of an input into use again; False where there is none.
+        """Put the calibration of an input into use again, decided by batch or line; False where there is none.
 
         What a person decided since the same input stays: nothing new was asked. So does a conflict.
 
         Args:
-            decided_by: who decides: batch or line.
             work_sha256: hash of the files and settings that ask.
         """
         c = calibrations.c
@@ -80,13 +79,12 @@ class InUseTable(RegistryBase):
             refused = newest_refusal(self.database, lot_id, serial)
             last = STATEMENTS.where(in_use.c.input_sha256.is_not(None)).limit(1)
             asked = self.database.row(last, {"lot": lot_id, "unit": serial})
-            is_asked_again = False
+            named = {"revision": made["revision"], "made_by": made["origin"]}
             if asked is not None and asked["input_sha256"] == input_sha256:
-                is_asked_again = refused is None or refused < asked["made_at"]
-                if is_asked_again and work_sha256 in (None, asked["work_sha256"]):
-                    return True
-            again = {"revision": made["revision"], "made_by": made["origin"]}
-            named = dict(heads[0]) if is_asked_again else again
+                if refused is None or refused < asked["made_at"]:
+                    if work_sha256 in (None, asked["work_sha256"]):
+                        return True
+                    named = dict(heads[0])
             content = {"work_sha256": work_sha256, "input_sha256": input_sha256, "decided_by": decided_by}
             self._state(lot_id, serial, named, content, actor, "the same input again")
             return True
@@ -126,15 +124,10 @@ class InUseTable(RegistryBase):
         query = query.where(in_use.c.lot_id == lot_id, calibrations.c.verdict == "pass")
         return frozenset(self.database.values(query))
 
-    def lots_of(self, serial: str) -> list[str]:
-        return lots_of(self.database, serial)
-
     def _in_use(self, lot_id: str, serial: str) -> RowMapping | None:
         """Return the newest statement of a unit, or None before the first.
 
-        Raises:
-            InputError: two registries put different maps into use.
-            RegistryError: the audit trail tells of a statement that was not found.
+        `InputError`: two registries put different maps into use. `RegistryError`: the trail tells of one not found.
         """
         heads = heads_of(self.database, lot_id, serial)
         # A damaged index hides rows without a word; the audit trail is found by another one.
@@ -164,10 +157,7 @@ class InUseTable(RegistryBase):
     ) -> None:
         """Write a statement behind every one that nothing follows yet, so that no conflict is left.
 
-        Args:
-            named: `revision` and `made_by` of the calibration.
-            told: `decided_by`, and the work and input that asked for it.
-            made_at: its time where the calibration was made just now.
+        `named` has `revision` and `made_by` of the calibration, `told` who decided and what asked for it.
         """
         is_first = (in_use.name, lot_id, serial) in self.database.found.without
         heads = [] if is_first else heads_of(self.database, lot_id, serial)
@@ -207,11 +197,7 @@ def names_several(database: Database, heads: Sequence[RowMapping]) -> bool:
 def conflicts_of(
     database: Database, lot_id: str | None = None, serials: Sequence[str] | None = None
 ) -> list[tuple[str, str]]:
-    """Return lot and serial of the units for which registries put different maps into use.
-
-    Args:
-        lot_id, serials: of this lot, of these units only.
-    """
+    """Return lot and serial of the units, of a lot or of some, for which registries put different maps into use."""
     if len(history.origins(database)) < 2:
         return []
     u, follower = in_use.c, in_use.alias()
@@ -233,21 +219,13 @@ def conflicts_of(
 
 @dataclass(frozen=True)
 class LimitInForce:
-    """The limit of a lot as verdicts are held against it.
-
-    Args:
-        rmse: in `unit`; None leaves it to the source's own error.
-        unit: of the lot's reference.
-    """
+    """The limit of a lot as verdicts are held against it: `rmse` in `unit`; None is the source's own error."""
 
     rmse: float | None
     unit: str
 
     def is_other_in_sql(self) -> sa.ColumnElement[bool]:
-        """Return whether a calibration was judged against another limit, by its evidence (JSON).
-
-        Older versions did not keep it.
-        """
+        """Return whether a calibration was judged against another limit, by its evidence; older versions kept none."""
         text = sa.type_coerce(calibrations.c.evidence, sa.Text)
 
         def says(name: str, value: object) -> sa.ColumnElement[bool]:
@@ -276,38 +254,33 @@ def limit_in_force(database: Database, lot_id: str) -> LimitInForce:
 
 def conflict_line(database: Database, lot_id: str, serial: str) -> str:
     """Return what a person has to decide, and how."""
-    sides = [
+    sides = ", ".join(
         f"revision {head['revision']} of registry {head['made_by']} ({head['decided_by']}, "
         f"{head['made_at']:%Y-%m-%d %H:%M:%S} UTC)"
         for head in heads_of(database, lot_id, serial)
-    ]
-    return (
-        f"unit {serial} of lot {lot_id}: two registries put different maps into use: {', '.join(sides)}; decide "
-        "by a rollback to one of them, with the reason"
     )
-
-
-def lots_of(database: Database, serial: str) -> list[str]:
-    """Return the lots a serial stands in."""
-    query = select(units.c.lot_id).where(units.c.serial == serial).order_by(units.c.lot_id)
-    return database.values(query)
+    return (
+        f"unit {serial} of lot {lot_id}: two registries put different maps into use: {sides}; decide by a rollback to "
+        "one of them, with the reason"
+    )
 
 
 def newest_refusal(database: Database, lot_id: str, serial: str) -> datetime | None:
     """Return when a unit was refused last."""
-    if (refusals.name, lot_id, serial) in database.found.without:
-        return None
-    made_at: datetime | None = database.value(LAST_REFUSAL, {"lot": lot_id, "unit": serial})
-    return made_at
+    return _last(database, refusals, LAST_REFUSAL, lot_id, serial)
 
 
 def newest_of_unit(database: Database, lot_id: str, serial: str) -> datetime | None:
     """Return the time of the newest statement or refusal of a unit."""
-    stated: datetime | None = None
-    if (in_use.name, lot_id, serial) not in database.found.without:
-        stated = database.value(LAST_STATEMENT, {"lot": lot_id, "unit": serial})
-    times = [at for at in (stated, newest_refusal(database, lot_id, serial)) if at is not None]
-    return max(times, default=None)
+    stated = _last(database, in_use, LAST_STATEMENT, lot_id, serial)
+    return max((at for at in (stated, newest_refusal(database, lot_id, serial)) if at is not None), default=None)
+
+
+def _last(database: Database, table: sa.Table, query: sa.Select[Any], lot_id: str, serial: str) -> datetime | None:
+    if (table.name, lot_id, serial) in database.found.without:
+        return None
+    made_at: datetime | None = database.value(query, {"lot": lot_id, "unit": serial})
+    return made_at
 
 
 def of_this_method() -> sa.ColumnElement[bool]:

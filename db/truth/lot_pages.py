@@ -21,7 +21,6 @@ from softcal.db.schema.tables import calibrations, in_use, refusals, units
 from softcal.db.truth import history
 from softcal.db.truth.in_use import (
     OF_STATEMENT,
-    LimitInForce,
     conflict_line,
     conflicts_of,
     limit_in_force,
@@ -41,7 +40,6 @@ PLAIN_FIELDS = tuple(
 
 ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
 SORTABLE = ("serial", "verdict", "made_at", "family", *ERRORS)
-LATER_STATEMENT = ("made_at", "number", "origin")
 MADE_FIELDS = ("revision", "family", "map_sha256", *ERRORS)
 
 MOST_SERIALS = 30_000
@@ -120,17 +118,13 @@ class UnitErrors(NamedTuple):
 
 
 class LotPages(RegistryBase):
-    """The part of the registry that answers for a whole lot without reading all of it."""
+    """What stands of many units at once: pages, counts, errors, without reading all of a lot."""
 
     def unit_page(self, lot_id: str, wanted: UnitFilter, page: int = 1, size: int = 50) -> UnitPage:
-        """Return one page (1, 2, ...) of a lot's target units with their newest result.
-
-        Raises:
-            InputError: the lot is not in the registry.
-        """
+        """Return one page (1, 2, ...) of a lot's target units with their newest result (`InputError`: no such lot)."""
         with self.database.reading():
             self._lot_row(lot_id)
-            standing = StandingQuery.of(self.database, lot_id)
+            standing = StandingQuery(self.database, lot_id)
             table = standing.table(role="target")
             condition: ColumnElement[bool] = and_(True, *wanted.conditions(table))
             order = wanted.order(table)
@@ -166,14 +160,8 @@ class LotPages(RegistryBase):
 
     def find_serials(self, text: str, count: int = 50) -> list[str]:
         """Return serials of target units with a result that hold a text, best match first."""
-        has_result = sa.or_(
-            *(
-                select(table.c.serial)
-                .where(table.c.lot_id == units.c.lot_id, table.c.serial == units.c.serial)
-                .exists()
-                for table in (calibrations, refusals)
-            )
-        )
+        results = (select(table.c.serial).where(_is_of_unit(table)) for table in (calibrations, refusals))
+        has_result = sa.or_(*(result.exists() for result in results))
         query = select(units.c.serial).distinct().where(units.c.role == "target", has_result)
         order: list[ColumnElement[Any]] = [units.c.serial]
         if text:
@@ -188,7 +176,7 @@ class LotPages(RegistryBase):
         """Return the count of a lot's target units by verdict; `none` counts those without."""
         with self.database.reading():
             self._lot_row(lot_id)
-            table = StandingQuery.of(self.database, lot_id).table(role="target")
+            table = StandingQuery(self.database, lot_id).table(role="target")
             verdict = func.coalesce(table.c.verdict, "none")
             counts = {str(v): int(n) for v, n in self.database.tuples(select(verdict, func.count()).group_by(verdict))}
         return {name: counts.get(name, 0) for name in (*_severities(), "none")}
@@ -197,7 +185,7 @@ class LotPages(RegistryBase):
         """Return the errors of every target unit with a map, by serial."""
         with self.database.reading():
             self._lot_row(lot_id)
-            table = StandingQuery.of(self.database, lot_id).table(role="target")
+            table = StandingQuery(self.database, lot_id).table(role="target")
             measured = {name: case((table.c.is_doubted, None), else_=table.c[name]) for name in ERRORS[1:]}
             query = select(table.c.revision, table.c.serial, table.c.verdict, table.c[ERRORS[0]], *measured.values())
             # Asked for in SQL, "with a map" makes PostgreSQL read the calibrations of all lots.
@@ -213,34 +201,20 @@ class LotPages(RegistryBase):
             return "|".join([lot_id, *(sha256 for _, sha256 in history.heads(self.database).values())])
 
 
-@dataclass(frozen=True)
 class StandingQuery:
-    """How the units of a lot are asked for.
+    """How a lot, or some of its units, are asked for now."""
 
-    Args:
-        undecided: units for which two registries put different maps into use.
-        limit: of the lot; a verdict against another one does not stand.
-    """
-
-    database: Database
-    lot_id: str
-    undecided: Sequence[str]
-    limit: LimitInForce
-
-    @classmethod
-    def of(cls, database: Database, lot_id: str, serials: Sequence[str] | None = None) -> StandingQuery:
-        """Return how a lot, or some of its units, are asked for now."""
-        undecided = [serial for _, serial in conflicts_of(database, lot_id, serials)]
-        return cls(database, lot_id, undecided, limit_in_force(database, lot_id))
+    def __init__(self, database: Database, lot_id: str, serials: Sequence[str] | None = None) -> None:
+        self.database, self.lot_id = database, lot_id
+        # For these two registries put different maps into use. A verdict against another limit does not stand.
+        self.undecided = [serial for _, serial in conflicts_of(database, lot_id, serials)]
+        self.limit = limit_in_force(database, lot_id)
 
     def table(self, serials: Sequence[str] | None = None, role: str | None = None) -> sa.Subquery:
         """Return every unit beside its map in use and its newest verdict, or a later refusal's.
 
         "Nothing newer exists" is found through the index of the table; a window function over all
         rows is not, and its join with the units would take the square of their number.
-
-        Args:
-            serials, role: of these units only.
         """
         c, u, r = calibrations, in_use, refusals
         is_refused = and_(r.c.made_at.is_not(None), sa.or_(u.c.made_at.is_(None), r.c.made_at > u.c.made_at))
@@ -261,11 +235,9 @@ class StandingQuery:
             "is_doubted": sa.type_coerce(c.c.reasons, sa.Text).contains(f'"code":"{DOUBT}'),
             "evidence": case((is_unjudged, c.c.evidence), else_=None),
         }
-        joined = (
-            units.outerjoin(u, and_(_is_of_unit(u), _is_newest(u, LATER_STATEMENT)))
-            .outerjoin(c, OF_STATEMENT)
-            .outerjoin(r, and_(_is_of_unit(r), _is_newest(r, ("made_at", "origin"))))
-        )
+        stated = units.outerjoin(u, and_(_is_of_unit(u), _is_newest(u, ("made_at", "number", "origin"))))
+        refused = and_(_is_of_unit(r), _is_newest(r, ("made_at", "origin")))
+        joined = stated.outerjoin(c, OF_STATEMENT).outerjoin(r, refused)
         query = select(units.c.lot_id, units.c.serial, units.c.role, *(c.label(name) for name, c in columns.items()))
         query = query.select_from(joined).where(units.c.lot_id == self.lot_id)
         return query.where(*given((units.c.role, role), (units.c.serial, serials))).subquery("standing")
@@ -287,7 +259,7 @@ def standing_units(
     database: Database, lot_id: str, serials: Sequence[str] | None = None
 ) -> list[tuple[UnitEntry, bool]]:
     """Return units of a lot, each with whether its calibration in use gives its verdict."""
-    standing = StandingQuery.of(database, lot_id, serials)
+    standing = StandingQuery(database, lot_id, serials)
     rows = database.rows(select(table := standing.table(serials)).order_by(table.c.serial))
     known = {row["serial"] for row in rows}
     # A damaged index hides rows without a word.

@@ -1,9 +1,10 @@
 """Lots, their units, and in versions their limits and rules: who set them, when and why."""
 
+from collections.abc import Sequence
 from dataclasses import replace
-from datetime import datetime
+from typing import Any
 
-from sqlalchemy import RowMapping, select
+from sqlalchemy import RowMapping, Table, select
 
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
@@ -12,7 +13,6 @@ from softcal.core.words.reason import Reason
 from softcal.db.entries import LimitEntry, LineRulesEntry, RunEntry, UnitEntry
 from softcal.db.schema.database import given
 from softcal.db.schema.tables import calibrations, limits, line_rules, lots, refusals
-from softcal.db.truth.in_use import lots_of
 from softcal.db.truth.lot_pages import standing_units
 from softcal.db.truth.registry_base import RegistryBase, of_row
 
@@ -20,15 +20,12 @@ STATED = "stated with the lot"
 
 
 class LotTables(RegistryBase):
-    """The part of the registry that knows lots, limits and units."""
+    """Lots and their units, limits and rules."""
 
     def add(self, lot: Lot, *, actor: str | None = None) -> None:
-        """Register a lot and its source unit; another limit adds a version.
+        """Register a lot and its source unit; another limit than the lot stated before adds a version.
 
-        A limit set in the registry stays until the lot states another one than before.
-
-        Raises:
-            InputError: a lot of this id with other facts is registered.
+        `InputError`: a lot of this id with other facts is registered.
         """
         facts = {name: value for name, value in lot.settings().items() if name != "limit_rmse"}
         with self.database.writing():
@@ -36,8 +33,7 @@ class LotTables(RegistryBase):
             if known is None:
                 values = {"id": lot.id, **facts, "added_at": self.settings.clock()}
                 self._store(lots, values, "add", actor)
-            elif others := [name for name, value in facts.items() if known[name] != value]:
-                name = others[0]
+            elif (name := next((name for name, value in facts.items() if known[name] != value), None)) is not None:
                 raise InputError(
                     f"lot {lot.id!r} is registered with {name} = {known[name]!r}, now it is {facts[name]!r}; "
                     "correct lot.toml, or give the new lot an id of its own"
@@ -64,17 +60,13 @@ class LotTables(RegistryBase):
             return self._lot(self._lot_row(lot_id))
 
     def units(self, lot_id: str | None = None, serial: str | None = None) -> list[UnitEntry]:
-        """Return units with their newest result, by lot and serial: of one of them, or all.
-
-        Raises:
-            InputError: the lot or the serial is not in the registry.
-        """
+        """Return units with their newest result, of a lot, of a serial, or all (`InputError`: it is not known)."""
         with self.database.reading():
             if lot_id is not None:
                 self._lot_row(lot_id)
             if serial is not None:
                 self._known_serial(serial)
-            known = self.ids() if serial is None else lots_of(self.database, serial)
+            known = self.ids() if serial is None else self.lots_of(serial)
             in_lots = known if lot_id is None else [lot_id]
             serials = None if serial is None else [serial]
             return [unit for name in in_lots for unit, _ in standing_units(self.database, name, serials)]
@@ -113,8 +105,7 @@ class LotTables(RegistryBase):
 
     def limit_versions(self, lot_id: str) -> list[LimitEntry]:
         """Return every version of a lot's limit, oldest first."""
-        query = select(limits).where(limits.c.lot_id == lot_id).order_by(limits.c.made_at, limits.c.origin)
-        return [of_row(LimitEntry, row) for row in self.database.rows(query)]
+        return [of_row(LimitEntry, row) for row in self._versions(limits, lot_id)]
 
     def set_limit(
         self,
@@ -132,19 +123,18 @@ class LotTables(RegistryBase):
             expected_version: the version it was decided on (0: none yet); None: any.
 
         Raises:
-            InputError: no positive number, or not the expected version.
+            InputError: no positive number, no such lot, or not the expected version.
         """
         if rmse is not None and not 0 < rmse < float("inf"):
             raise InputError(f"limit {rmse}; a positive number was expected")
         with self.database.writing():
-            self._lot_row(lot_id)
             newest = self.limit(lot_id)
             changed = f"the limit of lot {lot_id!r} was changed to {newest and newest.rmse}"
-            version, made_at = self._next_version(newest, expected_version, changed)
-            entry = LimitEntry(lot_id, version, rmse, made_at, self._actor(actor), reason)
+            entry = LimitEntry(
+                **self._next_version(lot_id, newest, expected_version, changed, actor, reason), rmse=rmse
+            )
             values = {**vars(entry), "origin": self.origin}
-            before = vars(newest) if newest else None
-            self._store(limits, values, "set_limit", actor, reason, before)
+            self._store(limits, values, "set_limit", actor, reason, vars(newest) if newest else None)
             return entry
 
     def line_rules(self, lot: Lot) -> LineRules:
@@ -154,9 +144,8 @@ class LotTables(RegistryBase):
 
     def line_rules_versions(self, lot_id: str) -> list[LineRulesEntry]:
         """Return every version of a lot's rules, oldest first."""
-        c = line_rules.c
-        query = select(line_rules).where(c.lot_id == lot_id).order_by(c.made_at, c.origin)
-        return [of_row(LineRulesEntry, row, rules=LineRules(**row["rules"])) for row in self.database.rows(query)]
+        rows = self._versions(line_rules, lot_id)
+        return [of_row(LineRulesEntry, row, rules=LineRules(**row["rules"])) for row in rows]
 
     def set_line_rules(
         self,
@@ -167,39 +156,45 @@ class LotTables(RegistryBase):
         actor: str | None = None,
         expected_version: int | None = None,
     ) -> LineRulesEntry:
-        """Write the next version of a lot's rules.
+        """Write the next version of a lot's rules, decided on `expected_version` as in `set_limit`.
 
-        Args:
-            expected_version: the version it was decided on (0: none yet); None: any.
-
-        Raises:
-            InputError: no reason, no such lot, or not the expected version.
+        `InputError`: no reason, no such lot, or not the expected version.
         """
         if not reason.strip():
             raise InputError("a change of the line's rules needs a reason; nothing was changed")
         with self.database.writing():
-            self._lot_row(lot_id)
             newest = next(iter(reversed(self.line_rules_versions(lot_id))), None)
             changed = f"the rules of lot {lot_id!r} were changed"
-            version, made_at = self._next_version(newest, expected_version, changed)
-            entry = LineRulesEntry(lot_id, version, rules, made_at, self._actor(actor), reason)
+            following = self._next_version(lot_id, newest, expected_version, changed, actor, reason)
+            entry = LineRulesEntry(**following, rules=rules)
             values = {**vars(entry), "rules": rules.settings(), "origin": self.origin}
             before = {"version": newest.version, "rules": newest.rules.settings()} if newest else None
             self._store(line_rules, values, "set_rules", actor, reason, before)
             return entry
 
+    def _versions(self, table: Table, lot_id: str) -> Sequence[RowMapping]:
+        query = select(table).where(table.c.lot_id == lot_id).order_by(table.c.made_at, table.c.origin)
+        return self.database.rows(query)
+
     def _next_version(
-        self, newest: LimitEntry | LineRulesEntry | None, expected: int | None, changed: str
-    ) -> tuple[int, datetime]:
-        """Return number and time of the version after the newest: the expected one."""
-        if newest is None:
-            return 1, self._after(None)
-        if expected not in (None, newest.version):
+        self,
+        lot_id: str,
+        newest: LimitEntry | LineRulesEntry | None,
+        expected: int | None,
+        changed: str,
+        actor: str | None,
+        reason: str,
+    ) -> dict[str, Any]:
+        """Return what the version after the newest, which must be the expected one, has beside its content."""
+        self._lot_row(lot_id)
+        if newest is not None and expected not in (None, newest.version):
             raise InputError(
                 f"{changed} by {newest.actor} at {newest.made_at:%Y-%m-%d %H:%M} UTC; look at version "
                 f"{newest.version} and decide again"
             )
-        return newest.version + 1, self._after(newest.made_at)
+        version, before = (newest.version + 1, newest.made_at) if newest else (1, None)
+        made = {"made_at": self._after(before), "actor": self._actor(actor), "reason": reason}
+        return {"lot_id": lot_id, "version": version, **made}
 
     def _lot(self, row: RowMapping) -> Lot:
         newest = self.limit(row["id"])

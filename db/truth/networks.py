@@ -27,13 +27,7 @@ ACTIONS = {RELEASED: "release", WITHDRAWN: "withdraw"}
 
 @dataclass(frozen=True)
 class NetworkState:
-    """Whether the line may use a network.
-
-    Args:
-        state: draft, released or withdrawn.
-        since: when it became so; of a draft when it was trained.
-        actor, reason: who decided it, and why; "" where nobody had to decide.
-    """
+    """Whether the line may use a network (draft, released, withdrawn), since when, and who decided it, and why."""
 
     network: NetworkEntry
     state: str
@@ -43,7 +37,7 @@ class NetworkState:
 
 
 class NetworkTables(RegistryBase):
-    """The part of the registry that knows networks, and which of them are released."""
+    """Shared networks, and which of them the line may use."""
 
     def add(
         self,
@@ -55,11 +49,7 @@ class NetworkTables(RegistryBase):
         *,
         actor: str | None = None,
     ) -> str:
-        """Store a shared network and return its id.
-
-        A network of the same input that is there already, from another worker, is kept and its id returned. Go
-        on with the id you get.
-        """
+        """Store a shared network and return its id, or that of one of the same input, which is kept: go on with it."""
         with self.database.writing():
             self._lot_row(lot_id)
             known = self.find(input_sha256)
@@ -68,9 +58,8 @@ class NetworkTables(RegistryBase):
                 return known or network.id
             values: dict[str, object] = {"id": network.id, "lot_id": lot_id, "input_sha256": input_sha256}
             values |= {"settings": network.settings(), "training": dict(settings), "metrics": dict(metrics)}
-            values["added_at"] = self.settings.clock()
-            values["blob_sha256"] = put_arrays(self.database, network.arrays())
-            self._store(networks, values, "add", actor)
+            blob = put_arrays(self.database, network.arrays())
+            self._store(networks, values | {"blob_sha256": blob, "added_at": self.settings.clock()}, "add", actor)
             return network.id
 
     def find(self, input_sha256: str) -> str | None:
@@ -112,9 +101,8 @@ class NetworkTables(RegistryBase):
         """
         mine = [entry for entry in self.all() if entry.lot_id == lot_id]
         decided = self._decisions(lot_id)
-        standing = {entry.id for entry in mine[:1]}
         return [
-            decided.get(entry.id) or NetworkState(entry, RELEASED if entry.id in standing else DRAFT, entry.added_at)
+            decided.get(entry.id) or NetworkState(entry, RELEASED if entry is mine[0] else DRAFT, entry.added_at)
             for entry in mine
         ]
 
@@ -126,8 +114,7 @@ class NetworkTables(RegistryBase):
     def release(self, network_id: str, *, reason: str, actor: str | None = None) -> None:
         """Let the line use a network from now on, in place of the one it used.
 
-        Raises:
-            InputError: no reason, no such network, or it is the one in use.
+        `InputError`: no reason, no such network, or it is the one in use.
         """
         entry = self.entry(network_id)
         current = self.released(entry.lot_id)
@@ -138,8 +125,7 @@ class NetworkTables(RegistryBase):
     def withdraw(self, network_id: str, *, reason: str, actor: str | None = None) -> None:
         """Take a released network from the line; the one released before is in use again.
 
-        Raises:
-            InputError: no reason, no such network, or it is not released.
+        `InputError`: no reason, no such network, or it is not released.
         """
         entry = self.entry(network_id)
         states = {state.network.id: state.state for state in self.states(entry.lot_id)}
@@ -159,11 +145,7 @@ class NetworkTables(RegistryBase):
 
     def _decisions(self, lot_id: str) -> dict[str, NetworkState]:
         """Return the newest decision of each network of a lot that somebody decided about."""
-        c = network_releases.c
-        query = select(network_releases).where(c.lot_id == lot_id).order_by(c.made_at, c.origin)
-        known = {entry.id: entry for entry in self.all()}
-        facts = (c.state, c.made_at, c.actor, c.reason)
-        return {
-            row[c.network_id]: NetworkState(known[row[c.network_id]], *(row[column] for column in facts))
-            for row in self.database.rows(query)
-        }
+        c, known = network_releases.c, {entry.id: entry for entry in self.all()}
+        query = select(c.network_id, c.state, c.made_at, c.actor, c.reason).where(c.lot_id == lot_id)
+        rows = self.database.tuples(query.order_by(c.made_at, c.origin))
+        return {network_id: NetworkState(known[network_id], *facts) for network_id, *facts in rows}

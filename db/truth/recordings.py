@@ -27,16 +27,12 @@ KINDS = ("source", "unit", "audit")
 
 
 class RecordingTables(RegistryBase):
-    """The part of the registry that knows recordings."""
+    """Recordings, by the hash of their content."""
 
     def add(self, lot_id: str, recording: Recording, kind: str, *, actor: str | None = None) -> str:
-        """Store a recording once and return its content hash; its unit is registered with it.
+        """Store a recording of kind source, unit or audit once, with its unit; return its content hash.
 
-        Args:
-            kind: source, unit or audit. Only a `unit` recording has no reference.
-
-        Raises:
-            InputError: the lot is not registered.
+        Only a `unit` recording has no reference. `InputError`: the lot is not registered.
         """
         if kind not in KINDS or (kind == "unit") == ("reference" in recording.arrays()):
             raise ValueError(f"{type(recording).__name__} of kind {kind!r}; only `unit` recordings have no reference")

@@ -1,24 +1,39 @@
 """What every part of the registry stands on: who writes when, and rows that leave a trace."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime, timedelta
-from functools import cache, wraps
+from functools import wraps
 from types import FunctionType
 from typing import Any, TypeVar
 
-from sqlalchemy import Insert, RowMapping, Table, bindparam, insert, select
+from sqlalchemy import RowMapping, Table, bindparam, insert, select
 
 from softcal.core.errors import InputError, RegistryError
 from softcal.core.words.reason import reason
+from softcal.db.entries import AuditRow
 from softcal.db.schema.database import Database
-from softcal.db.schema.tables import audit, canonical_json, in_use, lots, recordings, refusals, registry_info, units
+from softcal.db.schema.tables import (
+    AUDITED,
+    audit,
+    canonical_json,
+    in_use,
+    lots,
+    metadata,
+    recordings,
+    refusals,
+    registry_info,
+    units,
+)
+from softcal.db.schema.transaction_cache import HAS_TOLD
 from softcal.db.truth import history
 
 Entry = TypeVar("Entry")
 TICK = timedelta(microseconds=1)
 KNOWN_LOT = select(lots).where(lots.c.id == bindparam("lot"))
 KNOWN_UNIT = select(units.c.role).where(units.c.lot_id == bindparam("lot"), units.c.serial == bindparam("unit"))
+INSERT_TOLD = insert(audit)
+INSERTS = {name: insert(metadata.tables[name]) for name in AUDITED}
 OF_UNITS = frozenset(table.name for table in (recordings, in_use, refusals))
 """Tables whose rows belong to a unit of a lot: of one that was not registered there can be none."""
 
@@ -30,12 +45,7 @@ def utc_now() -> datetime:
 
 @dataclass(frozen=True)
 class RegistrySettings:
-    """Who writes, and by which clock.
-
-    Args:
-        actor: who stands in the audit trail where a call names nobody.
-        clock: the time of every row.
-    """
+    """Who writes (`actor`, where a call names nobody), and by which clock."""
 
     actor: str = "softcal"
     clock: Callable[[], datetime] = utc_now
@@ -46,11 +56,18 @@ def damaged(what: str) -> RegistryError:
     return RegistryError(f"{what}; the registry is damaged; run `softcal registry verify` and go back to a backup")
 
 
+def _once_more(method: Callable[..., Any]) -> Callable[..., Any]:
+    @wraps(method)
+    def done(self: "RegistryBase", *arguments: Any, **options: Any) -> Any:
+        return self.database.once_more(lambda: method(self, *arguments, **options))
+
+    return done
+
+
 class RegistryBase:
     """A part of an open registry; a public method is tried again when its connection is cut.
 
-    A method is whole transactions; one that makes several repeats those that were kept: they must
-    change nothing the second time.
+    A method is whole transactions. Where it makes several, those that were kept must change nothing the second time.
 
     Args:
         origin: the name of this registry's chain; None reads it from the database.
@@ -78,18 +95,35 @@ class RegistryBase:
         before: Mapping[str, object] | None = None,
     ) -> None:
         """Insert one row together with the row of the audit trail that tells of it."""
-        self.database.change(_insert_into(table), dict(values))
+        self.database.change(INSERTS[table.name], dict(values))
         if table.name in OF_UNITS:
             self.database.found.without.discard((table.name, values["lot_id"], values["serial"]))
         key, after = history.row_key(table, values), history.told(table, values)
         self._tell(action, table.name, key, actor, after=after, before=before, reason=reason)
 
     def _tell(
-        self, action: str, entity: str, key: tuple[str | int, ...], actor: str | None = None, **told: Any
+        self,
+        action: str,
+        entity: str,
+        key: tuple[str | int, ...],
+        actor: str | None = None,
+        *,
+        after: Mapping[str, object],
+        before: Mapping[str, object] | None = None,
+        reason: str = "",
     ) -> None:
-        """Write a row of the audit trail now; `told` is what `history.append` takes by name."""
-        at, who = self.settings.clock(), self._actor(actor)
-        history.append(self.database, self.origin, at, who, action, entity, key, **told)
+        """Write the next row of this registry's chain, in the transaction of the change it tells of."""
+        heads = self.database.found.heads
+        seq, prev_hash = heads.get(self.origin) or history.head(self.database, self.origin)
+        old = None if before is None else canonical_json(history.plain(before))
+        named = (self.origin, seq + 1, self.settings.clock(), self._actor(actor), action, entity, canonical_json(key))
+        new = canonical_json(history.plain(after))
+        row = AuditRow(*named, before=old, after=new, reason=reason, prev_hash=prev_hash, hash="")
+        row = replace(row, hash=history.row_hash(row))
+        self.database.change(INSERT_TOLD, vars(row))
+        with self.database.writing() as connection:
+            connection.info[HAS_TOLD] = True
+        heads[self.origin] = row.seq, row.hash
 
     def _check_row(self, table: Table, row: RowMapping) -> None:
         """Raise `RegistryError` where a row is not what the audit trail tells of it."""
@@ -141,29 +175,22 @@ class RegistryBase:
             found.without.update((table, lot_id, serial) for table in OF_UNITS)
         found.units.add((lot_id, serial))
 
+    @_once_more
+    def lots_of(self, serial: str) -> list[str]:
+        """Return the lots a serial stands in."""
+        query = select(units.c.lot_id).where(units.c.serial == serial).order_by(units.c.lot_id)
+        return self.database.values(query)
+
     def _known_serial(self, serial: str) -> None:
         if self.database.row(select(units.c.serial).where(units.c.serial == serial).limit(1)) is None:
             known = self.database.values(select(units.c.serial).distinct().order_by(units.c.serial).limit(6))
             raise InputError(reason("name.no_such_serial", serial=repr(serial), known=_some(known)))
 
 
-def _once_more(method: Callable[..., Any]) -> Callable[..., Any]:
-    @wraps(method)
-    def done(self: RegistryBase, *arguments: Any, **options: Any) -> Any:
-        return self.database.once_more(lambda: method(self, *arguments, **options))
-
-    return done
-
-
 def of_row(kind: type[Entry], row: RowMapping, **others: Any) -> Entry:
     """Return a value with the columns of a row that it has fields for, and with others."""
     names = (one.name for one in fields(kind) if one.name in row)  # type: ignore[arg-type]
     return kind(**{name: row[name] for name in names} | others)
-
-
-@cache
-def _insert_into(table: Table) -> Insert:
-    return insert(table)
 
 
 def _some(names: list[str]) -> str:

@@ -15,13 +15,12 @@ from softcal.db.truth.registry_base import RegistryBase, of_row
 
 
 class StationTables(RegistryBase):
-    """The part of the registry that knows certificates and golden runs."""
+    """Certificates of load cells and runs of golden units."""
 
     def add_certificate(self, certificate: CellCertificate, *, actor: str | None = None) -> None:
         """Store a load cell's certificate; the same again changes nothing.
 
-        Raises:
-            InputError: another certificate of this cell begins on the same day.
+        `InputError`: another certificate of this cell begins on the same day.
         """
         day = (certificates.c.cell_serial == certificate.cell_serial, certificates.c.issued_on == certificate.issued_on)
         with self.database.writing():

@@ -12,7 +12,7 @@ from softcal.db.truth.registry_base import RegistryBase
 
 
 class AuditTrail(RegistryBase):
-    """The part of the registry that tells what was done; other parts write it themselves."""
+    """Who did what, and when; other parts write it themselves."""
 
     def add(
         self,

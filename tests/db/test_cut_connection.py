@@ -58,14 +58,14 @@ def test_a_read_that_is_cut_is_done_once_more(server, cut, monkeypatch):
 
 
 def test_a_write_that_is_cut_before_it_is_kept_is_done_once_more_and_once(server, cut, monkeypatch):
-    calls = cut_at(monkeypatch, cut, history, "append", 1)
+    calls = cut_at(monkeypatch, cut, history, "row_hash", 1)
     assert server.calibrate("A1", 2) == 2 and len(calls) > 1
     assert [stored.revision for stored in server.registry.calibrations.history("A1")] == [1, 2]
     assert server.registry.verify() == []
 
 
 def test_a_server_that_cuts_twice_is_said_in_one_line(server, cut, monkeypatch):
-    calls = cut_at(monkeypatch, cut, history, "append", 99)
+    calls = cut_at(monkeypatch, cut, history, "row_hash", 99)
     with pytest.raises(ConnectionCut) as error:
         server.calibrate("A1", 2)
     assert error.value.was_repeated and len(calls) == 2

@@ -190,17 +190,17 @@ class Certificate:
     def deciding(self) -> list[tuple[str, float, str]]:
         """The numbers of the decision rule: name with its symbol, value, and a note."""
         numbers = []
-        if self.error is not None and np.isfinite(self.error.upper):
+        if (error := self.error) is not None and np.isfinite(error.upper):
             numbers += [
-                ("E: error", self.error.rmse, "the one that decides"),
-                ("E_lower: lower end", self.error.lower, "of its interval"),
-                ("E_upper: upper end", self.error.upper, "of its interval"),
+                ("E: error", error.rmse, "the one that decides"),
+                ("E_lower: lower end", error.lower, "of its interval"),
+                ("E_upper: upper end", error.upper, "of its interval"),
             ]
-        if self.limit is not None:
+        if (limit := self.limit) is not None:
             numbers += [
-                ("TL: limit", self.limit.maximum_rmse, str(self.limit.origin)),
-                ("U_ref: reference", self.limit.reference_expanded, "its expanded uncertainty, k = 2"),
-                ("AL: acceptance limit", self.limit.acceptance_rmse, ""),
+                ("TL: limit", limit.maximum_rmse, str(limit.origin)),
+                ("U_ref: reference", limit.reference_expanded, "its expanded uncertainty, k = 2"),
+                ("AL: acceptance limit", limit.acceptance_rmse, ""),
             ]
         return numbers
 
@@ -322,20 +322,35 @@ class Certificate:
 
 
 def certificate_of(unit: CalibratedUnit) -> Certificate:
-    """Gather the facts of a calibrated unit.
-
-    Raises:
-        InputError: the laboratory file cannot be used, or names another instrument.
-    """
+    """Gather the facts (`InputError`: no usable laboratory file, or it names another instrument)."""
     record, lot = unit.stored.record, unit.lot
-    estimates = _at_two_sigma(estimate(unit.network, unit.calibration, unit.recording))
-    output, mapped = _map_curve(unit)
-    source = unit.shared.source.reference
-    reference = record.reference
-    bars = () if reference is None else reference.bars(float(source.max()))
+    found, share = estimate(unit.network, unit.calibration, unit.recording), COVERAGE / NORMAL_90
+    # U_est (k = 2) in place of the 90 % interval.
+    lower = found.estimate - share * (found.estimate - found.lower)
+    estimates = replace(found, lower=lower, upper=found.estimate + share * (found.upper - found.estimate))
+    # The map at steady outputs, over the range of the unit's recording.
+    output = np.linspace(float(unit.recording.output.min()), float(unit.recording.output.max()), 60)
+    windows = np.repeat(output[:, None], unit.recording.windows.shape[1], axis=1)
+    source, reference = unit.shared.source.reference, record.reference
     laboratory = read_laboratory(unit.options.laboratory)
     _check_cell(laboratory, reference)
-    low, high = _covered(estimates, source)
+    # The part of the source's range that the unit's recording reaches; all where none.
+    low, high = float(source.min()), float(source.max())
+    inside = found.estimate[(found.estimate >= low) & (found.estimate <= high)]
+    if len(inside):
+        low, high = float(inside.min()), float(inside.max())
+    by_audits = ""
+    if record.common_line is not None:
+        gain, zero = record.common_line
+        by_audits = (
+            "what the audited units of the lot misread alike was taken off the map: estimates less "
+            f"{zero:+.4g} {lot.reference_unit}, divided by {gain:.4g}"
+        )
+    limit, evidence = None, record.evidence
+    if record.limit_rmse is not None:
+        expanded = float(str(evidence.get("reference_expanded") or 0.0))
+        origin = plain(str(evidence.get("limit_origin") or NOT_STATED))
+        limit = Limit(lot.reference_unit, record.limit_rmse, origin, expanded)
     return Certificate(
         identifier=f"softcal-{record.serial}-r{unit.stored.revision}-{record.map_sha256[:8]}",
         made_on=unit.stored.made_at.date(),
@@ -356,7 +371,7 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
         low=low,
         high=high,
         forecast=unit.calibration.forecast,
-        limit=_limit(record, lot.reference_unit),
+        limit=limit,
         verdict=unit.verdict,
         reasons=tuple(map(str, unit.reasons)),
         before=record.before_rmse,
@@ -364,11 +379,11 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
         is_sampled=record.decision.measured is None and record.decision.sampled is not None,
         is_trimmed=_is_trimmed(record),
         reference=reference,
-        bars=tuple(map(str, bars)),
+        bars=() if reference is None else tuple(map(str, reference.bars(float(source.max())))),
         budget=_budget(unit, float(np.sqrt(np.mean(source**2)))),
         map_family=record.family,
         by_loads=_by_loads(record, lot.output_unit),
-        by_audits=_by_audits(record, lot.reference_unit),
+        by_audits=by_audits,
         made_because=unit.stored.reason,
         hashes=(
             ("network", record.network_id),
@@ -378,7 +393,7 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
         ),
         bands=_bands(estimates, low, high),
         output=output,
-        mapped=mapped,
+        mapped=unit.calibration.unit_map.apply(windows)[:, -1],
         estimated=estimates,
         software=f"softcal {version('softcal')}",
     )
@@ -389,25 +404,14 @@ def _check_cell(laboratory: Laboratory, reference: Reference | None) -> None:
     if reference is None or reference.is_simulated:
         return
     named = laboratory.load_cell
-    for what, said, stated in (
-        ("certificate", named.certificate, reference.certificate),
-        # A lot may state a certificate and leave the serial to the laboratory.
-        ("serial", named.serial, reference.cell or named.serial),
-    ):
+    # A lot may state a certificate and leave the serial to the laboratory.
+    serials = ("serial", named.serial, reference.cell or named.serial)
+    for what, said, stated in (("certificate", named.certificate, reference.certificate), serials):
         if said not in (NOT_STATED, stated):
             raise InputError(
                 f"laboratory file: load cell {what} {said}, but the lot states {stated or 'none'}; correct the one "
                 "that is wrong; no certificate was written"
             )
-
-
-def _limit(record: CalibrationRecord, unit: str) -> Limit | None:
-    """Return the limit the unit was judged by, as its calibration keeps it."""
-    if record.limit_rmse is None:
-        return None
-    evidence = record.evidence
-    expanded = float(str(evidence.get("reference_expanded") or 0.0))
-    return Limit(unit, record.limit_rmse, plain(str(evidence.get("limit_origin") or NOT_STATED)), expanded)
 
 
 def _measured(record: CalibrationRecord) -> ErrorForecast | None:
@@ -438,28 +442,11 @@ def _by_loads(record: CalibrationRecord, unit: str) -> str:
     )
 
 
-def _by_audits(record: CalibrationRecord, unit: str) -> str:
-    """Say what audits of other units of the lot did to the map; empty where they did nothing."""
-    if record.common_line is None:
-        return ""
-    gain, zero = record.common_line
-    return (
-        f"what the audited units of the lot misread alike was taken off the map: estimates less {zero:+.4g} {unit}, "
-        f"divided by {gain:.4g}"
-    )
-
-
-def _covered(estimates: Estimate, source: Array) -> tuple[float, float]:
-    """Return the part of the source's range that the unit's recording reaches; all where none."""
-    low, high = float(source.min()), float(source.max())
-    inside = estimates.estimate[(estimates.estimate >= low) & (estimates.estimate <= high)]
-    return (float(inside.min()), float(inside.max())) if len(inside) else (low, high)
-
-
 def _budget(unit: CalibratedUnit, load: float) -> Budget | None:
     record = unit.stored.record
+    # What is known of the map before a trim says nothing of this one.
     if _is_trimmed(record):
-        return None  # What is known of the map before says nothing of this one.
+        return None
     if record.after_rmse is not None:
         return measured_budget(record.after_rmse, record.reference, load)
     terms = {
@@ -472,13 +459,6 @@ def _budget(unit: CalibratedUnit, load: float) -> Budget | None:
     return forecast_budget(terms, record.knowledge, record.predicted_rmse, record.reference, load)
 
 
-def _at_two_sigma(estimates: Estimate) -> Estimate:
-    """Return estimates with U_est (k = 2) around them in place of the 90 % interval."""
-    share = COVERAGE / NORMAL_90
-    lower = estimates.estimate - share * (estimates.estimate - estimates.lower)
-    return replace(estimates, lower=lower, upper=estimates.estimate + share * (estimates.upper - estimates.estimate))
-
-
 def _bands(estimates: Estimate, low: float, high: float) -> tuple[Uncertainty, ...]:
     """Mean U_est in equal bands of a range; empty bands are left out."""
     edges = np.linspace(low, high, BANDS + 1)
@@ -489,10 +469,3 @@ def _bands(estimates: Estimate, low: float, high: float) -> tuple[Uncertainty, .
         if inside.any():
             bands.append(Uncertainty(float(edges[k]), float(edges[k + 1]), float(half[inside].mean())))
     return tuple(bands)
-
-
-def _map_curve(unit: CalibratedUnit) -> tuple[Array, Array]:
-    """The map at steady outputs, over the range of the unit's recording."""
-    output = np.linspace(float(unit.recording.output.min()), float(unit.recording.output.max()), 60)
-    windows = np.repeat(output[:, None], unit.recording.windows.shape[1], axis=1)
-    return output, unit.calibration.unit_map.apply(windows)[:, -1]

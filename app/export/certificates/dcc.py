@@ -1,7 +1,6 @@
 """The certificate as a Digital Calibration Certificate (PTB, XML, schema 3.1.2) with D-SI units."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
 
 from softcal.app.export.certificates.content import DECISION_RULE, ONLY_THIS, SIMULATED, Certificate
 from softcal.app.export.certificates.laboratory import NOT_STATED, Party
@@ -39,11 +38,7 @@ def certificate_xml(facts: Certificate) -> bytes:
 
 
 def _node(name: str, *content: ET.Element | str | None, **attributes: str) -> ET.Element:
-    """Return an element with a text or with elements; None is one that is left out.
-
-    Args:
-        name: of the DCC's own namespace, or of the D-SI's with "si:" before it.
-    """
+    """Return an element of the DCC (D-SI: "si:" before its name) with a text or elements; None is left out."""
     space, _, tag = name.rpartition(":")
     element = ET.Element(f"{{{SI if space else DCC}}}{tag}", attributes)
     for part in content:
@@ -154,28 +149,54 @@ def _statements(facts: Certificate) -> ET.Element:
 
 def _result(facts: Certificate) -> ET.Element:
     because = f" Revision {facts.revision}: {facts.made_because}." if facts.made_because else ""
-    title = f"Calibration of {facts.quantity}, transferred from source unit {facts.source}"
+    title = f"{_simulated(facts)}Calibration of {facts.quantity}, transferred from source unit {facts.source}"
     method = _node(
         "usedMethod",
         _text("name", f"Transfer calibration: {facts.method_name}"),
         _text("description", facts.method + because),
     )
+    given, conditions = facts.laboratory.conditions, []
+    for name, kind, value, shift, factor, unit in (
+        ("Temperature", "basic_temperature", given.temperature_C, 273.15, 1.0, r"\kelvin"),
+        ("Relative humidity", "basic_humidityRelative", given.humidity_pct, 0.0, 0.01, r"\one"),
+    ):
+        if value is not None:
+            quantity = _node("quantity", _text("name", name), _real(value * factor + shift, unit), refType=kind)
+            condition = _node("influenceCondition", _text("name", name), _node("data", quantity), refType=kind)
+            conditions.append(condition)
     recorded = f"{facts.samples} samples at {facts.sample_rate_Hz:g} Hz, output in {facts.output_unit}"
     provenance = [f"Map of family {facts.map_family}, from {recorded}."]
     provenance += [f"SHA-256 of the {name}: {sha256}" for name, sha256 in facts.hashes]
+    errors = [
+        _quantity(facts, f"{told} root mean square error", error.rmse, facts.interval_of(error))
+        for told, error in (("Predicted", facts.forecast), ("Measured", facts.measured))
+        if error is not None
+    ]
+    for name, value, note in facts.deciding:
+        errors.append(_quantity(facts, f"{name} ({note})" if note else name, value))
+    if facts.bands:
+        errors.append(_quantity(facts, "Lower end of the calibrated range", facts.low, kind="basic_validityRangeMin"))
+        errors.append(_quantity(facts, "Upper end of the calibrated range", facts.high, kind="basic_validityRangeMax"))
+    budget = None
+    if (of := facts.budget) is not None:
+        what = f"Uncertainty budget of an estimate at {of.load:.4g} {facts.reference_unit} (GUM, JCGM 100:2008)"
+        values = [(f"Standard uncertainty: {c.name} ({c.distribution})", c.standard) for c in of.contributions]
+        values.append(("Combined standard uncertainty", of.standard))
+        values.append(("U_est: expanded uncertainty, k = 2", of.expanded))
+        budget = _listed(what, *(_quantity(facts, name, value) for name, value in values))
     results = (
-        _listed("Error of the unit", *_errors(facts)),
+        _listed("Error of the unit", *errors),
         _listed("U_est: expanded uncertainty of an estimate, k = 2, by range of the estimate", _expanded(facts)),
-        _budget(facts),
+        budget,
         _listed("Provenance", *(_text("text", said) for said in provenance)),
     )
     return _node(
         "measurementResult",
-        _text("name", f"{_simulated(facts)}{title}"),
+        _text("name", title),
         _node("usedMethods", method),
         _node("usedSoftware", _software(facts)),
         _load_cell(facts),
-        _conditions(facts),
+        _node("influenceConditions", *conditions) if conditions else None,
         _node("results", *results),
     )
 
@@ -188,8 +209,7 @@ def _load_cell(facts: Certificate) -> ET.Element | None:
     cell, reference = facts.laboratory.load_cell, facts.reference
     if reference is None or not reference.certificate or facts.is_simulated:
         return None
-    issuer = reference.laboratory or cell.laboratory
-    serial = reference.cell or cell.serial
+    issuer, serial = reference.laboratory or cell.laboratory, reference.cell or cell.serial
     certificate = quantities = None
     if cell.certificate_sha256:
         certificate = _node(
@@ -201,8 +221,9 @@ def _load_cell(facts: Certificate) -> ET.Element | None:
         )
     if reference.uncertainty is not None:
         name = f"U_cell: expanded uncertainty of its certificate, k = {reference.coverage_factor:g}"
-        kind, element = "basic_uncertainty", "measuringEquipmentQuantity"
-        quantity = _quantity(facts, name, reference.uncertainty, reference=kind, element=element)
+        quantity = _quantity(
+            facts, name, reference.uncertainty, kind="basic_uncertainty", element="measuringEquipmentQuantity"
+        )
         quantities = _node("measuringEquipmentQuantities", quantity)
     identifications = _node(
         "identifications",
@@ -222,37 +243,12 @@ def _load_cell(facts: Certificate) -> ET.Element | None:
     return _node("measuringEquipments", equipment)
 
 
-def _conditions(facts: Certificate) -> ET.Element | None:
-    given = facts.laboratory.conditions
-    conditions = []
-    for name, kind, value, shift, factor, unit in (
-        ("Temperature", "basic_temperature", given.temperature_C, 273.15, 1.0, r"\kelvin"),
-        ("Relative humidity", "basic_humidityRelative", given.humidity_pct, 0.0, 0.01, r"\one"),
-    ):
-        if value is not None:
-            quantity = _node("quantity", _text("name", name), _real(value * factor + shift, unit), refType=kind)
-            condition = _node("influenceCondition", _text("name", name), _node("data", quantity), refType=kind)
-            conditions.append(condition)
-    return _node("influenceConditions", *conditions) if conditions else None
-
-
-def _errors(facts: Certificate) -> Iterator[ET.Element]:
-    for told, error in (("Predicted", facts.forecast), ("Measured", facts.measured)):
-        if error is not None:
-            yield _quantity(facts, f"{told} root mean square error", error.rmse, facts.interval_of(error))
-    for name, value, note in facts.deciding:
-        yield _quantity(facts, f"{name} ({note})" if note else name, value)
-    if facts.bands:
-        yield _quantity(facts, "Lower end of the calibrated range", facts.low, reference="basic_validityRangeMin")
-        yield _quantity(facts, "Upper end of the calibrated range", facts.high, reference="basic_validityRangeMax")
-
-
 def _quantity(
     facts: Certificate,
     name: str,
     value: float,
     interval: tuple[float, float] | None = None,
-    reference: str | None = None,
+    kind: str = "",
     element: str = "quantity",
 ) -> ET.Element:
     if facts.reference_unit not in SI_UNITS:
@@ -270,17 +266,7 @@ def _quantity(
                 _node("si:coverageProbability", "0.95"),
             )
         said = _real(value * factor, unit, coverage)
-    return _node(element, _text("name", name), said, **({"refType": reference} if reference else {}))
-
-
-def _budget(facts: Certificate) -> ET.Element | None:
-    if facts.budget is None:
-        return None
-    title = f"Uncertainty budget of an estimate at {facts.budget.load:.4g} {facts.reference_unit} (GUM, JCGM 100:2008)"
-    values = [(f"Standard uncertainty: {c.name} ({c.distribution})", c.standard) for c in facts.budget.contributions]
-    values += [("Combined standard uncertainty", facts.budget.standard)]
-    values += [("U_est: expanded uncertainty, k = 2", facts.budget.expanded)]
-    return _listed(title, *(_quantity(facts, name, value) for name, value in values))
+    return _node(element, _text("name", name), said, **({"refType": kind} if kind else {}))
 
 
 def _expanded(facts: Certificate) -> ET.Element:

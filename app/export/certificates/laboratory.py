@@ -117,11 +117,7 @@ class Laboratory:
 
 
 def read_laboratory(path: Path | None) -> Laboratory:
-    """Read the file; without one everything is "not stated", and the certificate says so.
-
-    Raises:
-        InputError: the file cannot be read, or a section, key or value is not known.
-    """
+    """Read the file (`InputError`: it cannot be used); without one everything is "not stated"."""
     if path is None:
         return Laboratory()
     values = read_toml(path)

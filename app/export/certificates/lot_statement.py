@@ -79,42 +79,35 @@ def lot_statement_pdf(facts: LotStatementFacts, words: Words = ENGLISH) -> bytes
         made_on=facts.made_on,
         across=words("paper.simulated") if facts.is_simulated else "",
     )
-    return parts.archival(parts.document_pdf(_story(facts, words), page), page)
-
-
-def _story(facts: LotStatementFacts, words: Words) -> list[Flowable]:
+    lot, limit, standing = facts.lot, facts.decided.limit, facts.standing
+    counts = [f"{words(f'verdict.{word}')} {count}" for word, count in standing.counts.items() if count]
+    model = lot.sensor_model or words("paper.no_model")
+    origin, unit = said(limit.origin, words), lot.reference_unit
+    made = {"network": facts.network_id[:12], "method": facts.method_id[:12], "day": facts.made_on.isoformat()}
+    lot_rows = [
+        (words("paper.lot"), words("paper.lot.is", lot=lot.id, model=model, source=lot.source)),
+        (words("paper.quantity"), words("paper.quantity.is", quantity=lot.reference_quantity, unit=unit)),
+        (words("paper.limit"), words("paper.limit.is", limit=limit.maximum_rmse, unit=unit, origin=origin)),
+        (words("paper.counts"), ", ".join(counts) or words("paper.none")),
+        (words("paper.made"), words("paper.made.is", **made)),
+    ]
+    for name, units in (("waiting", standing.on(Way.WAITING)), ("withdrawn", standing.withdrawn)):
+        if units:
+            serials = [unit.serial for unit in units]
+            lot_rows.append((words(f"paper.{name}"), _serials(serials, words, MOST_KEPT_BACK)))
     colour, word = (GIVEN, "paper.given") if facts.decided.released else (NOT_GIVEN, "paper.not_given")
-    return [
-        Paragraph(marked_up(words("paper.title", lot=facts.lot.id)), parts.style(18, BOLD)),
+    story: list[Flowable] = [
+        Paragraph(marked_up(page.title), parts.style(18, BOLD)),
         Spacer(1, 4 * mm),
         parts.marked(words(word), colour, [said(facts.decided.statement, words)], 10),
-        *parts.section(words("paper.lot"), parts.facts_table(_lot_rows(facts, words))),
+        *parts.section(words("paper.lot"), parts.facts_table(lot_rows)),
         *parts.section(words("paper.evidence"), parts.facts_table(_evidence_rows(facts, words))),
         *parts.section(words("paper.audited"), _audit_table(facts, words)),
         *parts.section(words("paper.released"), parts.paragraph(_serials(facts.decided.released, words), 7)),
         *parts.section(words("paper.means"), parts.paragraph(words("paper.means.is"), 7)),
         *parts.section(words("paper.assumes"), parts.paragraph(words("paper.assumes.is"), 7)),
     ]
-
-
-def _lot_rows(facts: LotStatementFacts, words: Words) -> list[tuple[str, str]]:
-    lot, limit, standing = facts.lot, facts.decided.limit, facts.standing
-    counts = [f"{words(f'verdict.{word}')} {count}" for word, count in standing.counts.items() if count]
-    model = lot.sensor_model or words("paper.no_model")
-    origin, unit = said(limit.origin, words), lot.reference_unit
-    made = {"network": facts.network_id[:12], "method": facts.method_id[:12], "day": facts.made_on.isoformat()}
-    return [
-        (words("paper.lot"), words("paper.lot.is", lot=lot.id, model=model, source=lot.source)),
-        (words("paper.quantity"), words("paper.quantity.is", quantity=lot.reference_quantity, unit=unit)),
-        (words("paper.limit"), words("paper.limit.is", limit=limit.maximum_rmse, unit=unit, origin=origin)),
-        (words("paper.counts"), ", ".join(counts) or words("paper.none")),
-        (words("paper.made"), words("paper.made.is", **made)),
-        *(
-            (words(f"paper.{name}"), _serials([unit.serial for unit in units], words, MOST_KEPT_BACK))
-            for name, units in (("waiting", standing.on(Way.WAITING)), ("withdrawn", standing.withdrawn))
-            if units
-        ),
-    ]
+    return parts.archival(parts.document_pdf(story, page), page)
 
 
 def _evidence_rows(facts: LotStatementFacts, words: Words) -> list[tuple[str, str]]:

@@ -28,51 +28,47 @@ def certificate_pdf(facts: Certificate) -> bytes:
         across=simulated,
     )
     attached = parts.Attachment(f"certificate-{facts.serial}.xml", certificate_xml(facts), "The same facts as a DCC")
-    return parts.archival(parts.document_pdf(_story(facts), page), page, attached)
-
-
-def _story(facts: Certificate) -> list[Flowable]:
-    return [
-        _head(facts),
+    # The line's own word stands in the results: nobody may read a statement where none is made.
+    is_made = bool(facts.conformity)
+    colour = VERDICT_COLOURS[facts.verdict if is_made else "retest"]
+    word = facts.verdict.upper() if is_made else "NO STATEMENT OF CONFORMITY"
+    picture = Drawing(24 * mm, 24 * mm)
+    picture.add(QrCodeWidget(f"{facts.identifier} {dict(facts.hashes)['map']}", barWidth=24 * mm, barHeight=24 * mm))
+    laboratory, issued_on = facts.laboratory.laboratory, facts.issued_on.isoformat()
+    head = [
+        Paragraph("Calibration certificate", parts.style(18, BOLD)),
+        Spacer(1, 5 * mm),
+        parts.paragraph(f"Laboratory: {_stated(laboratory.name, laboratory.city)}"),
+        parts.paragraph(f"Certificate {facts.identifier}, issued on {issued_on}"),
+    ]
+    bands: Flowable = parts.paragraph("No estimate of the unit's recording lies in the calibrated range.")
+    if facts.bands:
+        unit, first = facts.reference_unit, 38 * mm
+        rows = [
+            [f"Estimate, {unit}", *(f"{band.low:.3g} to {band.high:.3g}" for band in facts.bands)],
+            [f"U_est (k = 2), {unit}", *(f"{band.expanded:.3g}" for band in facts.bands)],
+        ]
+        widths = [first, *[(parts.WIDTH - first) / len(facts.bands)] * len(facts.bands)]
+        bands = Table(rows, colWidths=widths, style=parts.grid(8))
+    recorded = f"Estimates of the unit's own recording with U_est (k = 2), first {SHOWN_S:g} s"
+    story = [
+        Table([[head, picture]], colWidths=[parts.WIDTH - 26 * mm, 26 * mm], style=parts.flush()),
         Spacer(1, 4 * mm),
-        _verdict(facts),
+        parts.marked(word, colour, facts.reasons if is_made else (facts.no_statement, facts.traceability)),
         *parts.section("Unit and parties", parts.facts_table(_unit_rows(facts))),
         *parts.section("Result", parts.facts_table(_result_rows(facts))),
-        *parts.section("Expanded uncertainty of an estimate, U_est (k = 2)", _band_table(facts)),
+        *parts.section("Expanded uncertainty of an estimate, U_est (k = 2)", bands),
         *_budget(facts),
-        *parts.section(
-            f"Estimates of the unit's own recording with U_est (k = 2), first {SHOWN_S:g} s",
-            estimate_plot(facts, parts.WIDTH),
-        ),
+        *parts.section(recorded, estimate_plot(facts, parts.WIDTH)),
         *parts.section("Map from the unit's output to the source's", map_plot(facts, parts.WIDTH)),
         *parts.section("Traceability", parts.facts_table(_trace_rows(facts))),
         *parts.section("Method", parts.paragraph(facts.method)),
         *parts.section("Decision rule", parts.paragraph(DECISION_RULE)),
         *parts.section("Provenance (SHA-256)", parts.facts_table(list(facts.hashes), size=7)),
         *parts.section("Scope", parts.paragraph(ONLY_THIS)),
-        *parts.section("End of the certificate", parts.paragraph(f"Issued on {facts.issued_on.isoformat()}.")),
+        *parts.section("End of the certificate", parts.paragraph(f"Issued on {issued_on}.")),
     ]
-
-
-def _head(facts: Certificate) -> Flowable:
-    code = QrCodeWidget(f"{facts.identifier} {dict(facts.hashes)['map']}", barWidth=24 * mm, barHeight=24 * mm)
-    picture = Drawing(24 * mm, 24 * mm)
-    picture.add(code)
-    title = [
-        Paragraph("Calibration certificate", parts.style(18, BOLD)),
-        Spacer(1, 5 * mm),
-        parts.paragraph(f"Laboratory: {_stated(facts.laboratory.laboratory.name, facts.laboratory.laboratory.city)}"),
-        parts.paragraph(f"Certificate {facts.identifier}, issued on {facts.issued_on.isoformat()}"),
-    ]
-    return Table([[title, picture]], colWidths=[parts.WIDTH - 26 * mm, 26 * mm], style=parts.flush())
-
-
-def _verdict(facts: Certificate) -> Flowable:
-    # The line's own word stands in the results: nobody may read a statement where none is made.
-    is_made = bool(facts.conformity)
-    colour = VERDICT_COLOURS[facts.verdict if is_made else "retest"]
-    word = facts.verdict.upper() if is_made else "NO STATEMENT OF CONFORMITY"
-    return parts.marked(word, colour, facts.reasons if is_made else (facts.no_statement, facts.traceability))
+    return parts.archival(parts.document_pdf(story, page), page, attached)
 
 
 def _unit_rows(facts: Certificate) -> list[tuple[str, str]]:
@@ -97,14 +93,8 @@ def _unit_rows(facts: Certificate) -> list[tuple[str, str]]:
 
 
 def _party(party: Party) -> str:
-    return _stated(
-        party.name,
-        party.street,
-        party.post_code,
-        party.city,
-        party.country if party.country != NO_COUNTRY else NOT_STATED,
-        party.email,
-    )
+    country = party.country if party.country != NO_COUNTRY else NOT_STATED
+    return _stated(party.name, party.street, party.post_code, party.city, country, party.email)
 
 
 def _stated(*parts: str) -> str:
@@ -112,10 +102,9 @@ def _stated(*parts: str) -> str:
 
 
 def _result_rows(facts: Certificate) -> list[tuple[str, str]]:
-    unit = facts.reference_unit
-    covered = (
-        f"{facts.low:.4g} to {facts.high:.4g} {unit}" if facts.bands else "the unit's recording reaches none of it"
-    )
+    unit, covered = facts.reference_unit, "the unit's recording reaches none of it"
+    if facts.bands:
+        covered = f"{facts.low:.4g} to {facts.high:.4g} {unit}"
     return [
         ("Calibrated range", covered),
         ("Predicted error (RMSE)", _error(facts, facts.forecast, "none could be made")),
@@ -162,35 +151,13 @@ def _budget(facts: Certificate) -> list[Flowable]:
         return []
     head = ["contribution", f"value, {unit} or K", "distribution", "divisor", "sensitivity", f"u, {unit}"]
     rows = [
-        [
-            each.name,
-            f"{each.value:.3g}",
-            each.distribution,
-            f"{each.divisor:.4g}",
-            f"{each.sensitivity:.3g}",
-            f"{each.standard:.3g}",
-        ]
-        for each in budget.contributions
+        [c.name, f"{c.value:.3g}", c.distribution, f"{c.divisor:.4g}", f"{c.sensitivity:.3g}", f"{c.standard:.3g}"]
+        for c in budget.contributions
     ]
-    sums = [
-        ["combined", "", "", "", "", f"{budget.standard:.3g}"],
-        ["expanded, k = 2", "", "normal", "", "", f"U_est = {budget.expanded:.3g}"],
-    ]
+    rows.append(["combined", "", "", "", "", f"{budget.standard:.3g}"])
+    rows.append(["expanded, k = 2", "", "normal", "", "", f"U_est = {budget.expanded:.3g}"])
     first = 48 * mm
-    table = Table([head, *rows, *sums], colWidths=[first, *[(parts.WIDTH - first) / 5] * 5], style=parts.grid(7))
+    table = Table([head, *rows], colWidths=[first, *[(parts.WIDTH - first) / 5] * 5], style=parts.grid(7))
     unsaid = "" if facts.reference is not None else " The reference's own uncertainty was not stated and is not in it."
     said = parts.paragraph(f"At {budget.load:.4g} {unit}, the RMS load of the source (GUM, JCGM 100:2008).{unsaid}", 7)
     return [*parts.section("Uncertainty budget of an estimate", table), said]
-
-
-def _band_table(facts: Certificate) -> Flowable:
-    if not facts.bands:
-        return parts.paragraph("No estimate of the unit's recording lies in the calibrated range.")
-    unit = facts.reference_unit
-    rows = [
-        [f"Estimate, {unit}", *(f"{band.low:.3g} to {band.high:.3g}" for band in facts.bands)],
-        [f"U_est (k = 2), {unit}", *(f"{band.expanded:.3g}" for band in facts.bands)],
-    ]
-    first = 38 * mm
-    widths = [first, *[(parts.WIDTH - first) / len(facts.bands)] * len(facts.bands)]
-    return Table(rows, colWidths=widths, style=parts.grid(8))

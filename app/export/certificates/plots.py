@@ -84,12 +84,7 @@ def bars_plot(edges: Array, counts: Array, limit: Level | None, labels: tuple[st
 
 
 def course_plot(values: Array, levels: Sequence[Level], labels: tuple[str, str], width: float) -> Drawing:
-    """Draw values in their order with the lines they are held to, each with its name.
-
-    Args:
-        values: (n,).
-        width: on paper, in points.
-    """
+    """Draw values (n,) in their order, `width` points wide, with the lines they are held to, each with its name."""
     at = np.arange(1, len(values) + 1, dtype=float)
     heights = np.append(values, [level.at for level in levels])
     axes = _Axes.around(at, heights, width, labels)
