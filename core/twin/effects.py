@@ -283,6 +283,39 @@ class Form:
         ]
 
 
+Quantity: TypeAlias = Callable[[Flow, Sequence[float], Memory], Array | float]
+"""Compute something from the flow, the parameter values and the memory of an effect."""
+
+
+def sets(signal: str, value: Quantity) -> Step:
+    """Return a step that gives one signal of the flow, by its name there, a new value."""
+
+    def step(flow: Flow, values: Sequence[float], state: Memory) -> None:
+        setattr(flow, signal, value(flow, values, state))
+
+    return step
+
+
+def adds(signal: str, part: Quantity) -> Step:
+    """Return a step that adds the size of the effect times a part: x + v₀·part."""
+    return sets(signal, lambda flow, v, state: getattr(flow, signal) + v[0] * part(flow, v, state))
+
+
+def grows(signal: str, part: Quantity) -> Step:
+    """Return a step by which a signal grows: x·(1 + v₀·part)."""
+    return sets(signal, lambda flow, v, state: getattr(flow, signal) * (1.0 + v[0] * part(flow, v, state)))
+
+
+def hands_on(*names: str) -> Step:
+    """Return a step that hands its parameter values on to the press or the divider, by their names in the flow."""
+
+    def step(flow: Flow, values: Sequence[float], _: Memory) -> None:
+        for name, value in zip(names, values, strict=True):
+            setattr(flow, name, value)
+
+    return step
+
+
 def memory(memory: Memory, name: str, *start: float) -> Array:
     """Return the named state array of an effect, made from its start values on first use."""
     if name not in memory:

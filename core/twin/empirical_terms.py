@@ -16,7 +16,7 @@ import numpy as np
 from softcal.core.errors import InputError
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, memory
-from softcal.core.twin.signals import direction_state, low_pass
+from softcal.core.twin.signals import direction_state, largest_so_far, low_pass
 
 Place = Literal["F", "force_N", "output_V"]
 """What a term is added to: the force, which every later stage feels; the reading; the output."""
@@ -93,10 +93,8 @@ def _touch(flow: Flow, _: Memory, term: "EmpiricalTerm") -> Array:
 
 
 def _deepest(flow: Flow, state: Memory, term: "EmpiricalTerm") -> Array:
-    depth, last = _depth(flow, term), memory(state, "deepest", 0.0)
-    deepest = np.maximum(np.maximum.accumulate(depth), last[0])
-    last[0] = deepest[-1]
-    return np.asarray(deepest * (depth > 0.0))
+    depth = _depth(flow, term)
+    return largest_so_far(depth, memory(state, "deepest", 0.0)) * (depth > 0.0)
 
 
 def _position(flow: Flow, _: Memory, term: "EmpiricalTerm") -> Array:

@@ -108,6 +108,13 @@ def completed_presses(deformation: Array, state: Array) -> Array:
     return out
 
 
+def largest_so_far(signal: Array, state: Array) -> Array:
+    """Return the largest value up to each sample; state is (1,), the largest before, updated in place."""
+    largest = np.maximum(np.maximum.accumulate(signal), state[0])
+    state[0] = largest[-1]
+    return np.asarray(largest)
+
+
 def known_so_far(t_s: Array, values: Array, wanted_s: Array, state: dict[str, Array]) -> tuple[Array, Array]:
     """Return the instants and values known up to the end of this chunk, and keep what the next one may ask for.
 
