@@ -7,23 +7,24 @@ from typing import Any
 import numpy as np
 from scipy.linalg import solve_toeplitz
 
-from softcal.core.challenge.catalogue_equations import CATALOGUE, CATALOGUE_FORM
-from softcal.core.challenge.chain import BLOCK_COMPLIANCE_MM_PER_N, Equation, Rack, record
+from softcal.core.challenge.equations import CATALOGUE, CATALOGUE_FORM, OTHER_FORMS, OUTSIDE, OUTSIDE_FORM
 from softcal.core.challenge.mistakes import Mistake, RunOnFile, other_unit, written
-from softcal.core.challenge.other_forms import OTHER_FORMS
-from softcal.core.challenge.outside_equations import OUTSIDE, OUTSIDE_FORM
 from softcal.core.challenge.protocols import PROTOCOLS, weights
 from softcal.core.challenge.published import PUBLISHED_FORMS, PUBLISHED_OUTSIDE
 from softcal.core.challenge.rig import (
+    BLOCK_COMPLIANCE_MM_PER_N,
     DEAD_WEIGHTS,
     DUMMY_RESISTOR,
     PRESS,
     REST,
     RIGID_BLOCK,
     Cause,
+    Equation,
     Measured,
     Path,
+    Rack,
     Rig,
+    record,
 )
 from softcal.core.recording import Array
 

@@ -4,9 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from softcal.core.challenge.catalogue_equations import CATALOGUE
+from softcal.core.challenge.equations import ALIASES, CATALOGUE
 from softcal.core.challenge.mistakes import Mistake
-from softcal.core.challenge.outside_equations import ALIASES
 from softcal.core.challenge.seal import Label
 from softcal.core.errors import InputError
 

@@ -6,10 +6,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from softcal.core.challenge.rig import PRESS, Measured, Rig
+from softcal.core.challenge.rig import PRESS, Measured, Rig, Rng
 from softcal.core.recording import Array
 
-Rng = np.random.Generator
 COLUMNS = {"stage": "stage_mm", "force": "force_N", "output": "output_V"}
 UNITS: Mapping[str, Mapping[str, float]] = {
     "force": {"kgf": 9.80665, "gf": 9.80665e-3, "mN": 1e-3},

@@ -1,17 +1,14 @@
 """What the stage does in a run: ramps, steps with holds, random, rest, and experiments."""
 
 from collections.abc import Callable
-from typing import TypeAlias
 
 import numpy as np
 
-from softcal.core.challenge.rig import Path
+from softcal.core.challenge.rig import Path, Rng
 from softcal.core.recording import Array
 
 RUN_S = 40.0
 """Length of an ordinary run: four of them are a case of about 8,000 samples at 50 Hz."""
-
-Rng: TypeAlias = np.random.Generator
 
 
 class _Pen:

@@ -10,11 +10,9 @@ from scipy.optimize import nnls
 from scipy.signal import butter, lfilter
 from scipy.special import erf
 
-from softcal.core.challenge.catalogue_equations import hum, in_other_forms
-from softcal.core.challenge.chain import Moment, equations
+from softcal.core.challenge.equations import equations, hum, in_other_forms
 from softcal.core.challenge.operators import low_passes, recursion
-from softcal.core.challenge.outside_equations import OUTSIDE_FORM
-from softcal.core.challenge.sizes import Draw, MAINS_Hz, Rng, Scope, alias_Hz, near
+from softcal.core.challenge.rig import Moment
 from softcal.core.recording import Array
 
 BRANCHES = 24
@@ -126,7 +124,6 @@ PUBLISHED_FORMS = in_other_forms(
 """By (effect, form); each takes the parameters of the catalogue's and is about as large."""
 
 PUBLISHED_OUTSIDE = equations(
-    OUTSIDE_FORM,
     {
         "screw_growth": ("position", _screw_growth),
         "rate_stiffening": ("elastic", _rate_stiffening),
@@ -137,26 +134,3 @@ PUBLISHED_OUTSIDE = equations(
     },
 )
 """Published effects outside the catalogue by name."""
-
-
-def _tone_Hz(rng: Rng, at: Scope) -> float:
-    """A frequency from 1 Hz to 0.45 of the rate, 1.5 Hz from every alias of the mains."""
-    rate_Hz = at.rig.sample_rate_Hz
-    aliases = [alias_Hz(mains_Hz, rate_Hz) for mains_Hz in MAINS_Hz]
-    while True:
-        frequency_Hz = float(rng.uniform(1.0, 0.45 * rate_Hz))
-        if all(abs(frequency_Hz - alias) > 1.5 for alias in aliases):
-            return frequency_Hz
-
-
-PUBLISHED_SIZES: dict[str, Draw] = {
-    "screw_growth": lambda rng, at, scale: {"growth": scale * near(rng, 0.02), "tau_s": near(rng, 60.0)},
-    "rate_stiffening": lambda rng, at, scale: {"size": scale * near(rng, 0.05), "speed_mm_s": near(rng, 2.0)},
-    "film_contact": lambda rng, at, scale: {
-        "film_ohm": scale * at.rig.r0_ohm * near(rng, 0.08),
-        "load_N": near(rng, 0.3),
-    },
-    "stray_tone": lambda rng, at, scale: {"amplitude_V": scale * near(rng, 4e-3), "frequency_Hz": _tone_Hz(rng, at)},
-    "cell_ringing": lambda rng, at, scale: {"frequency_Hz": near(rng, 5.0) / scale, "damping": near(rng, 0.08)},
-}
-"""Usual sizes of the published effects outside the catalogue."""

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from softcal.core.challenge.cases import SealedCase
-from softcal.core.challenge.catalogue_equations import CATALOGUE_FORM
+from softcal.core.challenge.equations import CATALOGUE_FORM
 from softcal.core.challenge.judge import NAMED
 from softcal.core.challenge.rig import Cause, Measured, Rig
 from softcal.core.recording import Array

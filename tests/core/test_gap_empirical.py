@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from softcal.core import profiles
-from softcal.core.challenge.chain import Rack, record
-from softcal.core.challenge.outside_equations import OUTSIDE, OUTSIDE_FORM
-from softcal.core.challenge.rig import Cause, Path, Rig
+from softcal.core.challenge.equations import OUTSIDE, OUTSIDE_FORM
+from softcal.core.challenge.rig import Cause, Path, Rack, Rig, record
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.empirical import learned, terms_of_twin
