@@ -113,8 +113,7 @@ class SealedCase:
         )
         measured = record(rig, Rack(self.causes, EQUATIONS), path, temperature, rng, kind, dummy_ohm, known_force)
         if kind in (PRESS, REST) and self.tare_N:
-            force_N = measured.columns["force_N"] + self.tare_N
-            measured = replace(measured, columns={**measured.columns, "force_N": force_N})
+            measured = measured.with_columns(force_N=measured.columns["force_N"] + self.tare_N)
         return replace(measured, columns={k: v for k, v in measured.columns.items() if k not in self.withheld})
 
     def written(self, plans: Sequence[RunPlan]) -> list[RunOnFile]:
@@ -235,35 +234,32 @@ def _left_in_colour(case: SealedCase, columns: Array) -> float:
 
 def _clean(case: SealedCase) -> Array:
     """All channels of all runs in units of their noise, without noise and rounding."""
-    silent = replace(case, rig=replace(case.rig.without_noise(), adc_bits=30))
     parts = []
-    for plan in case.plans:
-        columns = silent.measure(plan).columns
+    for columns in _silent_runs(case):
         parts.append(columns["output_V"] / case.rig.floor_V)
         if "force_N" in columns:
             parts.append(columns["force_N"] / case.rig.noise_N)
     return np.concatenate(parts)
 
 
-def _distance_without_stage(case: SealedCase) -> float:
+def _silent_runs(case: SealedCase) -> Iterator[Mapping[str, Array]]:
     silent = replace(case, rig=replace(case.rig.without_noise(), adc_bits=30))
+    return (silent.measure(plan).columns for plan in case.plans)
+
+
+def _distance_without_stage(case: SealedCase) -> float:
+    rig = case.rig
+    moved = [rig, *(replace(rig, **{name: getattr(rig, name) * 1.001}) for name in ("r0_ohm", "kappa_per_N"))]
     gaps, slopes = [], []
-    for plan in case.plans:
-        columns = silent.measure(plan).columns
+    for columns in _silent_runs(case):
         force_N = np.maximum(0.0, columns["force_N"])
-        volts = {moved: _divider(case.rig, force_N, moved) for moved in ("", "r0_ohm", "kappa_per_N")}
-        slope = np.gradient(volts[""]) / np.where(np.abs(np.gradient(force_N)) > 1e-9, np.gradient(force_N), np.inf)
-        noise_V = np.hypot(case.rig.floor_V, slope * case.rig.noise_N)
-        gaps.append((columns["output_V"] - volts[""]) / noise_V)
-        slopes.append(np.column_stack([(volts[name] - volts[""]) / noise_V for name in ("r0_ohm", "kappa_per_N")]))
+        ohms = [one.r0_ohm / (1.0 - one.kappa_per_N * force_N) for one in moved]
+        base_V, *volts = (rig.vref_V * ohm / (ohm + rig.r_series_ohm) for ohm in ohms)
+        slope = np.gradient(base_V) / np.where(np.abs(np.gradient(force_N)) > 1e-9, np.gradient(force_N), np.inf)
+        noise_V = np.hypot(rig.floor_V, slope * rig.noise_N)
+        gaps.append((columns["output_V"] - base_V) / noise_V)
+        slopes.append(np.column_stack([(one_V - base_V) / noise_V for one_V in volts]))
     return _left(np.concatenate(gaps), np.concatenate(slopes))
-
-
-def _divider(rig: Rig, force_N: Array, moved: str) -> Array:
-    if moved:
-        rig = replace(rig, **{moved: getattr(rig, moved) * 1.001})
-    ohm = rig.r0_ohm / (1.0 - rig.kappa_per_N * force_N)
-    return np.asarray(rig.vref_V * ohm / (ohm + rig.r_series_ohm))
 
 
 def _left(gap: Array, slopes: Array) -> float:

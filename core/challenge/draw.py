@@ -9,6 +9,7 @@ import numpy as np
 from softcal.core.challenge.cases import RunPlan, SealedCase, full_depth_mm
 from softcal.core.challenge.equations import CATALOGUE, CATALOGUE_FORM, OTHER_FORMS, OUTSIDE, OUTSIDE_FORM
 from softcal.core.challenge.mistakes import draw_mistake
+from softcal.core.challenge.protocols import log_uniform
 from softcal.core.challenge.published import PUBLISHED_FORMS, PUBLISHED_OUTSIDE
 from softcal.core.challenge.rig import Cause, Rig, Rng
 from softcal.core.challenge.score import CASES_OF_FLOOR, FLOORS
@@ -181,7 +182,7 @@ def draw_rig(rng: Rng, adc_bits: int | None = None) -> tuple[Rig, float]:
 def _coloured(rng: Rng, rig: Rig, scope: Scope) -> Rig:
     """Give output, force or both noise of 0.1–1 % of the range used that fades within 0.1–2 s."""
     channel = rng.choice(["output", "force", "both"])
-    share, fading_s = (float(np.exp(rng.uniform(*np.log(ends)))) for ends in ((0.001, 0.01), (0.1, 2.0)))
+    share, fading_s = log_uniform(rng, 0.001, 0.01), log_uniform(rng, 0.1, 2.0)
     return replace(
         rig,
         coloured_V=share * scope.span_V if channel != "force" else 0.0,

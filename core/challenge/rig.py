@@ -104,6 +104,9 @@ class Measured:
     columns: Mapping[str, Array]
     dummy_ohm: float | None = None
 
+    def with_columns(self, **columns: Array) -> "Measured":
+        return replace(self, columns={**self.columns, **columns})
+
 
 SUBSTEPS = 10
 """Grid points per sample: the integration step is a tenth of the sample period."""
