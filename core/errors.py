@@ -1,5 +1,5 @@
-"""Everything softcal raises on purpose, and the exit code of a command that ends so; wrong arguments inside the program
-stay ValueError."""
+"""Everything softcal raises on purpose, and the exit code of a command that ends so; wrong
+arguments inside the program stay ValueError."""
 
 import errno
 

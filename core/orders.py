@@ -17,8 +17,8 @@ class OrderKind(StrEnum):
     GOLDEN = "golden"
     """Press a golden unit: the check that lets the station run this shift."""
     LOAD = "load"
-    """Read the sensor at rest under a known load that a person put on the unit; nothing moves. The order's reason names
-    step and load."""
+    """Read the sensor at rest under a known load that a person put on the unit; nothing moves. The
+    order's reason names step and load."""
     CHECK = "check"
     """Self-test of the station without a unit."""
     STOP = "stop"

@@ -1,7 +1,7 @@
 """What other installed packages bring along: entry points by group, loaded and checked.
 
-The core reads the list of installed packages here only. A plug-in that one process knows and another does not would
-make the same result mean two things.
+The core reads the list of installed packages here only. A plug-in that one process knows and
+another does not would make the same result mean two things.
 """
 
 import os

@@ -17,8 +17,8 @@ SET = "set, not fitted"
 def setting(value: Any, origin: str = SET) -> Any:
     """Declare one number of a frozen configuration, and where it comes from.
 
-    A command of benchmarks/ with the rows it was chosen on, a paper, a standard, or `SET`. Printed by
-    `softcal explain --method`.
+    A command of benchmarks/ with the rows it was chosen on, a paper, a standard, or `SET`. Printed
+    by `softcal explain --method`.
     """
     return field(default=value, metadata={"origin": origin})
 

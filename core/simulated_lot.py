@@ -50,9 +50,9 @@ class LotDesign:
     Args:
         good: number of units in good order.
         shift: how the loads of the units' recordings differ from the source's, a name of `PROGRAMMES`.
-        spread: how the units differ. What they differ by in stiffness and contact position changes the load at equal
-            travel, which no unlabelled recording shows; the default takes pads from one mould, all else by tens of
-            per cent.
+        spread: how the units differ. What they differ by in stiffness and contact position changes
+            the load at equal travel, which no unlabelled recording shows; the default takes pads
+            from one mould, all else by tens of per cent.
         twin: the nominal unit and its effects, of a diagnosis for example; None draws them.
     """
 
@@ -97,8 +97,8 @@ class SimulatedLot:
 def simulate_lot(seed: int, design: LotDesign | None = None) -> SimulatedLot:
     """Simulate a lot; equal seed and design give equal recordings.
 
-    Every lot has its own nominal unit and its own mild creep, hysteresis and readout lag, which its units share up to
-    a fifth of their size.
+    Every lot has its own nominal unit and its own mild creep, hysteresis and readout lag, which its
+    units share up to a fifth of their size.
     """
     design, rng = design or LotDesign(), np.random.default_rng(seed)
     kinds = [UnitKind(GOOD)] * design.good + [kind for kind, count in (design.bad or {}).items() for _ in range(count)]

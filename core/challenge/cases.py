@@ -64,8 +64,8 @@ class SealedCase:
         depth_mm: stage position at which the base model reaches the peak force.
         withheld: columns taken out of every run.
         kept_back: a run of a protocol that is not among `plans`.
-        mistake: what went wrong when the runs were written down (`mistakes.Mistake` as text); empty for nothing.
-            `measure` gives what was measured, `written` what the files have.
+        mistake: what went wrong when the runs were written down (`mistakes.Mistake` as text); empty
+            for nothing. `measure` gives what was measured, `written` what the files have.
         turns_between_samples: the stage turns between two samples, so the pad goes up to 50 µm beyond the recorded
             path; otherwise the pad sees the recorded path, as the written model has it.
         tare_N: what the load cell reads without load, in every run.

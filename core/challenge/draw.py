@@ -244,11 +244,12 @@ LINES: dict[str, Causes] = {
     "mistakes": _single_within(0.0, 0.3),
     **dict.fromkeys(("untared", "reseated", "coloured"), _single_within(0.0, 0.5)),
 }
-"""The strata: singles at a rig's usual size and at 0.3 and 0.1 of it, the same causes by other equations, pairs,
-triples, none, effects outside the catalogue, poor recordings, singles on a stage that turns between samples, causes and
-effects by published equations nobody wrote the solver for, mistakes in the recordings, a third of them beside an
-effect, and what every rig has, half of it beside an effect: a cell that was not tared, a unit that sits anew in every
-run, noise that is not white."""
+"""The strata: singles at a rig's usual size and at 0.3 and 0.1 of it, the same causes by other
+equations, pairs, triples, none, effects outside the catalogue, poor recordings, singles on a stage
+that turns between samples, causes and effects by published equations nobody wrote the solver for,
+mistakes in the recordings, a third of them beside an effect, and what every rig has, half of it
+beside an effect: a cell that was not tared, a unit that sits anew in every run, noise that is not
+white."""
 
 _SHARES = {"usual": 6, "third": 4, "tenth": 4, "form": 4, "pair": 5, "triple": 2, "none": 5, "outside": 5}
 """The mix of a challenge; every poor line counts 1."""

@@ -1,7 +1,8 @@
 """What makes a sealed rig differ from the base model, each cause on a hook of the chain.
 
-The 25 effects of TWIN.md's catalogue in its own equations, the same causes by other equations (a rig does not know
-which one it chose), and effects outside the catalogue: the honest answer to each of those is `unknown`, with its stage.
+The 25 effects of TWIN.md's catalogue in its own equations, the same causes by other equations (a
+rig does not know which one it chose), and effects outside the catalogue: the honest answer to each
+of those is `unknown`, with its stage.
 """
 
 from collections.abc import Mapping

@@ -165,8 +165,8 @@ PROTOCOLS: dict[str, Callable[[Rng, float], Path]] = {
 }
 """Paths by name; each takes a generator and the depth in mm at which the force reaches the rig's peak.
 
-The unit that is the source of a lot is pressed at random for three minutes, each of the others, and in its audit, for
-half as long.
+The unit that is the source of a lot is pressed at random for three minutes, each of the others, and
+in its audit, for half as long.
 """
 
 

@@ -36,8 +36,8 @@ def _kohlrausch_relaxation(force_N: Array, at: Moment, share: float, tau_s: floa
 def _ogden_roxburgh(force_N: Array, at: Moment, size: float, cycles: float) -> Array:
     """Pseudo-elastic Mullins effect, η = 1 − erf((Wm − W)/m)/r: Ogden and Roxburgh, Proc. R. Soc. Lond. A 455 (1999).
 
-    W is the stored energy, Wm the largest so far, 1/r the size; `cycles` scales m in units of the largest energy of a
-    press to 3 N.
+    W is the stored energy, Wm the largest so far, 1/r the size; `cycles` scales m in units of the
+    largest energy of a press to 3 N.
     """
     energy = at.rig.k1_N_mm * at.compression_mm**2 / 2.0 + at.rig.k3_N_mm3 * at.compression_mm**4 / 4.0
     most = np.maximum.accumulate(energy)

@@ -1,7 +1,7 @@
 """The shrink of the gap that a report's twin reaches on the run that was kept back, computed with this generator.
 
-The twin's numbers come from the report; the equations, the recording and the refit of the bare base are this package's
-own, so a mistake of the diagnosis cannot hide here.
+The twin's numbers come from the report; the equations, the recording and the refit of the bare base
+are this package's own, so a mistake of the diagnosis cannot hide here.
 """
 
 from collections.abc import Mapping
@@ -68,8 +68,8 @@ def realised_shrink(case: SealedCase, report: Mapping[str, Any]) -> float:
         report: a record of schema `softcal.gap/1` with the fitted `base`; its named causes are the twin's effects.
 
     Returns:
-        NaN where the report names no twin, a cause belongs to one recording only, or the bare base leaves no gap;
-        0 where its numbers make no twin.
+        NaN where the report names no twin, a cause belongs to one recording only, or the bare base
+        leaves no gap; 0 where its numbers make no twin.
     """
     named = {c["effect"]: c.get("parameters") for c in report["causes"] if c["probability"] >= NAMED}
     if "base" not in report or not named or any(effect in PER_RUN for effect in named):

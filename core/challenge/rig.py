@@ -20,8 +20,8 @@ DEAD_WEIGHTS, REST = "dead_weights", "rest"
 class Rig:
     """Base parameters and metadata of one unit on one rig (TWIN.md, base model).
 
-    `kappa_per_N` is in 1/N, or in 1/mm where `sensor_type` is `strain`. Beside the white noise, each channel may have
-    noise that fades with `coloured_s`, of this standard deviation.
+    `kappa_per_N` is in 1/N, or in 1/mm where `sensor_type` is `strain`. Beside the white noise,
+    each channel may have noise that fades with `coloured_s`, of this standard deviation.
     """
 
     u0_mm: float

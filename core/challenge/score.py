@@ -74,8 +74,8 @@ class Probabilities:
 class Bin:
     """Named causes whose probability lies in one interval: how many there are, and how many are at work.
 
-    An effect that nobody names is right at 0 whatever the diagnosis does, 24 times out of 25. So only stated
-    probabilities from the first of `STATED_EDGES` on are counted.
+    An effect that nobody names is right at 0 whatever the diagnosis does, 24 times out of 25. So
+    only stated probabilities from the first of `STATED_EDGES` on are counted.
     """
 
     low: float
@@ -267,8 +267,9 @@ FLOORS: Mapping[str, float] = MappingProxyType(
 )
 """Least share of cases of a line that are right: exactly the true causes, `no_gap`, `unknown` or `data`.
 
-They lie far below what is measured on many cases, and above what an answer reaches that does not look at the recording.
-With a handful of cases a line, a sound diagnosis fails once in hundreds of times, and silence never passes.
+They lie far below what is measured on many cases, and above what an answer reaches that does not
+look at the recording. With a handful of cases a line, a sound diagnosis fails once in hundreds of
+times, and silence never passes.
 """
 
 CASES_OF_FLOOR = 4

@@ -115,8 +115,8 @@ def validation_blocks(count: int, share: float) -> Mask:
 def merge_members(members: list[list[tuple[Array, Array]]]) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
     """Merge networks, each as its layers of weight (inputs, outputs) and bias, into one whose estimate is their mean.
 
-    The first layers stand side by side, hidden layers become block-diagonal, the last layers are stacked and divided
-    by the number of members.
+    The first layers stand side by side, hidden layers become block-diagonal, the last layers are
+    stacked and divided by the number of members.
     """
     # Imported here: whoever reads a calibration must not wait for scipy.
     from scipy.linalg import block_diag

@@ -178,12 +178,12 @@ class Effect:
         source: where the equation or its usual size comes from.
         parameters: in the order `step` takes them; the first one is the size of the effect.
         is_episodic: it happens at a few instants of one run and does not carry over to another.
-        of_runs: the same effect with values of its own in every run, for a number of runs; None where one set of
-            values holds for all.
+        of_runs: the same effect with values of its own in every run, for a number of runs; None
+            where one set of values holds for all.
         sides: the same effect acting from another side, told apart by the parameters that are given.
         forms: other realisations of the same cause that a rig may show.
-        constants: numbers by name that the equation takes behind its parameters; a fit reads them off each recording
-            (not a number here), a twin holds them.
+        constants: numbers by name that the equation takes behind its parameters; a fit reads them
+            off each recording (not a number here), a twin holds them.
     """
 
     id: str

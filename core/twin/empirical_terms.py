@@ -1,8 +1,8 @@
 """Empirical terms: a number times one of the twin's own variables, added to a signal of the chain.
 
-A term describes what no equation of the catalogue explains. It names no cause. Every variable is made from what the
-twin itself knows at that instant (stage position, time, its own force and depth, temperature), never from a recording,
-and carries its state from chunk to chunk.
+A term describes what no equation of the catalogue explains. It names no cause. Every variable is
+made from what the twin itself knows at that instant (stage position, time, its own force and depth,
+temperature), never from a recording, and carries its state from chunk to chunk.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -1,8 +1,9 @@
 """How other realisations of a cause are built: what a rig may show instead of the catalogue's own equation.
 
-A cause is named by its place and character, not by its formula: several relaxation times instead of one, stop
-operators instead of a Duhem loop, a power law instead of a logarithm. Each form carries the identifier of its cause,
-so that a diagnosis can name the cause and describe what the catalogue's equation leaves.
+A cause is named by its place and character, not by its formula: several relaxation times instead of
+one, stop operators instead of a Duhem loop, a power law instead of a logarithm. Each form carries
+the identifier of its cause, so that a diagnosis can name the cause and describe what the
+catalogue's equation leaves.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -123,8 +124,8 @@ def stops(signal: Array, values: Sequence[float], state: Memory, name: str) -> A
     """Return Σ wᵢ·(x − play_rᵢ(x)): stop operators, each saturating after its own stroke (Brokate, Sprekels 1996).
 
     Args:
-        values: a weight for each of `STOPS`, then the largest value of x, of which the strokes are shares; that of this
-            run where it is not given.
+        values: a weight for each of `STOPS`, then the largest value of x, of which the strokes are
+            shares; that of this run where it is not given.
     """
     out = np.zeros_like(signal)
     largest = constant(values, state, len(STOPS), name, lambda: float(np.max(np.abs(signal))) or 1.0)

@@ -11,8 +11,8 @@ from softcal.core.twin.forms import drifts, low_passes, plus, two
 from softcal.core.twin.probes import Shapes, Sizes, Times
 
 SPAN = Parameter("F_max", "N", 10.0, 10.0, 10.0, weight=0.0, is_fixed=True)
-"""Capacity of the cell of the common rig; it grows with the rig and is not fitted: another one is a change of λ and of
-the gain."""
+"""Capacity of the cell of the common rig; it grows with the rig and is not fitted: another one is a
+change of λ and of the gain."""
 
 
 def _tanh(flow: Flow, v: Sequence[float], _: Memory) -> Array:

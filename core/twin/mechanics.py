@@ -58,8 +58,9 @@ def soft_contact(travel: Array, softness: tuple[float, float, float], k1: float,
 
     Args:
         travel: (n,) u − u0 where positive, else 0, mm.
-        softness: length ℓ and tail s of the toe, compliance c_f of the frame. The toe is x − ℓ·(1 − rest(x)) with
-            rest(x) = exp(−x/ℓ), or (1 + s·x/ℓ)^(−1/s) with a tail; ℓ = 0 mm for none. c_f in mm/N, 0 for a rigid frame.
+        softness: length ℓ and tail s of the toe, compliance c_f of the frame. The toe is x − ℓ·(1 −
+            rest(x)) with rest(x) = exp(−x/ℓ), or (1 + s·x/ℓ)^(−1/s) with a tail; ℓ = 0 mm for none.
+            c_f in mm/N, 0 for a rigid frame.
     """
     toe, tail, compliance = softness
     out = np.empty_like(travel)

@@ -27,10 +27,10 @@ class EffectSetting:
     """One effect switched on.
 
     Args:
-        values: parameter values by name; a parameter left out stands at its usual value. Constants of a form must stand
-            here too.
-        episodes: rows of an episodic effect, in s since the start of the run: (start, stop) of each bad contact,
-            or (instant, count) of each loss of samples.
+        values: parameter values by name; a parameter left out stands at its usual value. Constants
+            of a form must stand here too.
+        episodes: rows of an episodic effect, in s since the start of the run: (start, stop) of each
+            bad contact, or (instant, count) of each loss of samples.
         form: by which of its other equations it acts, as `Form` names it; by the catalogue's where empty.
 
     Raises:

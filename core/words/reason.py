@@ -1,7 +1,7 @@
 """What softcal says: a code with typed values. English stands in core, other languages in app/texts.
 
-Sentences on units and verdicts stand in `sentences`, those of stations, their gates and the registry in
-`rig_sentences`, those of a diagnosis in `gap_sentences`.
+Sentences on units and verdicts stand in `sentences`, those of stations, their gates and the
+registry in `rig_sentences`, those of a diagnosis in `gap_sentences`.
 """
 
 import json
@@ -90,8 +90,8 @@ def filled(sentence: str, values: Mapping[str, object]) -> str:
 def reason(code: str, /, **values: Value) -> Reason:
     """Return the reason of a code, its values as JSON can keep them.
 
-    NumPy numbers become plain ones. A number that is none (nan, inf) becomes its word: whatever a device reported, the
-    sentence about it is said.
+    NumPy numbers become plain ones. A number that is none (nan, inf) becomes its word: whatever a
+    device reported, the sentence about it is said.
     """
     return Reason(code, {name: _plain_value(value) for name, value in values.items()})
 
