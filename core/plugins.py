@@ -25,8 +25,8 @@ def installed(group: str) -> list[EntryPoint]:
 
 @lru_cache(maxsize=16)
 def _in_folders(group: str, folders: tuple[tuple[str, int], ...]) -> EntryPoints:
-    """Return a group of the folders on the path; a package that comes or goes changes the time of its folder."""
-    # Every installed package is opened for this: a station that opens its devices would do so dozens of times.
+    """Return a group of the path's folders; a package that comes or goes changes a folder's time."""
+    # Every installed package is opened for this: a station would do so dozens of times.
     return entry_points(group=group)
 
 
@@ -92,6 +92,6 @@ class PluginKind(Generic[Thing]):
 
 
 def who(point: EntryPoint, kind: str) -> str:
-    """Return how a message names a plug-in: its kind, its name, its package and what it points to."""
+    """Return how a message names a plug-in: kind, name, package and what it points to."""
     package = f" of {point.dist.name} {point.dist.version}" if point.dist is not None else ""
     return f"{kind} plug-in {point.name!r}{package} ({point.value})"

@@ -1,4 +1,4 @@
-"""Stage profiles as data: straight moves, holds and rests, sampled for the twin or sent to the stage move by move."""
+"""Stage profiles as data: straight moves, holds and rests, for the twin and the stage."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -83,7 +83,7 @@ class Profile:
 
 
 def moves(name: str, targets_mm: Sequence[float], speeds_mm_s: Sequence[float], holds_s: Sequence[float]) -> Profile:
-    """Return straight moves with a hold after each, (number of moves,) of each number; a hold of 0 s is none."""
+    """Return straight moves with a hold after each, (m,) of each number; a hold of 0 s is none."""
     segments, at_mm = [], 0.0
     for target_mm, speed_mm_s, hold_s in zip(targets_mm, speeds_mm_s, holds_s, strict=True):
         if speed_mm_s <= 0:
@@ -155,12 +155,12 @@ def small_reversals(depth_mm: float, stroke_mm: float = 0.4) -> Profile:
 def random_presses(
     rng: np.random.Generator, duration_s: float, depth_mm: float, fastest_mm_s: float = 5.0, return_share: float = 0.5
 ) -> Profile:
-    """Return presses of random depth and speed, as the paper's "different rates and magnitudes", with short holds.
+    """Return presses of "different rates and magnitudes", as the paper has them, with short holds.
 
     Args:
         rng: source of depths, speeds and holds.
         duration_s: at least this long; the last press is finished and 1 s of rest follows.
-        return_share: share of the moves after which the stage goes back to 0 (else it turns on the way).
+        return_share: share of the moves that are followed by one back to 0.
     """
     targets, speeds, holds, spent_s, at_mm = [0.0], [1.0], [1.0], 1.0, 0.0
     while spent_s < duration_s or at_mm > 0:
@@ -178,7 +178,7 @@ def random_presses(
 
 
 def source_profile(rng: np.random.Generator, duration_s: float = 170.0, depth_mm: float = 3.5) -> Profile:
-    """Return the long profile that calibrates a source unit: a rate sweep, steps with holds, then random presses."""
+    """Return the long profile of a source unit: a rate sweep, steps with holds, random presses."""
     opening = rate_sweep(depth_mm, (0.5, 1.5, 4.0)).then(
         steps_with_holds([0.4 * depth_mm, 0.7 * depth_mm, depth_mm, 0.5 * depth_mm], hold_s=3.0), "opening"
     )
@@ -187,7 +187,7 @@ def source_profile(rng: np.random.Generator, duration_s: float = 170.0, depth_mm
 
 
 def unit_profile(rng: np.random.Generator, duration_s: float = 25.0, depth_mm: float = 3.5) -> Profile:
-    """Return the short profile of a target unit: one full press, then random presses at several rates and depths."""
+    """Return the short profile of a target unit: one full press, then random presses."""
     opening = ramps([depth_mm], 3.0, rest_s=1.0)
     left_s = max(5.0, duration_s - opening.duration_s)
     return opening.then(random_presses(rng, left_s, depth_mm), "unit")
@@ -209,7 +209,7 @@ BUILT_IN: Mapping[str, Callable[[np.random.Generator, float], Profile]] = {
 
 
 def pressed(name: str) -> Reason:
-    """Return the name of a profile, as a recording keeps it, in words that every language has of its own."""
+    """Return the name of a profile, as a recording keeps it, in words to be translated."""
     match = NAME_AND_SIZE.fullmatch(name)
     if match is None:
         return reason("gap.pressed", profile=name)

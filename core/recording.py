@@ -1,4 +1,4 @@
-"""Recordings of one unit, checked once when made. A fit that takes an `OutputRecording` cannot read a reference."""
+"""Recordings of one unit, checked when made. From an `OutputRecording` no fit reads a reference."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -33,10 +33,10 @@ class OutputRecording:
         t_s: (n,) time stamps in s, strictly increasing.
         output: (n,) sensor output in `output_unit`.
         sample_rate_Hz: nominal sample rate; the median step of `t_s` must agree within 2 %.
-        stage_mm: (n,) stage position in mm, positive when it compresses, where the station knows it.
+        stage_mm: (n,) stage position, positive when it compresses; None where it is not known.
 
     Raises:
-        InputError: not finite, time repeated or backward, too short, or a rate that is not the declared one.
+        InputError: not finite, time repeated or backward, too short, or not at the declared rate.
     """
 
     serial: str
@@ -73,7 +73,7 @@ class OutputRecording:
 
     @cached_property
     def step(self) -> float:
-        """Smallest step of the readout, in the output unit; infinite where the output never changes."""
+        """Smallest step of the readout, in the output unit; infinite for a constant output."""
         return float(np.min(np.diff(np.unique(self.output)), initial=np.inf))
 
     @cached_property
@@ -85,7 +85,7 @@ class OutputRecording:
 
     @cached_property
     def window_rows(self) -> Indices:
-        """(m,) index of the newest sample of every full window; windows never reach across a gap."""
+        """(m,) index of the newest sample of every full window; none reaches across a gap."""
         return np.concatenate([np.arange(s.start + TAPS - 1, s.stop) for s in self.segments]).astype(np.int64)
 
     @cached_property

@@ -24,7 +24,7 @@ def setting(value: Any, origin: str = SET) -> Any:
 
 
 def table(values: Mapping[str, float], origin: str = SET) -> Any:
-    """Declare named coefficients of a frozen configuration as pairs of name and value; see `setting`."""
+    """Declare named coefficients of a configuration as pairs of name and value; see `setting`."""
     return setting(tuple(values.items()), origin)
 
 
@@ -40,7 +40,7 @@ def origins(config: object, prefix: str = "") -> Iterator[tuple[str, object, str
 
 
 def rebuilt(default: Config, kept: Mapping[str, Any]) -> Config:
-    """Return a configuration like `default` with the numbers that were kept as JSON; what is missing stays as it is."""
+    """Return a configuration like `default` with the numbers that were kept as JSON."""
     declared: tuple[Field[Any], ...] = fields(default)  # type: ignore[arg-type]
     values = {}
     for one in declared:
@@ -57,7 +57,7 @@ def _tupled(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class NumberedMethod:
-    """A frozen, nested configuration every number of which has an origin: the whole of it has one identity."""
+    """A frozen, nested configuration with one identity; every number of it has an origin."""
 
     @property
     def id(self) -> str:
@@ -69,7 +69,7 @@ class NumberedMethod:
         return origins(self)
 
     def to_json(self) -> dict[str, object]:
-        """Return every number as nested JSON values; one and the same object for equal methods, to be read only."""
+        """Return every number as nested JSON values; one object for equal methods, to be read only."""
         return _json(self)
 
     @classmethod
@@ -80,7 +80,7 @@ class NumberedMethod:
 
 
 METHODS_KEPT = 32
-"""A lot is made with one or two methods, and each of its units carries a copy: reading each costs more than a query."""
+"""Each unit of a lot carries a copy of one of a few methods: reading each costs more than a query."""
 
 
 @lru_cache(maxsize=METHODS_KEPT)

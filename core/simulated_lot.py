@@ -1,4 +1,4 @@
-"""Simulated lots on the twin: good units, planted bad ones and shifted loads, with the truth beside them."""
+"""Simulated lots on the twin: good units, planted bad ones, shifted loads, with the truth."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ GOLDEN = 86_401
 
 @dataclass(frozen=True)
 class UnitKind:
-    """What is special about units of a lot: in the unit, in its wiring, and in how it is pressed, if it is."""
+    """What is special about units of a lot: the unit, its wiring, how it is pressed."""
 
     name: str
     twin: Callable[[np.random.Generator, Twin], Twin] = lambda rng, twin: twin
@@ -32,14 +32,14 @@ class UnitKind:
 
 
 class SteadyLine:
-    """What the line does to the units' recordings and not to their audits: this one does nothing."""
+    """What the line does to the units' recordings and not to their audits: here nothing."""
 
     def pressed(self, rng: np.random.Generator, twin: Twin) -> Twin:
         """Return the unit as the press of the line meets it."""
         return twin
 
     def day(self, source: LabelledRecording, rng: np.random.Generator) -> Callable[[OutputRecording], OutputRecording]:
-        """Return how the readout shows a recording on the day of the units; source and audits have another one."""
+        """Return how the readout shows a recording on the units' day; source and audits have another."""
         return lambda recording: recording
 
 
@@ -49,7 +49,7 @@ class LotDesign:
 
     Args:
         good: number of units in good order.
-        shift: how the loads of the units' recordings differ from the source's, a name of `PROGRAMMES`.
+        shift: how the units' loads differ from the source's, a name of `PROGRAMMES`.
         spread: how the units differ. What they differ by in stiffness and contact position changes
             the load at equal travel, which no unlabelled recording shows; the default takes pads
             from one mould, all else by tens of per cent.
@@ -87,7 +87,7 @@ class SimulatedUnit:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedLot:
-    """A source unit and the units made with it; the source once more in the units' sitting, under the load cell."""
+    """A source unit, the units made with it, and the source once more in the units' sitting."""
 
     source: LabelledRecording
     units: tuple[SimulatedUnit, ...]
@@ -127,7 +127,7 @@ def draw_twins(
 
 
 def twin_of(seed: int, serial: str) -> Twin:
-    """Return the twin of one serial of a simulated lot: the same for the same seed and serial, in any order."""
+    """Return the twin of one serial of a simulated lot: the same for the same seed and serial."""
     rng, own = np.random.default_rng(seed), np.random.default_rng([seed, crc32(serial.encode())])
     nominal, effects = _nominal(rng), _mild_effects(rng)
     (twin,) = draw_lot(own, 1, nominal, ReadoutMetadata(), effects, LotDesign().spread)

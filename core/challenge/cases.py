@@ -117,7 +117,7 @@ class SealedCase:
         return replace(measured, columns={k: v for k, v in measured.columns.items() if k not in self.withheld})
 
     def written(self, plans: Sequence[RunPlan]) -> list[RunOnFile]:
-        """Return runs as files have them, with the mistake of the case; its own stand first in `plans`."""
+        """Return runs as files have them, with the case's mistake; its own stand first in `plans`."""
         runs, others = [self.measure(plan) for plan in plans], []
         if self.mistake and Mistake.of(self.mistake).what == "other_unit":
             unit = replace(self, rig=other_unit(self.rig, Mistake.of(self.mistake)))
@@ -132,7 +132,7 @@ class SealedCase:
         if plan.protocol == DUMMY_RESISTOR:
             return _still(plan.protocol, 60.0), None
         if plan.protocol == RIGID_BLOCK:
-            # The block is pressed twice up to the peak force at 0.02 mm/s, with two seconds at every turn.
+            # The block is pressed twice up to the peak force at 0.02 mm/s, 2 s at every turn.
             yielding = sum(cause.values.get("compliance_mm_per_N", 0.0) for cause in self.causes)
             play_mm = sum(cause.values.get("width_mm", 0.0) for cause in self.causes)
             start_mm = max(0.0, self.rig.u0_mm - 0.02)
@@ -191,7 +191,7 @@ _STEPS = {"u0_mm": 1e-3, "k1_N_mm": 1e-3, "k3_N_mm3": 1e-3, "r0_ohm": 1e-4, "kap
 
 
 def distance_sigma(case: SealedCase) -> float:
-    """How far the causes stand out once the base is refitted: ‖what no base parameter can imitate‖ over the noise.
+    """How far the causes stand out of the noise: ‖what no base parameter can imitate‖ over it.
 
     The clean signals with and without the causes are compared. The part that lies in the span of the base
     parameters' derivatives is taken out (first-order refit). 5 is about the least that can be seen.
@@ -211,7 +211,7 @@ def distance_sigma(case: SealedCase) -> float:
 
 
 def _left_in_colour(case: SealedCase, columns: Array) -> float:
-    """Return how far the first column stands out, beyond what the others imitate, of noise that is not white.
+    """Return how far the first column stands out of coloured noise, beyond what the others imitate.
 
     Args:
         columns: (samples, 6) in units of the white noise, ordered as `_clean` has them.

@@ -293,7 +293,7 @@ def draw_case(seed: int, name: str, line: str) -> SealedCase:
 def draw_challenge(seed: int, count: int) -> list[SealedCase]:
     """Draw a challenge of mixed lines, shuffled, so that neither name nor place tells anything.
 
-    The lines that have a floor come first: each has `CASES_OF_FLOOR` cases before any other line has one.
+    Lines with a floor come first: each has `CASES_OF_FLOOR` cases before any other has one.
     """
     weights = np.array([_SHARES.get(line, 1) for line in LINES], dtype=np.float64)
     least = np.array([line in FLOORS for line in LINES]) * min(CASES_OF_FLOOR, count // len(FLOORS))

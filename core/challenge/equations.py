@@ -310,7 +310,7 @@ OUTSIDE = equations(
         "permanent_set": ("contact", _permanent_set),
         "adhesion": ("elastic", _adhesion),
         "guide_friction": (
-            # Coulomb friction of the guide while it loads the pad, turned within 5 µm of a reversal.
+            # Coulomb friction of the guide that loads the pad, turned within 5 µm of a reversal.
             "elastic",
             lambda force_N, at, friction_N: (
                 force_N + friction_N * loop(at.compression_mm, 0.005) * (at.compression_mm > 0.0)

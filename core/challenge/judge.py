@@ -28,8 +28,8 @@ class Answer:
         named: effects with a probability of at least one half.
         groups: sets of effects the report cannot tell apart.
         stages: stages under `where`, the largest share first.
-        predicted, low, high: forecast of the shrink and its interval, NaN where the report has none.
-        data: mistakes in the recordings that the report names, as (kind, channel, runs), no runs for all.
+        predicted, low, high: forecast of the shrink and its interval; NaN for none.
+        data: mistakes that the report names, as (kind, channel, runs), no runs for all.
     """
 
     verdict: str
@@ -122,7 +122,7 @@ class Judged:
             return "wrong" if self.unread else "no report"
         if self.label.case.mistake:
             mistake = Mistake.of(self.label.case.mistake)
-            # A unit of the whole case contradicts nothing in it: it is asked about beside any verdict.
+            # A unit of the whole case contradicts nothing in it: the report may ask beside any verdict.
             is_asked = mistake.what == "unit_factor" and not mistake.runs and bool(self.answer.data)
             if self.answer.verdict != "data" and not is_asked:
                 return "wrong"
@@ -135,7 +135,7 @@ class Judged:
         if self.label.case.causes and self.answer.verdict == "no_gap":
             return "missed" if self.is_visible else "below noise"
         if not self.label.case.causes:
-            # Something may be left of noise that is nobody's cause: only a name, or a mistake, is an alarm.
+            # Noise may leave something that has no cause: only a name, or a mistake, is an alarm.
             is_held_back = self.answer.verdict == "unknown" and not self.answer.named
             return "right" if self.answer.verdict == "no_gap" else "abstained" if is_held_back else "alarm"
         if any(cause.effect not in CATALOGUE for cause in self.label.case.causes):

@@ -37,7 +37,7 @@ class Mistake:
         what: kind, as in a report of schema `softcal.gap/1`.
         channel: `stage`, `force`, `output` or `time`; empty where it concerns several.
         runs: numbers of the runs from 1; empty for all.
-        factor: true values over written ones, or of a gain or zero what was multiplied or added; 0 where there is none.
+        factor: true over written values; of a gain or zero what was multiplied or added; 0 for none.
         seed: of what else is random in it.
     """
 
@@ -102,7 +102,7 @@ def written(rig: Rig, runs: Sequence[Measured], of_other_unit: Sequence[Measured
     """Return the runs of a case as its files have them.
 
     Args:
-        of_other_unit: the same runs of `other_unit`; only looked at where the mistake is of that kind.
+        of_other_unit: the same runs of `other_unit`; used where the mistake is of that kind.
         text: the mistake, empty for none.
     """
     files = [RunOnFile(measured, rig.sample_rate_Hz) for measured in runs]
@@ -236,7 +236,7 @@ _KINDS: Mapping[str, tuple[Callable[[_Dice], Mistake], _Spoil]] = {
 
 
 def draw_mistake(rng: Rng, rig: Rig, peak_N: float, span_V: float, runs: int) -> str:
-    """Draw one mistake for a case of two or more runs, every kind alike; return it as a label has it.
+    """Draw one mistake for a case of two or more runs, every kind alike, as a label has it.
 
     Args:
         peak_N: force at full depth.

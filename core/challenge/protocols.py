@@ -163,7 +163,7 @@ PROTOCOLS: dict[str, Callable[[Rng, float], Path]] = {
     "slow_touch_down": lambda rng, mm: _presses("slow touch-down", mm, [(0.3, 0.05)] * 2),
     "small_reversals": small_reversals,
 }
-"""Paths by name; each takes a generator and the depth in mm at which the force reaches the rig's peak.
+"""Paths by name; each takes a generator and the depth in mm of the rig's peak force.
 
 The unit that is the source of a lot is pressed at random for three minutes, each of the others, and
 in its audit, for half as long.

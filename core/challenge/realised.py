@@ -1,4 +1,4 @@
-"""The shrink of the gap that a report's twin reaches on the run that was kept back, computed with this generator.
+"""The shrink of the gap that a report's twin reaches on the run that was kept back.
 
 The twin's numbers come from the report; the equations, the recording and the refit of the bare base
 are this package's own, so a mistake of the diagnosis cannot hide here.
@@ -62,10 +62,10 @@ UNFITTED: Mapping[str, Mapping[str, float]] = {
 
 
 def realised_shrink(case: SealedCase, report: Mapping[str, Any]) -> float:
-    """Return 1 − (after − floor)/(before − floor) on the kept-back run; channels add in units of their noise.
+    """Return 1 − (after − floor)/(before − floor) on the kept-back run, channels in units of noise.
 
     Args:
-        report: a record of schema `softcal.gap/1` with the fitted `base`; its named causes are the twin's effects.
+        report: of schema `softcal.gap/1` with the fitted `base`; the twin has its named causes.
 
     Returns:
         NaN where the report names no twin, a cause belongs to one recording only, or the bare base

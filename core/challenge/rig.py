@@ -1,4 +1,4 @@
-"""A sealed rig and the chain of TWIN.md, written a second time: a fine time grid, and hooks where the causes act."""
+"""A sealed rig, and the chain of TWIN.md written a second time, with hooks where the causes act."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -59,7 +59,7 @@ class Rig:
 
 @dataclass(frozen=True)
 class Cause:
-    """One effect at work: its identifier, the equation that realises it, and that equation's values.
+    """One effect at work: its identifier, the equation that realises it, and its values.
 
     Args:
         effect: an identifier of TWIN.md's catalogue, or the name of an effect outside it.
@@ -195,11 +195,11 @@ def record(
     dummy_ohm: float | None = None,
     known_force: Callable[[Array], Array] | None = None,
 ) -> Measured:
-    """Run one recording of a rig: `t_s, stage_mm, force_N, output_V, temperature_C` and what its kind adds or lacks.
+    """Run one recording: `t_s, stage_mm, force_N, output_V, temperature_C`, more or less by its kind.
 
     Args:
         rng: noise, and whatever an equation draws for this run.
-        kind: a kind of TWIN.md; `rigid_block`, `dummy_resistor` and `dead_weights` change what is pressed.
+        kind: of TWIN.md; `rigid_block`, `dummy_resistor`, `dead_weights` change what is pressed.
         dummy_ohm: the resistor of a `dummy_resistor` run.
         known_force: force of a `dead_weights` run at given times.
     """
@@ -247,7 +247,7 @@ def _press(rack: Rack, moment: Moment, kind: str, known_force: Callable[[Array],
         )
         return replace(moment, force_N=np.maximum(0.0, reach_mm) / compliance)
     for _ in range(ROUNDS):
-        # Compression and force when the frame yields by what it would under the force of the round before.
+        # The frame yields by what it would under the force of the round before.
         yielding_mm = rack.pass_through("yielding", np.zeros_like(reach_mm), moment)
         compression_mm = np.maximum(0.0, reach_mm - yielding_mm)
         compression_mm = np.maximum(0.0, rack.pass_through("landing", compression_mm, moment))

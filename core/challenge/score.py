@@ -72,7 +72,7 @@ class Probabilities:
 
 @dataclass(frozen=True)
 class Bin:
-    """Named causes whose probability lies in one interval: how many there are, and how many are at work.
+    """Named causes with a probability in one interval, and how many of them are at work.
 
     An effect that nobody names is right at 0 whatever the diagnosis does, 24 times out of 25. So
     only stated probabilities from the first of `STATED_EDGES` on are counted.
@@ -147,7 +147,7 @@ def score_reports(
     reports: Mapping[str, Mapping[str, Any]],
     realised: Callable[[Label, Mapping[str, Any]], float] = lambda label, report: float("nan"),
 ) -> ScoreSheet:
-    """Score the reports of a challenge; a case without a report, or with one that cannot be read, counts as wrong.
+    """Score the reports of a challenge; without a readable report a case counts as wrong.
 
     Args:
         reports: per case name, a report of schema `softcal.gap/1`.
@@ -265,7 +265,7 @@ FLOORS: Mapping[str, float] = MappingProxyType(
         "published_outside": 0.15,
     }
 )
-"""Least share of cases of a line that are right: exactly the true causes, `no_gap`, `unknown` or `data`.
+"""Least share of a line's cases that are right: the true causes, `no_gap`, `unknown` or `data`.
 
 They lie far below what is measured on many cases, and above what an answer reaches that does not
 look at the recording. With a handful of cases a line, a sound diagnosis fails once in hundreds of
@@ -282,7 +282,7 @@ POOLED = 0.6
 def shortfalls(sheet: ScoreSheet) -> list[str]:
     """Return one sentence for every floor that is not reached; empty where all are.
 
-    What was drawn is judged, all of it: a case without a report counts as wrong. A line that nobody drew says nothing.
+    All that was drawn is judged: a case without a report counts as wrong.
     """
     said, hits, total = [], 0, 0
     for line, floor in FLOORS.items():

@@ -1,4 +1,4 @@
-"""Bytes of a file back into values; every check a reader must make, as docs/format.md orders them."""
+"""Bytes of a file back into values; every check of a reader, as docs/format.md orders them."""
 
 import struct
 import zlib

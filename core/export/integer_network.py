@@ -148,7 +148,7 @@ SHAPE_CENTRE, SHAPE_HALF = 7, 8
 
 @dataclass(frozen=True, eq=False)
 class IntegerMix:
-    """The linear part of a map: out = keep q + Σ_k U_k w_k, with w_k = (weights_k · q >> shift_k) + 64 bias_k, over 64.
+    """out = (keep q + Σ_k U_k w_k) / 64 with w_k = (weights_k · q >> shift_k) + 64 bias_k.
 
     U_k: Chebyshev, second kind, at (tap - 7) / 8, by Clenshaw's recurrence (1955).
 

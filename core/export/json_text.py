@@ -1,4 +1,4 @@
-"""The lossless JSON twin of the device files: for people, databases, and back into the same bytes."""
+"""The lossless JSON twin of the device files, and back into the same bytes."""
 
 import json
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""The steps of a training: weights, optimiser, early stopping. The only module of core that needs torch."""
+"""Weights, optimiser, early stopping of a training. The only module of core that needs torch."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -24,7 +24,7 @@ def train_members(
     reference_scale: float,
     on_epoch: Callable[[EpochReport], None] | None,
 ) -> list[tuple[Layers, int]]:
-    """Train networks on standardised rows from consecutive seeds; return the best state and the epochs of each."""
+    """Train from consecutive seeds on standardised rows; return best state and epochs of each."""
     x, y = torch.from_numpy(inputs), torch.from_numpy(labels)
     with _single_thread():
         return [
@@ -108,7 +108,7 @@ class _Training:
             loss = torch.nn.functional.mse_loss(self._forward(self._x[rows]), self._y[rows])
             loss.backward()  # type: ignore[no-untyped-call]
             self._optimiser.step()
-            # The last batch of an epoch is smaller; a plain mean over batches would weigh it too much.
+            # The last batch is smaller; a plain mean over batches would weigh it too much.
             total += float(loss.detach()) * len(rows)
         return float((total / len(self._x)) ** 0.5)
 

@@ -43,7 +43,7 @@ class Parameter:
         usual: typical size on a rig.
         neutral: value that switches the effect off, None for a shape parameter.
         scale: how a fit moves it; `inverse_square` for a level whose absence is infinity.
-        weight: what it counts as when flexibility is penalised; less than 1 for a nuisance of one run.
+        weight: what it counts as flexibility; less than 1 for a nuisance of one run.
         is_fixed: it has one value on a rig, `usual`, and is not fitted.
     """
 
@@ -64,13 +64,13 @@ def _not_yet() -> Array:
 
 @dataclass(eq=False, slots=True)
 class Flow:
-    """The signals of one stretch of a run while they pass through the chain; every stage writes its own.
+    """The signals of one stretch of a run in the chain; every stage writes its own.
 
     Args:
         t_s: (n,) time since the start of the run.
         step_s: (n,) time since the sample before, 0 at the start of a run.
         stage_mm: (n,) recorded stage position.
-        temperature_rise_K: (n,) temperature above that of the run's first sample, None where it is not recorded.
+        temperature_rise_K: (n,) temperature above the run's first one; None if not recorded.
         episodes: per effect id (m, 2), the rows of an episodic effect in this run.
         run: position of this run in its case, for effects with values of their own in every run.
     """
@@ -121,7 +121,7 @@ class Placing(Enum):
 
 @dataclass(frozen=True)
 class Alias:
-    """A departure outside the catalogue that gives the same recordings as an effect of it until one run is made.
+    """A departure outside the catalogue that looks like an effect of it until one run is made.
 
     Args:
         stage: where it sits.
@@ -146,10 +146,10 @@ class Signs:
     """How an effect shows: everything a diagnosis must know of it besides its equation.
 
     Args:
-        needs: channels that must be recorded and change in a run, besides the one that shows its stage.
+        needs: channels that must be recorded and change, besides the one of its stage.
         probes: where a search begins; the usual size and shapes around the usual ones where None.
         placing: what must be found in the recordings first.
-        clock: how its size moves the instants at which the output is read: by a constant, or in proportion to time.
+        clock: how its size moves the output's instants: by a constant, or in proportion to time.
         hides_behind: effects that look like it on poor recordings.
         shown_by: experiments that show it best.
         remedy: what to measure where no experiment tells it from its rivals.
@@ -172,7 +172,7 @@ class Effect:
 
     Args:
         id: identifier of the catalogue.
-        stage: stage of the chain it belongs to; the part of the mechanism, for an effect of another simulator.
+        stage: of the chain; the part of the mechanism, for an effect of another simulator.
         hook: signal it changes.
         equation: its equation on top of the base model.
         source: where the equation or its usual size comes from.
@@ -180,7 +180,7 @@ class Effect:
         is_episodic: it happens at a few instants of one run and does not carry over to another.
         of_runs: the same effect with values of its own in every run, for a number of runs; None
             where one set of values holds for all.
-        sides: the same effect acting from another side, told apart by the parameters that are given.
+        sides: the same effect from another side, told apart by the parameters given.
         forms: other realisations of the same cause that a rig may show.
         constants: numbers by name that the equation takes behind its parameters; a fit reads them
             off each recording (not a number here), a twin holds them.
@@ -228,7 +228,7 @@ class Effect:
     def probes(
         self, at: Extent, sized: Callable[[Parameter], Parameter] = lambda parameter: parameter
     ) -> list[tuple[float, ...]]:
-        """Return the parameter values at which a search on such a case begins, shapes within their bounds.
+        """Return the values at which a search on such a case begins, shapes within their bounds.
 
         Args:
             sized: gives a parameter the bounds it has on a rig of this size.
@@ -265,14 +265,14 @@ class Form:
     """Another realisation of a cause.
 
     Args:
-        carry: value of every parameter from the catalogue's values, as (index of the value or None, factor or value).
+        carry: each parameter from the catalogue's values, as (index or None, factor or value).
     """
 
     effect: Effect
     carry: tuple[tuple[int | None, float], ...]
 
     def start(self, values: Sequence[float], factor: Callable[[str], float] = lambda unit: 1.0) -> list[float]:
-        """Return where a fit of this form begins when the catalogue's equation ended at these values.
+        """Return where a fit of this form begins when the catalogue's ended at these values.
 
         Args:
             factor: by what a quantity of a unit is larger on this rig than on the common one.
@@ -307,7 +307,7 @@ def grows(signal: str, part: Quantity) -> Step:
 
 
 def hands_on(*names: str) -> Step:
-    """Return a step that hands its parameter values on to the press or the divider, by their names in the flow."""
+    """Return a step that writes its parameter values into the flow, by these names."""
 
     def step(flow: Flow, values: Sequence[float], _: Memory) -> None:
         for name, value in zip(names, values, strict=True):

@@ -151,7 +151,7 @@ class EmpiricalTerm:
         load_N, depth_mm: what a load of 1 and a depth of 1 stand for.
 
     Raises:
-        InputError: an unknown place or variable, a coefficient that is not finite, or a span that is not above 0.
+        InputError: unknown place or variable, a coefficient not finite, or a span not above 0.
     """
 
     place: Place

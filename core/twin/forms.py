@@ -1,4 +1,4 @@
-"""How other realisations of a cause are built: what a rig may show instead of the catalogue's own equation.
+"""Other realisations of a cause: what a rig may show instead of the catalogue's equation.
 
 A cause is named by its place and character, not by its formula: several relaxation times instead of
 one, stop operators instead of a Duhem loop, a power law instead of a logarithm. Each form carries
@@ -52,12 +52,12 @@ def in_form(
 
 
 def two(what: str) -> Maker:
-    """Return a maker of a form that is the effect twice, by its own step, with two sizes and two shapes."""
+    """Return a maker of a form that is the effect twice, with two sizes and two shapes."""
 
     def make(effect: Effect) -> Form:
         size, shape = effect.parameters
         second = (replace(size, name=f"{size.name}2"), replace(shape, name=f"{shape.name}2"))
-        # Half the size each, one faster and one slower: both alike would be a saddle that descent never leaves.
+        # One faster and one slower: both alike would be a saddle that descent never leaves.
         carry = ((0, 0.5), (1, 1 / SPLIT), (0, 0.5), (1, SPLIT))
         return in_form(effect.step, what, (size, shape, *second), carry)(effect)
 
@@ -79,14 +79,14 @@ def stop_form(step: Step, what: str, *constants: str) -> Maker:
     """Return a maker of a form of stop operators, one weight for each of `STOPS`.
 
     Args:
-        constants: the largest value of their input, of which the strokes are shares, and what else the step reads off.
+        constants: the largest value of their input, and what else the step reads off.
     """
     weights = [Parameter(f"w{k}", "", -0.5, 1.0, 0.05, neutral=0.0) for k in range(len(STOPS))]
     return in_form(step, what, weights, [(0, 0.5)] * len(STOPS), constants)
 
 
 def constant(values: Sequence[float], state: Memory, at: int, name: str, read: Callable[[], float]) -> float:
-    """Return the constant behind the parameters of a form, or read it off the recording and leave it in the memory.
+    """Return the constant behind the parameters of a form, or read it off the recording once.
 
     Args:
         at: its place among the values; a fit gives none.
@@ -121,7 +121,7 @@ def loops(signal: Array, values: Sequence[float], state: Memory) -> Array:
 
 
 def stops(signal: Array, values: Sequence[float], state: Memory, name: str) -> Array:
-    """Return Σ wᵢ·(x − play_rᵢ(x)): stop operators, each saturating after its own stroke (Brokate, Sprekels 1996).
+    """Return Σ wᵢ·(x − play_rᵢ(x)): stop operators of several strokes (Brokate, Sprekels 1996).
 
     Args:
         values: a weight for each of `STOPS`, then the largest value of x, of which the strokes are
@@ -136,7 +136,7 @@ def stops(signal: Array, values: Sequence[float], state: Memory, name: str) -> A
 
 
 def drifts(step: Callable[[Quantity], Step]) -> tuple[Maker, Maker]:
-    """Return the forms of a drift that slows down: by a power of time, or until it stands still after a few τ.
+    """Return the forms of a drift that slows down: a power of time, or to a stand after a few τ.
 
     Args:
         step: makes a step from a time that is equal to t after 30 s, or runs like t at first.

@@ -54,7 +54,7 @@ def elastic_force_at(stage_mm: Array, base: BaseParameters) -> Array:
 
 @compiled
 def soft_contact(travel: Array, softness: tuple[float, float, float], k1: float, k3: float) -> Array:
-    """Solve δ = toe(max(0, travel − c_f·F(δ))) for δ by Newton from the sample before; monotone, so one root.
+    """Solve δ = toe(max(0, travel − c_f·F(δ))), monotone, by Newton from the sample before.
 
     Args:
         travel: (n,) u − u0 where positive, else 0, mm.
@@ -67,7 +67,7 @@ def soft_contact(travel: Array, softness: tuple[float, float, float], k1: float,
     x = 0.0
     for k in range(len(travel)):
         target = travel[k]
-        # The root moves little from sample to sample; the target itself is the root of a rigid frame.
+        # The root moves little from sample to sample; a rigid frame has it at the target.
         x = min(x, target) if x > 0.0 else target
         deformation = 0.0
         for _ in range(30):
@@ -75,7 +75,7 @@ def soft_contact(travel: Array, softness: tuple[float, float, float], k1: float,
             deformation = x - toe * (1.0 - rest)
             error = x + compliance * deformation * (k1 + k3 * deformation * deformation) - target
             slope = 1.0 + compliance * (k1 + 3.0 * k3 * deformation * deformation) * (1.0 - bend)
-            # The root lies between no compression and the whole travel: a step beyond either would only come back.
+            # The root lies between 0 and the whole travel: a step beyond would only come back.
             x = min(max(x - error / slope, 0.0), target)
             if abs(error) <= 1e-11 * target:
                 break

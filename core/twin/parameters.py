@@ -11,14 +11,14 @@ SensorType = Literal["pressure", "strain"]
 
 @dataclass(frozen=True)
 class BaseParameters:
-    """The unknowns of the base twin; the defaults are an eGaIn channel in Ecoflex that reaches about 7 N at 3.5 mm.
+    """The unknowns of the base twin; by default eGaIn in Ecoflex, about 7 N at 3.5 mm.
 
     Args:
         u0_mm: stage position of first contact.
         k1_N_mm, k3_N_mm3: stiffness, F = k1·δ + k3·δ³, both >= 0.
         r0_ohm: resistance of the unloaded channel.
         kappa_per_N: pressure sensitivity, R = R0/(1 − κ·F), >= 0; per mm for a strain sensor.
-        sigma_output_V, sigma_force_N: standard deviation of the Gaussian noise before the ADC and of the load cell.
+        sigma_output_V, sigma_force_N: standard deviation of the noise before ADC and of the cell.
 
     Raises:
         InputError: a value is not finite or outside its physical range.

@@ -1,4 +1,4 @@
-"""What every effect must satisfy: checks that run over the catalogue, and over a plug-in in its own tests.
+"""What every effect must satisfy, of the catalogue or of a plug-in in its own tests.
 
 import pytest
 from softcal.core.twin.properties import PROPERTIES

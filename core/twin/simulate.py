@@ -31,7 +31,7 @@ class EffectSetting:
             of a form must stand here too.
         episodes: rows of an episodic effect, in s since the start of the run: (start, stop) of each
             bad contact, or (instant, count) of each loss of samples.
-        form: by which of its other equations it acts, as `Form` names it; by the catalogue's where empty.
+        form: its other equation that acts, as `Form` names it; the catalogue's where empty.
 
     Raises:
         InputError: unknown effect, form or parameter, or a value that is missing or not finite.
@@ -74,10 +74,10 @@ class EffectSetting:
 
 @dataclass(frozen=True)
 class Twin:
-    """The simulator of one unit on the station: base parameters, effects that are switched on, electronics.
+    """The simulator of one unit on the station: base parameters, effects, electronics.
 
     Args:
-        empirical: terms that describe what no effect explains; at each place of the chain they act behind its effects.
+        empirical: terms for what no effect explains; each acts behind the effects of its place.
     """
 
     parameters: BaseParameters = BaseParameters()
@@ -87,7 +87,7 @@ class Twin:
 
     def __post_init__(self) -> None:
         ids = [setting.effect_id for setting in self.effects]
-        # Twice the same cause would share its size between two places, and no fit could tell them apart.
+        # Twice the same cause would share its size, and no fit could tell the two apart.
         if len(set(ids)) < len(ids):
             raise InputError(f"an effect is switched on twice: {', '.join(ids)}")
 
@@ -106,7 +106,7 @@ class Chain:
 
     def __init__(self, effects: Sequence[Effect]) -> None:
         self.effects = tuple(effects)
-        # Effects of one hook do not commute (a ceiling before hum is not hum before a ceiling): the catalogue decides.
+        # Effects of one hook do not commute (a ceiling and hum): the catalogue decides.
         order = sorted(range(len(effects)), key=lambda k: ORDER.get(effects[k].id, len(ORDER)))
         self._at = {hook: [k for k in order if effects[k].hook == hook] for hook in Hook}
 
@@ -154,7 +154,7 @@ class Chain:
     def run(
         self, flow: Flow, base: BaseParameters, readout: ReadoutMetadata, values: Values, memories: Sequence[Memory]
     ) -> None:
-        """Pass one stretch of a run through the whole chain, without noise and ADC; the flow holds every signal then.
+        """Pass one stretch of a run through the whole chain, without noise and ADC.
 
         Args:
             flow: time, stage position and temperature; the rest is written.

@@ -10,7 +10,7 @@ from softcal.core.twin.simulate import EffectSetting, Twin
 
 @dataclass(frozen=True)
 class LotSpread:
-    """Standard deviations from unit to unit: absolute for the contact position, relative for all else.
+    """Standard deviations from unit to unit: of the contact in mm, relative for all else.
 
     The defaults keep every unit well below the collapse of its channel (κ·F < 0.75 at 3.5 mm) and give responses
     that differ by tens of per cent, as the printed sensors of Kim and others 2020 do.
@@ -40,7 +40,7 @@ def draw_lot(
         effects: switched on in every unit, at the same size.
 
     Returns:
-        (count,) twins; deviations are normal, cut at two standard deviations, so no unit is beyond physical sense.
+        (count,) twins; deviations are normal, cut at two standard deviations.
     """
     nominal, spread = nominal or BaseParameters(), spread or LotSpread()
     return tuple(Twin(_draw_unit(rng, nominal, spread), effects, metadata or ReadoutMetadata()) for _ in range(count))

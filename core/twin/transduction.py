@@ -20,7 +20,7 @@ def channel_resistance(drive: Array, r0: float, kappa: float) -> Array:
     """Return R = R0/(1 − κ·F) in Ω (Park and others 2010, pressure form; Kim and others 2020)."""
     out = np.empty_like(drive)
     for k in range(len(drive)):
-        # The pressure form has a pole where the channel is shut; a fit that steps over it must not see a sign change.
+        # There is a pole where the channel is shut; a fit that steps over it must not see a sign change.
         out[k] = r0 / max(1.0 - kappa * drive[k], COLLAPSED)
     return out
 
