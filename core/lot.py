@@ -52,7 +52,6 @@ class Lot:
                 raise InputError(f"{name} is {value}; a positive number was expected")
 
     def settings(self) -> dict[str, float | str | None]:
-        """Return everything but the id as JSON values."""
         return {key: value for key, value in vars(self).items() if key != "id"}
 
     @classmethod

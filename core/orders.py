@@ -143,7 +143,6 @@ class Progress:
 
     @property
     def text(self) -> str:
-        """The message in English, as one line."""
         return joined(self.message)
 
 

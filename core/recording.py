@@ -98,7 +98,6 @@ class OutputRecording:
 
     @cached_property
     def sha256(self) -> str:
-        """SHA-256 (hex) of all arrays and settings, the serial among them."""
         return content_sha256(self.arrays(), self.settings())
 
     def arrays(self) -> dict[str, Array]:
@@ -109,7 +108,6 @@ class OutputRecording:
         return {"serial": self.serial, "sample_rate_Hz": self.sample_rate_Hz, "output_unit": self.output_unit}
 
     def part(self, start: int, stop: int) -> "OutputRecording":
-        """Return samples start ... stop - 1 as a recording of their own."""
         rows = slice(start, stop)
         stage_mm = None if self.stage_mm is None else self.stage_mm[rows]
         return replace(self, t_s=self.t_s[rows], output=self.output[rows], stage_mm=stage_mm)
@@ -149,7 +147,6 @@ class LabelledRecording:
 
     @cached_property
     def sha256(self) -> str:
-        """SHA-256 (hex) of all arrays and settings, the reference and the serial among them."""
         return content_sha256(self.arrays(), self.settings())
 
     def arrays(self) -> dict[str, Array]:
@@ -169,7 +166,6 @@ class LabelledRecording:
         return self.reference[self.unlabelled.window_rows]
 
     def part(self, start: int, stop: int) -> "LabelledRecording":
-        """Return samples start ... stop - 1 as a recording of their own."""
         return LabelledRecording(self.unlabelled.part(start, stop), self.reference[start:stop], self.reference_unit)
 
 

@@ -61,11 +61,9 @@ class NumberedMethod:
 
     @property
     def id(self) -> str:
-        """Content hash of every number."""
         return _id(self)
 
     def numbers(self) -> Iterator[tuple[str, object, str]]:
-        """Yield (dotted name, value, origin) of every number."""
         return origins(self)
 
     def to_json(self) -> dict[str, object]:

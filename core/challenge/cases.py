@@ -90,7 +90,6 @@ class SealedCase:
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """Stages of TWIN.md where the causes sit."""
         return tuple(dict.fromkeys(EQUATIONS[cause.effect, cause.form].stage for cause in self.causes))
 
     def measure(self, plan: RunPlan) -> Measured:

@@ -28,7 +28,6 @@ class Scope:
 
     @property
     def span_V(self) -> float:
-        """Range of the output between rest and peak."""
         return self.peak_V - self.rest_V
 
 
@@ -206,7 +205,6 @@ def _some(count: int = 1, scale: float = 1.0, stages: Sequence[str] | None = Non
 
 
 def _by(equations: Sequence[tuple[str, str]]) -> Causes:
-    """Return what draws one of (effect, form) at its usual size."""
 
     def draw(rng: Rng, scope: Scope) -> tuple[Cause, ...]:
         effect, form = equations[int(rng.integers(len(equations)))]

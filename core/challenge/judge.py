@@ -154,12 +154,10 @@ class Judged:
 
     @property
     def is_first_right(self) -> bool:
-        """Whether the effect with the highest probability is a true cause."""
         return self.answer is not None and self.answer.verdict != "no_gap" and self.answer.first in self.truth
 
     @property
     def is_stage_right(self) -> bool:
-        """Whether the place with the largest share is a stage of a true cause."""
         return bool(self.answer and self.answer.stages and self.answer.stages[0] in self.label.case.stages)
 
     @property

@@ -52,12 +52,10 @@ class Mistake:
 
     @classmethod
     def of(cls, text: str) -> "Mistake":
-        """Read what `to_text` wrote."""
         record = json.loads(text)
         return cls(**{**record, "runs": tuple(record["runs"])})
 
     def concerns(self, run: int) -> bool:
-        """Whether run number `run`, from 1, is written wrongly."""
         return not self.runs or run in self.runs
 
 

@@ -12,8 +12,6 @@ RUN_S = 40.0
 
 
 class _Pen:
-    """Draws a path corner by corner."""
-
     def __init__(self, rest_s: float) -> None:
         self.times, self.places = [0.0, rest_s], [0.0, 0.0]
 
@@ -49,7 +47,6 @@ def log_uniform(rng: Rng, low: float, high: float) -> float:
 
 
 def _ramps(name: str, rng: Rng, depth_mm: float, drawn_mm_s: Callable[[Rng], float]) -> Path:
-    """Press and release, each ramp at a speed of its own, in mm/s."""
     pen = _Pen(rng.uniform(0.6, 2.0))
     while pen.now_s < RUN_S:
         speed_mm_s = drawn_mm_s(rng)

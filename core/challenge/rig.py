@@ -45,7 +45,6 @@ class Rig:
 
     @property
     def lsb_V(self) -> float:
-        """Step of the ADC, q = Vref/(2ⁿ − 1)."""
         return float(self.vref_V / (2**self.adc_bits - 1))
 
     @property
@@ -161,7 +160,6 @@ class Equation(NamedTuple):
 
     @property
     def stage(self) -> str:
-        """Its stage in TWIN.md."""
         return HOOKS[self.hook]
 
 
@@ -175,7 +173,6 @@ class Rack:
             self._steps[equation.hook].append((equation.apply, cause.values))
 
     def has(self, hook: str) -> bool:
-        """Whether any cause acts here."""
         return bool(self._steps[hook])
 
     def pass_through(self, hook: str, value: Array, moment: Moment) -> Array:
@@ -233,7 +230,6 @@ _ABSENT = {
 
 
 def _press(rack: Rack, moment: Moment, kind: str, known_force: Callable[[Array], Array] | None) -> Moment:
-    """Motion and mechanics: compression and force on the fine grid."""
     if known_force is not None:
         return replace(moment, force_N=known_force(moment.t_s))
     if kind == DUMMY_RESISTOR:

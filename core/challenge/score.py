@@ -31,12 +31,10 @@ class Row:
 
     @property
     def share(self) -> float:
-        """Hits over count, NaN without a case."""
         return self.hits / self.count if self.count else float("nan")
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval of Wilson (1927)."""
         return wilson(self.hits, self.count)
 
 

@@ -37,7 +37,6 @@ class Seal:
 
     @property
     def commitment(self) -> str:
-        """SHA-256 of the sealed text, hexadecimal."""
         return hashlib.sha256(self.text.encode()).hexdigest()
 
 

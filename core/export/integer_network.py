@@ -50,7 +50,6 @@ class IntegerLayer:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(rows, columns)"""
         rows, columns = self.weights.shape
         return rows, columns
 
@@ -273,7 +272,6 @@ class IntegerNetwork:
 
     @property
     def multiplications(self) -> int:
-        """Multiply-accumulate steps for one estimate."""
         return sum(layer.weights.size for layer in self.layers)
 
     def evaluate(self, counts: Integers) -> Integers:

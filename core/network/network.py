@@ -55,7 +55,6 @@ class Network:
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, Array], settings: dict[str, float | str]) -> "Network":
-        """Read what `arrays` and `settings` gave."""
         depth = sum(name.startswith("weight_") for name in arrays)
         weights, biases = (tuple(arrays[f"{name}_{i}"] for i in range(depth)) for name in ("weight", "bias"))
         facts: dict[str, Any] = {name: float(settings[name]) for name in _SCALES}
@@ -64,12 +63,10 @@ class Network:
 
     @cached_property
     def id(self) -> str:
-        """SHA-256 (hex) of all arrays and settings."""
         return content_sha256(self.arrays(), self.settings())
 
     @cached_property
     def _folded(self) -> tuple[tuple[NDArray[np.float32], NDArray[np.float32]], ...]:
-        """Layers in float32 with both standardisations folded in."""
         # The mean stays outside: in the bias it would cost the digits of a small swing.
         weights, biases = [w.copy() for w in self.weights], [b.copy() for b in self.biases]
         weights[0] = weights[0] / self.output_scale

@@ -1,7 +1,6 @@
 """Weights, optimiser, early stopping of a training. The only module of core that needs torch."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -26,27 +25,19 @@ def train_members(
 ) -> list[tuple[Layers, int]]:
     """Train from consecutive seeds on standardised rows; return best state and epochs of each."""
     x, y = torch.from_numpy(inputs), torch.from_numpy(labels)
-    with _single_thread():
-        return [
-            _Training(x, y, training, validation, config, member, reference_scale).run(on_epoch)
-            for member in range(config.members)
-        ]
-
-
-@contextmanager
-def _single_thread() -> Iterator[None]:
     # Layers this small run slower on several threads, and one thread keeps the sums in one order.
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        yield
+        return [
+            _Training(x, y, training, validation, config, member, reference_scale).run(on_epoch)
+            for member in range(config.members)
+        ]
     finally:
         torch.set_num_threads(threads)
 
 
 class _Training:
-    """One member's training: weights, optimiser and the best state so far."""
-
     def __init__(
         self,
         x: torch.Tensor,

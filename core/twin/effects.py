@@ -248,7 +248,6 @@ class Effect:
 
     @property
     def value_names(self) -> tuple[str, ...]:
-        """Names of its parameters and, behind them, of its constants."""
         return (*(p.name for p in self.parameters), *(name for name, _ in self.constants))
 
     def form_called(self, name: str) -> "Effect | None":
@@ -256,7 +255,6 @@ class Effect:
         return next((f.effect for f in self.forms if f.effect.equation == name), None) if name else self
 
     def with_forms(self, *makers: "Callable[[Effect], Form]") -> "Effect":
-        """Return this effect with other realisations, each made from its own parameters."""
         return replace(self, forms=tuple(make(self) for make in makers))
 
 

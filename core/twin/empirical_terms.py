@@ -176,7 +176,6 @@ class EmpiricalTerm:
 
     @property
     def formula(self) -> str:
-        """The term in one line, as a report shows it."""
         return f"{self.place} += {self.coefficient:.3g} {self.unit} · {self.variable}"
 
     @cached_property

@@ -43,7 +43,6 @@ class BaseParameters:
             raise InputError("r0_ohm is 0; a resistance above 0 Ω was expected")
 
     def with_values(self, **values: float) -> "BaseParameters":
-        """Return the same unit with some parameters changed."""
         return replace(self, **values)
 
 
@@ -80,5 +79,4 @@ class ReadoutMetadata:
 
     @property
     def step_V(self) -> float:
-        """One step of the ideal ADC, q = Vref/(2ⁿ − 1), in V."""
         return float(self.vref_V / (2**self.adc_bits - 1))

@@ -67,7 +67,6 @@ class EffectSetting:
 
     @property
     def ordered_values(self) -> tuple[float, ...]:
-        """Values in the order of the effect's equation."""
         usual = {p.name: p.usual for p in self.effect.parameters}
         return tuple(float(self.values.get(name, usual.get(name, np.nan))) for name in self.effect.value_names)
 
@@ -93,7 +92,6 @@ class Twin:
 
     @property
     def clean(self) -> "Twin":
-        """The same twin without any effect or empirical term."""
         return Twin(self.parameters, (), self.metadata)
 
 
@@ -111,7 +109,6 @@ class Chain:
         self._at = {hook: [k for k in order if effects[k].hook == hook] for hook in Hook}
 
     def fresh_memories(self) -> list[Memory]:
-        """Return what the effects remember at the start of a run: nothing."""
         return [{} for _ in self.effects]
 
     def apply(self, hook: Hook, flow: Flow, values: Values, memories: Sequence[Memory]) -> None:
@@ -120,7 +117,6 @@ class Chain:
             self.effects[k].step(flow, values[k], memories[k])
 
     def press(self, flow: Flow, base: BaseParameters, values: Values, memories: Sequence[Memory]) -> None:
-        """Carry the stage position to deformation and force."""
         flow.pad_mm, flow.contact_mm = flow.stage_mm, base.u0_mm
         self.apply(Hook.MOTION, flow, values, memories)
         self.apply(Hook.CONTACT, flow, values, memories)
@@ -130,7 +126,6 @@ class Chain:
     def sense(
         self, flow: Flow, base: BaseParameters, readout: ReadoutMetadata, values: Values, memories: Sequence[Memory]
     ) -> None:
-        """Carry what the channel feels to its resistance and on to the output."""
         flow.drive = flow.deformation_mm if readout.sensor_type == "strain" else flow.force_N
         self.apply(Hook.CHANNEL, flow, values, memories)
         flow.resistance_ohm = channel_resistance(flow.drive, base.r0_ohm, base.kappa_per_N)
@@ -138,7 +133,6 @@ class Chain:
         self.read_out(flow, readout, values, memories)
 
     def read_out(self, flow: Flow, readout: ReadoutMetadata, values: Values, memories: Sequence[Memory]) -> None:
-        """Carry the resistance through divider and electronics to the output's clock."""
         flow.wiring_ohm, flow.reference_V = 0.0, flow.vref_V
         self.apply(Hook.REFERENCE, flow, values, memories)
         resistance = flow.resistance_ohm + flow.wiring_ohm
@@ -147,7 +141,6 @@ class Chain:
         self.apply(Hook.CLOCK, flow, values, memories)
 
     def weigh(self, flow: Flow, values: Values, memories: Sequence[Memory]) -> None:
-        """Carry the force to the reading of the load cell."""
         flow.reading_N = flow.force_N
         self.apply(Hook.READING, flow, values, memories)
 
