@@ -71,30 +71,43 @@ def _tone_Hz(rng: Rng, at: Scope) -> float:
 
 Draw = Callable[[Rng, Scope, float], dict[str, float]]
 
+SIGNED = True
+
+
+def _sized(name: str, centre: float, is_signed: bool = False, **shapes: tuple[float, float]) -> Draw:
+    """Return what draws a size about its centre, and shapes about theirs within a factor."""
+
+    def draw(rng: Rng, at: Scope, scale: float) -> dict[str, float]:
+        size = scale * (_signed(rng, centre) if is_signed else near(rng, centre))
+        return {name: size} | {shape: near(rng, *about) for shape, about in shapes.items()}
+
+    return draw
+
+
 SIZES: dict[str, Draw] = {
-    "backlash": lambda rng, at, scale: {"width_mm": scale * near(rng, 0.05)},
-    "contact_shift": lambda rng, at, scale: {"shift_mm": scale * _signed(rng, 0.06), "tau_s": near(rng, 20.0)},
-    "frame_compliance": lambda rng, at, scale: {"compliance_mm_per_N": scale * near(rng, 0.02)},
-    "misaligned_contact": lambda rng, at, scale: {"length_mm": scale * near(rng, 0.25)},
-    "stress_relaxation": lambda rng, at, scale: {"share": scale * near(rng, 0.08), "tau_s": near(rng, 5.0, 2.5)},
-    "mechanical_hysteresis": lambda rng, at, scale: {"size": scale * near(rng, 0.05), "scale_mm": near(rng, 0.3)},
-    "mullins_softening": lambda rng, at, scale: {"size": scale * near(rng, 0.08), "cycles": near(rng, 2.0)},
-    "channel_creep": lambda rng, at, scale: {"share": scale * near(rng, 0.08), "tau_s": near(rng, 5.0, 2.5)},
-    "channel_hysteresis": lambda rng, at, scale: {"size": scale * near(rng, 0.05), "scale_N": near(rng, 1.0)},
+    "backlash": _sized("width_mm", 0.05),
+    "contact_shift": _sized("shift_mm", 0.06, SIGNED, tau_s=(20.0, 1.6)),
+    "frame_compliance": _sized("compliance_mm_per_N", 0.02),
+    "misaligned_contact": _sized("length_mm", 0.25),
+    "stress_relaxation": _sized("share", 0.08, tau_s=(5.0, 2.5)),
+    "mechanical_hysteresis": _sized("size", 0.05, scale_mm=(0.3, 1.6)),
+    "mullins_softening": _sized("size", 0.08, cycles=(2.0, 1.6)),
+    "channel_creep": _sized("share", 0.08, tau_s=(5.0, 2.5)),
+    "channel_hysteresis": _sized("size", 0.05, scale_N=(1.0, 1.6)),
     "channel_collapse": lambda rng, at, scale: {
         "size_per_N2": scale * near(rng, 0.03),
         "onset_N": at.peak_N * rng.uniform(0.45, 0.7),
     },
-    "thermal_drift": lambda rng, at, scale: {"coefficient_per_K": scale * _signed(rng, 1.2e-3)},
-    "ageing_drift": lambda rng, at, scale: {"size": scale * _signed(rng, 6e-3), "tau_s": near(rng, 10.0, 2.5)},
+    "thermal_drift": _sized("coefficient_per_K", 1.2e-3, SIGNED),
+    "ageing_drift": _sized("size", 6e-3, SIGNED, tau_s=(10.0, 2.5)),
     "intermittent_contact": lambda rng, at, scale: {
         "step_ohm": scale * at.rig.r0_ohm * near(rng, 0.06),
         "count": float(rng.integers(2, 5)),
         "mean_s": near(rng, 0.6),
     },
-    "readout_lag": lambda rng, at, scale: {"tau_s": scale * near(rng, 0.1)},
+    "readout_lag": _sized("tau_s", 0.1),
     "wiring_resistance": lambda rng, at, scale: {"wire_ohm": scale * at.rig.r0_ohm * near(rng, 0.2)},
-    "reference_drift": lambda rng, at, scale: {"rate_per_s": scale * _signed(rng, 3e-4)},
+    "reference_drift": _sized("rate_per_s", 3e-4, SIGNED),
     "mains_hum": lambda rng, at, scale: {
         "amplitude_V": scale * near(rng, 4e-3),
         "frequency_Hz": _hum_Hz(rng, at.rig.sample_rate_Hz),
@@ -107,36 +120,36 @@ SIZES: dict[str, Draw] = {
         "size": scale * _signed(rng, 0.05),
         "capacity_N": at.peak_N * rng.uniform(1.1, 1.6),
     },
-    "loadcell_creep": lambda rng, at, scale: {"share": scale * near(rng, 0.025), "tau_s": near(rng, 12.0)},
-    "loadcell_drift": lambda rng, at, scale: {"rate_N_per_s": scale * _signed(rng, 2e-3)},
-    "clock_offset": lambda rng, at, scale: {"delay_s": scale * _signed(rng, 0.05)},
-    "clock_skew": lambda rng, at, scale: {"skew": scale * _signed(rng, 1e-3)},
+    "loadcell_creep": _sized("share", 0.025, tau_s=(12.0, 1.6)),
+    "loadcell_drift": _sized("rate_N_per_s", 2e-3, SIGNED),
+    "clock_offset": _sized("delay_s", 0.05, SIGNED),
+    "clock_skew": _sized("skew", 1e-3, SIGNED),
     "dropped_samples": lambda rng, at, scale: {"count": float(max(1, round(scale * rng.integers(5, 13))))},
-    "slip": lambda rng, at, scale: {"jump_mm": scale * near(rng, 0.08)},
-    "pitch_error": lambda rng, at, scale: {"amplitude_mm": scale * near(rng, 0.015), "pitch_mm": near(rng, 0.7)},
-    "permanent_set": lambda rng, at, scale: {"share": scale * near(rng, 0.02)},
-    "adhesion": lambda rng, at, scale: {"pull_N": scale * near(rng, 0.2), "reach_mm": near(rng, 0.2)},
-    "guide_friction": lambda rng, at, scale: {"friction_N": scale * near(rng, 0.15)},
-    "modulus_temperature": lambda rng, at, scale: {"coefficient_per_K": scale * _signed(rng, 5e-3)},
+    "slip": _sized("jump_mm", 0.08),
+    "pitch_error": _sized("amplitude_mm", 0.015, pitch_mm=(0.7, 1.6)),
+    "permanent_set": _sized("share", 0.02),
+    "adhesion": _sized("pull_N", 0.2, reach_mm=(0.2, 1.6)),
+    "guide_friction": _sized("friction_N", 0.15),
+    "modulus_temperature": _sized("coefficient_per_K", 5e-3, SIGNED),
     "contact_growth": lambda rng, at, scale: {
         "growth": scale * near(rng, 0.35),
         "half_N": at.peak_N * rng.uniform(0.1, 0.3),
     },
-    "sensitivity_ageing": lambda rng, at, scale: {"rate_per_s": scale * _signed(rng, 1.5e-3)},
-    "divider_temperature": lambda rng, at, scale: {"coefficient_per_K": scale * _signed(rng, 1e-3)},
+    "sensitivity_ageing": _sized("rate_per_s", 1.5e-3, SIGNED),
+    "divider_temperature": _sized("coefficient_per_K", 1e-3, SIGNED),
     "adc_inl": lambda rng, at, scale: {
         "amplitude_V": scale * near(rng, 6e-3),
         "period_V": at.span_V * rng.uniform(0.3, 0.6),
     },
-    "spikes": lambda rng, at, scale: {"height_V": scale * near(rng, 0.06), "rate_per_s": near(rng, 0.5)},
-    "cable_drag": lambda rng, at, scale: {"drag_N_per_mm": scale * near(rng, 0.06)},
-    "inertia": lambda rng, at, scale: {"mass_kg": scale * near(rng, 2.5)},
-    "cell_filter": lambda rng, at, scale: {"tau_s": scale * near(rng, 0.12)},
-    "cell_hysteresis": lambda rng, at, scale: {"size": scale * near(rng, 0.04), "scale_N": near(rng, 1.0)},
-    "cell_span_temperature": lambda rng, at, scale: {"coefficient_per_K": scale * _signed(rng, 4e-3)},
-    "jitter": lambda rng, at, scale: {"spread_s": scale * near(rng, 6e-3)},
-    "screw_growth": lambda rng, at, scale: {"growth": scale * near(rng, 0.02), "tau_s": near(rng, 60.0)},
-    "rate_stiffening": lambda rng, at, scale: {"size": scale * near(rng, 0.05), "speed_mm_s": near(rng, 2.0)},
+    "spikes": _sized("height_V", 0.06, rate_per_s=(0.5, 1.6)),
+    "cable_drag": _sized("drag_N_per_mm", 0.06),
+    "inertia": _sized("mass_kg", 2.5),
+    "cell_filter": _sized("tau_s", 0.12),
+    "cell_hysteresis": _sized("size", 0.04, scale_N=(1.0, 1.6)),
+    "cell_span_temperature": _sized("coefficient_per_K", 4e-3, SIGNED),
+    "jitter": _sized("spread_s", 6e-3),
+    "screw_growth": _sized("growth", 0.02, tau_s=(60.0, 1.6)),
+    "rate_stiffening": _sized("size", 0.05, speed_mm_s=(2.0, 1.6)),
     "film_contact": lambda rng, at, scale: {
         "film_ohm": scale * at.rig.r0_ohm * near(rng, 0.08),
         "load_N": near(rng, 0.3),
