@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.recording import Array
+from softcal.core.recording import Array, Rng
 from softcal.core.words.reason import Reason, reason
 
 NAME_AND_SIZE = re.compile(r"(\D+?) (\d.*)", re.DOTALL)
@@ -153,7 +153,7 @@ def small_reversals(depth_mm: float, stroke_mm: float = 0.4) -> Profile:
 
 
 def random_presses(
-    rng: np.random.Generator, duration_s: float, depth_mm: float, fastest_mm_s: float = 5.0, return_share: float = 0.5
+    rng: Rng, duration_s: float, depth_mm: float, fastest_mm_s: float = 5.0, return_share: float = 0.5
 ) -> Profile:
     """Return presses of "different rates and magnitudes", as the paper has them, with short holds.
 
@@ -177,7 +177,7 @@ def random_presses(
     return moves("random presses", targets, speeds, holds)
 
 
-def source_profile(rng: np.random.Generator, duration_s: float = 170.0, depth_mm: float = 3.5) -> Profile:
+def source_profile(rng: Rng, duration_s: float = 170.0, depth_mm: float = 3.5) -> Profile:
     """Return the long profile of a source unit: a rate sweep, steps with holds, random presses."""
     opening = rate_sweep(depth_mm, (0.5, 1.5, 4.0)).then(
         steps_with_holds([0.4 * depth_mm, 0.7 * depth_mm, depth_mm, 0.5 * depth_mm], hold_s=3.0), "opening"
@@ -186,14 +186,14 @@ def source_profile(rng: np.random.Generator, duration_s: float = 170.0, depth_mm
     return opening.then(random_presses(rng, left_s, depth_mm), "source")
 
 
-def unit_profile(rng: np.random.Generator, duration_s: float = 25.0, depth_mm: float = 3.5) -> Profile:
+def unit_profile(rng: Rng, duration_s: float = 25.0, depth_mm: float = 3.5) -> Profile:
     """Return the short profile of a target unit: one full press, then random presses."""
     opening = ramps([depth_mm], 3.0, rest_s=1.0)
     left_s = max(5.0, duration_s - opening.duration_s)
     return opening.then(random_presses(rng, left_s, depth_mm), "unit")
 
 
-BUILT_IN: Mapping[str, Callable[[np.random.Generator, float], Profile]] = {
+BUILT_IN: Mapping[str, Callable[[Rng, float], Profile]] = {
     "source": lambda rng, depth_mm: source_profile(rng, depth_mm=depth_mm),
     "unit": lambda rng, depth_mm: unit_profile(rng, depth_mm=depth_mm),
     "ramps": lambda rng, depth_mm: ramps([depth_mm] * 3, 2.0),

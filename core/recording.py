@@ -15,6 +15,7 @@ from softcal.core.windows import TAPS, windows
 Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.int64]
 Mask: TypeAlias = NDArray[np.bool_]
+Rng: TypeAlias = np.random.Generator
 Arrays: TypeAlias = Mapping[str, NDArray[np.generic]]
 """Parameters by name, as they are stored and hashed."""
 

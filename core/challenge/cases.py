@@ -24,6 +24,7 @@ from softcal.core.challenge.rig import (
     Path,
     Rack,
     Rig,
+    Rng,
     record,
 )
 from softcal.core.recording import Array
@@ -173,7 +174,7 @@ def _still(name: str, duration_s: float) -> Path:
     return Path(name, np.array([0.0, duration_s]), np.zeros(2))
 
 
-def _temperature(rng: np.random.Generator, protocol: str, duration_s: float) -> Callable[[Array], Array]:
+def _temperature(rng: Rng, protocol: str, duration_s: float) -> Callable[[Array], Array]:
     """Room temperature in °C: warming to a level, a hump, or a slow wander of 1.5–8 K."""
     start_C, swing_K, shape = rng.uniform(20.0, 27.0), rng.uniform(1.5, 8.0), rng.integers(3)
     if protocol == TEMPERATURE_STEP:
@@ -292,7 +293,7 @@ def press_lot(case: SealedCase, units: int) -> Iterator[LotRun]:
             yield LotRun("audit", serial, unit.measure(RunPlan("lot_unit", seeds[1])))
 
 
-def sister(case: SealedCase, rng: np.random.Generator) -> SealedCase:
+def sister(case: SealedCase, rng: Rng) -> SealedCase:
     """Return another unit of the same make on the same rig, with no channel withheld."""
     deviation = dict(zip(SPREAD, np.clip(rng.normal(size=len(SPREAD)), -2.0, 2.0).tolist(), strict=True))
     changed = {

@@ -7,9 +7,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from scipy.signal import lfilter
 
-from softcal.core.recording import Array
-
-Rng: TypeAlias = np.random.Generator
+from softcal.core.recording import Array, Rng
 
 PRESS, RIGID_BLOCK, DUMMY_RESISTOR = "press", "rigid_block", "dummy_resistor"
 DEAD_WEIGHTS, REST = "dead_weights", "rest"
@@ -144,7 +142,7 @@ class Moment:
     step_s: float
     stage_mm: Array
     temperature_C: Array
-    rng: np.random.Generator
+    rng: Rng
     compression_mm: Array
     force_N: Array
 
@@ -187,7 +185,7 @@ def record(
     rack: Rack,
     path: Path,
     temperature: Callable[[Array], Array],
-    rng: np.random.Generator,
+    rng: Rng,
     kind: str = PRESS,
     dummy_ohm: float | None = None,
     known_force: Callable[[Array], Array] | None = None,
@@ -285,7 +283,7 @@ def _output(rack: Rack, moment: Moment, sample_s: Array, dummy_ohm: float | None
     return np.asarray(np.round(clipped / rig.lsb_V) * rig.lsb_V)
 
 
-def _wander(rig: Rig, spread: float, rng: np.random.Generator, count: int) -> Array:
+def _wander(rig: Rig, spread: float, rng: Rng, count: int) -> Array:
     """(count,) noise of this standard deviation whose correlation fades with exp(-t/coloured_s)."""
     if spread == 0.0:
         return np.zeros(count)
