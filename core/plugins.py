@@ -54,9 +54,7 @@ class PluginKind(Generic[Thing]):
     """One kind of thing that packages bring along: an entry point names one, or a list of them.
 
     Args:
-        group: of the entry points.
         kind, expected: what it is and what was expected, in words, for messages.
-        is_kind: whether a thing is one.
         name_of: the name that no two of them may have.
     """
 

@@ -26,10 +26,6 @@ class Segment:
 class Profile:
     """A stage profile that begins at rest at position 0.
 
-    Args:
-        name: what people call it, `steps with holds` for example.
-        segments: in time order.
-
     Raises:
         InputError: no segment, or one without duration.
     """
@@ -158,7 +154,6 @@ def random_presses(
     """Return presses of "different rates and magnitudes", as the paper has them, with short holds.
 
     Args:
-        rng: source of depths, speeds and holds.
         duration_s: at least this long; the last press is finished and 1 s of rest follows.
         return_share: share of the moves that are followed by one back to 0.
     """

@@ -63,7 +63,6 @@ class LotDesign:
     """What kind of lot to simulate.
 
     Args:
-        good: number of units in good order.
         shift: how the units' loads differ from the source's, a name of `PROGRAMMES`.
         spread: how the units differ. What they differ by in stiffness and contact position changes
             the load at equal travel, which no unlabelled recording shows; the default takes pads

@@ -234,11 +234,6 @@ _KINDS: Mapping[str, tuple[Callable[[_Dice], Mistake], _Spoil]] = {
 
 
 def draw_mistake(rng: Rng, rig: Rig, peak_N: float, span_V: float, runs: int) -> str:
-    """Draw one mistake for a case of two or more runs, every kind alike, as a label has it.
-
-    Args:
-        peak_N: force at full depth.
-        span_V: range of the output between rest and peak.
-    """
+    """Draw one mistake for a case of two or more runs, every kind alike, as a label has it."""
     draw, _ = list(_KINDS.values())[rng.integers(len(_KINDS))]
     return draw(_Dice(rng, peak_N, span_V, runs)).to_text()

@@ -61,7 +61,6 @@ class Cause:
     Args:
         effect: an identifier of TWIN.md's catalogue, or the name of an effect outside it.
         form: `catalogue`, or the name of another equation of the same cause.
-        values: the equation's parameters by name, units in the names.
     """
 
     effect: str
@@ -195,7 +194,6 @@ def record(
     Args:
         rng: noise, and whatever an equation draws for this run.
         kind: of TWIN.md; `rigid_block`, `dummy_resistor`, `dead_weights` change what is pressed.
-        dummy_ohm: the resistor of a `dummy_resistor` run.
         known_force: force of a `dead_weights` run at given times.
     """
     sample_s: Array = np.arange(int(path.duration_s * rig.sample_rate_Hz) + 1, dtype=np.float64) / rig.sample_rate_Hz

@@ -182,7 +182,6 @@ class UnitFile:
     """The calibration of one unit as a device holds it.
 
     Args:
-        serial: the unit's serial.
         network_id: 8 bytes, `NetworkFile.id`.
         revision: of the calibration in the registry; the newest valid one wins on the device.
         time_s: when it was calibrated, Unix time in s; 0 where unknown.
@@ -191,8 +190,6 @@ class UnitFile:
         code_min, code_max: codes the unit was seen with; outside, the estimate is flagged.
         out_min, out_max: the estimate is clamped to these, in counts.
         bands: 1 ... 4, by rising level.
-        self_tests: 1 ... 4.
-        adapt: what the device may change.
     """
 
     serial: str

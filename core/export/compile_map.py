@@ -39,12 +39,7 @@ RIDGE = 1e-6
 
 @dataclass(frozen=True)
 class InputScale:
-    """How the 16-bit codes of a device stand for the sensor's output: output = zero + lsb * code.
-
-    Args:
-        zero: output at code 0, in the output unit.
-        lsb: output per code, positive.
-    """
+    """How the 16-bit codes of a device stand for the sensor's output: output = zero + lsb * code."""
 
     zero: float
     lsb: float
@@ -213,7 +208,6 @@ def compile_map(
     """Compile γ: the first form that is as good as exact, else the nearest in the limit.
 
     Args:
-        network: the shared network f.
         recording: the unit's own recording; the deviation is measured on its windows.
         limit: largest rms deviation of the estimate, in the network's reference unit.
         clear: largest deviation of a form that is taken without trying others.

@@ -57,7 +57,6 @@ class UnitFacts:
 
     Args:
         time_s: when it was made, Unix time in s.
-        recording: the unit's own recording.
         lower, upper: (m,) the 90 % interval of f∘γ at every window, in reference units.
         predicted_rmse: forecast of the error in reference units; None where there is none.
     """

@@ -66,13 +66,18 @@ class Network:
         return content_sha256(self.arrays(), self.settings())
 
     @cached_property
-    def _folded(self) -> tuple[tuple[NDArray[np.float32], NDArray[np.float32]], ...]:
+    def folded(self) -> tuple[tuple[Array, Array], ...]:
+        """Layers (inputs, outputs), (outputs,) with all scales folded in but for `output_mean`."""
         # The mean stays outside: in the bias it would cost the digits of a small swing.
-        weights, biases = [w.copy() for w in self.weights], [b.copy() for b in self.biases]
+        weights, biases = list(self.weights), list(self.biases)
         weights[0] = weights[0] / self.output_scale
         weights[-1] = weights[-1] * self.reference_scale
         biases[-1] = biases[-1] * self.reference_scale + self.reference_mean
-        return tuple((w.astype(np.float32), b.astype(np.float32)) for w, b in zip(weights, biases, strict=True))
+        return tuple(zip(weights, biases, strict=True))
+
+    @cached_property
+    def _folded(self) -> tuple[tuple[NDArray[np.float32], NDArray[np.float32]], ...]:
+        return tuple((w.astype(np.float32), b.astype(np.float32)) for w, b in self.folded)
 
     def evaluate(self, windows: Array) -> Array:
         """Estimate the reference for every window.

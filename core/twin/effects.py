@@ -38,7 +38,6 @@ class Parameter:
 
     Args:
         name: as in the catalogue, without its unit.
-        unit: physical unit, empty where there is none.
         low, high: bounds within which a fit may move it; the neutral value may lie outside.
         usual: typical size on a rig.
         neutral: value that switches the effect off, None for a shape parameter.
@@ -124,12 +123,10 @@ class Alias:
     """A departure outside the catalogue that looks like an effect of it until one run is made.
 
     Args:
-        stage: where it sits.
         detail: what it is; a plug-in gives a sentence, which is shown as it is written.
         share: of the effect's place that it gets while nothing tells the two apart.
         told_by: kind of the run that tells them apart ...
         changing, by: ... when this channel changes in it by so much.
-        advice: how to make that run.
     """
 
     stage: ChainStage

@@ -147,7 +147,6 @@ class EmpiricalTerm:
     """place += coefficient · variable.
 
     Args:
-        variable: a name of `VARIABLES`.
         load_N, depth_mm: what a load of 1 and a depth of 1 stand for.
 
     Raises:

@@ -53,8 +53,6 @@ class ReadoutMetadata:
     Args:
         vref_V: supply of the divider and full scale of the ADC.
         adc_bits: resolution; one step is vref_V/(2**adc_bits − 1).
-        r_series_ohm: series resistor of the divider.
-        sample_rate_Hz: nominal rate of all channels.
         sensor_type: `pressure` (κ acts on the force) or `strain` (κ acts on the deformation).
 
     Raises:
