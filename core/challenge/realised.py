@@ -75,25 +75,20 @@ def realised_shrink(case: SealedCase, report: Mapping[str, Any]) -> float:
     if "base" not in report or not named or any(effect in PER_RUN for effect in named):
         return float("nan")
     try:
-        rig, causes = with_base(case.rig, report["base"]), _causes(named)
+        rig, causes = with_base(case.rig, report["base"]), []
+        for effect, fitted in named.items():
+            names = (*PARAMETERS[effect], *OTHER_PARAMETERS.get(effect, ()))
+            own = {ours: _finite(fitted[theirs]["value"]) for theirs, ours in names if theirs in fitted}
+            causes.append(Cause(effect, CATALOGUE_FORM, {**UNFITTED.get(effect, {}), **own}))
         measured = case.measure(case.kept_back)
         with np.errstate(all="ignore"):
-            after = _gap(case, measured, rig, causes)
+            after = _gap(case, measured, rig, tuple(causes))
     except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError):
         return 0.0
     if not np.isfinite(after):
         return 0.0
     before = _gap(case, measured, refitted_base(case), ())
     return float("nan") if before < LEAST_GAP else 1.0 - after / before
-
-
-def _causes(named: Mapping[str, Mapping[str, Any]]) -> tuple[Cause, ...]:
-    causes = []
-    for effect, fitted in named.items():
-        names = (*PARAMETERS[effect], *OTHER_PARAMETERS.get(effect, ()))
-        own = {ours: _finite(fitted[theirs]["value"]) for theirs, ours in names if theirs in fitted}
-        causes.append(Cause(effect, CATALOGUE_FORM, {**UNFITTED.get(effect, {}), **own}))
-    return tuple(causes)
 
 
 def _finite(value: Any) -> float:

@@ -37,6 +37,10 @@ class Row:
     def interval(self) -> tuple[float, float]:
         return wilson(self.hits, self.count)
 
+    def to_record(self) -> dict[str, Any]:
+        low, high = self.interval
+        return {**asdict(self), "share": finite_or_none(self.share), "low": low, "high": high}
+
 
 @dataclass(frozen=True)
 class Detection:
@@ -107,22 +111,16 @@ class ScoreSheet:
         numbers = {name: finite_or_none(value) for name, value in vars(self.probabilities).items() if name != "by_bin"}
         return {
             "schema": "softcal.score/1",
-            "rows": [_row_record(row) for row in self.rows],
+            "rows": [row.to_record() for row in self.rows],
             "detection": [{**asdict(bin_), "to_sigma": finite_or_none(bin_.to_sigma)} for bin_ in self.detection],
             "probabilities": {**numbers, "by_bin": [asdict(bin_) for bin_ in self.probabilities.by_bin]},
             "shrink": {
                 "count": self.shrink.count,
                 "median_realised": finite_or_none(self.shrink.median_realised),
-                "rows": [_row_record(row) for row in self.shrink.rows],
+                "rows": [row.to_record() for row in self.shrink.rows],
             },
             "cases": [_case_record(judged) for judged in self.judged],
         }
-
-
-def _row_record(row: Row) -> dict[str, Any]:
-    low, high = row.interval
-    shared = finite_or_none(row.share)
-    return {**asdict(row), "share": shared, "low": low, "high": high}
 
 
 def _case_record(judged: Judged) -> dict[str, Any]:
@@ -230,22 +228,20 @@ def calibration_error(stated: NDArray[np.float64], happened: NDArray[np.float64]
 
 
 def _shrink(judged: Sequence[Judged]) -> ShrinkScore:
-    known = [j for j in judged if j.answer and j.outcome == "right" and np.isfinite(j.realised_shrink)]
-
-    def is_near(j: Judged) -> bool:
-        return bool(j.answer and abs(j.answer.predicted - j.realised_shrink) <= 0.10)
-
-    def is_inside(j: Judged) -> bool:
-        return bool(j.answer and j.answer.low <= j.realised_shrink <= j.answer.high)
-
+    known = [
+        (j.answer, j.realised_shrink)
+        for j in judged
+        if j.answer and j.outcome == "right" and np.isfinite(j.realised_shrink)
+    ]
+    measures = {
+        "realised ≥ 0.95": [shrink >= 0.95 for _, shrink in known],
+        "|forecast − realised| ≤ 0.10": [abs(a.predicted - shrink) <= 0.10 for a, shrink in known],
+        "realised inside [low, high]": [a.low <= shrink <= a.high for a, shrink in known],
+    }
     return ShrinkScore(
         count=len(known),
-        median_realised=float(np.median([j.realised_shrink for j in known])) if known else float("nan"),
-        rows=(
-            _row("explained", "realised ≥ 0.95", known, lambda j: j.realised_shrink >= 0.95),
-            _row("explained", "|forecast − realised| ≤ 0.10", known, is_near),
-            _row("explained", "realised inside [low, high]", known, is_inside),
-        ),
+        median_realised=float(np.median([shrink for _, shrink in known])) if known else float("nan"),
+        rows=tuple(Row("explained", name, sum(hits), len(hits)) for name, hits in measures.items()),
     )
 
 

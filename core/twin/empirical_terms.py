@@ -82,7 +82,8 @@ def _acceleration(flow: Flow, state: Memory, term: "EmpiricalTerm") -> Array:
 def _direction(width: float) -> Column:
     def column(flow: Flow, state: Memory, term: "EmpiricalTerm") -> Array:
         depth = _depth(flow, term)
-        return direction_state(depth, width, memory(state, "direction", 0.0, depth[0])) * (depth > 0.0)
+        start = memory(state, "direction", 0.0, depth[0])
+        return direction_state(depth, width, start) * (depth > 0.0)
 
     return column
 
@@ -102,29 +103,30 @@ def _position(flow: Flow, _: Memory, term: "EmpiricalTerm") -> Array:
     return np.maximum(flow.stage_mm, flow.contact_mm - term.depth_mm) / term.depth_mm
 
 
-def _remembered(tau_s: float) -> Column:
-    def column(flow: Flow, state: Memory, term: "EmpiricalTerm") -> Array:
-        return low_pass(_load(flow, state, term), flow.step_s, tau_s, memory(state, "remembered", 0.0, 0.0))
-
-    return column
+def _memory(tau_s: float) -> Column:
+    return lambda flow, state, term: low_pass(
+        _load(flow, state, term), flow.step_s, tau_s, memory(state, "remembered", 0.0, 0.0)
+    )
 
 
 def _product(one: Column, other: Column) -> Column:
     return lambda flow, state, term: one(flow, state, term) * other(flow, state, term)
 
 
-def _variables() -> Mapping[str, Variable]:
-    plain = {
-        "t": Variable("s", lambda flow, _, __: flow.t_s),
-        "direction": Variable("", _direction(SHARP)),
-        "blunt direction": Variable("", _direction(BLUNT)),
-        "rate": Variable("1/s", _rate),
-        "deepest": Variable("", _deepest, "stage_mm"),
-        "T": Variable("K", lambda flow, _, __: flow.warmed_K, "temperature_C"),
-        **{f"memory(load, {tau_s:g} s)": Variable("", _remembered(tau_s)) for tau_s in MEMORY_s},
-    }
-    loaded = {f"load·{name}": Variable(v.unit, _product(_load, v.column), v.needs) for name, v in plain.items()}
-    others = {
+_PLAIN = {
+    "t": Variable("s", lambda flow, _, __: flow.t_s),
+    "direction": Variable("", _direction(SHARP)),
+    "blunt direction": Variable("", _direction(BLUNT)),
+    "rate": Variable("1/s", _rate),
+    "deepest": Variable("", _deepest, "stage_mm"),
+    "T": Variable("K", lambda flow, _, __: flow.warmed_K, "temperature_C"),
+    **{f"memory(load, {tau_s:g} s)": Variable("", _memory(tau_s)) for tau_s in MEMORY_s},
+}
+
+VARIABLES: Mapping[str, Variable] = MappingProxyType(
+    _PLAIN
+    | {f"load·{name}": Variable(v.unit, _product(_load, v.column), v.needs) for name, v in _PLAIN.items()}
+    | {
         "load": Variable("", _load),
         "load²": Variable("", lambda flow, state, term: _load(flow, state, term) ** 2),
         "load³": Variable("", lambda flow, state, term: _load(flow, state, term) ** 3),
@@ -133,10 +135,7 @@ def _variables() -> Mapping[str, Variable]:
         "acceleration": Variable("1/s²", _acceleration, "stage_mm"),
         "position": Variable("", _position, "stage_mm"),
     }
-    return MappingProxyType(plain | loaded | others)
-
-
-VARIABLES: Mapping[str, Variable] = _variables()
+)
 """What a term may follow, by name. A load and a depth of 1 are the largest recorded."""
 
 _INVERSE = {"": "", "s": "/s", "K": "/K", "1/s": "·s", "1/s²": "·s²"}

@@ -197,18 +197,7 @@ class TwinStream:
             raise ValueError(f"t_s has {len(t_s)} samples, stage_mm {len(stage_mm)}")
         if not len(t_s):
             return np.empty(0), np.empty(0)
-        flow = self._flow(t_s, stage_mm, temperature_C)
-        self._chain.run(flow, self._twin.parameters, self._twin.metadata, self._values, self._memories)
-        noise_N, noise_V = np.zeros(len(t_s)), np.zeros(len(t_s))
-        if self._rng is not None:
-            base, (force, output) = self._twin.parameters, self._rng
-            noise_N = force.normal(0.0, base.sigma_force_N, len(t_s))
-            noise_V = output.normal(0.0, base.sigma_output_V, len(t_s))
-        return flow.reading_N + noise_N, digitise(flow.output_V, noise_V, self._twin.metadata)
-
-    def _flow(self, t_s: Array, stage_mm: Array, temperature_C: Array | None) -> Flow:
-        before_s = t_s[0] if self._last_t_s is None else self._last_t_s
-        step_s = np.diff(t_s, prepend=before_s)
+        step_s = np.diff(t_s, prepend=t_s[0] if self._last_t_s is None else self._last_t_s)
         if np.any(step_s[1:] <= 0) or (self._last_t_s is not None and step_s[0] <= 0):
             raise ValueError("t_s must go on: every instant later than the one before")
         rise_K = None
@@ -218,8 +207,16 @@ class TwinStream:
                 self._first_temperature_C = float(temperature_C[0])
             rise_K = np.asarray(temperature_C, dtype=np.float64) - self._first_temperature_C
         self._last_t_s = float(t_s[-1])
+        base, readout = self._twin.parameters, self._twin.metadata
         episodes = {s.effect_id: np.array(s.episodes) for s in self._twin.effects if s.episodes}
-        return Flow(t_s, step_s, stage_mm, rise_K, self._twin.metadata.vref_V, episodes)
+        flow = Flow(t_s, step_s, stage_mm, rise_K, readout.vref_V, episodes)
+        self._chain.run(flow, base, readout, self._values, self._memories)
+        noise_N, noise_V = np.zeros(len(t_s)), np.zeros(len(t_s))
+        if self._rng is not None:
+            force, output = self._rng
+            noise_N = force.normal(0.0, base.sigma_force_N, len(t_s))
+            noise_V = output.normal(0.0, base.sigma_output_V, len(t_s))
+        return flow.reading_N + noise_N, digitise(flow.output_V, noise_V, readout)
 
 
 def simulate(
