@@ -24,10 +24,9 @@ from softcal.core.challenge.rig import (
     Path,
     Rack,
     Rig,
-    Rng,
     record,
 )
-from softcal.core.recording import Array
+from softcal.core.recording import Array, Rng
 
 EQUATIONS: Mapping[tuple[str, str], Equation] = {
     **{(effect, CATALOGUE_FORM): equation for effect, equation in CATALOGUE.items()},

@@ -11,8 +11,9 @@ from softcal.core.challenge.equations import CATALOGUE, CATALOGUE_FORM, OTHER_FO
 from softcal.core.challenge.mistakes import draw_mistake
 from softcal.core.challenge.protocols import log_uniform
 from softcal.core.challenge.published import PUBLISHED_FORMS, PUBLISHED_OUTSIDE
-from softcal.core.challenge.rig import Cause, Rig, Rng
+from softcal.core.challenge.rig import Cause, Rig
 from softcal.core.challenge.score import CASES_OF_FLOOR, FLOORS
+from softcal.core.recording import Rng
 
 MAINS_Hz = (50.0, 60.0)
 

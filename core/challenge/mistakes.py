@@ -7,8 +7,8 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from softcal.core.challenge.rig import PRESS, Measured, Rig, Rng
-from softcal.core.recording import Array
+from softcal.core.challenge.rig import PRESS, Measured, Rig
+from softcal.core.recording import Array, Rng
 
 COLUMNS = {"stage": "stage_mm", "force": "force_N", "output": "output_V"}
 UNITS: Mapping[str, Mapping[str, float]] = {

@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from softcal.core.challenge.rig import Path, Rng
-from softcal.core.recording import Array
+from softcal.core.challenge.rig import Path
+from softcal.core.recording import Array, Rng
 
 RUN_S = 40.0
 """Length of an ordinary run: four of them are a case of about 8,000 samples at 50 Hz."""

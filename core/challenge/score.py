@@ -149,7 +149,18 @@ def score_reports(
         reports: per case name, a report of schema `softcal.gap/1`.
         realised: shrink of a report's twin on the run that was kept back, NaN where it has none.
     """
-    judged = tuple(_judge(label, reports.get(label.case.name), realised) for label in labels)
+    judged = []
+    for label in labels:
+        answer, unread, report = None, "", reports.get(label.case.name)
+        if report is not None:
+            try:
+                answer = read_answer(label.case.name, report)
+            except InputError as error:
+                unread = str(error)
+        shrink = float("nan")
+        if report is not None and answer is not None and answer.verdict in ("explained", "ambiguous"):
+            shrink = realised(label, report)
+        judged.append(Judged(label, answer, shrink, unread))
     answered = [(j, j.answer) for j in judged if j.answer is not None]
     stated = np.array([p for _, a in answered for p in a.probabilities.values()])
     present = np.array([effect in j.truth for j, a in answered for effect in a.probabilities], dtype=np.float64)
@@ -166,18 +177,7 @@ def score_reports(
             if (here := (stated >= low) & (stated < high if high < 1.0 else stated <= high)).any()
         ),
     )
-    return ScoreSheet(judged, tuple(_rows(judged)), tuple(_detection(judged)), probabilities, _shrink(judged))
-
-
-def _judge(label: Label, report: Mapping[str, Any] | None, realised: Callable[..., float]) -> Judged:
-    if report is None:
-        return Judged(label, None)
-    try:
-        answer = read_answer(label.case.name, report)
-    except InputError as error:
-        return Judged(label, None, unread=str(error))
-    explained = answer.verdict in ("explained", "ambiguous")
-    return Judged(label, answer, realised(label, report) if explained else float("nan"))
+    return ScoreSheet(tuple(judged), tuple(_rows(judged)), tuple(_detection(judged)), probabilities, _shrink(judged))
 
 
 HONEST = ("right", "set", "below noise")
