@@ -20,8 +20,7 @@ from common.tables import print_table
 from softcal.core.orders import Order, OrderKind, Progress, StationState
 from softcal.core.profiles import unit_profile
 from softcal.core.quality.gate import Gate
-from softcal.core.simulated_lot import twin_of
-from softcal.core.twin.spread import draw_lot
+from softcal.core.simulated_lot import draw_lot, twin_of
 from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.devices.simulated_station import SimulatedStation
 from softcal.station.tasks.acquisition import record

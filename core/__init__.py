@@ -1,1 +1,1 @@
-"""The numerics of softcal: numbers in, numbers out. No file, port, clock, environment or global random state here."""
+"""The numerics of softcal: no file, port, clock, environment or global random state here."""

@@ -1,5 +1,5 @@
-"""Everything softcal raises on purpose, and the exit code of a command that ends so; wrong arguments inside the program
-stay ValueError."""
+"""Everything softcal raises on purpose, and the exit code of a command that ends so; wrong
+arguments inside the program stay ValueError."""
 
 import errno
 
@@ -14,10 +14,10 @@ def printable(text: str) -> str:
 class SoftcalError(Exception):
     """Something a person can act on; its text is one clear line.
 
-    What it quotes may come from a file or a device: a control character in it is shown by its code, never obeyed.
+    Control characters of what it quotes are shown by their codes, never obeyed.
 
     Args:
-        said: what happened, as a code with its values; a sentence where it is said in English alone.
+        said: what happened, as a code with its values; a sentence where English is enough.
     """
 
     def __init__(self, said: Reason | str = "") -> None:
@@ -57,7 +57,7 @@ class RegistryError(SoftcalError):
 
 
 class UnitRefused(SoftcalError):
-    """This unit cannot be calibrated from this recording; it is kept with the unit, and the lot goes on without it."""
+    """This unit cannot be calibrated from this recording; the lot goes on without it."""
 
 
 def reason_of(error: BaseException) -> Reason:

@@ -17,8 +17,8 @@ Settings = Mapping[str, object]
 def content_sha256(arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> str:
     """Return the SHA-256 (hex) of named arrays and JSON settings.
 
-    Names are sorted, arrays are taken little-endian in C order with their dtype and shape, settings as canonical
-    JSON. So the id depends on the content alone.
+    Names are sorted, arrays are taken little-endian in C order with their dtype and shape, settings
+    as canonical JSON. So the id depends on the content alone.
     """
     # Settings alone have an id without numpy: whoever lists units does not wait for it.
     digest = hashlib.sha256(json.dumps(settings, sort_keys=True, separators=(",", ":"), allow_nan=False).encode())

@@ -8,11 +8,11 @@ from softcal.core.errors import InputError
 from softcal.core.words.reason import reason
 
 SERIAL = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
-"""Serials become file names and bar codes: letters, digits, dot, dash and underscore, 64 at most."""
+"""Serials become file names and bar codes: letters, digits, dot, dash, underscore, at most 64."""
 
 
 RESERVED = re.compile(r"(?:con|prn|aux|nul|com[0-9]|lpt[0-9])(?:\..*)?", re.IGNORECASE)
-"""Names that are devices on Windows whatever their suffix (Microsoft, Naming Files, Paths, and Namespaces)."""
+"""Devices on Windows, whatever their suffix (Microsoft, Naming Files, Paths, and Namespaces)."""
 
 
 def check_serial(serial: str) -> str:
@@ -30,8 +30,8 @@ class Lot:
 
     Args:
         source: serial of the first source unit.
-        reference_quantity, reference_unit: what the source's reference measures, for example force in N.
-        limit_rmse: largest acceptable error of a unit in `reference_unit`; None leaves it to the source's own error.
+        reference_quantity, reference_unit: of the source's reference, for example force in N.
+        limit_rmse: largest error of a unit in `reference_unit`; None: by the source's own error.
     """
 
     id: str
@@ -52,7 +52,6 @@ class Lot:
                 raise InputError(f"{name} is {value}; a positive number was expected")
 
     def settings(self) -> dict[str, float | str | None]:
-        """Return everything but the id as JSON values."""
         return {key: value for key, value in vars(self).items() if key != "id"}
 
     @classmethod

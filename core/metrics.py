@@ -16,7 +16,7 @@ def rms(values: Array) -> float:
 
 
 def rmse(estimate: Array, reference: Array) -> float:
-    """Return the root mean square error over rows where both are finite; NaN where there is none."""
+    """Return the root mean square error over rows where both are finite; NaN without any."""
     error = (estimate - reference)[np.isfinite(estimate) & np.isfinite(reference)]
     return float(np.sqrt(np.mean(error**2))) if len(error) else float("nan")
 

@@ -1,4 +1,4 @@
-"""Values between page, registry and station: what was ordered, how far it is, what the station says of itself."""
+"""Values between page, registry and station: orders, their progress, the station's heartbeat."""
 
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -17,16 +17,16 @@ class OrderKind(StrEnum):
     GOLDEN = "golden"
     """Press a golden unit: the check that lets the station run this shift."""
     LOAD = "load"
-    """Read the sensor at rest under a known load that a person put on the unit; nothing moves. The order's reason names
-    step and load."""
+    """Read the sensor at rest under a known load that a person put on the unit; nothing moves. The
+    order's reason names step and load."""
     CHECK = "check"
     """Self-test of the station without a unit."""
     STOP = "stop"
     """Stop the run that is in progress; never waits behind another order."""
     ACKNOWLEDGE = "acknowledge"
-    """The operator has read the reason of a stop; the station opens its ports again, and the next run homes first."""
+    """The reason of a stop was read; the station opens its ports, and the next run homes first."""
     OVERRIDE = "override"
-    """An engineer opens the gate in spite of its reasons for a while; the order's reason goes into the audit trail."""
+    """An engineer opens the gate for a while; the order's reason goes into the audit trail."""
     FAULT = "fault"
     """Break the simulated station: the order's reason names the fault. A real one refuses."""
 
@@ -42,7 +42,7 @@ class OrderKind(StrEnum):
 
     @property
     def is_run(self) -> bool:
-        """Whether the order occupies its station until it is over; all others are taken at once, even in a run."""
+        """Whether it occupies its station; all others are taken at once, even in a run."""
         return self.presses or self in (OrderKind.CHECK, OrderKind.LOAD)
 
 
@@ -121,9 +121,9 @@ class Progress:
     Args:
         phase: what happens now, in words ("searching for contact").
         code: "" while all is well, else the stable code of the message ("E-NOREPLY").
-        message: what is said to the operator; on an error what happened and what to do. A text is one that was kept.
+        message: what is said to the operator: what happened and what to do. A text was kept so.
         recording_sha256: content hash of the stored recording, once there is one.
-        verdict: pass, conditional, fail or retest once a unit is judged; of a golden unit pass or fail; else "".
+        verdict: pass, conditional, fail or retest of a judged unit, pass or fail of a golden one.
     """
 
     order_id: str
@@ -143,13 +143,12 @@ class Progress:
 
     @property
     def text(self) -> str:
-        """The message in English, as one line."""
         return joined(self.message)
 
 
 @dataclass(frozen=True)
 class Condition:
-    """One thing the gate looked at, and what it says of it: the fact, and where it is not good what to do.
+    """One thing the gate looked at, with the fact and, where it is not good, what to do.
 
     A sentence in the place of a reason is one that was kept.
     """

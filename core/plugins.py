@@ -1,7 +1,7 @@
 """What other installed packages bring along: entry points by group, loaded and checked.
 
-The core reads the list of installed packages here only. A plug-in that one process knows and another does not would
-make the same result mean two things.
+The core reads the list of installed packages here only. A plug-in that one process knows and
+another does not would make the same result mean two things.
 """
 
 import os
@@ -25,8 +25,8 @@ def installed(group: str) -> list[EntryPoint]:
 
 @lru_cache(maxsize=16)
 def _in_folders(group: str, folders: tuple[tuple[str, int], ...]) -> EntryPoints:
-    """Return a group of the folders on the path; a package that comes or goes changes the time of its folder."""
-    # Every installed package is opened for this: a station that opens its devices would do so dozens of times.
+    """Return a group of the path's folders; a package that comes or goes changes a folder's time."""
+    # Every installed package is opened for this: a station would do so dozens of times.
     return entry_points(group=group)
 
 
@@ -54,9 +54,7 @@ class PluginKind(Generic[Thing]):
     """One kind of thing that packages bring along: an entry point names one, or a list of them.
 
     Args:
-        group: of the entry points.
         kind, expected: what it is and what was expected, in words, for messages.
-        is_kind: whether a thing is one.
         name_of: the name that no two of them may have.
     """
 
@@ -92,6 +90,6 @@ class PluginKind(Generic[Thing]):
 
 
 def who(point: EntryPoint, kind: str) -> str:
-    """Return how a message names a plug-in: its kind, its name, its package and what it points to."""
+    """Return how a message names a plug-in: kind, name, package and what it points to."""
     package = f" of {point.dist.name} {point.dist.version}" if point.dist is not None else ""
     return f"{kind} plug-in {point.name!r}{package} ({point.value})"

@@ -1,4 +1,4 @@
-"""Stage profiles as data: straight moves, holds and rests, sampled for the twin or sent to the stage move by move."""
+"""Stage profiles as data: straight moves, holds and rests, for the twin and the stage."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.recording import Array
+from softcal.core.recording import Array, Rng
 from softcal.core.words.reason import Reason, reason
 
 NAME_AND_SIZE = re.compile(r"(\D+?) (\d.*)", re.DOTALL)
@@ -25,10 +25,6 @@ class Segment:
 @dataclass(frozen=True)
 class Profile:
     """A stage profile that begins at rest at position 0.
-
-    Args:
-        name: what people call it, `steps with holds` for example.
-        segments: in time order.
 
     Raises:
         InputError: no segment, or one without duration.
@@ -83,7 +79,7 @@ class Profile:
 
 
 def moves(name: str, targets_mm: Sequence[float], speeds_mm_s: Sequence[float], holds_s: Sequence[float]) -> Profile:
-    """Return straight moves with a hold after each, (number of moves,) of each number; a hold of 0 s is none."""
+    """Return straight moves with a hold after each, (m,) of each number; a hold of 0 s is none."""
     segments, at_mm = [], 0.0
     for target_mm, speed_mm_s, hold_s in zip(targets_mm, speeds_mm_s, holds_s, strict=True):
         if speed_mm_s <= 0:
@@ -153,14 +149,13 @@ def small_reversals(depth_mm: float, stroke_mm: float = 0.4) -> Profile:
 
 
 def random_presses(
-    rng: np.random.Generator, duration_s: float, depth_mm: float, fastest_mm_s: float = 5.0, return_share: float = 0.5
+    rng: Rng, duration_s: float, depth_mm: float, fastest_mm_s: float = 5.0, return_share: float = 0.5
 ) -> Profile:
-    """Return presses of random depth and speed, as the paper's "different rates and magnitudes", with short holds.
+    """Return presses of "different rates and magnitudes", as the paper has them, with short holds.
 
     Args:
-        rng: source of depths, speeds and holds.
         duration_s: at least this long; the last press is finished and 1 s of rest follows.
-        return_share: share of the moves after which the stage goes back to 0 (else it turns on the way).
+        return_share: share of the moves that are followed by one back to 0.
     """
     targets, speeds, holds, spent_s, at_mm = [0.0], [1.0], [1.0], 1.0, 0.0
     while spent_s < duration_s or at_mm > 0:
@@ -177,8 +172,8 @@ def random_presses(
     return moves("random presses", targets, speeds, holds)
 
 
-def source_profile(rng: np.random.Generator, duration_s: float = 170.0, depth_mm: float = 3.5) -> Profile:
-    """Return the long profile that calibrates a source unit: a rate sweep, steps with holds, then random presses."""
+def source_profile(rng: Rng, duration_s: float = 170.0, depth_mm: float = 3.5) -> Profile:
+    """Return the long profile of a source unit: a rate sweep, steps with holds, random presses."""
     opening = rate_sweep(depth_mm, (0.5, 1.5, 4.0)).then(
         steps_with_holds([0.4 * depth_mm, 0.7 * depth_mm, depth_mm, 0.5 * depth_mm], hold_s=3.0), "opening"
     )
@@ -186,14 +181,14 @@ def source_profile(rng: np.random.Generator, duration_s: float = 170.0, depth_mm
     return opening.then(random_presses(rng, left_s, depth_mm), "source")
 
 
-def unit_profile(rng: np.random.Generator, duration_s: float = 25.0, depth_mm: float = 3.5) -> Profile:
-    """Return the short profile of a target unit: one full press, then random presses at several rates and depths."""
+def unit_profile(rng: Rng, duration_s: float = 25.0, depth_mm: float = 3.5) -> Profile:
+    """Return the short profile of a target unit: one full press, then random presses."""
     opening = ramps([depth_mm], 3.0, rest_s=1.0)
     left_s = max(5.0, duration_s - opening.duration_s)
     return opening.then(random_presses(rng, left_s, depth_mm), "unit")
 
 
-BUILT_IN: Mapping[str, Callable[[np.random.Generator, float], Profile]] = {
+BUILT_IN: Mapping[str, Callable[[Rng, float], Profile]] = {
     "source": lambda rng, depth_mm: source_profile(rng, depth_mm=depth_mm),
     "unit": lambda rng, depth_mm: unit_profile(rng, depth_mm=depth_mm),
     "ramps": lambda rng, depth_mm: ramps([depth_mm] * 3, 2.0),
@@ -209,7 +204,7 @@ BUILT_IN: Mapping[str, Callable[[np.random.Generator, float], Profile]] = {
 
 
 def pressed(name: str) -> Reason:
-    """Return the name of a profile, as a recording keeps it, in words that every language has of its own."""
+    """Return the name of a profile, as a recording keeps it, in words to be translated."""
     match = NAME_AND_SIZE.fullmatch(name)
     if match is None:
         return reason("gap.pressed", profile=name)

@@ -1,4 +1,4 @@
-"""Recordings of one unit, checked once when made. A fit that takes an `OutputRecording` cannot read a reference."""
+"""Recordings of one unit, checked when made. From an `OutputRecording` no fit reads a reference."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -15,6 +15,7 @@ from softcal.core.windows import TAPS, windows
 Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.int64]
 Mask: TypeAlias = NDArray[np.bool_]
+Rng: TypeAlias = np.random.Generator
 Arrays: TypeAlias = Mapping[str, NDArray[np.generic]]
 """Parameters by name, as they are stored and hashed."""
 
@@ -33,10 +34,10 @@ class OutputRecording:
         t_s: (n,) time stamps in s, strictly increasing.
         output: (n,) sensor output in `output_unit`.
         sample_rate_Hz: nominal sample rate; the median step of `t_s` must agree within 2 %.
-        stage_mm: (n,) stage position in mm, positive when it compresses, where the station knows it.
+        stage_mm: (n,) stage position, positive when it compresses; None where it is not known.
 
     Raises:
-        InputError: not finite, time repeated or backward, too short, or a rate that is not the declared one.
+        InputError: not finite, time repeated or backward, too short, or not at the declared rate.
     """
 
     serial: str
@@ -73,7 +74,7 @@ class OutputRecording:
 
     @cached_property
     def step(self) -> float:
-        """Smallest step of the readout, in the output unit; infinite where the output never changes."""
+        """Smallest step of the readout, in the output unit; infinite for a constant output."""
         return float(np.min(np.diff(np.unique(self.output)), initial=np.inf))
 
     @cached_property
@@ -85,7 +86,7 @@ class OutputRecording:
 
     @cached_property
     def window_rows(self) -> Indices:
-        """(m,) index of the newest sample of every full window; windows never reach across a gap."""
+        """(m,) index of the newest sample of every full window; none reaches across a gap."""
         return np.concatenate([np.arange(s.start + TAPS - 1, s.stop) for s in self.segments]).astype(np.int64)
 
     @cached_property
@@ -98,7 +99,6 @@ class OutputRecording:
 
     @cached_property
     def sha256(self) -> str:
-        """SHA-256 (hex) of all arrays and settings, the serial among them."""
         return content_sha256(self.arrays(), self.settings())
 
     def arrays(self) -> dict[str, Array]:
@@ -109,7 +109,6 @@ class OutputRecording:
         return {"serial": self.serial, "sample_rate_Hz": self.sample_rate_Hz, "output_unit": self.output_unit}
 
     def part(self, start: int, stop: int) -> "OutputRecording":
-        """Return samples start ... stop - 1 as a recording of their own."""
         rows = slice(start, stop)
         stage_mm = None if self.stage_mm is None else self.stage_mm[rows]
         return replace(self, t_s=self.t_s[rows], output=self.output[rows], stage_mm=stage_mm)
@@ -149,7 +148,6 @@ class LabelledRecording:
 
     @cached_property
     def sha256(self) -> str:
-        """SHA-256 (hex) of all arrays and settings, the reference and the serial among them."""
         return content_sha256(self.arrays(), self.settings())
 
     def arrays(self) -> dict[str, Array]:
@@ -169,7 +167,6 @@ class LabelledRecording:
         return self.reference[self.unlabelled.window_rows]
 
     def part(self, start: int, stop: int) -> "LabelledRecording":
-        """Return samples start ... stop - 1 as a recording of their own."""
         return LabelledRecording(self.unlabelled.part(start, stop), self.reference[start:stop], self.reference_unit)
 
 

@@ -17,14 +17,14 @@ SET = "set, not fitted"
 def setting(value: Any, origin: str = SET) -> Any:
     """Declare one number of a frozen configuration, and where it comes from.
 
-    A command of benchmarks/ with the rows it was chosen on, a paper, a standard, or `SET`. Printed by
-    `softcal explain --method`.
+    A command of benchmarks/ with the rows it was chosen on, a paper, a standard, or `SET`. Printed
+    by `softcal explain --method`.
     """
     return field(default=value, metadata={"origin": origin})
 
 
 def table(values: Mapping[str, float], origin: str = SET) -> Any:
-    """Declare named coefficients of a frozen configuration as pairs of name and value; see `setting`."""
+    """Declare named coefficients of a configuration as pairs of name and value; see `setting`."""
     return setting(tuple(values.items()), origin)
 
 
@@ -40,7 +40,7 @@ def origins(config: object, prefix: str = "") -> Iterator[tuple[str, object, str
 
 
 def rebuilt(default: Config, kept: Mapping[str, Any]) -> Config:
-    """Return a configuration like `default` with the numbers that were kept as JSON; what is missing stays as it is."""
+    """Return a configuration like `default` with the numbers that were kept as JSON."""
     declared: tuple[Field[Any], ...] = fields(default)  # type: ignore[arg-type]
     values = {}
     for one in declared:
@@ -57,19 +57,17 @@ def _tupled(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class NumberedMethod:
-    """A frozen, nested configuration every number of which has an origin: the whole of it has one identity."""
+    """A frozen, nested configuration with one identity; every number of it has an origin."""
 
     @property
     def id(self) -> str:
-        """Content hash of every number."""
         return _id(self)
 
     def numbers(self) -> Iterator[tuple[str, object, str]]:
-        """Yield (dotted name, value, origin) of every number."""
         return origins(self)
 
     def to_json(self) -> dict[str, object]:
-        """Return every number as nested JSON values; one and the same object for equal methods, to be read only."""
+        """Return every number as nested JSON values; one object for equal methods, to be read only."""
         return _json(self)
 
     @classmethod
@@ -80,7 +78,7 @@ class NumberedMethod:
 
 
 METHODS_KEPT = 32
-"""A lot is made with one or two methods, and each of its units carries a copy: reading each costs more than a query."""
+"""Each unit of a lot carries a copy of one of a few methods: reading each costs more than a query."""
 
 
 @lru_cache(maxsize=METHODS_KEPT)

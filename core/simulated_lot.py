@@ -1,4 +1,4 @@
-"""Simulated lots on the twin: good units, planted bad ones and shifted loads, with the truth beside them."""
+"""Simulated lots on the twin: good units, planted bad ones, shifted loads, with the truth."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -8,10 +8,9 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.profiles import Profile, ramps, random_presses, source_profile, unit_profile
-from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
+from softcal.core.recording import LabelledRecording, OutputRecording, Rng
+from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate
-from softcal.core.twin.spread import LotSpread, draw_lot
 
 GOOD = "good"
 DEPTH_MM = 3.5
@@ -22,24 +21,40 @@ GOLDEN = 86_401
 
 
 @dataclass(frozen=True)
+class LotSpread:
+    """Standard deviations from unit to unit: of the contact in mm, relative for all else.
+
+    The defaults keep every unit well below the collapse of its channel (κ·F < 0.75 at 3.5 mm) and give responses
+    that differ by tens of per cent, as the printed sensors of Kim and others 2020 do.
+    """
+
+    u0_mm: float = 0.05
+    k1: float = 0.05
+    k3: float = 0.05
+    r0: float = 0.08
+    kappa: float = 0.06
+    noise: float = 0.15
+
+
+@dataclass(frozen=True)
 class UnitKind:
-    """What is special about units of a lot: in the unit, in its wiring, and in how it is pressed, if it is."""
+    """What is special about units of a lot: the unit, its wiring, how it is pressed."""
 
     name: str
-    twin: Callable[[np.random.Generator, Twin], Twin] = lambda rng, twin: twin
+    twin: Callable[[Rng, Twin], Twin] = lambda rng, twin: twin
     wired: Callable[[LabelledRecording], LabelledRecording] = lambda recording: recording
-    profile: Callable[[np.random.Generator], Profile] | None = None
+    profile: Callable[[Rng], Profile] | None = None
 
 
 class SteadyLine:
-    """What the line does to the units' recordings and not to their audits: this one does nothing."""
+    """What the line does to the units' recordings and not to their audits: here nothing."""
 
-    def pressed(self, rng: np.random.Generator, twin: Twin) -> Twin:
+    def pressed(self, rng: Rng, twin: Twin) -> Twin:
         """Return the unit as the press of the line meets it."""
         return twin
 
-    def day(self, source: LabelledRecording, rng: np.random.Generator) -> Callable[[OutputRecording], OutputRecording]:
-        """Return how the readout shows a recording on the day of the units; source and audits have another one."""
+    def day(self, source: LabelledRecording, rng: Rng) -> Callable[[OutputRecording], OutputRecording]:
+        """Return how the readout shows a recording on the units' day; source and audits have another."""
         return lambda recording: recording
 
 
@@ -48,11 +63,10 @@ class LotDesign:
     """What kind of lot to simulate.
 
     Args:
-        good: number of units in good order.
-        shift: how the loads of the units' recordings differ from the source's, a name of `PROGRAMMES`.
-        spread: how the units differ. What they differ by in stiffness and contact position changes the load at equal
-            travel, which no unlabelled recording shows; the default takes pads from one mould, all else by tens of
-            per cent.
+        shift: how the units' loads differ from the source's, a name of `PROGRAMMES`.
+        spread: how the units differ. What they differ by in stiffness and contact position changes
+            the load at equal travel, which no unlabelled recording shows; the default takes pads
+            from one mould, all else by tens of per cent.
         twin: the nominal unit and its effects, of a diagnosis for example; None draws them.
     """
 
@@ -87,7 +101,7 @@ class SimulatedUnit:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedLot:
-    """A source unit and the units made with it; the source once more in the units' sitting, under the load cell."""
+    """A source unit, the units made with it, and the source once more in the units' sitting."""
 
     source: LabelledRecording
     units: tuple[SimulatedUnit, ...]
@@ -97,47 +111,84 @@ class SimulatedLot:
 def simulate_lot(seed: int, design: LotDesign | None = None) -> SimulatedLot:
     """Simulate a lot; equal seed and design give equal recordings.
 
-    Every lot has its own nominal unit and its own mild creep, hysteresis and readout lag, which its units share up to
-    a fifth of their size.
+    Every lot has its own nominal unit and its own mild creep, hysteresis and readout lag, which its
+    units share up to a fifth of their size.
     """
     design, rng = design or LotDesign(), np.random.default_rng(seed)
     kinds = [UnitKind(GOOD)] * design.good + [kind for kind, count in (design.bad or {}).items() for _ in range(count)]
     twins = draw_twins(rng, len(kinds) + 1, design.spread, design.twin)
-    source = _record(rng, twins[0], source_profile(rng, design.source_s, DEPTH_MM), "S0", design.has_stage)
-    units = tuple(
-        _simulate_unit(rng, twin, kind, f"U{k:03d}", design)
-        for k, (twin, kind) in enumerate(zip(twins[1:], kinds, strict=True), start=1)
-    )
+    programme = PROGRAMMES[design.shift]
+
+    def audited(rng: Rng, twin: Twin, duration_s: float, serial: str) -> LabelledRecording:
+        profile = source_profile(rng, duration_s, DEPTH_MM)
+        return _record(rng, twin, profile, serial, design.has_stage)
+
+    source = audited(rng, twins[0], design.source_s, "S0")
+    units = []
+    for k, (twin, kind) in enumerate(zip(twins[1:], kinds, strict=True), start=1):
+        own, serial = kind.twin(rng, twin), f"U{k:03d}"
+        profile = programme(rng, design.unit_s)
+        profile = kind.profile(rng) if kind.profile else profile
+        pressed = design.line.pressed(rng, own)
+        recording = _record(rng, pressed, profile, serial, design.has_stage)
+        audit = audited(rng, own, design.audit_s, serial)
+        units.append((kind, kind.wired(recording).unlabelled, kind.wired(audit)))
     later = np.random.default_rng([seed, GOLDEN])
-    golden = _record(later, twins[0], PROGRAMMES[design.shift](later, design.unit_s), "S0", design.has_stage)
+    golden = _record(later, twins[0], programme(later, design.unit_s), "S0", design.has_stage)
     day = design.line.day(source, np.random.default_rng([seed, DAY]))
-    units = tuple(replace(unit, recording=day(unit.recording)) for unit in units)
-    return SimulatedLot(source, units, replace(golden, unlabelled=day(golden.unlabelled)))
+    return SimulatedLot(
+        source,
+        tuple(SimulatedUnit(kind.name, day(recording), audit) for kind, recording, audit in units),
+        replace(golden, unlabelled=day(golden.unlabelled)),
+    )
 
 
-def draw_twins(
-    rng: np.random.Generator, count: int, spread: LotSpread | None = None, twin: Twin | None = None
-) -> tuple[Twin, ...]:
-    """Draw (count,) units of one lot, the source unit first: their own nominal unit, creep, hysteresis and readout lag,
-    nearly alike in all; or `twin` and its effects, of a diagnosis for example.
+def draw_twins(rng: Rng, count: int, spread: LotSpread | None = None, twin: Twin | None = None) -> tuple[Twin, ...]:
+    """Draw (count,) units of one lot, the source unit first.
+
+    They share a nominal unit, creep, hysteresis and readout lag of their own, nearly alike in all;
+    or `twin` and its effects, of a diagnosis for example.
     """
     nominal = twin or Twin(_nominal(rng), _mild_effects(rng))
-    twins = draw_lot(rng, count, nominal.parameters, nominal.metadata, nominal.effects, spread or LotDesign().spread)
-    return tuple(_jitter(rng, twin) for twin in twins)
+    units = draw_lot(rng, count, nominal, spread or LotDesign().spread)
+    return tuple(_jitter(rng, unit) for unit in units)
 
 
 def twin_of(seed: int, serial: str) -> Twin:
-    """Return the twin of one serial of a simulated lot: the same for the same seed and serial, in any order."""
+    """Return the twin of one serial of a simulated lot: the same for the same seed and serial."""
     rng, own = np.random.default_rng(seed), np.random.default_rng([seed, crc32(serial.encode())])
-    nominal, effects = _nominal(rng), _mild_effects(rng)
-    (twin,) = draw_lot(own, 1, nominal, ReadoutMetadata(), effects, LotDesign().spread)
+    (twin,) = draw_lot(own, 1, Twin(_nominal(rng), _mild_effects(rng)), LotDesign().spread)
     return _jitter(own, twin)
 
 
-def _nominal(rng: np.random.Generator) -> BaseParameters:
+def draw_lot(rng: Rng, count: int, nominal: Twin | None = None, spread: LotSpread | None = None) -> tuple[Twin, ...]:
+    """Draw (count,) units of one lot around a nominal unit, with its effects at the same size.
+
+    Deviations are normal, cut at two standard deviations, so no unit is beyond physical sense.
+    """
+    nominal, spread = nominal or Twin(), spread or LotSpread()
+    base = nominal.parameters
+
+    def deviation() -> float:
+        return float(np.clip(rng.normal(), -2.0, 2.0))
+
+    def drawn() -> BaseParameters:
+        return BaseParameters(
+            u0_mm=base.u0_mm + spread.u0_mm * deviation(),
+            k1_N_mm=base.k1_N_mm * (1 + spread.k1 * deviation()),
+            k3_N_mm3=base.k3_N_mm3 * (1 + spread.k3 * deviation()),
+            r0_ohm=base.r0_ohm * (1 + spread.r0 * deviation()),
+            kappa_per_N=base.kappa_per_N * (1 + spread.kappa * deviation()),
+            sigma_output_V=base.sigma_output_V * (1 + spread.noise * deviation()),
+            sigma_force_N=base.sigma_force_N * (1 + spread.noise * deviation()),
+        )
+
+    return tuple(Twin(drawn(), nominal.effects, nominal.metadata) for _ in range(count))
+
+
+def _nominal(rng: Rng) -> BaseParameters:
     base = BaseParameters()
-    return replace(
-        base,
+    return base.with_values(
         k1_N_mm=base.k1_N_mm * rng.uniform(0.8, 1.2),
         k3_N_mm3=base.k3_N_mm3 * rng.uniform(0.5, 1.2),
         kappa_per_N=base.kappa_per_N * rng.uniform(0.6, 1.0),
@@ -145,7 +196,7 @@ def _nominal(rng: np.random.Generator) -> BaseParameters:
     )
 
 
-def _mild_effects(rng: np.random.Generator) -> tuple[EffectSetting, ...]:
+def _mild_effects(rng: Rng) -> tuple[EffectSetting, ...]:
     return (
         EffectSetting("channel_creep", {"c": rng.uniform(0, 0.04), "tau": rng.uniform(1, 10)}),
         EffectSetting("channel_hysteresis", {"a": rng.uniform(0, 0.04), "f0": rng.uniform(0.5, 2)}),
@@ -153,7 +204,7 @@ def _mild_effects(rng: np.random.Generator) -> tuple[EffectSetting, ...]:
     )
 
 
-def _jitter(rng: np.random.Generator, twin: Twin) -> Twin:
+def _jitter(rng: Rng, twin: Twin) -> Twin:
     effects = tuple(
         replace(effect, values={name: value * rng.uniform(0.8, 1.2) for name, value in effect.values.items()})
         for effect in twin.effects
@@ -161,18 +212,7 @@ def _jitter(rng: np.random.Generator, twin: Twin) -> Twin:
     return replace(twin, effects=effects)
 
 
-def _simulate_unit(
-    rng: np.random.Generator, twin: Twin, kind: UnitKind, serial: str, design: LotDesign
-) -> SimulatedUnit:
-    own = kind.twin(rng, twin)
-    profile = PROGRAMMES[design.shift](rng, design.unit_s)
-    profile = kind.profile(rng) if kind.profile else profile
-    recording = _record(rng, design.line.pressed(rng, own), profile, serial, design.has_stage)
-    audit = _record(rng, own, source_profile(rng, design.audit_s, DEPTH_MM), serial, design.has_stage)
-    return SimulatedUnit(kind.name, kind.wired(recording).unlabelled, kind.wired(audit))
-
-
-def _record(rng: np.random.Generator, twin: Twin, profile: Profile, serial: str, has_stage: bool) -> LabelledRecording:
+def _record(rng: Rng, twin: Twin, profile: Profile, serial: str, has_stage: bool) -> LabelledRecording:
     rate_Hz = twin.metadata.sample_rate_Hz
     t_s, stage_mm = profile.sample(rate_Hz)
     force_N, output_V = simulate(twin, t_s, stage_mm, rng)
@@ -181,24 +221,20 @@ def _record(rng: np.random.Generator, twin: Twin, profile: Profile, serial: str,
     )
 
 
-def _other_dwell(rng: np.random.Generator, duration_s: float) -> Profile:
-    return ramps([DEPTH_MM], 3.0, rest_s=1.0).then(
-        random_presses(rng, duration_s, DEPTH_MM, fastest_mm_s=2.0, return_share=0.15), "other dwell"
-    )
-
-
-SHIFTS: Mapping[str, Callable[[np.random.Generator, float], Profile]] = {
+SHIFTS: Mapping[str, Callable[[Rng, float], Profile]] = {
     "none": source_profile,
     "short profile": unit_profile,
     "lighter": lambda rng, duration_s: unit_profile(rng, duration_s, 0.88 * DEPTH_MM),
     "harder": lambda rng, duration_s: unit_profile(rng, duration_s, 1.08 * DEPTH_MM),
     # The cube root: half the force is reached well beyond half the depth.
     "half range": lambda rng, duration_s: unit_profile(rng, duration_s, 0.72 * DEPTH_MM),
-    "other dwell": _other_dwell,
+    "other dwell": lambda rng, duration_s: ramps([DEPTH_MM], 3.0, rest_s=1.0).then(
+        random_presses(rng, duration_s, DEPTH_MM, fastest_mm_s=2.0, return_share=0.15), "other dwell"
+    ),
 }
 """Label shift by name: the profile of the units' recordings; audits keep the source's programme."""
 
-PROGRAMMES: Mapping[str, Callable[[np.random.Generator, float], Profile]] = {
+PROGRAMMES: Mapping[str, Callable[[Rng, float], Profile]] = {
     **SHIFTS,
     "own programme": lambda rng, duration_s: random_presses(rng, duration_s, DEPTH_MM),
     # A third of the depth and a bit: less than a third of the force.

@@ -1,4 +1,4 @@
-"""The window of the time-delay network: the last 15 output samples, newest last. Nothing else knows the number."""
+"""The window of the time-delay network: the last 15 output samples, newest last."""
 
 from __future__ import annotations
 

@@ -16,8 +16,7 @@ from softcal.core.gap.diagnosis import Diagnosis, checked, diagnose
 from softcal.core.gap.gap_diagnosis import GapDiagnosis
 from softcal.core.gap.identifiability import Identifiability
 from softcal.core.twin.parameters import ReadoutMetadata
-from softcal.core.twin.record import twin_from_record, twin_record
-from softcal.core.twin.simulate import Twin
+from softcal.core.twin.simulate import Twin, twin_from_record, twin_record
 
 if TYPE_CHECKING:
     from softcal.app.charts.gap import RunView

@@ -54,14 +54,10 @@ def chosen_bench(
         DeviceError: devices are missing; all of them are named.
     """
     if simulated_seed is not None:
-        from softcal.core.twin.spread import draw_lot
+        from softcal.core.simulated_lot import draw_lot
 
         rng, count = np.random.default_rng(simulated_seed), simulated_channels
-        twins = (
-            draw_lot(rng, count)
-            if twin is None
-            else (twin, *draw_lot(rng, count - 1, twin.parameters, twin.metadata, twin.effects))
-        )
+        twins = draw_lot(rng, count) if twin is None else (twin, *draw_lot(rng, count - 1, twin))
         with open_simulated_bench(twins[0], simulated_seed, beside=twins[1:]) as (bench, _):
             yield bench
     elif station_file is None:

@@ -17,8 +17,7 @@ from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
 from softcal.core.gap.explained import explained_twin
 from softcal.core.twin.parameters import ReadoutMetadata
-from softcal.core.twin.record import twin_from_record, twin_record
-from softcal.core.twin.simulate import Twin, simulate
+from softcal.core.twin.simulate import Twin, simulate, twin_from_record, twin_record
 
 LEAST_GAP = 0.05
 """Below this, in units of the noise, the base leaves no gap on that run whose shrink could be told."""

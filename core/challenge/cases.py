@@ -7,25 +7,26 @@ from typing import Any
 import numpy as np
 from scipy.linalg import solve_toeplitz
 
-from softcal.core.challenge.catalogue_equations import CATALOGUE, CATALOGUE_FORM
-from softcal.core.challenge.chain import BLOCK_COMPLIANCE_MM_PER_N, Equation, Rack, record
+from softcal.core.challenge.equations import CATALOGUE, CATALOGUE_FORM, OTHER_FORMS, OUTSIDE, OUTSIDE_FORM
 from softcal.core.challenge.mistakes import Mistake, RunOnFile, other_unit, written
-from softcal.core.challenge.other_forms import OTHER_FORMS
-from softcal.core.challenge.outside_equations import OUTSIDE, OUTSIDE_FORM
 from softcal.core.challenge.protocols import PROTOCOLS, weights
 from softcal.core.challenge.published import PUBLISHED_FORMS, PUBLISHED_OUTSIDE
 from softcal.core.challenge.rig import (
+    BLOCK_COMPLIANCE_MM_PER_N,
     DEAD_WEIGHTS,
     DUMMY_RESISTOR,
     PRESS,
     REST,
     RIGID_BLOCK,
     Cause,
+    Equation,
     Measured,
     Path,
+    Rack,
     Rig,
+    record,
 )
-from softcal.core.recording import Array
+from softcal.core.recording import Array, Rng
 
 EQUATIONS: Mapping[tuple[str, str], Equation] = {
     **{(effect, CATALOGUE_FORM): equation for effect, equation in CATALOGUE.items()},
@@ -63,8 +64,8 @@ class SealedCase:
         depth_mm: stage position at which the base model reaches the peak force.
         withheld: columns taken out of every run.
         kept_back: a run of a protocol that is not among `plans`.
-        mistake: what went wrong when the runs were written down (`mistakes.Mistake` as text); empty for nothing.
-            `measure` gives what was measured, `written` what the files have.
+        mistake: what went wrong when the runs were written down (`mistakes.Mistake` as text); empty
+            for nothing. `measure` gives what was measured, `written` what the files have.
         turns_between_samples: the stage turns between two samples, so the pad goes up to 50 µm beyond the recorded
             path; otherwise the pad sees the recorded path, as the written model has it.
         tare_N: what the load cell reads without load, in every run.
@@ -89,7 +90,6 @@ class SealedCase:
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """Stages of TWIN.md where the causes sit."""
         return tuple(dict.fromkeys(EQUATIONS[cause.effect, cause.form].stage for cause in self.causes))
 
     def measure(self, plan: RunPlan) -> Measured:
@@ -112,12 +112,11 @@ class SealedCase:
         )
         measured = record(rig, Rack(self.causes, EQUATIONS), path, temperature, rng, kind, dummy_ohm, known_force)
         if kind in (PRESS, REST) and self.tare_N:
-            force_N = measured.columns["force_N"] + self.tare_N
-            measured = replace(measured, columns={**measured.columns, "force_N": force_N})
+            measured = measured.with_columns(force_N=measured.columns["force_N"] + self.tare_N)
         return replace(measured, columns={k: v for k, v in measured.columns.items() if k not in self.withheld})
 
     def written(self, plans: Sequence[RunPlan]) -> list[RunOnFile]:
-        """Return runs as files have them, with the mistake of the case; its own stand first in `plans`."""
+        """Return runs as files have them, with the case's mistake; its own stand first in `plans`."""
         runs, others = [self.measure(plan) for plan in plans], []
         if self.mistake and Mistake.of(self.mistake).what == "other_unit":
             unit = replace(self, rig=other_unit(self.rig, Mistake.of(self.mistake)))
@@ -132,7 +131,7 @@ class SealedCase:
         if plan.protocol == DUMMY_RESISTOR:
             return _still(plan.protocol, 60.0), None
         if plan.protocol == RIGID_BLOCK:
-            # The block is pressed twice up to the peak force at 0.02 mm/s, with two seconds at every turn.
+            # The block is pressed twice up to the peak force at 0.02 mm/s, 2 s at every turn.
             yielding = sum(cause.values.get("compliance_mm_per_N", 0.0) for cause in self.causes)
             play_mm = sum(cause.values.get("width_mm", 0.0) for cause in self.causes)
             start_mm = max(0.0, self.rig.u0_mm - 0.02)
@@ -174,7 +173,7 @@ def _still(name: str, duration_s: float) -> Path:
     return Path(name, np.array([0.0, duration_s]), np.zeros(2))
 
 
-def _temperature(rng: np.random.Generator, protocol: str, duration_s: float) -> Callable[[Array], Array]:
+def _temperature(rng: Rng, protocol: str, duration_s: float) -> Callable[[Array], Array]:
     """Room temperature in °C: warming to a level, a hump, or a slow wander of 1.5–8 K."""
     start_C, swing_K, shape = rng.uniform(20.0, 27.0), rng.uniform(1.5, 8.0), rng.integers(3)
     if protocol == TEMPERATURE_STEP:
@@ -191,7 +190,7 @@ _STEPS = {"u0_mm": 1e-3, "k1_N_mm": 1e-3, "k3_N_mm3": 1e-3, "r0_ohm": 1e-4, "kap
 
 
 def distance_sigma(case: SealedCase) -> float:
-    """How far the causes stand out once the base is refitted: ‖what no base parameter can imitate‖ over the noise.
+    """How far the causes stand out of the noise: ‖what no base parameter can imitate‖ over it.
 
     The clean signals with and without the causes are compared. The part that lies in the span of the base
     parameters' derivatives is taken out (first-order refit). 5 is about the least that can be seen.
@@ -211,7 +210,7 @@ def distance_sigma(case: SealedCase) -> float:
 
 
 def _left_in_colour(case: SealedCase, columns: Array) -> float:
-    """Return how far the first column stands out, beyond what the others imitate, of noise that is not white.
+    """Return how far the first column stands out of coloured noise, beyond what the others imitate.
 
     Args:
         columns: (samples, 6) in units of the white noise, ordered as `_clean` has them.
@@ -234,35 +233,32 @@ def _left_in_colour(case: SealedCase, columns: Array) -> float:
 
 def _clean(case: SealedCase) -> Array:
     """All channels of all runs in units of their noise, without noise and rounding."""
-    silent = replace(case, rig=replace(case.rig.without_noise(), adc_bits=30))
     parts = []
-    for plan in case.plans:
-        columns = silent.measure(plan).columns
+    for columns in _silent_runs(case):
         parts.append(columns["output_V"] / case.rig.floor_V)
         if "force_N" in columns:
             parts.append(columns["force_N"] / case.rig.noise_N)
     return np.concatenate(parts)
 
 
-def _distance_without_stage(case: SealedCase) -> float:
+def _silent_runs(case: SealedCase) -> Iterator[Mapping[str, Array]]:
     silent = replace(case, rig=replace(case.rig.without_noise(), adc_bits=30))
+    return (silent.measure(plan).columns for plan in case.plans)
+
+
+def _distance_without_stage(case: SealedCase) -> float:
+    rig = case.rig
+    moved = [rig, *(replace(rig, **{name: getattr(rig, name) * 1.001}) for name in ("r0_ohm", "kappa_per_N"))]
     gaps, slopes = [], []
-    for plan in case.plans:
-        columns = silent.measure(plan).columns
+    for columns in _silent_runs(case):
         force_N = np.maximum(0.0, columns["force_N"])
-        volts = {moved: _divider(case.rig, force_N, moved) for moved in ("", "r0_ohm", "kappa_per_N")}
-        slope = np.gradient(volts[""]) / np.where(np.abs(np.gradient(force_N)) > 1e-9, np.gradient(force_N), np.inf)
-        noise_V = np.hypot(case.rig.floor_V, slope * case.rig.noise_N)
-        gaps.append((columns["output_V"] - volts[""]) / noise_V)
-        slopes.append(np.column_stack([(volts[name] - volts[""]) / noise_V for name in ("r0_ohm", "kappa_per_N")]))
+        ohms = [one.r0_ohm / (1.0 - one.kappa_per_N * force_N) for one in moved]
+        base_V, *volts = (rig.vref_V * ohm / (ohm + rig.r_series_ohm) for ohm in ohms)
+        slope = np.gradient(base_V) / np.where(np.abs(np.gradient(force_N)) > 1e-9, np.gradient(force_N), np.inf)
+        noise_V = np.hypot(rig.floor_V, slope * rig.noise_N)
+        gaps.append((columns["output_V"] - base_V) / noise_V)
+        slopes.append(np.column_stack([(one_V - base_V) / noise_V for one_V in volts]))
     return _left(np.concatenate(gaps), np.concatenate(slopes))
-
-
-def _divider(rig: Rig, force_N: Array, moved: str) -> Array:
-    if moved:
-        rig = replace(rig, **{moved: getattr(rig, moved) * 1.001})
-    ohm = rig.r0_ohm / (1.0 - rig.kappa_per_N * force_N)
-    return np.asarray(rig.vref_V * ohm / (ohm + rig.r_series_ohm))
 
 
 def _left(gap: Array, slopes: Array) -> float:
@@ -296,7 +292,7 @@ def press_lot(case: SealedCase, units: int) -> Iterator[LotRun]:
             yield LotRun("audit", serial, unit.measure(RunPlan("lot_unit", seeds[1])))
 
 
-def sister(case: SealedCase, rng: np.random.Generator) -> SealedCase:
+def sister(case: SealedCase, rng: Rng) -> SealedCase:
     """Return another unit of the same make on the same rig, with no channel withheld."""
     deviation = dict(zip(SPREAD, np.clip(rng.normal(size=len(SPREAD)), -2.0, 2.0).tolist(), strict=True))
     changed = {

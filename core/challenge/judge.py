@@ -4,9 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from softcal.core.challenge.catalogue_equations import CATALOGUE
+from softcal.core.challenge.equations import ALIASES, CATALOGUE
 from softcal.core.challenge.mistakes import Mistake
-from softcal.core.challenge.outside_equations import ALIASES
 from softcal.core.challenge.seal import Label
 from softcal.core.errors import InputError
 
@@ -29,8 +28,8 @@ class Answer:
         named: effects with a probability of at least one half.
         groups: sets of effects the report cannot tell apart.
         stages: stages under `where`, the largest share first.
-        predicted, low, high: forecast of the shrink and its interval, NaN where the report has none.
-        data: mistakes in the recordings that the report names, as (kind, channel, runs), no runs for all.
+        predicted, low, high: forecast of the shrink and its interval; NaN for none.
+        data: mistakes that the report names, as (kind, channel, runs), no runs for all.
     """
 
     verdict: str
@@ -47,10 +46,9 @@ class Answer:
     @property
     def candidates(self) -> frozenset[str]:
         """Effects the report keeps in play: the named, the first, and those alike."""
-        kept = self.named | ({self.first} if self.first and self.verdict == "ambiguous" else frozenset())
-        return (
-            kept.union(*(group for group in self.groups if group & kept)) if kept else frozenset().union(*self.groups)
-        )
+        first = {self.first} if self.first and self.verdict == "ambiguous" else set()
+        kept = self.named | first
+        return kept.union(*(group for group in self.groups if group & kept or not kept))
 
 
 def read_answer(name: str, report: Mapping[str, Any]) -> Answer:
@@ -119,48 +117,46 @@ class Judged:
     @property
     def outcome(self) -> str:
         """right, set (honestly ambiguous), below noise, missed, abstained, alarm or wrong."""
-        if self.answer is None:
+        answer, case, truth = self.answer, self.label.case, self.truth
+        if answer is None:
             return "wrong" if self.unread else "no report"
-        if self.label.case.mistake:
-            mistake = Mistake.of(self.label.case.mistake)
-            # A unit of the whole case contradicts nothing in it: it is asked about beside any verdict.
-            is_asked = mistake.what == "unit_factor" and not mistake.runs and bool(self.answer.data)
-            if self.answer.verdict != "data" and not is_asked:
+        if case.mistake:
+            mistake = Mistake.of(case.mistake)
+            # A unit of the whole case contradicts nothing in it: it is asked beside any verdict.
+            is_asked = mistake.what == "unit_factor" and not mistake.runs and bool(answer.data)
+            if answer.verdict != "data" and not is_asked:
                 return "wrong"
             channels = set(mistake.channel.split("+")) - {""}
             named = any(
-                what == mistake.what and runs == mistake.runs and channels <= set(channel.split("+"))
-                for what, channel, runs in self.answer.data
+                (what, runs) == (mistake.what, mistake.runs) and channels <= set(channel.split("+"))
+                for what, channel, runs in answer.data
             )
             return "right" if named else "abstained"
-        if self.label.case.causes and self.answer.verdict == "no_gap":
-            return "missed" if self.is_visible else "below noise"
-        if not self.label.case.causes:
-            # Something may be left of noise that is nobody's cause: only a name, or a mistake, is an alarm.
-            is_held_back = self.answer.verdict == "unknown" and not self.answer.named
-            return "right" if self.answer.verdict == "no_gap" else "abstained" if is_held_back else "alarm"
-        if any(cause.effect not in CATALOGUE for cause in self.label.case.causes):
-            if self.answer.verdict == "unknown":
+        if answer.verdict == "no_gap":
+            return "right" if not case.causes else "missed" if self.is_visible else "below noise"
+        if not case.causes:
+            # Noise may leave something that has no cause: only a name, or a mistake, is an alarm.
+            return "abstained" if answer.verdict == "unknown" and not answer.named else "alarm"
+        if any(cause.effect not in CATALOGUE for cause in case.causes):
+            if answer.verdict == "unknown":
                 return "right"
-            alias = ALIASES.get(self.label.case.causes[0].effect)
-            return "set" if alias and alias in self.answer.candidates | {self.answer.first} else "wrong"
-        if self.answer.verdict == "explained" and self.answer.named == self.truth:
+            alias = ALIASES.get(case.causes[0].effect)
+            return "set" if alias and alias in answer.candidates | {answer.first} else "wrong"
+        if answer.verdict == "explained" and answer.named == truth:
             return "right"
-        if self.answer.verdict == "ambiguous":
-            if self.answer.named == self.truth or (len(self.truth) == 1 and self.answer.first in self.truth):
+        if answer.verdict == "ambiguous":
+            if answer.named == truth or (len(truth) == 1 and answer.first in truth):
                 return "right"
-            if self.truth <= self.answer.candidates and len(self.answer.candidates) <= max(3, len(self.truth) + 1):
+            if truth <= answer.candidates and len(answer.candidates) <= max(3, len(truth) + 1):
                 return "set"
-        return "abstained" if self.answer.verdict == "unknown" else "wrong"
+        return "abstained" if answer.verdict == "unknown" else "wrong"
 
     @property
     def is_first_right(self) -> bool:
-        """Whether the effect with the highest probability is a true cause."""
         return self.answer is not None and self.answer.verdict != "no_gap" and self.answer.first in self.truth
 
     @property
     def is_stage_right(self) -> bool:
-        """Whether the place with the largest share is a stage of a true cause."""
         return bool(self.answer and self.answer.stages and self.answer.stages[0] in self.label.case.stages)
 
     @property

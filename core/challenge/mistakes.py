@@ -2,14 +2,14 @@
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from softcal.core.challenge.rig import PRESS, Measured, Rig
-from softcal.core.recording import Array
+from softcal.core.recording import Array, Rng
 
-Rng = np.random.Generator
 COLUMNS = {"stage": "stage_mm", "force": "force_N", "output": "output_V"}
 UNITS: Mapping[str, Mapping[str, float]] = {
     "force": {"kgf": 9.80665, "gf": 9.80665e-3, "mN": 1e-3},
@@ -37,7 +37,7 @@ class Mistake:
         what: kind, as in a report of schema `softcal.gap/1`.
         channel: `stage`, `force`, `output` or `time`; empty where it concerns several.
         runs: numbers of the runs from 1; empty for all.
-        factor: true values over written ones, or of a gain or zero what was multiplied or added; 0 where there is none.
+        factor: true over written values; of a gain or zero what was multiplied or added; 0 for none.
         seed: of what else is random in it.
     """
 
@@ -52,12 +52,10 @@ class Mistake:
 
     @classmethod
     def of(cls, text: str) -> "Mistake":
-        """Read what `to_text` wrote."""
         record = json.loads(text)
         return cls(**{**record, "runs": tuple(record["runs"])})
 
     def concerns(self, run: int) -> bool:
-        """Whether run number `run`, from 1, is written wrongly."""
         return not self.runs or run in self.runs
 
 
@@ -69,14 +67,15 @@ class RunOnFile:
     sample_rate_Hz: float
 
 
-@dataclass(frozen=True)
-class _Sheet:
+class _Sheet(NamedTuple):
     """What a mistake is put on: the measured runs, and the same paths pressed on another unit."""
 
     rig: Rig
     runs: Sequence[Measured]
     of_other_unit: Sequence[Measured]
-    rates_Hz: list[float] = field(default_factory=list)
+
+
+_Spoil: TypeAlias = Callable[[_Sheet, int, Mistake], Measured]
 
 
 def other_unit(rig: Rig, mistake: Mistake) -> Rig:
@@ -101,29 +100,27 @@ def written(rig: Rig, runs: Sequence[Measured], of_other_unit: Sequence[Measured
     """Return the runs of a case as its files have them.
 
     Args:
-        of_other_unit: the same runs of `other_unit`; only looked at where the mistake is of that kind.
+        of_other_unit: the same runs of `other_unit`; used where the mistake is of that kind.
         text: the mistake, empty for none.
     """
+    files = [RunOnFile(measured, rig.sample_rate_Hz) for measured in runs]
     if not text:
-        return [RunOnFile(measured, rig.sample_rate_Hz) for measured in runs]
-    mistake = Mistake.of(text)
+        return files
+    mistake, sheet = Mistake.of(text), _Sheet(rig, runs, of_other_unit)
     _, spoil = _KINDS[mistake.what]
-    sheet = _Sheet(rig, runs, of_other_unit, [rig.sample_rate_Hz] * len(runs))
-    spoilt = [
-        spoil(sheet, k, mistake) if mistake.concerns(k + 1) and measured.kind == PRESS else measured
-        for k, measured in enumerate(runs)
+    rate_Hz = rig.sample_rate_Hz * (mistake.factor if mistake.what == "rate" else 1.0)
+    return [
+        RunOnFile(spoil(sheet, k, mistake), rate_Hz)
+        if mistake.concerns(k + 1) and file.measured.kind == PRESS
+        else file
+        for k, file in enumerate(files)
     ]
-    return [RunOnFile(measured, rate_Hz) for measured, rate_Hz in zip(spoilt, sheet.rates_Hz, strict=True)]
 
 
-def _with(measured: Measured, **columns: Array) -> Measured:
-    return replace(measured, columns={**measured.columns, **columns})
-
-
-def _of_column(spoilt: Callable[[Array, Mistake], Array]) -> Callable[[_Sheet, int, Mistake], Measured]:
+def _of_column(spoilt: Callable[[Array, Mistake], Array]) -> _Spoil:
     def spoil(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
         name = COLUMNS[mistake.channel]
-        return _with(sheet.runs[k], **{name: spoilt(sheet.runs[k].columns[name], mistake)})
+        return sheet.runs[k].with_columns(**{name: spoilt(sheet.runs[k].columns[name], mistake)})
 
     return spoil
 
@@ -131,23 +128,13 @@ def _of_column(spoilt: Callable[[Array, Mistake], Array]) -> Callable[[_Sheet, i
 def _swapped_columns(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
     one, other = (COLUMNS[name] for name in mistake.channel.split("+"))
     columns = sheet.runs[k].columns
-    return _with(sheet.runs[k], **{one: columns[other], other: columns[one]})
-
-
-def _swapped_divider(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
-    # The channel above, the series resistor below: V = Vref·Rs/(R + Rs), read by the same ADC.
-    return _with(sheet.runs[k], output_V=sheet.rig.vref_V - sheet.runs[k].columns["output_V"])
+    return sheet.runs[k].with_columns(**{one: columns[other], other: columns[one]})
 
 
 def _swapped_runs(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
     name = COLUMNS[mistake.channel]
     partner = next(run for run in mistake.runs if run != k + 1) - 1
-    return _with(sheet.runs[k], **{name: sheet.runs[partner].columns[name]})
-
-
-def _rate(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
-    sheet.rates_Hz[k] = sheet.rig.sample_rate_Hz * mistake.factor
-    return sheet.runs[k]
+    return sheet.runs[k].with_columns(**{name: sheet.runs[partner].columns[name]})
 
 
 def _out_of_range(values: Array, mistake: Mistake) -> Array:
@@ -208,10 +195,6 @@ def _draw_swapped_runs(dice: _Dice) -> Mistake:
     return Mistake("swapped_runs", dice.pick(("force", "output")), tuple(sorted((one, other))))
 
 
-def _draw_rate(dice: _Dice) -> Mistake:
-    return Mistake("rate", "time", dice.all_or_one(), float(dice.rng.choice([0.5, 2.0, 0.9, 1.2, 10.0])))
-
-
 def _draw_out_of_range(dice: _Dice) -> Mistake:
     channel = dice.pick(list(RAILS))
     rail = float(RAILS[channel][int(dice.rng.integers(len(RAILS[channel])))])
@@ -220,7 +203,7 @@ def _draw_out_of_range(dice: _Dice) -> Mistake:
 
 PAIRS = ("stage+force", "force+output", "stage+output")
 
-_KINDS: Mapping[str, tuple[Callable[[_Dice], Mistake], Callable[[_Sheet, int, Mistake], Measured]]] = {
+_KINDS: Mapping[str, tuple[Callable[[_Dice], Mistake], _Spoil]] = {
     "unit_factor": (_draw_unit, _of_column(lambda values, mistake: values / mistake.factor)),
     "gain": (_draw_gain, _of_column(lambda values, mistake: values * mistake.factor)),
     "zero": (_draw_zero, _of_column(lambda values, mistake: values + mistake.factor)),
@@ -229,24 +212,28 @@ _KINDS: Mapping[str, tuple[Callable[[_Dice], Mistake], Callable[[_Sheet, int, Mi
         _of_column(lambda values, mistake: -values),
     ),
     "swapped_columns": (lambda dice: Mistake("swapped_columns", dice.pick(PAIRS), dice.all_or_one()), _swapped_columns),
-    "swapped_divider": (lambda dice: Mistake("swapped_divider", "output"), _swapped_divider),
+    "swapped_divider": (
+        lambda dice: Mistake("swapped_divider", "output"),
+        # The channel above, the series resistor below: V = Vref·Rs/(R + Rs), read by the same ADC.
+        lambda sheet, k, mistake: sheet.runs[k].with_columns(
+            output_V=sheet.rig.vref_V - sheet.runs[k].columns["output_V"]
+        ),
+    ),
     "other_unit": (
         lambda dice: Mistake("other_unit", "", dice.one(), seed=dice.seed()),
         lambda sheet, k, mistake: sheet.of_other_unit[k],
     ),
     "swapped_runs": (_draw_swapped_runs, _swapped_runs),
-    "rate": (_draw_rate, _rate),
+    "rate": (
+        lambda dice: Mistake("rate", "time", dice.all_or_one(), float(dice.rng.choice([0.5, 2.0, 0.9, 1.2, 10.0]))),
+        lambda sheet, k, mistake: sheet.runs[k],
+    ),
     "out_of_range": (_draw_out_of_range, _of_column(_out_of_range)),
 }
 """By kind, how a mistake is drawn and what it does to a run."""
 
 
 def draw_mistake(rng: Rng, rig: Rig, peak_N: float, span_V: float, runs: int) -> str:
-    """Draw one mistake for a case of two or more runs, every kind alike; return it as a label has it.
-
-    Args:
-        peak_N: force at full depth.
-        span_V: range of the output between rest and peak.
-    """
+    """Draw one mistake for a case of two or more runs, every kind alike, as a label has it."""
     draw, _ = list(_KINDS.values())[rng.integers(len(_KINDS))]
     return draw(_Dice(rng, peak_N, span_V, runs)).to_text()

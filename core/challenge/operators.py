@@ -108,7 +108,7 @@ def prandtl_ishlinskii(signal: Array, scale: float) -> Array:
 
 @recursion
 def bouc_wen(signal: Array, scale: float) -> Array:  # pragma: no cover - compiled
-    """Solve the Bouc–Wen law dz = dx/scale − |z|ⁿ·(β·|dx|·sign z + γ·dx)/scale with β = 0.7, γ = 0.3, n = 1.6."""
+    """Solve Bouc and Wen's dz = dx/s − |z|ⁿ·(β·|dx|·sign z + γ·dx)/s; β = 0.7, γ = 0.3, n = 1.6."""
     out = np.empty_like(signal)
     state = 0.0
     out[0] = state

@@ -1,22 +1,17 @@
 """What the stage does in a run: ramps, steps with holds, random, rest, and experiments."""
 
-from collections.abc import Callable
-from typing import TypeAlias
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
 from softcal.core.challenge.rig import Path
-from softcal.core.recording import Array
+from softcal.core.recording import Array, Rng
 
 RUN_S = 40.0
 """Length of an ordinary run: four of them are a case of about 8,000 samples at 50 Hz."""
 
-Rng: TypeAlias = np.random.Generator
-
 
 class _Pen:
-    """Draws a path corner by corner."""
-
     def __init__(self, rest_s: float) -> None:
         self.times, self.places = [0.0, rest_s], [0.0, 0.0]
 
@@ -34,11 +29,11 @@ class _Pen:
         self.stay(rest_s)
 
     def path(self, name: str, duration_s: float | None = None) -> Path:
-        if duration_s is None:
-            return Path(name, np.array(self.times), np.array(self.places))
+        """Return the path, cut off after a duration where there is one."""
         times, places = np.array(self.times), np.array(self.places)
-        kept = times < duration_s
-        last_mm = float(np.interp(duration_s, times, places))
+        if duration_s is None:
+            return Path(name, times, places)
+        kept, last_mm = times < duration_s, float(np.interp(duration_s, times, places))
         return Path(name, np.append(times[kept], duration_s), np.append(places[kept], last_mm))
 
     @property
@@ -52,7 +47,6 @@ def log_uniform(rng: Rng, low: float, high: float) -> float:
 
 
 def _ramps(name: str, rng: Rng, depth_mm: float, drawn_mm_s: Callable[[Rng], float]) -> Path:
-    """Press and release, each ramp at a speed of its own, in mm/s."""
     pen = _Pen(rng.uniform(0.6, 2.0))
     while pen.now_s < RUN_S:
         speed_mm_s = drawn_mm_s(rng)
@@ -122,29 +116,14 @@ def long_hold(rng: Rng, depth_mm: float) -> Path:
     return pen.path("long hold")
 
 
-def rate_sweep(rng: Rng, depth_mm: float) -> Path:
-    """Press once at each speed from 0.2 to 5 mm/s."""
+def _presses(name: str, mm: float, presses: Iterable[tuple[float, float]], rest_s: float = 0.0) -> Path:
+    """Press to each share of the depth at its speed in mm/s, then rest."""
     pen = _Pen(2.0)
-    for speed_mm_s in (0.2, 5.0, 0.5, 2.0, 1.0, 5.0):
-        pen.press(0.95 * depth_mm, speed_mm_s, 1.0)
-    return pen.path("rate sweep")
-
-
-def amplitude_ladder(rng: Rng, depth_mm: float) -> Path:
-    """Press twice to each of four growing depths, then rest."""
-    pen = _Pen(2.0)
-    for share in (0.3, 0.3, 0.5, 0.5, 0.7, 0.7, 0.9, 0.9, 0.5):
-        pen.press(share * depth_mm, 1.0, 1.0)
-    pen.stay(20.0)
-    return pen.path("amplitude ladder")
-
-
-def slow_touch_down(rng: Rng, depth_mm: float) -> Path:
-    """Touch down twice at 0.05 mm/s."""
-    pen = _Pen(2.0)
-    for _ in range(2):
-        pen.press(0.3 * depth_mm, 0.05, 1.0)
-    return pen.path("slow touch-down")
+    for share, speed_mm_s in presses:
+        pen.press(share * mm, speed_mm_s, 1.0)
+    if rest_s:
+        pen.stay(rest_s)
+    return pen.path(name)
 
 
 def small_reversals(rng: Rng, depth_mm: float) -> Path:
@@ -173,15 +152,18 @@ PROTOCOLS: dict[str, Callable[[Rng, float], Path]] = {
     "lot_unit": lambda rng, mm: random_path(rng, mm, 90.0),
     "rest": lambda rng, mm: _Pen(120.0).path("rest"),
     "long_hold": long_hold,
-    "rate_sweep": rate_sweep,
-    "amplitude_ladder": amplitude_ladder,
-    "slow_touch_down": slow_touch_down,
+    "rate_sweep": lambda rng, mm: _presses("rate sweep", mm, [(0.95, v) for v in (0.2, 5.0, 0.5, 2.0, 1.0, 5.0)]),
+    # Twice to each of four growing depths, and once more to the second.
+    "amplitude_ladder": lambda rng, mm: _presses(
+        "amplitude ladder", mm, [(share, 1.0) for share in (0.3, 0.3, 0.5, 0.5, 0.7, 0.7, 0.9, 0.9, 0.5)], 20.0
+    ),
+    "slow_touch_down": lambda rng, mm: _presses("slow touch-down", mm, [(0.3, 0.05)] * 2),
     "small_reversals": small_reversals,
 }
-"""Paths by name; each takes a generator and the depth in mm at which the force reaches the rig's peak.
+"""Paths by name; each takes a generator and the depth in mm of the rig's peak force.
 
-The unit that is the source of a lot is pressed at random for three minutes, each of the others, and in its audit, for
-half as long.
+The unit that is the source of a lot is pressed at random for three minutes, each of the others, and
+in its audit, for half as long.
 """
 
 

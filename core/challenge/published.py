@@ -1,6 +1,6 @@
-"""Equations from the literature that nobody wrote the solver for: five other forms of causes, five effects outside.
+"""Published equations that nobody wrote the solver for: five forms of causes, five effects outside.
 
-Each docstring cites the published model. None of them was chosen by looking at what the diagnosis can fit.
+Each docstring cites the model. None was chosen by looking at what the diagnosis can fit.
 """
 
 from collections.abc import Callable
@@ -10,11 +10,9 @@ from scipy.optimize import nnls
 from scipy.signal import butter, lfilter
 from scipy.special import erf
 
-from softcal.core.challenge.catalogue_equations import hum, in_other_forms
-from softcal.core.challenge.chain import Moment, equations
+from softcal.core.challenge.equations import equations, hum, in_other_forms
 from softcal.core.challenge.operators import low_passes, recursion
-from softcal.core.challenge.outside_equations import OUTSIDE_FORM
-from softcal.core.challenge.sizes import Draw, MAINS_Hz, Rng, Scope, alias_Hz, near
+from softcal.core.challenge.rig import Moment
 from softcal.core.recording import Array
 
 BRANCHES = 24
@@ -30,16 +28,16 @@ def _as_branches(law: Callable[[Array], Array], tau_s: float) -> tuple[list[floa
 
 
 def _kohlrausch_relaxation(force_N: Array, at: Moment, share: float, tau_s: float) -> Array:
-    """Stretched exponential, 1 − exp(−√(t/τ)): Kohlrausch 1854; Williams and Watts, Trans. Faraday Soc. 66 (1970)."""
+    """1 − exp(−√(t/τ)): Kohlrausch 1854; Williams and Watts, Trans. Faraday Soc. 66 (1970)."""
     weights, taus_s = _as_branches(lambda t_s: 1.0 - np.exp(-np.sqrt(t_s / tau_s)), tau_s)
     return np.maximum(0.0, force_N - share * low_passes(force_N, at.step_s, weights, taus_s))
 
 
 def _ogden_roxburgh(force_N: Array, at: Moment, size: float, cycles: float) -> Array:
-    """Pseudo-elastic Mullins effect, η = 1 − erf((Wm − W)/m)/r: Ogden and Roxburgh, Proc. R. Soc. Lond. A 455 (1999).
+    """η = 1 − erf((Wm − W)/m)/r: Ogden and Roxburgh, Proc. R. Soc. Lond. A 455 (1999).
 
-    W is the stored energy, Wm the largest so far, 1/r the size; `cycles` scales m in units of the largest energy of a
-    press to 3 N.
+    W is the stored energy, Wm the largest so far, 1/r the size; `cycles` scales m in units of the
+    largest energy of a press to 3 N.
     """
     energy = at.rig.k1_N_mm * at.compression_mm**2 / 2.0 + at.rig.k3_N_mm3 * at.compression_mm**4 / 4.0
     most = np.maximum.accumulate(energy)
@@ -63,38 +61,38 @@ def _dahl_state(signal: Array, scale: float) -> Array:  # pragma: no cover - com
 
 
 def _dahl_channel(load: Array, at: Moment, size: float, scale_N: float) -> Array:
-    """Solid friction, dz/dx = (1 − z·sign ẋ)²/scale: Dahl, Aerospace Corporation TOR-0158(3107-18)-1 (1968)."""
+    """dz/dx = (1 − z·sign ẋ)²/scale: Dahl, Aerospace Corporation TOR-0158(3107-18)-1 (1968)."""
     return load * (1.0 + size * _dahl_state(load, scale_N))
 
 
 def _butterworth_lag(volts: Array, at: Moment, tau_s: float) -> Array:
-    """Third-order maximally flat low-pass with the delay τ at low frequency: Butterworth, Wireless Engineer 7 (1930).
+    """Maximally flat third-order low-pass of the delay τ: Butterworth, Wireless Engineer 7 (1930).
 
-    A filter of symmetric weights (sinc³) would be a pure delay besides some smoothing: the catalogue's clock offset.
+    Symmetric weights (sinc³) would be a delay with some smoothing: the catalogue's clock offset.
     """
     numerator, denominator = butter(3, 2.0 / tau_s * at.step_s / np.pi)
     return np.asarray(lfilter(numerator, denominator, volts - volts[0]) + volts[0])
 
 
 def _andrade_creep(force_N: Array, at: Moment, share: float, tau_s: float) -> Array:
-    """Transient creep of a metal spring element, (t/τ)^(1/3): Andrade, Proc. R. Soc. Lond. A 84 (1910)."""
+    """Transient creep of a metal spring, (t/τ)^(1/3): Andrade, Proc. R. Soc. Lond. A 84 (1910)."""
     weights, taus_s = _as_branches(lambda t_s: np.cbrt(t_s / tau_s), tau_s)
     return force_N + 0.6 * share * low_passes(force_N, at.step_s, weights, taus_s)
 
 
 def _screw_growth(stage_mm: Array, at: Moment, growth: float, tau_s: float) -> Array:
-    """A ball screw that warms and grows while it runs: Ramesh, Mannan and Poo, Int. J. Mach. Tools Manuf. 40 (2000)."""
+    """A ball screw grows as it warms: Ramesh and others, Int. J. Mach. Tools Manuf. 40 (2000)."""
     return np.asarray(stage_mm * (1.0 - growth * -np.expm1(-at.t_s / tau_s)))
 
 
 def _rate_stiffening(force_N: Array, at: Moment, size: float, speed_mm_s: float) -> Array:
-    """Stiffness that grows with the speed as (v/C)^(1/4): Cowper and Symonds, Brown University report C11-28 (1957)."""
+    """Stiffness grows as (v/C)^(1/4): Cowper and Symonds, Brown University report C11-28 (1957)."""
     speed = np.abs(np.gradient(at.compression_mm, at.step_s))
     return np.asarray(force_N * (1.0 + size * (speed / speed_mm_s) ** 0.25))
 
 
 def _film_contact(ohm: Array, at: Moment, film_ohm: float, load_N: float) -> Array:
-    """A contact whose film resistance falls as F^(−1/2): Holm, Electric Contacts, 4th edition (1967)."""
+    """A film resistance that falls as F^(−1/2): Holm, Electric Contacts, 4th edition (1967)."""
     return np.asarray(ohm + film_ohm / np.sqrt(1.0 + np.maximum(0.0, at.force_N) / load_N))
 
 
@@ -110,7 +108,7 @@ def _ringing(signal: Array, step_s: float, omega: float, damping: float) -> Arra
 
 
 def _cell_ringing(force_N: Array, at: Moment, frequency_Hz: float, damping: float) -> Array:
-    """A cell and its platen that swing, second order: Boschetti and others, Mech. Syst. Signal Process. 34 (2013)."""
+    """Cell and platen swing: Boschetti and others, Mech. Syst. Signal Process. 34 (2013)."""
     return _ringing(force_N, at.step_s, 2.0 * np.pi * frequency_Hz, damping)
 
 
@@ -126,37 +124,13 @@ PUBLISHED_FORMS = in_other_forms(
 """By (effect, form); each takes the parameters of the catalogue's and is about as large."""
 
 PUBLISHED_OUTSIDE = equations(
-    OUTSIDE_FORM,
     {
         "screw_growth": ("position", _screw_growth),
         "rate_stiffening": ("elastic", _rate_stiffening),
         "film_contact": ("resistance", _film_contact),
-        # Narrow-band pick-up that is not the mains: Ott, Electromagnetic Compatibility Engineering (2009), chapter 2.
+        # Pick-up that is not the mains: Ott, Electromagnetic Compatibility Engineering (2009), ch. 2.
         "stray_tone": ("pickup", hum),
         "cell_ringing": ("cell", _cell_ringing),
     },
 )
 """Published effects outside the catalogue by name."""
-
-
-def _tone_Hz(rng: Rng, at: Scope) -> float:
-    """A frequency from 1 Hz to 0.45 of the rate, 1.5 Hz from every alias of the mains."""
-    rate_Hz = at.rig.sample_rate_Hz
-    aliases = [alias_Hz(mains_Hz, rate_Hz) for mains_Hz in MAINS_Hz]
-    while True:
-        frequency_Hz = float(rng.uniform(1.0, 0.45 * rate_Hz))
-        if all(abs(frequency_Hz - alias) > 1.5 for alias in aliases):
-            return frequency_Hz
-
-
-PUBLISHED_SIZES: dict[str, Draw] = {
-    "screw_growth": lambda rng, at, scale: {"growth": scale * near(rng, 0.02), "tau_s": near(rng, 60.0)},
-    "rate_stiffening": lambda rng, at, scale: {"size": scale * near(rng, 0.05), "speed_mm_s": near(rng, 2.0)},
-    "film_contact": lambda rng, at, scale: {
-        "film_ohm": scale * at.rig.r0_ohm * near(rng, 0.08),
-        "load_N": near(rng, 0.3),
-    },
-    "stray_tone": lambda rng, at, scale: {"amplitude_V": scale * near(rng, 4e-3), "frequency_Hz": _tone_Hz(rng, at)},
-    "cell_ringing": lambda rng, at, scale: {"frequency_Hz": near(rng, 5.0) / scale, "damping": near(rng, 0.08)},
-}
-"""Usual sizes of the published effects outside the catalogue."""

@@ -1,7 +1,7 @@
-"""The shrink of the gap that a report's twin reaches on the run that was kept back, computed with this generator.
+"""The shrink of the gap that a report's twin reaches on the run that was kept back.
 
-The twin's numbers come from the report; the equations, the recording and the refit of the bare base are this package's
-own, so a mistake of the diagnosis cannot hide here.
+The twin's numbers come from the report; the equations, the recording and the refit of the bare base
+are this package's own, so a mistake of the diagnosis cannot hide here.
 """
 
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from softcal.core.challenge.cases import SealedCase
-from softcal.core.challenge.catalogue_equations import CATALOGUE_FORM
+from softcal.core.challenge.equations import CATALOGUE_FORM
 from softcal.core.challenge.judge import NAMED
 from softcal.core.challenge.rig import Cause, Measured, Rig
 from softcal.core.recording import Array
@@ -62,38 +62,33 @@ UNFITTED: Mapping[str, Mapping[str, float]] = {
 
 
 def realised_shrink(case: SealedCase, report: Mapping[str, Any]) -> float:
-    """Return 1 − (after − floor)/(before − floor) on the kept-back run; channels add in units of their noise.
+    """Return 1 − (after − floor)/(before − floor) on the kept-back run, channels in units of noise.
 
     Args:
-        report: a record of schema `softcal.gap/1` with the fitted `base`; its named causes are the twin's effects.
+        report: of schema `softcal.gap/1` with the fitted `base`; the twin has its named causes.
 
     Returns:
-        NaN where the report names no twin, a cause belongs to one recording only, or the bare base leaves no gap;
-        0 where its numbers make no twin.
+        NaN where the report names no twin, a cause belongs to one recording only, or the bare base
+        leaves no gap; 0 where its numbers make no twin.
     """
     named = {c["effect"]: c.get("parameters") for c in report["causes"] if c["probability"] >= NAMED}
     if "base" not in report or not named or any(effect in PER_RUN for effect in named):
         return float("nan")
     try:
-        rig, causes = with_base(case.rig, report["base"]), _causes(named)
+        rig, causes = with_base(case.rig, report["base"]), []
+        for effect, fitted in named.items():
+            names = (*PARAMETERS[effect], *OTHER_PARAMETERS.get(effect, ()))
+            own = {ours: _finite(fitted[theirs]["value"]) for theirs, ours in names if theirs in fitted}
+            causes.append(Cause(effect, CATALOGUE_FORM, {**UNFITTED.get(effect, {}), **own}))
         measured = case.measure(case.kept_back)
         with np.errstate(all="ignore"):
-            after = _gap(case, measured, rig, causes)
+            after = _gap(case, measured, rig, tuple(causes))
     except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError):
         return 0.0
     if not np.isfinite(after):
         return 0.0
     before = _gap(case, measured, refitted_base(case), ())
     return float("nan") if before < LEAST_GAP else 1.0 - after / before
-
-
-def _causes(named: Mapping[str, Mapping[str, Any]]) -> tuple[Cause, ...]:
-    causes = []
-    for effect, fitted in named.items():
-        names = (*PARAMETERS[effect], *OTHER_PARAMETERS.get(effect, ()))
-        own = {ours: _finite(fitted[theirs]["value"]) for theirs, ours in names if theirs in fitted}
-        causes.append(Cause(effect, CATALOGUE_FORM, {**UNFITTED.get(effect, {}), **own}))
-    return tuple(causes)
 
 
 def _finite(value: Any) -> float:

@@ -31,13 +31,15 @@ class Row:
 
     @property
     def share(self) -> float:
-        """Hits over count, NaN without a case."""
         return self.hits / self.count if self.count else float("nan")
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval of Wilson (1927)."""
         return wilson(self.hits, self.count)
+
+    def to_record(self) -> dict[str, Any]:
+        low, high = self.interval
+        return {**asdict(self), "share": finite_or_none(self.share), "low": low, "high": high}
 
 
 @dataclass(frozen=True)
@@ -72,10 +74,10 @@ class Probabilities:
 
 @dataclass(frozen=True)
 class Bin:
-    """Named causes whose probability lies in one interval: how many there are, and how many are at work.
+    """Named causes with a probability in one interval, and how many of them are at work.
 
-    An effect that nobody names is right at 0 whatever the diagnosis does, 24 times out of 25. So only stated
-    probabilities from the first of `STATED_EDGES` on are counted.
+    An effect that nobody names is right at 0 whatever the diagnosis does, 24 times out of 25. So
+    only stated probabilities from the first of `STATED_EDGES` on are counted.
     """
 
     low: float
@@ -109,22 +111,16 @@ class ScoreSheet:
         numbers = {name: finite_or_none(value) for name, value in vars(self.probabilities).items() if name != "by_bin"}
         return {
             "schema": "softcal.score/1",
-            "rows": [_row_record(row) for row in self.rows],
+            "rows": [row.to_record() for row in self.rows],
             "detection": [{**asdict(bin_), "to_sigma": finite_or_none(bin_.to_sigma)} for bin_ in self.detection],
             "probabilities": {**numbers, "by_bin": [asdict(bin_) for bin_ in self.probabilities.by_bin]},
             "shrink": {
                 "count": self.shrink.count,
                 "median_realised": finite_or_none(self.shrink.median_realised),
-                "rows": [_row_record(row) for row in self.shrink.rows],
+                "rows": [row.to_record() for row in self.shrink.rows],
             },
             "cases": [_case_record(judged) for judged in self.judged],
         }
-
-
-def _row_record(row: Row) -> dict[str, Any]:
-    low, high = row.interval
-    shared = finite_or_none(row.share)
-    return {**asdict(row), "share": shared, "low": low, "high": high}
 
 
 def _case_record(judged: Judged) -> dict[str, Any]:
@@ -147,13 +143,24 @@ def score_reports(
     reports: Mapping[str, Mapping[str, Any]],
     realised: Callable[[Label, Mapping[str, Any]], float] = lambda label, report: float("nan"),
 ) -> ScoreSheet:
-    """Score the reports of a challenge; a case without a report, or with one that cannot be read, counts as wrong.
+    """Score the reports of a challenge; without a readable report a case counts as wrong.
 
     Args:
         reports: per case name, a report of schema `softcal.gap/1`.
         realised: shrink of a report's twin on the run that was kept back, NaN where it has none.
     """
-    judged = tuple(_judge(label, reports.get(label.case.name), realised) for label in labels)
+    judged = []
+    for label in labels:
+        answer, unread, report = None, "", reports.get(label.case.name)
+        if report is not None:
+            try:
+                answer = read_answer(label.case.name, report)
+            except InputError as error:
+                unread = str(error)
+        shrink = float("nan")
+        if report is not None and answer is not None and answer.verdict in ("explained", "ambiguous"):
+            shrink = realised(label, report)
+        judged.append(Judged(label, answer, shrink, unread))
     answered = [(j, j.answer) for j in judged if j.answer is not None]
     stated = np.array([p for _, a in answered for p in a.probabilities.values()])
     present = np.array([effect in j.truth for j, a in answered for effect in a.probabilities], dtype=np.float64)
@@ -170,18 +177,7 @@ def score_reports(
             if (here := (stated >= low) & (stated < high if high < 1.0 else stated <= high)).any()
         ),
     )
-    return ScoreSheet(judged, tuple(_rows(judged)), tuple(_detection(judged)), probabilities, _shrink(judged))
-
-
-def _judge(label: Label, report: Mapping[str, Any] | None, realised: Callable[..., float]) -> Judged:
-    if report is None:
-        return Judged(label, None)
-    try:
-        answer = read_answer(label.case.name, report)
-    except InputError as error:
-        return Judged(label, None, unread=str(error))
-    explained = answer.verdict in ("explained", "ambiguous")
-    return Judged(label, answer, realised(label, report) if explained else float("nan"))
+    return ScoreSheet(tuple(judged), tuple(_rows(judged)), tuple(_detection(judged)), probabilities, _shrink(judged))
 
 
 HONEST = ("right", "set", "below noise")
@@ -232,22 +228,20 @@ def calibration_error(stated: NDArray[np.float64], happened: NDArray[np.float64]
 
 
 def _shrink(judged: Sequence[Judged]) -> ShrinkScore:
-    known = [j for j in judged if j.answer and j.outcome == "right" and np.isfinite(j.realised_shrink)]
-
-    def is_near(j: Judged) -> bool:
-        return bool(j.answer and abs(j.answer.predicted - j.realised_shrink) <= 0.10)
-
-    def is_inside(j: Judged) -> bool:
-        return bool(j.answer and j.answer.low <= j.realised_shrink <= j.answer.high)
-
+    known = [
+        (j.answer, j.realised_shrink)
+        for j in judged
+        if j.answer and j.outcome == "right" and np.isfinite(j.realised_shrink)
+    ]
+    measures = {
+        "realised ≥ 0.95": [shrink >= 0.95 for _, shrink in known],
+        "|forecast − realised| ≤ 0.10": [abs(a.predicted - shrink) <= 0.10 for a, shrink in known],
+        "realised inside [low, high]": [a.low <= shrink <= a.high for a, shrink in known],
+    }
     return ShrinkScore(
         count=len(known),
-        median_realised=float(np.median([j.realised_shrink for j in known])) if known else float("nan"),
-        rows=(
-            _row("explained", "realised ≥ 0.95", known, lambda j: j.realised_shrink >= 0.95),
-            _row("explained", "|forecast − realised| ≤ 0.10", known, is_near),
-            _row("explained", "realised inside [low, high]", known, is_inside),
-        ),
+        median_realised=float(np.median([shrink for _, shrink in known])) if known else float("nan"),
+        rows=tuple(Row("explained", name, sum(hits), len(hits)) for name, hits in measures.items()),
     )
 
 
@@ -265,10 +259,11 @@ FLOORS: Mapping[str, float] = MappingProxyType(
         "published_outside": 0.15,
     }
 )
-"""Least share of cases of a line that are right: exactly the true causes, `no_gap`, `unknown` or `data`.
+"""Least share of a line's cases that are right: the true causes, `no_gap`, `unknown` or `data`.
 
-They lie far below what is measured on many cases, and above what an answer reaches that does not look at the recording.
-With a handful of cases a line, a sound diagnosis fails once in hundreds of times, and silence never passes.
+They lie far below what is measured on many cases, and above what an answer reaches that does not
+look at the recording. With a handful of cases a line, a sound diagnosis fails once in hundreds of
+times, and silence never passes.
 """
 
 CASES_OF_FLOOR = 4
@@ -281,7 +276,7 @@ POOLED = 0.6
 def shortfalls(sheet: ScoreSheet) -> list[str]:
     """Return one sentence for every floor that is not reached; empty where all are.
 
-    What was drawn is judged, all of it: a case without a report counts as wrong. A line that nobody drew says nothing.
+    All that was drawn is judged: a case without a report counts as wrong.
     """
     said, hits, total = [], 0, 0
     for line, floor in FLOORS.items():

@@ -1,4 +1,4 @@
-"""The seal of a challenge: labels as canonical text, and the SHA-256 that is published before anybody diagnoses.
+"""The seal of a challenge: labels as canonical text, and its SHA-256, published beforehand.
 
 The text holds a random nonce, so the published hash tells nothing about the labels; and it holds the hash of every
 case as it was handed out, so neither labels nor cases can change without the seal being broken.
@@ -37,7 +37,6 @@ class Seal:
 
     @property
     def commitment(self) -> str:
-        """SHA-256 of the sealed text, hexadecimal."""
         return hashlib.sha256(self.text.encode()).hexdigest()
 
 

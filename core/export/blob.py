@@ -14,7 +14,7 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.export.compile_map import InputScale
-from softcal.core.export.integer_network import DeviceMap, IntegerLayer, IntegerMix, IntegerNetwork
+from softcal.core.export.integer_network import DeviceMap, IntegerLayer, IntegerNetwork
 from softcal.core.windows import TAPS
 
 MAGIC = 0x4643_5353
@@ -151,7 +151,6 @@ class NetworkFile:
 
     @property
     def gap_ms(self) -> int:
-        """Longest time between two samples of one window in ms."""
         return longest_step_ms(self.period_us)
 
     @cached_property
@@ -183,7 +182,6 @@ class UnitFile:
     """The calibration of one unit as a device holds it.
 
     Args:
-        serial: the unit's serial.
         network_id: 8 bytes, `NetworkFile.id`.
         revision: of the calibration in the registry; the newest valid one wins on the device.
         time_s: when it was calibrated, Unix time in s; 0 where unknown.
@@ -192,8 +190,6 @@ class UnitFile:
         code_min, code_max: codes the unit was seen with; outside, the estimate is flagged.
         out_min, out_max: the estimate is clamped to these, in counts.
         bands: 1 ... 4, by rising level.
-        self_tests: 1 ... 4.
-        adapt: what the device may change.
     """
 
     serial: str
@@ -230,11 +226,21 @@ class UnitFile:
         )  # fmt: skip
         tables = b"".join(BAND.pack(b.level, b.minus, b.plus) for b in self.bands)
         tables += b"".join(SELF_TEST.pack(t.start, t.step, t.expected) for t in self.self_tests)
-        points = [] if form.curve is None else zip(form.curve.codes, form.curve.values, strict=True)
-        curve = b"".join(KNOT.pack(int(code), int(value)) for code, value in points)
-        linear = b"" if form.layer is None else _layer_bytes(form.layer)
-        mix = b"" if form.mix is None else _mix_bytes(form.mix)
-        body = fixed + _padded(tables) + curve + linear + mix
+        body = fixed + _padded(tables)
+        if form.curve is not None:
+            body += b"".join(
+                KNOT.pack(*map(int, point)) for point in zip(form.curve.codes, form.curve.values, strict=True)
+            )
+        if form.layer is not None:
+            body += _layer_bytes(form.layer)
+        if (mix := form.mix) is not None:
+            rows = zip(mix.weights.tolist(), mix.shift.tolist(), mix.bias.tolist(), strict=True)
+            if mix.is_wide:
+                body += WIDE_FIXED.pack(mix.keep, len(mix.bias), 0)
+                body += b"".join(WIDE_ROW.pack(bias, *weights, shift) for weights, shift, bias in rows)
+            else:
+                content = b"".join(MIX_ROW.pack(*weights, shift, bias) for weights, shift, bias in rows)
+                body += _padded(MIX_FIXED.pack(mix.keep, len(mix.bias)) + content)
         return _sealed(
             Kind.UNIT, self.flags, self.network_id, self.revision, self.time_s, self.serial, body, self.minor
         )
@@ -285,15 +291,6 @@ def _layer_bytes(layer: IntegerLayer) -> bytes:
 
 def _padded(content: bytes) -> bytes:
     return content + b"\0" * (-len(content) % 4)
-
-
-def _mix_bytes(mix: IntegerMix) -> bytes:
-    rows = zip(mix.weights.tolist(), mix.shift.tolist(), mix.bias.tolist(), strict=True)
-    if mix.is_wide:
-        wide = b"".join(WIDE_ROW.pack(bias, *weights, shift) for weights, shift, bias in rows)
-        return WIDE_FIXED.pack(mix.keep, len(mix.bias), 0) + wide
-    content = b"".join(MIX_ROW.pack(*weights, shift, bias) for weights, shift, bias in rows)
-    return _padded(MIX_FIXED.pack(mix.keep, len(mix.bias)) + content)
 
 
 UNIT_BYTES = (256, 512, 1024)

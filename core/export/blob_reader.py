@@ -1,8 +1,9 @@
-"""Bytes of a file back into values; every check a reader must make, as docs/format.md orders them."""
+"""Bytes of a file back into values; every check of a reader, as docs/format.md orders them."""
 
 import struct
 import zlib
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -100,16 +101,20 @@ def read_network(data: bytes) -> NetworkFile:
     return file
 
 
+def _rows(row: struct.Struct, body: bytes, at: int, count: int) -> tuple[list[tuple[Any, ...]], int]:
+    """Return rows of one layout from a place on, and the place behind them."""
+    return [row.unpack_from(body, at + k * row.size) for k in range(count)], at + count * row.size
+
+
 def _parse_layer(body: bytes, at: int, rows: int, columns: int) -> tuple[IntegerLayer, int]:
     padded = rows + -rows % 4
-    records = [blob.ROW.unpack_from(body, at + i * blob.ROW.size) for i in range(padded)][:rows]
-    start = at + padded * blob.ROW.size
+    records, start = _rows(blob.ROW, body, at, padded)
     end = start + padded * columns * 2
     if end > len(body):
         raise ValueError(f"a layer of {rows} × {columns} ends after the file")
     blocks = np.frombuffer(body[start:end], dtype="<i2").reshape(-1, columns, 4)
     weights = blocks.transpose(0, 2, 1).reshape(padded, columns)[:rows].astype(np.int64)
-    bias, multiplier, shift1, shift2 = np.array(records, dtype=np.int64).T
+    bias, multiplier, shift1, shift2 = np.array(records[:rows], dtype=np.int64).T
     return IntegerLayer(weights, bias, multiplier, shift1, shift2), end
 
 
@@ -117,58 +122,51 @@ def read_unit(data: bytes) -> UnitFile:
     """Read a unit file, checked without its network (`FileRefused`: the first check that fails)."""
     opened = _open(data, Kind.UNIT)
     try:
-        file, end = _parse_unit(opened)
+        body = opened.body
+        form, knots, bands, tests, code_min, code_max, out_min, out_max, *rest = blob.UNIT_FIXED.unpack_from(body)
+        zero, lsb, low, high, gain, offset = rest
+        if form not in blob.FORMS or (knots > 0) != bool(form & blob.HAS_CURVE):
+            raise ValueError(f"form {form} with {knots} knots")
+        if not 1 <= bands <= blob.MAX_BANDS or not 1 <= tests <= blob.MAX_SELF_TESTS:
+            raise ValueError(f"{bands} bands, {tests} self-tests")
+        if code_min >= code_max or out_min >= out_max:
+            raise ValueError(f"codes {code_min} ... {code_max}, estimates {out_min} ... {out_max}")
+        band_rows, at = _rows(blob.BAND, body, blob.UNIT_FIXED.size, bands)
+        test_rows, at = _rows(blob.SELF_TEST, body, at, tests)
+        own_bands = tuple(blob.Band(*row) for row in band_rows)
+        own_tests = tuple(SelfTest(*row) for row in test_rows)
+        at += -at % 4
+        curve, layer, mix = None, None, None
+        if form & blob.HAS_CURVE:
+            points, at = _rows(blob.KNOT, body, at, knots)
+            curve = PiecewiseMap(*np.array(points, dtype=np.int64).reshape(-1, 2).T)
+        if form & blob.HAS_LAYER:
+            layer, at = _parse_layer(body, at, TAPS, TAPS)
+        if form & (blob.HAS_MIX | blob.HAS_WIDE_MIX):
+            mix, at = _parse_mix(body, at, bool(form & blob.HAS_WIDE_MIX))
+        device_map = DeviceMap(curve, layer, mix)
+        levels = [band.level for band in own_bands]
+        if levels != sorted(levels):
+            raise ValueError(f"band levels {levels} do not rise")
+        for test in own_tests:
+            if not 0 <= test.start + (TAPS - 1) * test.step <= CODE_MAX or abs(test.expected) > ACTIVATION_MAX:
+                raise ValueError(f"self-test {test} leaves the range of codes")
+        file = UnitFile(
+            opened.serial, opened.network_id, opened.revision, opened.time_s, opened.flags, device_map,
+            InputScale(zero, lsb), code_min, code_max, out_min, out_max, own_bands, own_tests,
+            blob.AdaptLimits(low, high, gain, offset),
+        )  # fmt: skip
     except (ValueError, struct.error, IndexError) as error:
         raise _layout("unit", error) from error
-    _check_end("unit", opened, end)
+    _check_end("unit", opened, at)
     return file
-
-
-def _parse_unit(opened: _Opened) -> tuple[UnitFile, int]:
-    body = opened.body
-    form, knots, bands, tests, code_min, code_max, out_min, out_max, *rest = blob.UNIT_FIXED.unpack_from(body)
-    zero, lsb, low, high, gain, offset = rest
-    if form not in blob.FORMS or (knots > 0) != bool(form & blob.HAS_CURVE):
-        raise ValueError(f"form {form} with {knots} knots")
-    if not 1 <= bands <= blob.MAX_BANDS or not 1 <= tests <= blob.MAX_SELF_TESTS:
-        raise ValueError(f"{bands} bands, {tests} self-tests")
-    if code_min >= code_max or out_min >= out_max:
-        raise ValueError(f"codes {code_min} ... {code_max}, estimates {out_min} ... {out_max}")
-    at = blob.UNIT_FIXED.size
-    band_rows = tuple(blob.Band(*blob.BAND.unpack_from(body, at + i * blob.BAND.size)) for i in range(bands))
-    at += bands * blob.BAND.size
-    test_rows = tuple(SelfTest(*blob.SELF_TEST.unpack_from(body, at + i * blob.SELF_TEST.size)) for i in range(tests))
-    at += tests * blob.SELF_TEST.size
-    at += -at % 4
-    curve, layer, mix = None, None, None
-    if form & blob.HAS_CURVE:
-        pairs = np.array([blob.KNOT.unpack_from(body, at + i * blob.KNOT.size) for i in range(knots)], dtype=np.int64)
-        curve, at = PiecewiseMap(*pairs.reshape(-1, 2).T), at + knots * blob.KNOT.size
-    if form & blob.HAS_LAYER:
-        layer, at = _parse_layer(body, at, TAPS, TAPS)
-    if form & (blob.HAS_MIX | blob.HAS_WIDE_MIX):
-        mix, at = _parse_mix(body, at, bool(form & blob.HAS_WIDE_MIX))
-    device_map = DeviceMap(curve, layer, mix)
-    levels = [band.level for band in band_rows]
-    if levels != sorted(levels):
-        raise ValueError(f"band levels {levels} do not rise")
-    for test in test_rows:
-        if not 0 <= test.start + (TAPS - 1) * test.step <= CODE_MAX or abs(test.expected) > ACTIVATION_MAX:
-            raise ValueError(f"self-test {test} leaves the range of codes")
-    return UnitFile(
-        opened.serial, opened.network_id, opened.revision, opened.time_s, opened.flags, device_map,
-        InputScale(zero, lsb), code_min, code_max, out_min, out_max, band_rows, test_rows,
-        blob.AdaptLimits(low, high, gain, offset),
-    ), at  # fmt: skip
 
 
 def _parse_mix(body: bytes, at: int, is_wide: bool) -> tuple[IntegerMix, int]:
     fixed, row = (blob.WIDE_FIXED, blob.WIDE_ROW) if is_wide else (blob.MIX_FIXED, blob.MIX_ROW)
     keep, count, *_ = fixed.unpack_from(body, at)
-    start = at + fixed.size
-    rows = np.array([row.unpack_from(body, start + k * row.size) for k in range(count)], dtype=np.int64)
-    end = start + count * row.size
-    table = rows.reshape(-1, TAPS + 2)
+    rows, end = _rows(row, body, at + fixed.size, count)
+    table = np.array(rows, dtype=np.int64).reshape(-1, TAPS + 2)
     # A wide row begins with its bias, which needs four bytes; a narrow one ends with it.
     table = np.roll(table, -1, axis=1) if is_wide else table
     return IntegerMix(keep, table[:, :TAPS], table[:, TAPS], table[:, TAPS + 1], is_wide), end + -end % 4

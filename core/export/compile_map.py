@@ -39,12 +39,7 @@ RIDGE = 1e-6
 
 @dataclass(frozen=True)
 class InputScale:
-    """How the 16-bit codes of a device stand for the sensor's output: output = zero + lsb * code.
-
-    Args:
-        zero: output at code 0, in the output unit.
-        lsb: output per code, positive.
-    """
+    """How the 16-bit codes of a device stand for the sensor's output: output = zero + lsb * code."""
 
     zero: float
     lsb: float
@@ -144,46 +139,48 @@ def _curves(unit_map: UnitMap, windows: Array, mapped: Array, knots: int = MAX_K
     yield MapForm(_from_regression(windows, mapped, knots))
 
 
-def _bases(unit_map: UnitMap, windows: Array, mapped: Array, knots: int) -> Iterator[Curve]:
-    """Give the curves that a linear part may follow."""
+def _bases(
+    unit_map: UnitMap, windows: Array, mapped: Array, knots: int, is_regressed: bool = True
+) -> Iterator[tuple[Curve, Array]]:
+    """Give the curves that a linear part may follow, each with the windows it makes."""
     if (drawn := _drawn(unit_map, windows, mapped, knots)) is not None:
-        yield drawn
-    yield _from_regression(windows, mapped, knots)
+        yield drawn, drawn.apply(windows)
+    if is_regressed:
+        regressed = _from_regression(windows, mapped, knots)
+        yield regressed, regressed.apply(windows)
 
 
 def device_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Array) -> Iterator[MapForm]:
     """Give the forms that fit into 256 bytes: curves, then curves with a mix of shapes."""
     yield from _curves(unit_map, windows, mapped)
     for shapes, knots in MIXES:
-        for curve in _bases(unit_map, windows, mapped, knots):
-            if (mix := fit_mix(shapes, curve.apply(windows), mapped, network)) is not None:
+        for curve, curved in _bases(unit_map, windows, mapped, knots):
+            if (mix := fit_mix(shapes, curved, mapped, network)) is not None:
                 yield MapForm(curve, mix)
 
 
 def wide_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Array) -> Iterator[MapForm]:
     """Give the forms that fit into 512 bytes: curves, then curves with a wide mix."""
     yield from _curves(unit_map, windows, mapped)
-    curve = _drawn(unit_map, windows, mapped, MAX_KNOTS)
-    if curve is None:
-        return
-    for shapes in WIDE_SHAPES:
-        if (mix := fit_mix(shapes, curve.apply(windows), mapped, network, is_wide=True)) is not None:
-            yield MapForm(curve, mix)
+    for curve, curved in _bases(unit_map, windows, mapped, MAX_KNOTS, is_regressed=False):
+        for shapes in WIDE_SHAPES:
+            if (mix := fit_mix(shapes, curved, mapped, network, is_wide=True)) is not None:
+                yield MapForm(curve, mix)
 
 
 def matrix_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Array) -> Iterator[MapForm]:
     """Give the forms that fit into 1024 bytes: curves, then a curve with a whole matrix."""
     yield from _curves(unit_map, windows, mapped)
-    for curve in _bases(unit_map, windows, mapped, MAX_KNOTS):
-        yield MapForm(curve, _linear(curve.apply(windows), mapped))
+    for curve, curved in _bases(unit_map, windows, mapped, MAX_KNOTS):
+        yield MapForm(curve, _linear(curved, mapped))
 
 
 def fine_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Array) -> Iterator[MapForm]:
     """Give the forms for floating point, where many knots and a whole matrix cost nothing."""
     yield from _curves(unit_map, windows, mapped, FINE_KNOTS)
     yield MapForm(None, _linear(windows, mapped))
-    if (drawn := _drawn(unit_map, windows, mapped, FINE_KNOTS)) is not None:
-        yield MapForm(drawn, _linear(drawn.apply(windows), mapped))
+    for curve, curved in _bases(unit_map, windows, mapped, FINE_KNOTS, is_regressed=False):
+        yield MapForm(curve, _linear(curved, mapped))
 
 
 SIZED_FORMS: tuple[Forms, ...] = (device_forms, wide_forms, matrix_forms)
@@ -211,7 +208,6 @@ def compile_map(
     """Compile γ: the first form that is as good as exact, else the nearest in the limit.
 
     Args:
-        network: the shared network f.
         recording: the unit's own recording; the deviation is measured on its windows.
         limit: largest rms deviation of the estimate, in the network's reference unit.
         clear: largest deviation of a form that is taken without trying others.

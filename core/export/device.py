@@ -57,7 +57,6 @@ class UnitFacts:
 
     Args:
         time_s: when it was made, Unix time in s.
-        recording: the unit's own recording.
         lower, upper: (m,) the 90 % interval of f∘γ at every window, in reference units.
         predicted_rmse: forecast of the error in reference units; None where there is none.
     """
@@ -105,6 +104,13 @@ def build_network_file(network: Network, source: LabelledRecording) -> NetworkFi
         )
     integers = quantise.quantise_network(network, source.windows)
     held = replace(integers, input_zero=_float32(integers.input_zero), input_lsb=_float32(integers.input_lsb))
+    levels = SourceLevels.of(source, MapConfig().anchors)
+    count = 10.0**held.output_exponent
+    first, last = (round(float(load) / count) for load in levels.load[[0, -1]])
+    step = max(1, (last - first) // (len(levels.load) - 1))
+    loads = np.asarray((first + step * np.arange(len(levels.load))) * count, np.float64)
+    counts = np.rint((levels.at(loads) - held.input_zero) / held.input_lsb)
+    clipped = np.clip(counts, -ACTIVATION_MAX, ACTIVATION_MAX).astype(np.int64).tolist()
     return NetworkFile(
         held,
         network.id,
@@ -112,19 +118,8 @@ def build_network_file(network: Network, source: LabelledRecording) -> NetworkFi
         sample_period_us(source),
         network.output_unit,
         network.reference_unit,
-        _load_levels(held, source),
+        blob.LoadLevels(max(-ACTIVATION_MAX, first), step, tuple(clipped)),
     )
-
-
-def _load_levels(network: IntegerNetwork, source: LabelledRecording) -> blob.LoadLevels:
-    levels = SourceLevels.of(source, MapConfig().anchors)
-    count = 10.0**network.output_exponent
-    first, last = (round(float(load) / count) for load in levels.load[[0, -1]])
-    step = max(1, (last - first) // (len(levels.load) - 1))
-    loads = np.asarray((first + step * np.arange(len(levels.load))) * count, np.float64)
-    counts = np.rint((levels.at(loads) - network.input_zero) / network.input_lsb)
-    held = np.clip(counts, -ACTIVATION_MAX, ACTIVATION_MAX).astype(np.int64)
-    return blob.LoadLevels(max(-ACTIVATION_MAX, first), step, tuple(held.tolist()))
 
 
 def sample_period_us(source: LabelledRecording) -> int:
@@ -180,7 +175,6 @@ def build_unit_file(
 def _build(
     facts: UnitFacts, network: Network, network_file: NetworkFile, options: DeviceOptions, size: int
 ) -> DeviceUnit:
-    """Build a file of at most `size` bytes."""
     windows = facts.recording.windows
     exact = quantise.evaluate_float64(network, facts.unit_map.apply(windows))
     limit, goal = device_limit(facts, network, options), GOAL * float(np.ptp(exact))

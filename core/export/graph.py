@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from softcal.core.export.compile_map import Curve, Linear, MapForm
 from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE
-from softcal.core.export.quantise import Limits, folded_layers
+from softcal.core.export.quantise import Limits
 from softcal.core.export.shape_mix import Mix
 from softcal.core.network.network import Network
 from softcal.core.windows import TAPS
@@ -86,7 +86,7 @@ def _linear(linear: Linear | Mix | None, entering: str) -> tuple[list[Node], dic
 
 
 def _network(network: Network) -> tuple[list[Node], dict[str, Constant]]:
-    layers = folded_layers(network)
+    layers = network.folded
     nodes = [Node("Sub", ("source_window", "output_mean"), "hidden_0")]
     constants: dict[str, Constant] = {
         "output_mean": np.full(TAPS, network.output_mean, dtype=np.float32),

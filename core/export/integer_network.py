@@ -50,7 +50,6 @@ class IntegerLayer:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(rows, columns)"""
         rows, columns = self.weights.shape
         return rows, columns
 
@@ -148,7 +147,7 @@ SHAPE_CENTRE, SHAPE_HALF = 7, 8
 
 @dataclass(frozen=True, eq=False)
 class IntegerMix:
-    """The linear part of a map: out = keep q + Σ_k U_k w_k, with w_k = (weights_k · q >> shift_k) + 64 bias_k, over 64.
+    """out = (keep q + Σ_k U_k w_k) / 64 with w_k = (weights_k · q >> shift_k) + 64 bias_k.
 
     U_k: Chebyshev, second kind, at (tap - 7) / 8, by Clenshaw's recurrence (1955).
 
@@ -273,7 +272,6 @@ class IntegerNetwork:
 
     @property
     def multiplications(self) -> int:
-        """Multiply-accumulate steps for one estimate."""
         return sum(layer.weights.size for layer in self.layers)
 
     def evaluate(self, counts: Integers) -> Integers:

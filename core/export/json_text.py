@@ -1,4 +1,4 @@
-"""The lossless JSON twin of the device files: for people, databases, and back into the same bytes."""
+"""The lossless JSON twin of the device files, and back into the same bytes."""
 
 import json
 from collections.abc import Mapping
@@ -55,11 +55,9 @@ def network_from_values(values: Mapping[str, Any]) -> NetworkFile:
 
 def unit_values(file: UnitFile) -> dict[str, object]:
     """Return a unit file as JSON values."""
-    curve, layer = file.device_map.curve, file.device_map.layer
-    knots = None
-    if curve is not None:
-        knots = [[int(c), int(v)] for c, v in zip(curve.codes, curve.values, strict=True)]
-    mix, mix_values = file.device_map.mix, None
+    curve, layer, mix = file.device_map.curve, file.device_map.layer, file.device_map.mix
+    knots = None if curve is None else np.column_stack([curve.codes, curve.values]).tolist()
+    mix_values = None
     if mix is not None:
         wide = {"wide": True} if mix.is_wide else {}
         mix_values = {"keep": mix.keep, **wide, **{name: getattr(mix, name).tolist() for name in MIX_FIELDS}}
@@ -81,12 +79,20 @@ def unit_from_values(values: Mapping[str, Any]) -> UnitFile:
     """Rebuild a unit file; `InputError` where a value is missing or impossible."""
     _check_schema(values, UNIT_SCHEMA)
     try:
-        code, estimate = values["code"], values["estimate"]
+        code, estimate, kept = values["code"], values["estimate"], values["map"]
+        knots, layer, mix = kept["knots"], kept["layer"], None
+        if (known := kept.get("mix")) is not None:
+            arrays = {name: np.array(known[name], dtype=np.int64) for name in MIX_FIELDS}
+            mix = IntegerMix(int(known["keep"]), **arrays, is_wide=bool(known.get("wide", False)))
         return UnitFile(
             serial=str(values["serial"]),
             network_id=bytes.fromhex(values["network_id"]),
             **{name: kind(values[name]) for name, kind in OF_UNIT.items()},
-            device_map=_map_from(values["map"]),
+            device_map=DeviceMap(
+                None if knots is None else PiecewiseMap(*np.array(knots, dtype=np.int64).reshape(-1, 2).T),
+                None if layer is None else _layer_from(layer),
+                mix,
+            ),
             scale=InputScale(float(code["zero"]), float(code["lsb"])),
             code_min=int(code["min"]),
             code_max=int(code["max"]),
@@ -116,18 +122,6 @@ def _layer_values(layer: IntegerLayer) -> dict[str, object]:
 
 def _layer_from(values: Mapping[str, Any]) -> IntegerLayer:
     return IntegerLayer(**{name: np.array(values[name], dtype=np.int64) for name in LAYER_FIELDS})
-
-
-def _map_from(values: Mapping[str, Any]) -> DeviceMap:
-    knots, layer, mix = values["knots"], values["layer"], None
-    if (known := values.get("mix")) is not None:
-        arrays = {name: np.array(known[name], dtype=np.int64) for name in MIX_FIELDS}
-        mix = IntegerMix(int(known["keep"]), **arrays, is_wide=bool(known.get("wide", False)))
-    return DeviceMap(
-        None if knots is None else PiecewiseMap(*np.array(knots, dtype=np.int64).reshape(-1, 2).T),
-        None if layer is None else _layer_from(layer),
-        mix,
-    )
 
 
 def json_text(value: object) -> str:

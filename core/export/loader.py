@@ -37,7 +37,6 @@ class DeviceSensor:
 
     @property
     def count(self) -> float:
-        """Reference units per count."""
         return float(10.0**self.network_file.network.output_exponent)
 
     def estimate(self, codes: Integers) -> DeviceEstimate:

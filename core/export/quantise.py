@@ -8,7 +8,7 @@ import numpy as np
 from softcal.core.errors import UnitRefused
 from softcal.core.export import integer_network as integer
 from softcal.core.export.blob import MAX_BANDS
-from softcal.core.export.compile_map import Curve, InputScale, Linear, MapForm
+from softcal.core.export.compile_map import InputScale, Linear, MapForm
 from softcal.core.export.integer_network import ACTIVATION_MAX, CODE_MAX
 from softcal.core.network.network import Network
 from softcal.core.recording import Array
@@ -51,8 +51,7 @@ def quantise_network(network: Network, source_windows: Array) -> integer.Integer
     # Real value of one count where it enters and leaves each layer; every hidden unit has its own.
     scales = [np.full(network.sizes[0], input_lsb), *map(_scale_of, ranges), np.array([10.0**exponent])]
     layers = tuple(
-        quantise_layer(weight.T, bias, scales[i], scales[i + 1])
-        for i, (weight, bias) in enumerate(folded_layers(network))
+        quantise_layer(weight.T, bias, scales[i], scales[i + 1]) for i, (weight, bias) in enumerate(network.folded)
     )
     return integer.IntegerNetwork(layers, network.output_mean, float(input_lsb), exponent)
 
@@ -60,26 +59,16 @@ def quantise_network(network: Network, source_windows: Array) -> integer.Integer
 def activations(network: Network, windows: Array) -> list[Array]:
     """Return what leaves each layer in float64, the estimate (n, 1) last."""
     hidden, found = windows - network.output_mean, []
-    folded = folded_layers(network)
-    for weight, bias in folded[:-1]:
+    for weight, bias in network.folded[:-1]:
         hidden = np.maximum(hidden @ weight + bias, 0.0)
         found.append(hidden)
-    weight, bias = folded[-1]
+    weight, bias = network.folded[-1]
     return [*found, hidden @ weight + bias]
 
 
 def evaluate_float64(network: Network, windows: Array) -> Array:
     """Estimate in float64: (n,) in `network.reference_unit`."""
     return activations(network, windows)[-1][:, 0]
-
-
-def folded_layers(network: Network) -> list[tuple[Array, Array]]:
-    """Return (inputs, outputs) weights and biases; scales are folded in but for `output_mean`."""
-    weights, biases = [w.astype(float) for w in network.weights], [b.astype(float) for b in network.biases]
-    weights[0] = weights[0] / network.output_scale
-    weights[-1] = weights[-1] * network.reference_scale
-    biases[-1] = biases[-1] * network.reference_scale + network.reference_mean
-    return list(zip(weights, biases, strict=True))
 
 
 def _scale_of(reach: Array) -> Array:
@@ -148,7 +137,20 @@ def quantise_map(form: MapForm, scale: InputScale, network: integer.IntegerNetwo
     if form.curve is None:
         raise UnitRefused("a device takes a curve, alone or with a linear part")
     try:
-        curve = _quantise_curve(form.curve, scale, network)
+        # Cut where it leaves the network's counts: clipped knots would bend what lies between.
+        outputs, values = form.curve.outputs, form.curve.values
+        low, high = (network.input_zero + side * network.input_lsb * ACTIVATION_MAX for side in (-1, 1))
+        # Interpolated from value to output, in rising order: a falling sensor has them reversed.
+        order = np.argsort(values, kind="stable")
+        bounds = [b for b in (low, high) if values.min() < b < values.max()]
+        crossings = np.interp(bounds, values[order], outputs[order])
+        inside = np.abs(values - network.input_zero) <= network.input_lsb * ACTIVATION_MAX
+        kept = np.unique(np.concatenate([outputs[inside], crossings]))
+        # Knots closer than one code fall together; one of them is kept.
+        codes, first = np.unique(scale.codes(kept), return_index=True)
+        counts = np.rint((form.curve.apply(kept)[first] - network.input_zero) / network.input_lsb)
+        held = np.clip(counts, -ACTIVATION_MAX, ACTIVATION_MAX).astype(np.int64)
+        curve = integer.PiecewiseMap(codes, held)
         if isinstance(form.linear, Linear):
             # Counts in, counts out: count = (output - zero) / lsb on both sides.
             matrix, zero, one = form.linear.matrix, network.input_zero, np.full(TAPS, network.input_lsb)
@@ -158,23 +160,6 @@ def quantise_map(form: MapForm, scale: InputScale, network: integer.IntegerNetwo
         return integer.DeviceMap(curve, None, mix)
     except ValueError as error:
         raise UnitRefused(f"the map has no integer form: {error}") from error
-
-
-def _quantise_curve(curve: Curve, scale: InputScale, network: integer.IntegerNetwork) -> integer.PiecewiseMap:
-    # Cut where it leaves the network's counts: clipped knots would bend what lies between.
-    outputs, values = curve.outputs, curve.values
-    reach = network.input_lsb * ACTIVATION_MAX
-    # Interpolated from value to output, in rising order: a falling sensor has them reversed.
-    order = np.argsort(values, kind="stable")
-    bounds = [b for b in (network.input_zero - reach, network.input_zero + reach) if values.min() < b < values.max()]
-    inside = np.abs(values - network.input_zero) <= reach
-    crossings = np.interp(bounds, values[order], outputs[order])
-    kept = np.unique(np.concatenate([outputs[inside], crossings]))
-    held = Curve(kept, curve.apply(kept))
-    # Knots closer than one code fall together; one of them is kept.
-    codes, first = np.unique(scale.codes(held.outputs), return_index=True)
-    counts = np.rint((held.values[first] - network.input_zero) / network.input_lsb)
-    return integer.PiecewiseMap(codes, np.clip(counts, -ACTIVATION_MAX, ACTIVATION_MAX).astype(np.int64))
 
 
 def code_range(scale: InputScale, output: Array) -> tuple[int, int]:

@@ -68,7 +68,7 @@ class Mix:
 
     @property
     def matrix(self) -> Array:
-        """(TAPS, TAPS) the mix as one matrix."""
+        """(TAPS, TAPS)"""
         return np.asarray(self.keep / KEEP_ONE * np.eye(TAPS) + shapes(len(self.bias)) @ self.rows)
 
     @property

@@ -40,8 +40,7 @@ from softcal.core.twin.catalogue import EFFECTS, OWN_EFFECTS
 from softcal.core.twin.effects import Alias
 from softcal.core.twin.empirical_terms import EmpiricalTerm
 from softcal.core.twin.mechanics import elastic_force_at
-from softcal.core.twin.record import twin_record
-from softcal.core.twin.simulate import Twin
+from softcal.core.twin.simulate import Twin, twin_record
 from softcal.core.words.reason import Reason, reason, several
 
 

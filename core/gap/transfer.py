@@ -15,9 +15,8 @@ from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.simulated_lot import LotDesign
+from softcal.core.simulated_lot import LotDesign, draw_lot
 from softcal.core.twin.simulate import Twin, simulate
-from softcal.core.twin.spread import draw_lot
 from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.source_model import make_source_model
@@ -107,7 +106,7 @@ def transfer(
 def simulated_like(rig: PressedLot, twin: Twin, seed: int) -> PressedLot:
     """Return a simulated lot around a twin, pressed along the stage positions of the rig's."""
     rng = np.random.default_rng(seed)
-    twins = draw_lot(rng, len(rig.units) + 1, twin.parameters, twin.metadata, twin.effects, LotDesign().spread)
+    twins = draw_lot(rng, len(rig.units) + 1, twin, LotDesign().spread)
     units = tuple(
         LotUnit(pressed(own, u.recording, rng).unlabelled, pressed(own, u.audit.unlabelled, rng))
         for own, u in zip(twins[1:], rig.units, strict=True)

@@ -9,12 +9,12 @@ class NetworkConfig:
 
     Args:
         hidden: widths of the hidden layers.
-        seed: drives initial weights and batch order; equal seeds give equal networks on one machine.
-        members: networks trained from consecutive seeds and merged into one whose estimate is their mean.
+        seed: of initial weights and batch order; equal seeds give equal networks on one machine.
+        members: networks from consecutive seeds, merged into one whose estimate is their mean.
         max_epochs: passes over the training windows at most.
         patience: epochs without a better validation error before training stops.
         batch: windows per step at least; long recordings take larger ones.
-        learning_rate: first step size of Adam; it is halved on every plateau of `patience / 3` epochs.
+        learning_rate: first step of Adam, halved on every plateau of `patience / 3` epochs.
         validation_share: share of the recording kept for early stopping, in blocks spread over it.
     """
 

@@ -20,14 +20,14 @@ _UNITS = ("output_unit", "reference_unit")
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """A time-delay network window -> reference with ReLU between its layers (Kim et al. 2020, Experimental Section).
+    """A time-delay network with ReLU between its layers (Kim et al. 2020, Experimental Section).
 
     f(x) = reference_mean + reference_scale * W_L relu(... relu(W_1 (x - output_mean) / output_scale + b_1) ...) + b_L
 
     Args:
         weights: per layer (inputs, outputs).
         biases: per layer (outputs,).
-        output_mean, output_scale: standardise the sensor output; the same two numbers for every tap.
+        output_mean, output_scale: standardise the sensor output, every tap alike.
         reference_mean, reference_scale: undo the standardisation of the reference.
         output_unit, reference_unit: physical units of window samples and of the estimate.
     """
@@ -55,7 +55,6 @@ class Network:
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, Array], settings: dict[str, float | str]) -> "Network":
-        """Read what `arrays` and `settings` gave."""
         depth = sum(name.startswith("weight_") for name in arrays)
         weights, biases = (tuple(arrays[f"{name}_{i}"] for i in range(depth)) for name in ("weight", "bias"))
         facts: dict[str, Any] = {name: float(settings[name]) for name in _SCALES}
@@ -64,18 +63,21 @@ class Network:
 
     @cached_property
     def id(self) -> str:
-        """SHA-256 (hex) of all arrays and settings."""
         return content_sha256(self.arrays(), self.settings())
 
     @cached_property
-    def _folded(self) -> tuple[tuple[NDArray[np.float32], NDArray[np.float32]], ...]:
-        """Layers in float32 with both standardisations folded in, so that evaluation is products and ReLU alone."""
-        # The mean stays outside: folded into the bias it would cost the digits of a small swing on a large rest value.
-        weights, biases = [w.copy() for w in self.weights], [b.copy() for b in self.biases]
+    def folded(self) -> tuple[tuple[Array, Array], ...]:
+        """Layers (inputs, outputs), (outputs,) with all scales folded in but for `output_mean`."""
+        # The mean stays outside: in the bias it would cost the digits of a small swing.
+        weights, biases = list(self.weights), list(self.biases)
         weights[0] = weights[0] / self.output_scale
         weights[-1] = weights[-1] * self.reference_scale
         biases[-1] = biases[-1] * self.reference_scale + self.reference_mean
-        return tuple((w.astype(np.float32), b.astype(np.float32)) for w, b in zip(weights, biases, strict=True))
+        return tuple(zip(weights, biases, strict=True))
+
+    @cached_property
+    def _folded(self) -> tuple[tuple[NDArray[np.float32], NDArray[np.float32]], ...]:
+        return tuple((w.astype(np.float32), b.astype(np.float32)) for w, b in self.folded)
 
     def evaluate(self, windows: Array) -> Array:
         """Estimate the reference for every window.
@@ -84,7 +86,7 @@ class Network:
             windows: (n, taps) in `output_unit`, newest sample last, in the source's window space.
 
         Returns:
-            (n,) estimates in `reference_unit`. Computed in float32: within about 1e-5 of the full scale.
+            (n,) estimates in `reference_unit`, in float32: within about 1e-5 of the full scale.
         """
         estimates = np.empty(len(windows))
         for start in range(0, len(windows), CHUNK):
@@ -99,7 +101,7 @@ class Network:
         return estimates
 
     def evaluate_exactly(self, windows: Array) -> Array:
-        """Estimate as `evaluate` does, in float64: slower, and the same however many windows come at once.
+        """Estimate in float64: slower, and the same however many windows come at once.
 
         Returns:
             (n,) estimates in `reference_unit`.
@@ -111,7 +113,7 @@ class Network:
         return np.asarray(estimate[:, 0] * self.reference_scale + self.reference_mean)
 
     def gradient(self, windows: Array) -> tuple[Array, Array]:
-        """Estimate the reference and how it answers to each tap, computed in float32 as `evaluate` does.
+        """Estimate the reference and how it answers to each tap, in float32 as `evaluate` does.
 
         Returns:
             (n,) estimates and (n, taps) their derivatives, reference unit per output unit.

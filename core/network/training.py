@@ -36,14 +36,14 @@ def fit_network(
     config: NetworkConfig = NetworkConfig(),  # noqa: B008 - frozen
     on_epoch: Callable[[EpochReport], None] | None = None,
 ) -> TrainedNetwork:
-    """Train f on a labelled recording with early stopping on time blocks; also gives a unit's own calibration.
+    """Train f on a labelled recording, with early stopping on time blocks.
 
     Raises:
-        InputError: the recording is too short, constant or saturated, or output and reference have nothing in common.
+        InputError: too short, constant or saturated, or output and reference share nothing.
     """
     check_trainable(source)
     inputs, reference = source.windows, source.window_reference
-    # One mean and one scale for all taps: taps scaled each by itself would bend the shape of a window.
+    # One mean and one scale for all taps: scaled each by itself they would bend a window.
     output_mean, output_scale = float(source.unlabelled.output.mean()), float(source.unlabelled.output.std())
     reference_mean, reference_scale = float(reference.mean()), float(reference.std())
     validation = validation_blocks(len(inputs), config.validation_share)
@@ -60,7 +60,7 @@ def fit_network(
     scales = (output_mean, output_scale, reference_mean, reference_scale)
     network = Network(weights, biases, *scales, unlabelled.output_unit, source.reference_unit)
     rmse = float(np.sqrt(np.mean((network.evaluate(inputs[validation]) - reference[validation]) ** 2)))
-    # Both scales: the held-out blocks may lie where the load hardly moves, and the mean is then a good estimate.
+    # Both scales: where the load of the held-out blocks hardly moves, the mean is a good estimate.
     if rmse > 0.95 * float(reference[validation].std()) and rmse > 0.5 * reference_scale:
         raise InputError(
             f"source {source.serial}: f errs by {rmse:.4g} {source.reference_unit} on held-out parts, no better than "
@@ -73,7 +73,7 @@ def check_trainable(source: LabelledRecording) -> None:
     """Refuse a labelled recording that cannot teach a network.
 
     Raises:
-        InputError: fewer than 150 windows, constant output or reference, or output saturated while the reference moves.
+        InputError: fewer than 150 windows, a constant column, or output saturated under load.
     """
     output, reference = source.unlabelled.output, source.reference
     where = f"source {source.serial}"
@@ -97,10 +97,10 @@ def check_trainable(source: LabelledRecording) -> None:
 
 
 def validation_blocks(count: int, share: float) -> Mask:
-    """Mark the windows kept for validation: several blocks in time, spread evenly over the recording.
+    """Mark the windows kept for validation: blocks in time, spread evenly over the recording.
 
     Returns:
-        (count,) True where a window validates; a guard of TAPS windows beside each block belongs to neither side.
+        (count,) True where a window validates; TAPS windows beside each block guard it.
     """
     # Blocks in time, never single windows: neighbours share fourteen of fifteen samples.
     blocks = int(np.clip(count // (10 * TAPS), 2, 10))
@@ -113,10 +113,10 @@ def validation_blocks(count: int, share: float) -> Mask:
 
 
 def merge_members(members: list[list[tuple[Array, Array]]]) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-    """Merge networks, each as its layers of weight (inputs, outputs) and bias, into one whose estimate is their mean.
+    """Merge networks of layers, weight (inputs, outputs) and bias, into one that gives their mean.
 
-    The first layers stand side by side, hidden layers become block-diagonal, the last layers are stacked and divided
-    by the number of members.
+    The first layers stand side by side, hidden layers become block-diagonal, the last layers are
+    stacked and divided by the number of members.
     """
     # Imported here: whoever reads a calibration must not wait for scipy.
     from scipy.linalg import block_diag

@@ -1,7 +1,6 @@
-"""The steps of a training: weights, optimiser, early stopping. The only module of core that needs torch."""
+"""Weights, optimiser, early stopping of a training. The only module of core that needs torch."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -24,29 +23,21 @@ def train_members(
     reference_scale: float,
     on_epoch: Callable[[EpochReport], None] | None,
 ) -> list[tuple[Layers, int]]:
-    """Train networks on standardised rows from consecutive seeds; return the best state and the epochs of each."""
+    """Train from consecutive seeds on standardised rows; return best state and epochs of each."""
     x, y = torch.from_numpy(inputs), torch.from_numpy(labels)
-    with _single_thread():
-        return [
-            _Training(x, y, training, validation, config, member, reference_scale).run(on_epoch)
-            for member in range(config.members)
-        ]
-
-
-@contextmanager
-def _single_thread() -> Iterator[None]:
     # Layers this small run slower on several threads, and one thread keeps the sums in one order.
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        yield
+        return [
+            _Training(x, y, training, validation, config, member, reference_scale).run(on_epoch)
+            for member in range(config.members)
+        ]
     finally:
         torch.set_num_threads(threads)
 
 
 class _Training:
-    """One member's training: weights, optimiser and the best state so far."""
-
     def __init__(
         self,
         x: torch.Tensor,
@@ -108,7 +99,7 @@ class _Training:
             loss = torch.nn.functional.mse_loss(self._forward(self._x[rows]), self._y[rows])
             loss.backward()  # type: ignore[no-untyped-call]
             self._optimiser.step()
-            # The last batch of an epoch is smaller; a plain mean over batches would weigh it too much.
+            # The last batch is smaller; a plain mean over batches would weigh it too much.
             total += float(loss.detach()) * len(rows)
         return float((total / len(self._x)) ** 0.5)
 

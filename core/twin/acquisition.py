@@ -1,4 +1,4 @@
-"""Acquisition: all channels are sampled at the same instants, unless the output's clock says otherwise.
+"""Acquisition: all channels are sampled at the same instants, but for the output's clock.
 
 A stream cannot know the output of later instants. Where an effect asks for them (a clock that runs ahead, samples that
 were lost), the last two samples are extended by a straight line; a batch uses the true ones.
@@ -22,7 +22,7 @@ def _read_at(flow: Flow, wanted_s: Array, state: Memory) -> None:
     earlier = flow.is_unforeseeable
     flow.is_unforeseeable = late
     if earlier is not None and len(earlier) == len(known_s):
-        # The clock reads the samples beside a step, and straight lines between samples cut its corner.
+        # Straight lines between the samples beside a step cut its corner.
         at = np.clip(np.searchsorted(known_s, wanted_s), 1, len(known_s) - 1)
         flow.is_unforeseeable = late | earlier[at] | earlier[at - 1]
     if late.any() and len(known_s) > 1:

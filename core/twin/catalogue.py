@@ -5,13 +5,13 @@ from types import MappingProxyType
 
 from softcal.core.errors import InputError
 from softcal.core.plugins import PluginKind
-from softcal.core.twin import acquisition, electronics, load_cell, mechanics, motion, transduction
+from softcal.core.twin import acquisition, electronics, load_cell, mechanics, transduction
 from softcal.core.twin.effects import Effect, Form
 
 OWN_EFFECTS: Mapping[str, Effect] = MappingProxyType(
     {
         effect.id: effect
-        for module in (motion, mechanics, transduction, electronics, load_cell, acquisition)
+        for module in (mechanics, transduction, electronics, load_cell, acquisition)
         for effect in module.EFFECTS
     }
 )

@@ -38,12 +38,11 @@ class Parameter:
 
     Args:
         name: as in the catalogue, without its unit.
-        unit: physical unit, empty where there is none.
         low, high: bounds within which a fit may move it; the neutral value may lie outside.
         usual: typical size on a rig.
         neutral: value that switches the effect off, None for a shape parameter.
         scale: how a fit moves it; `inverse_square` for a level whose absence is infinity.
-        weight: what it counts as when flexibility is penalised; less than 1 for a nuisance of one run.
+        weight: what it counts as flexibility; less than 1 for a nuisance of one run.
         is_fixed: it has one value on a rig, `usual`, and is not fitted.
     """
 
@@ -64,13 +63,13 @@ def _not_yet() -> Array:
 
 @dataclass(eq=False, slots=True)
 class Flow:
-    """The signals of one stretch of a run while they pass through the chain; every stage writes its own.
+    """The signals of one stretch of a run in the chain; every stage writes its own.
 
     Args:
         t_s: (n,) time since the start of the run.
         step_s: (n,) time since the sample before, 0 at the start of a run.
         stage_mm: (n,) recorded stage position.
-        temperature_rise_K: (n,) temperature above that of the run's first sample, None where it is not recorded.
+        temperature_rise_K: (n,) temperature above the run's first one; None if not recorded.
         episodes: per effect id (m, 2), the rows of an episodic effect in this run.
         run: position of this run in its case, for effects with values of their own in every run.
     """
@@ -121,15 +120,13 @@ class Placing(Enum):
 
 @dataclass(frozen=True)
 class Alias:
-    """A departure outside the catalogue that gives the same recordings as an effect of it until one run is made.
+    """A departure outside the catalogue that looks like an effect of it until one run is made.
 
     Args:
-        stage: where it sits.
         detail: what it is; a plug-in gives a sentence, which is shown as it is written.
         share: of the effect's place that it gets while nothing tells the two apart.
         told_by: kind of the run that tells them apart ...
         changing, by: ... when this channel changes in it by so much.
-        advice: how to make that run.
     """
 
     stage: ChainStage
@@ -146,10 +143,10 @@ class Signs:
     """How an effect shows: everything a diagnosis must know of it besides its equation.
 
     Args:
-        needs: channels that must be recorded and change in a run, besides the one that shows its stage.
+        needs: channels that must be recorded and change, besides the one of its stage.
         probes: where a search begins; the usual size and shapes around the usual ones where None.
         placing: what must be found in the recordings first.
-        clock: how its size moves the instants at which the output is read: by a constant, or in proportion to time.
+        clock: how its size moves the output's instants: by a constant, or in proportion to time.
         hides_behind: effects that look like it on poor recordings.
         shown_by: experiments that show it best.
         remedy: what to measure where no experiment tells it from its rivals.
@@ -172,18 +169,18 @@ class Effect:
 
     Args:
         id: identifier of the catalogue.
-        stage: stage of the chain it belongs to; the part of the mechanism, for an effect of another simulator.
+        stage: of the chain; the part of the mechanism, for an effect of another simulator.
         hook: signal it changes.
         equation: its equation on top of the base model.
         source: where the equation or its usual size comes from.
         parameters: in the order `step` takes them; the first one is the size of the effect.
         is_episodic: it happens at a few instants of one run and does not carry over to another.
-        of_runs: the same effect with values of its own in every run, for a number of runs; None where one set of
-            values holds for all.
-        sides: the same effect acting from another side, told apart by the parameters that are given.
+        of_runs: the same effect with values of its own in every run, for a number of runs; None
+            where one set of values holds for all.
+        sides: the same effect from another side, told apart by the parameters given.
         forms: other realisations of the same cause that a rig may show.
-        constants: numbers by name that the equation takes behind its parameters; a fit reads them off each recording
-            (not a number here), a twin holds them.
+        constants: numbers by name that the equation takes behind its parameters; a fit reads them
+            off each recording (not a number here), a twin holds them.
     """
 
     id: str
@@ -228,7 +225,7 @@ class Effect:
     def probes(
         self, at: Extent, sized: Callable[[Parameter], Parameter] = lambda parameter: parameter
     ) -> list[tuple[float, ...]]:
-        """Return the parameter values at which a search on such a case begins, shapes within their bounds.
+        """Return the values at which a search on such a case begins, shapes within their bounds.
 
         Args:
             sized: gives a parameter the bounds it has on a rig of this size.
@@ -248,7 +245,6 @@ class Effect:
 
     @property
     def value_names(self) -> tuple[str, ...]:
-        """Names of its parameters and, behind them, of its constants."""
         return (*(p.name for p in self.parameters), *(name for name, _ in self.constants))
 
     def form_called(self, name: str) -> "Effect | None":
@@ -256,7 +252,6 @@ class Effect:
         return next((f.effect for f in self.forms if f.effect.equation == name), None) if name else self
 
     def with_forms(self, *makers: "Callable[[Effect], Form]") -> "Effect":
-        """Return this effect with other realisations, each made from its own parameters."""
         return replace(self, forms=tuple(make(self) for make in makers))
 
 
@@ -265,14 +260,14 @@ class Form:
     """Another realisation of a cause.
 
     Args:
-        carry: value of every parameter from the catalogue's values, as (index of the value or None, factor or value).
+        carry: each parameter from the catalogue's values, as (index or None, factor or value).
     """
 
     effect: Effect
     carry: tuple[tuple[int | None, float], ...]
 
     def start(self, values: Sequence[float], factor: Callable[[str], float] = lambda unit: 1.0) -> list[float]:
-        """Return where a fit of this form begins when the catalogue's equation ended at these values.
+        """Return where a fit of this form begins when the catalogue's ended at these values.
 
         Args:
             factor: by what a quantity of a unit is larger on this rig than on the common one.
@@ -281,6 +276,39 @@ class Form:
             number * factor(p.unit) if index is None else values[index] * number
             for p, (index, number) in zip(self.effect.parameters, self.carry, strict=True)
         ]
+
+
+Quantity: TypeAlias = Callable[[Flow, Sequence[float], Memory], Array | float]
+"""Compute something from the flow, the parameter values and the memory of an effect."""
+
+
+def sets(signal: str, value: Quantity) -> Step:
+    """Return a step that gives one signal of the flow, by its name there, a new value."""
+
+    def step(flow: Flow, values: Sequence[float], state: Memory) -> None:
+        setattr(flow, signal, value(flow, values, state))
+
+    return step
+
+
+def adds(signal: str, part: Quantity) -> Step:
+    """Return a step that adds the size of the effect times a part: x + v₀·part."""
+    return sets(signal, lambda flow, v, state: getattr(flow, signal) + v[0] * part(flow, v, state))
+
+
+def grows(signal: str, part: Quantity) -> Step:
+    """Return a step by which a signal grows: x·(1 + v₀·part)."""
+    return sets(signal, lambda flow, v, state: getattr(flow, signal) * (1.0 + v[0] * part(flow, v, state)))
+
+
+def hands_on(*names: str) -> Step:
+    """Return a step that writes its parameter values into the flow, by these names."""
+
+    def step(flow: Flow, values: Sequence[float], _: Memory) -> None:
+        for name, value in zip(names, values, strict=True):
+            setattr(flow, name, value)
+
+    return step
 
 
 def memory(memory: Memory, name: str, *start: float) -> Array:

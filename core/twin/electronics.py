@@ -2,12 +2,26 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Placing, Signs, memory
-from softcal.core.twin.forms import POWER, SETTLING, bent_time, constant, plus, settling_time
+from softcal.core.twin.effects import (
+    Effect,
+    Flow,
+    Hook,
+    Memory,
+    Parameter,
+    Placing,
+    Signs,
+    adds,
+    grows,
+    hands_on,
+    memory,
+    sets,
+)
+from softcal.core.twin.forms import constant, drifts, plus
 from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.twin.probes import Extent, Sizes
 from softcal.core.twin.signals import low_pass, read_at
@@ -20,56 +34,25 @@ def digitise(clean_V: Array, noise_V: Array, readout: ReadoutMetadata) -> Array:
     return np.asarray(np.clip(np.round((clean_V + noise_V) / step_V) * step_V, 0.0, readout.vref_V))
 
 
-def _readout_lag(flow: Flow, values: Sequence[float], state: Memory) -> None:
-    start = memory(state, "low_pass_V", flow.output_V[0], flow.output_V[0])
-    flow.output_V = low_pass(flow.output_V, flow.step_s, values[0], start)
-
-
-def _wiring_resistance(flow: Flow, values: Sequence[float], _: Memory) -> None:
-    flow.wiring_ohm = values[0]
-
-
-def _reference_drift(flow: Flow, values: Sequence[float], _: Memory) -> None:
-    flow.reference_V = flow.reference_V * (1.0 + values[0] * flow.t_s)
-
-
-def _mains_hum(flow: Flow, values: Sequence[float], _: Memory) -> None:
-    flow.output_V = flow.output_V + values[0] * np.sin(2 * np.pi * values[1] * flow.t_s + values[2])
-
-
-def _adc_saturation(flow: Flow, values: Sequence[float], _: Memory) -> None:
-    # A hard ceiling here, a soft one among the forms: amplifiers differ in how they clip.
-    flow.output_V = np.minimum(flow.output_V, values[0])
-
-
-def _adc_floor(flow: Flow, values: Sequence[float], _: Memory) -> None:
-    flow.output_V = np.maximum(flow.output_V, values[0])
+def _lag(flow: Flow, state: Memory, name: str, tau_s: float) -> Array:
+    return low_pass(flow.output_V, flow.step_s, tau_s, memory(state, name, flow.output_V[0], flow.output_V[0]))
 
 
 def _lag_2(flow: Flow, v: Sequence[float], state: Memory) -> None:
-    for name, tau_s in zip(("first_V", "second_V"), v[:2], strict=True):
-        start = memory(state, name, flow.output_V[0], flow.output_V[0])
-        flow.output_V = low_pass(flow.output_V, flow.step_s, max(tau_s, 1e-4), start)
+    for name, tau_s in zip(("first_V", "second_V"), v, strict=True):
+        flow.output_V = _lag(flow, state, name, max(tau_s, 1e-4))
 
 
-def _lag_sampled(flow: Flow, v: Sequence[float], state: Memory) -> None:
+def _lag_sampled(flow: Flow, v: Sequence[float], state: Memory) -> Array:
     """A filter computed sample by sample: its input is held, and it answers up to a sample late."""
-    start = memory(state, "low_pass_V", flow.output_V[0], flow.output_V[0])
-    slow = low_pass(flow.output_V, flow.step_s, max(v[0], 1e-4), start)
+    slow = _lag(flow, state, "low_pass_V", max(v[0], 1e-4))
     period_s = constant(v, state, 2, "period_s", lambda: float(np.median(flow.step_s[1:])))
-    flow.output_V = read_at(flow.t_s, slow, flow.t_s - v[1] * period_s, state)
+    return read_at(flow.t_s, slow, flow.t_s - v[1] * period_s, state)
 
 
-def _reference_power(flow: Flow, v: Sequence[float], _: Memory) -> None:
-    flow.reference_V = flow.reference_V * (1.0 + v[0] * bent_time(flow.t_s, v[1]))
-
-
-def _reference_settling(flow: Flow, v: Sequence[float], _: Memory) -> None:
-    flow.reference_V = flow.reference_V * (1.0 + v[0] * settling_time(flow.t_s, v[1]))
-
-
-def _soft_clip(flow: Flow, v: Sequence[float], _: Memory) -> None:
-    flow.output_V = v[0] - v[1] * np.logaddexp(0.0, (v[0] - flow.output_V) / v[1])
+def _hum(flow: Flow, v: Sequence[float], _: Memory) -> Array:
+    # The phase of this run, or the one there is.
+    return np.asarray(np.sin(2 * np.pi * v[1] * flow.t_s + v[min(2 + flow.run, len(v) - 1)]))
 
 
 HUM_STEP_Hz = 0.05
@@ -89,11 +72,7 @@ def _hum_of_runs(runs: int) -> Effect:
     """Return the hum with a phase per run: when a run begins is no property of the rig."""
     phases = [Parameter(f"phi{k}", "rad", -20.0, 20.0, 1.0, weight=PHASE_WEIGHT) for k in range(runs)]
     parameters = (HUM[0], replace(HUM[1], usual=HUM_STEP_Hz), *phases)
-    return replace(MAINS_HUM, parameters=parameters, step=_hum_with_phases)
-
-
-def _hum_with_phases(flow: Flow, values: Sequence[float], _: Memory) -> None:
-    flow.output_V = flow.output_V + values[0] * np.sin(2 * np.pi * values[1] * flow.t_s + values[2 + flow.run])
+    return replace(MAINS_HUM, parameters=parameters)
 
 
 def _near_the_top(at: Extent) -> list[tuple[float, ...]]:
@@ -108,7 +87,7 @@ MAINS_HUM = Effect(
     equation="V + A·sin(2πft + φ), f the alias of 50 or 60 Hz at the sample rate",
     source="pick-up of the mains; 1–10 mV",
     parameters=HUM,
-    step=_mains_hum,
+    step=adds("output_V", _hum),
     signs=Signs(placing=Placing.LINE, shown_by=("rest",)),
     of_runs=_hum_of_runs,
 )
@@ -120,7 +99,7 @@ CLIPPED_BELOW = Effect(
     equation="V clipped below V_min > 0",
     source="range of an amplifier or an ADC that does not reach zero",
     parameters=(Parameter("V_min", "V", 0.0, 100.0, 0.5, neutral=0.0),),
-    step=_adc_floor,
+    step=sets("output_V", lambda flow, v, state: np.maximum(flow.output_V, v[0])),
     signs=Signs(placing=Placing.FLOOR),
 )
 """The other side of a clipped output; a setting that gives `V_min` means this one."""
@@ -132,7 +111,8 @@ ADC_SATURATION = Effect(
     equation="V clipped above V_max < Vref",
     source="range of an amplifier or an ADC short of the rail",
     parameters=(Parameter("V_max", "V", 0.05, 100.0, 2.2, neutral=np.inf),),
-    step=_adc_saturation,
+    # A hard ceiling here, a soft one among the forms: amplifiers differ in how they clip.
+    step=sets("output_V", lambda flow, v, state: np.minimum(flow.output_V, v[0])),
     signs=Signs(
         probes=_near_the_top,
         placing=Placing.CEILING,
@@ -140,7 +120,13 @@ ADC_SATURATION = Effect(
         shown_by=("dummy_resistor",),
     ),
     sides=(CLIPPED_BELOW,),
-).with_forms(plus(_soft_clip, "soft clip", (Parameter("width", "V", 1e-4, 0.5, 0.01), 0.01)))
+).with_forms(
+    plus(
+        sets("output_V", lambda flow, v, state: v[0] - v[1] * np.logaddexp(0.0, (v[0] - flow.output_V) / v[1])),
+        "soft clip",
+        (Parameter("width", "V", 1e-4, 0.5, 0.01), 0.01),
+    )
+)
 
 EFFECTS = (
     Effect(
@@ -150,7 +136,7 @@ EFFECTS = (
         equation="V passes a first-order low-pass before the ADC",
         source="RC filter of the divider's input; 1–300 ms",
         parameters=(Parameter("tau", "s", 0.0005, 3.0, 0.08, neutral=0.0),),
-        step=_readout_lag,
+        step=sets("output_V", lambda flow, v, state: _lag(flow, state, "low_pass_V", v[0])),
         signs=Signs(
             probes=Sizes((0.5, 3.0, 10.0), "period_s"),
             hides_behind=("channel_creep", "clock_offset"),
@@ -159,7 +145,7 @@ EFFECTS = (
     ).with_forms(
         plus(_lag_2, "second order", (Parameter("tau2", "s", 0.0, 3.0, 0.05), 0.02)),
         plus(
-            _lag_sampled,
+            sets("output_V", _lag_sampled),
             "computed sample by sample",
             (Parameter("late", "", -0.6, 1.1, 0.5), 0.0),
             constants=("period_s",),
@@ -172,7 +158,7 @@ EFFECTS = (
         equation="V = Vref·(R + Rw)/(R + Rw + Rs)",
         source="leads and contacts in series with the channel, Ohm; 0.05–1 Ω",
         parameters=(Parameter("Rw", "ohm", 0.0, 50.0, 0.5, neutral=0.0),),
-        step=_wiring_resistance,
+        step=hands_on("wiring_ohm"),
         signs=Signs(
             probes=Sizes((0.01, 0.1), "series_ohm"),
             hides_behind=("channel_collapse", "loadcell_nonlinearity"),
@@ -186,16 +172,14 @@ EFFECTS = (
         equation="Vref(t) = Vref·(1 + ρ·t); the ADC reads against the nominal Vref",
         source="supply that warms up; linear over a run",
         parameters=(Parameter("rho", "1/s", -0.003, 0.003, 0.0001, neutral=0.0),),
-        step=_reference_drift,
+        step=grows("reference_V", lambda flow, v, state: flow.t_s),
         signs=Signs(
             probes=Sizes((0.01,), "rate_per_s"),
             hides_behind=("ageing_drift", "thermal_drift"),
             shown_by=("dummy_resistor", "long_hold"),
             remedy=CLIMATE,
         ),
-    ).with_forms(
-        plus(_reference_power, "power of time", (POWER, 0.8)), plus(_reference_settling, "settling", (SETTLING, 40.0))
-    ),
+    ).with_forms(*drifts(partial(grows, "reference_V"))),
     MAINS_HUM,
     ADC_SATURATION,
 )

@@ -1,8 +1,8 @@
 """Empirical terms: a number times one of the twin's own variables, added to a signal of the chain.
 
-A term describes what no equation of the catalogue explains. It names no cause. Every variable is made from what the
-twin itself knows at that instant (stage position, time, its own force and depth, temperature), never from a recording,
-and carries its state from chunk to chunk.
+A term describes what no equation of the catalogue explains. It names no cause. Every variable is
+made from what the twin itself knows at that instant (stage position, time, its own force and depth,
+temperature), never from a recording, and carries its state from chunk to chunk.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -16,7 +16,7 @@ import numpy as np
 from softcal.core.errors import InputError
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, memory
-from softcal.core.twin.signals import direction_state, low_pass
+from softcal.core.twin.signals import direction_state, largest_so_far, low_pass
 
 Place = Literal["F", "force_N", "output_V"]
 """What a term is added to: the force, which every later stage feels; the reading; the output."""
@@ -82,7 +82,8 @@ def _acceleration(flow: Flow, state: Memory, term: "EmpiricalTerm") -> Array:
 def _direction(width: float) -> Column:
     def column(flow: Flow, state: Memory, term: "EmpiricalTerm") -> Array:
         depth = _depth(flow, term)
-        return direction_state(depth, width, memory(state, "direction", 0.0, depth[0])) * (depth > 0.0)
+        start = memory(state, "direction", 0.0, depth[0])
+        return direction_state(depth, width, start) * (depth > 0.0)
 
     return column
 
@@ -93,10 +94,8 @@ def _touch(flow: Flow, _: Memory, term: "EmpiricalTerm") -> Array:
 
 
 def _deepest(flow: Flow, state: Memory, term: "EmpiricalTerm") -> Array:
-    depth, last = _depth(flow, term), memory(state, "deepest", 0.0)
-    deepest = np.maximum(np.maximum.accumulate(depth), last[0])
-    last[0] = deepest[-1]
-    return np.asarray(deepest * (depth > 0.0))
+    depth = _depth(flow, term)
+    return largest_so_far(depth, memory(state, "deepest", 0.0)) * (depth > 0.0)
 
 
 def _position(flow: Flow, _: Memory, term: "EmpiricalTerm") -> Array:
@@ -104,29 +103,30 @@ def _position(flow: Flow, _: Memory, term: "EmpiricalTerm") -> Array:
     return np.maximum(flow.stage_mm, flow.contact_mm - term.depth_mm) / term.depth_mm
 
 
-def _remembered(tau_s: float) -> Column:
-    def column(flow: Flow, state: Memory, term: "EmpiricalTerm") -> Array:
-        return low_pass(_load(flow, state, term), flow.step_s, tau_s, memory(state, "remembered", 0.0, 0.0))
-
-    return column
+def _memory(tau_s: float) -> Column:
+    return lambda flow, state, term: low_pass(
+        _load(flow, state, term), flow.step_s, tau_s, memory(state, "remembered", 0.0, 0.0)
+    )
 
 
 def _product(one: Column, other: Column) -> Column:
     return lambda flow, state, term: one(flow, state, term) * other(flow, state, term)
 
 
-def _variables() -> Mapping[str, Variable]:
-    plain = {
-        "t": Variable("s", lambda flow, _, __: flow.t_s),
-        "direction": Variable("", _direction(SHARP)),
-        "blunt direction": Variable("", _direction(BLUNT)),
-        "rate": Variable("1/s", _rate),
-        "deepest": Variable("", _deepest, "stage_mm"),
-        "T": Variable("K", lambda flow, _, __: flow.warmed_K, "temperature_C"),
-        **{f"memory(load, {tau_s:g} s)": Variable("", _remembered(tau_s)) for tau_s in MEMORY_s},
-    }
-    loaded = {f"load·{name}": Variable(v.unit, _product(_load, v.column), v.needs) for name, v in plain.items()}
-    others = {
+_PLAIN = {
+    "t": Variable("s", lambda flow, _, __: flow.t_s),
+    "direction": Variable("", _direction(SHARP)),
+    "blunt direction": Variable("", _direction(BLUNT)),
+    "rate": Variable("1/s", _rate),
+    "deepest": Variable("", _deepest, "stage_mm"),
+    "T": Variable("K", lambda flow, _, __: flow.warmed_K, "temperature_C"),
+    **{f"memory(load, {tau_s:g} s)": Variable("", _memory(tau_s)) for tau_s in MEMORY_s},
+}
+
+VARIABLES: Mapping[str, Variable] = MappingProxyType(
+    _PLAIN
+    | {f"load·{name}": Variable(v.unit, _product(_load, v.column), v.needs) for name, v in _PLAIN.items()}
+    | {
         "load": Variable("", _load),
         "load²": Variable("", lambda flow, state, term: _load(flow, state, term) ** 2),
         "load³": Variable("", lambda flow, state, term: _load(flow, state, term) ** 3),
@@ -135,10 +135,7 @@ def _variables() -> Mapping[str, Variable]:
         "acceleration": Variable("1/s²", _acceleration, "stage_mm"),
         "position": Variable("", _position, "stage_mm"),
     }
-    return MappingProxyType(plain | loaded | others)
-
-
-VARIABLES: Mapping[str, Variable] = _variables()
+)
 """What a term may follow, by name. A load and a depth of 1 are the largest recorded."""
 
 _INVERSE = {"": "", "s": "/s", "K": "/K", "1/s": "·s", "1/s²": "·s²"}
@@ -149,11 +146,10 @@ class EmpiricalTerm:
     """place += coefficient · variable.
 
     Args:
-        variable: a name of `VARIABLES`.
         load_N, depth_mm: what a load of 1 and a depth of 1 stand for.
 
     Raises:
-        InputError: an unknown place or variable, a coefficient that is not finite, or a span that is not above 0.
+        InputError: unknown place or variable, a coefficient not finite, or a span not above 0.
     """
 
     place: Place
@@ -178,7 +174,6 @@ class EmpiricalTerm:
 
     @property
     def formula(self) -> str:
-        """The term in one line, as a report shows it."""
         return f"{self.place} += {self.coefficient:.3g} {self.unit} · {self.variable}"
 
     @cached_property

@@ -1,18 +1,19 @@
-"""How other realisations of a cause are built: what a rig may show instead of the catalogue's own equation.
+"""Other realisations of a cause: what a rig may show instead of the catalogue's equation.
 
-A cause is named by its place and character, not by its formula: several relaxation times instead of one, stop
-operators instead of a Duhem loop, a power law instead of a logarithm. Each form carries the identifier of its cause,
-so that a diagnosis can name the cause and describe what the catalogue's equation leaves.
+A cause is named by its place and character, not by its formula: several relaxation times instead of
+one, stop operators instead of a Duhem loop, a power law instead of a logarithm. Each form carries
+the identifier of its cause, so that a diagnosis can name the cause and describe what the
+catalogue's equation leaves.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect, Form, Memory, Parameter, Step, memory
+from softcal.core.twin.effects import Effect, Form, Memory, Parameter, Quantity, Step, memory
 from softcal.core.twin.signals import direction_state, low_pass, play
 
 STOPS = (0.03, 0.1, 0.25, 0.6)
@@ -50,15 +51,15 @@ def in_form(
     return make
 
 
-def two(step: Step, what: str) -> Maker:
+def two(what: str) -> Maker:
     """Return a maker of a form that is the effect twice, with two sizes and two shapes."""
 
     def make(effect: Effect) -> Form:
         size, shape = effect.parameters
         second = (replace(size, name=f"{size.name}2"), replace(shape, name=f"{shape.name}2"))
-        # Half the size each, one faster and one slower: both alike would be a saddle that descent never leaves.
+        # One faster and one slower: both alike would be a saddle that descent never leaves.
         carry = ((0, 0.5), (1, 1 / SPLIT), (0, 0.5), (1, SPLIT))
-        return in_form(step, what, (size, shape, *second), carry)(effect)
+        return in_form(effect.step, what, (size, shape, *second), carry)(effect)
 
     return make
 
@@ -78,14 +79,14 @@ def stop_form(step: Step, what: str, *constants: str) -> Maker:
     """Return a maker of a form of stop operators, one weight for each of `STOPS`.
 
     Args:
-        constants: the largest value of their input, of which the strokes are shares, and what else the step reads off.
+        constants: the largest value of their input, and what else the step reads off.
     """
     weights = [Parameter(f"w{k}", "", -0.5, 1.0, 0.05, neutral=0.0) for k in range(len(STOPS))]
     return in_form(step, what, weights, [(0, 0.5)] * len(STOPS), constants)
 
 
 def constant(values: Sequence[float], state: Memory, at: int, name: str, read: Callable[[], float]) -> float:
-    """Return the constant behind the parameters of a form, or read it off the recording and leave it in the memory.
+    """Return the constant behind the parameters of a form, or read it off the recording once.
 
     Args:
         at: its place among the values; a fit gives none.
@@ -95,25 +96,36 @@ def constant(values: Sequence[float], state: Memory, at: int, name: str, read: C
     return float(memory(state, name, read())[0])
 
 
-def two_low_passes(signal: Array, step_s: Array, values: Sequence[float], state: Memory) -> Array:
-    """Return w₁·LP_τ₁[x] + w₂·LP_τ₂[x], both from rest at 0; values are (w₁, τ₁, w₂, τ₂)."""
-    slow = values[0] * low_pass(signal, step_s, values[1], memory(state, "first", 0.0, 0.0))
-    return np.asarray(slow + values[2] * low_pass(signal, step_s, values[3], memory(state, "second", 0.0, 0.0)))
+def pairs(values: Sequence[float]) -> Iterator[tuple[float, float]]:
+    """Return size and shape of each part of an effect, or of a form that is it twice."""
+    return zip(values[::2], values[1::2], strict=True)
+
+
+def low_passes(signal: Array, step_s: Array, values: Sequence[float], state: Memory) -> Array:
+    """Return Σ wᵢ·LP_τᵢ[x], all from rest at 0; values are (w₁, τ₁, ...)."""
+    return np.asarray(
+        sum(
+            size * low_pass(signal, step_s, tau_s, memory(state, f"low_pass{k}", 0.0, 0.0))
+            for k, (size, tau_s) in enumerate(pairs(values))
+        )
+    )
 
 
 def loops(signal: Array, values: Sequence[float], state: Memory) -> Array:
-    """Return 1 + a₁·z₁ + a₂·z₂ of two loops; values are (a₁, width₁, a₂, width₂)."""
-    one = direction_state(signal, values[1], memory(state, "first", 0.0, signal[0]))
-    other = direction_state(signal, values[3], memory(state, "second", 0.0, signal[0]))
-    return 1.0 + values[0] * one + values[2] * other
+    """Return 1 + Σ aᵢ·zᵢ of loops of rate-independent hysteresis; values are (a₁, width₁, ...)."""
+    parts = (
+        size * direction_state(signal, width, memory(state, f"loop{k}", 0.0, signal[0]))
+        for k, (size, width) in enumerate(pairs(values))
+    )
+    return np.asarray(sum(parts, 1.0))
 
 
 def stops(signal: Array, values: Sequence[float], state: Memory, name: str) -> Array:
-    """Return Σ wᵢ·(x − play_rᵢ(x)): stop operators, each saturating after its own stroke (Brokate, Sprekels 1996).
+    """Return Σ wᵢ·(x − play_rᵢ(x)): stop operators of several strokes (Brokate, Sprekels 1996).
 
     Args:
-        values: a weight for each of `STOPS`, then the largest value of x, of which the strokes are shares; that of this
-            run where it is not given.
+        values: a weight for each of `STOPS`, then the largest value of x, of which the strokes are
+            shares; that of this run where it is not given.
     """
     out = np.zeros_like(signal)
     largest = constant(values, state, len(STOPS), name, lambda: float(np.max(np.abs(signal))) or 1.0)
@@ -123,11 +135,13 @@ def stops(signal: Array, values: Sequence[float], state: Memory, name: str) -> A
     return out
 
 
-def bent_time(t_s: Array, power: float) -> Array:
-    """Return a time that runs straight for power 1, ever slower below; equal to t after 30 s."""
-    return np.asarray(30.0 * (t_s / 30.0) ** power)
+def drifts(step: Callable[[Quantity], Step]) -> tuple[Maker, Maker]:
+    """Return the forms of a drift that slows down: a power of time, or to a stand after a few τ.
 
-
-def settling_time(t_s: Array, tau_s: float) -> Array:
-    """Return a time that runs like t at first and stands still after a few τ."""
-    return np.asarray(-tau_s * np.expm1(-t_s / tau_s))
+    Args:
+        step: makes a step from a time that is equal to t after 30 s, or runs like t at first.
+    """
+    return (
+        plus(step(lambda flow, v, state: 30.0 * (flow.t_s / 30.0) ** v[1]), "power of time", (POWER, 0.8)),
+        plus(step(lambda flow, v, state: -v[1] * np.expm1(-flow.t_s / v[1])), "settling", (SETTLING, 40.0)),
+    )

@@ -1,58 +1,33 @@
 """Load cell: the force becomes the force reading, F_meas = F + Gaussian noise."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
-from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs, memory
-from softcal.core.twin.forms import POWER, SETTLING, bent_time, plus, settling_time, two, two_low_passes
+from softcal.core.recording import Array
+from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs, adds, grows, sets
+from softcal.core.twin.forms import drifts, low_passes, plus, two
 from softcal.core.twin.probes import Shapes, Sizes, Times
-from softcal.core.twin.signals import low_pass
 
 SPAN = Parameter("F_max", "N", 10.0, 10.0, 10.0, weight=0.0, is_fixed=True)
-"""Capacity of the cell of the common rig; it grows with the rig and is not fitted: another one is a change of λ and of
-the gain."""
+"""Capacity of the cell of the common rig; it grows with the rig and is not fitted: another one is a
+change of λ and of the gain."""
 
 
-def _saturation(flow: Flow, values: Sequence[float], _: Memory) -> None:
-    if np.isfinite(values[0]):
-        flow.reading_N = values[0] * np.tanh(flow.reading_N / values[0])
+def _tanh(flow: Flow, v: Sequence[float], _: Memory) -> Array:
+    return v[0] * np.tanh(flow.reading_N / v[0]) if np.isfinite(v[0]) else flow.reading_N
 
 
-def _nonlinearity(flow: Flow, values: Sequence[float], _: Memory) -> None:
-    flow.reading_N = flow.reading_N * (1.0 + values[0] * (1.0 - flow.reading_N / values[1]))
+def _knee(flow: Flow, v: Sequence[float], _: Memory) -> Array:
+    if not np.isfinite(v[0]):
+        return flow.reading_N
+    return np.asarray(flow.reading_N / (1.0 + np.abs(flow.reading_N / v[0]) ** v[1]) ** (1.0 / v[1]))
 
 
-def _creep(flow: Flow, values: Sequence[float], state: Memory) -> None:
-    slow = low_pass(flow.reading_N, flow.step_s, values[1], memory(state, "low_pass_N", 0.0, 0.0))
-    flow.reading_N = flow.reading_N + values[0] * slow
-
-
-def _drift(flow: Flow, values: Sequence[float], _: Memory) -> None:
-    flow.reading_N = flow.reading_N + values[0] * flow.t_s
-
-
-def _cell_knee(flow: Flow, v: Sequence[float], _: Memory) -> None:
-    if np.isfinite(v[0]):
-        bent = (1.0 + np.abs(flow.reading_N / v[0]) ** v[1]) ** (1.0 / v[1])
-        flow.reading_N = flow.reading_N / bent
-
-
-def _cell_curve(flow: Flow, v: Sequence[float], _: Memory) -> None:
+def _curve(flow: Flow, v: Sequence[float], _: Memory) -> Array:
     part = flow.reading_N / v[1]
-    flow.reading_N = flow.reading_N * (1.0 + v[0] * (1.0 - part) + v[2] * (1.0 - part**2) + v[3] * (1.0 - part**3))
-
-
-def _cell_creep_2(flow: Flow, v: Sequence[float], state: Memory) -> None:
-    flow.reading_N = flow.reading_N + two_low_passes(flow.reading_N, flow.step_s, v, state)
-
-
-def _cell_drift_power(flow: Flow, v: Sequence[float], _: Memory) -> None:
-    flow.reading_N = flow.reading_N + v[0] * bent_time(flow.t_s, v[1])
-
-
-def _cell_drift_settling(flow: Flow, v: Sequence[float], _: Memory) -> None:
-    flow.reading_N = flow.reading_N + v[0] * settling_time(flow.t_s, v[1])
+    return flow.reading_N * (1.0 + v[0] * (1.0 - part) + v[2] * (1.0 - part**2) + v[3] * (1.0 - part**3))
 
 
 EFFECTS = (
@@ -63,13 +38,13 @@ EFFECTS = (
         equation="F_meas = F_sat·tanh(F/F_sat)",
         source="cell or amplifier near its capacity",
         parameters=(Parameter("F_sat", "N", 0.5, 1000.0, 15.0, neutral=np.inf, scale="inverse_square"),),
-        step=_saturation,
+        step=sets("reading_N", _tanh),
         signs=Signs(
             probes=Sizes((4.0,), "force_N"),
             hides_behind=("loadcell_nonlinearity", "channel_collapse", "frame_compliance"),
             shown_by=("dead_weights",),
         ),
-    ).with_forms(plus(_cell_knee, "knee", (Parameter("sharpness", "", 0.8, 30.0, 1.0), 2.0))),
+    ).with_forms(plus(sets("reading_N", _knee), "knee", (Parameter("sharpness", "", 0.8, 30.0, 1.0), 2.0))),
     Effect(
         id="loadcell_nonlinearity",
         stage="load_cell",
@@ -77,7 +52,7 @@ EFFECTS = (
         equation="F_meas = F + λ·F·(1 − F/F_max)",
         source="terminal-line nonlinearity of a strain-gauge cell; 0.02–3 % of full scale",
         parameters=(Parameter("lambda", "", -0.25, 0.25, 0.03, neutral=0.0), SPAN),
-        step=_nonlinearity,
+        step=grows("reading_N", lambda flow, v, state: 1.0 - flow.reading_N / v[1]),
         signs=Signs(
             # The span has one value on a rig, whatever is tried.
             probes=Shapes(0.01, (1.0,), "force_N"),
@@ -86,7 +61,7 @@ EFFECTS = (
         ),
     ).with_forms(
         plus(
-            _cell_curve,
+            sets("reading_N", _curve),
             "cubic and quartic term",
             (Parameter("quadratic", "", -0.5, 0.5, 0.01), 0.0),
             (Parameter("cubic", "", -0.5, 0.5, 0.01), 0.0),
@@ -102,13 +77,15 @@ EFFECTS = (
             Parameter("k", "", 0.0, 0.2, 0.02, neutral=0.0),
             Parameter("tau", "s", 0.3, 1000.0, 20.0, scale="log"),
         ),
-        step=_creep,
+        step=sets(
+            "reading_N", lambda flow, v, state: flow.reading_N + low_passes(flow.reading_N, flow.step_s, v, state)
+        ),
         signs=Signs(
             probes=Times(0.01, without=2),
             hides_behind=("loadcell_drift", "stress_relaxation"),
             shown_by=("dead_weights", "long_hold"),
         ),
-    ).with_forms(two(_cell_creep_2, "two creep times")),
+    ).with_forms(two("two creep times")),
     Effect(
         id="loadcell_drift",
         stage="load_cell",
@@ -116,9 +93,7 @@ EFFECTS = (
         equation="F_meas = F + r·t",
         source="zero drift of the amplifier; 0.01–0.1 % of full scale per K",
         parameters=(Parameter("r", "N/s", -0.1, 0.1, 0.001, neutral=0.0),),
-        step=_drift,
+        step=adds("reading_N", lambda flow, v, state: flow.t_s),
         signs=Signs(probes=Sizes((0.0125,), "force_rate_N_s"), hides_behind=("loadcell_creep",), shown_by=("rest",)),
-    ).with_forms(
-        plus(_cell_drift_power, "power of time", (POWER, 0.8)), plus(_cell_drift_settling, "settling", (SETTLING, 40.0))
-    ),
+    ).with_forms(*drifts(partial(adds, "reading_N"))),
 )

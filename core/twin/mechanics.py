@@ -1,16 +1,34 @@
-"""Mechanics: the pad's position becomes a force, F = k1·δ + k3·δ³ with δ = max(0, u − u0)."""
+"""Motion and mechanics: the stage carries the pad, whose position becomes a force.
+
+F = k1·δ + k3·δ³ with δ = max(0, u − u0).
+"""
 
 from collections.abc import Sequence
 
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs, memory
-from softcal.core.twin.forms import POWER, STOPS, constant, in_form, loops, plus, stop_form, stops, two, two_low_passes
-from softcal.core.twin.motion import PLATEN
+from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs, grows, hands_on, memory, sets
+from softcal.core.twin.forms import (
+    POWER,
+    STOPS,
+    constant,
+    in_form,
+    loops,
+    low_passes,
+    pairs,
+    plus,
+    stop_form,
+    stops,
+    two,
+)
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.probes import Shapes, Sizes, Times
-from softcal.core.twin.signals import compiled, completed_presses, direction_state, low_pass
+from softcal.core.twin.signals import compiled, completed_presses, largest_so_far, play
+from softcal.core.words.reason import Reason
+
+PLATEN = Reason("gap.remedy.platen")
+"""What tells effects of motion and mechanics apart where no run does."""
 
 
 def press(flow: Flow, base: BaseParameters) -> None:
@@ -36,19 +54,20 @@ def elastic_force_at(stage_mm: Array, base: BaseParameters) -> Array:
 
 @compiled
 def soft_contact(travel: Array, softness: tuple[float, float, float], k1: float, k3: float) -> Array:
-    """Solve δ = toe(max(0, travel − c_f·F(δ))) for δ by Newton from the sample before; monotone, so one root.
+    """Solve δ = toe(max(0, travel − c_f·F(δ))), monotone, by Newton from the sample before.
 
     Args:
         travel: (n,) u − u0 where positive, else 0, mm.
-        softness: length ℓ and tail s of the toe, compliance c_f of the frame. The toe is x − ℓ·(1 − rest(x)) with
-            rest(x) = exp(−x/ℓ), or (1 + s·x/ℓ)^(−1/s) with a tail; ℓ = 0 mm for none. c_f in mm/N, 0 for a rigid frame.
+        softness: length ℓ and tail s of the toe, compliance c_f of the frame. The toe is x − ℓ·(1 −
+            rest(x)) with rest(x) = exp(−x/ℓ), or (1 + s·x/ℓ)^(−1/s) with a tail; ℓ = 0 mm for none.
+            c_f in mm/N, 0 for a rigid frame.
     """
     toe, tail, compliance = softness
     out = np.empty_like(travel)
     x = 0.0
     for k in range(len(travel)):
         target = travel[k]
-        # The root moves little from sample to sample; the target itself is the root of a rigid frame.
+        # The root moves little from sample to sample; a rigid frame has it at the target.
         x = min(x, target) if x > 0.0 else target
         deformation = 0.0
         for _ in range(30):
@@ -56,7 +75,7 @@ def soft_contact(travel: Array, softness: tuple[float, float, float], k1: float,
             deformation = x - toe * (1.0 - rest)
             error = x + compliance * deformation * (k1 + k3 * deformation * deformation) - target
             slope = 1.0 + compliance * (k1 + 3.0 * k3 * deformation * deformation) * (1.0 - bend)
-            # The root lies between no compression and the whole travel: a step beyond either would only come back.
+            # The root lies between 0 and the whole travel: a step beyond would only come back.
             x = min(max(x - error / slope, 0.0), target)
             if abs(error) <= 1e-11 * target:
                 break
@@ -77,90 +96,47 @@ def _toe_rest(x: float, toe: float, tail: float) -> tuple[float, float]:
     return rest, rest / reach
 
 
-def _contact_shift(flow: Flow, values: Sequence[float], _: Memory) -> None:
-    flow.contact_mm = flow.contact_mm + values[0] * -np.expm1(-flow.t_s / values[1])
-
-
-def _frame_compliance(flow: Flow, values: Sequence[float], _: Memory) -> None:
-    flow.compliance_mm_N = values[0]
-
-
-def _misaligned_contact(flow: Flow, values: Sequence[float], _: Memory) -> None:
-    flow.toe_mm = values[0]
-
-
-def _toe_with_tail(flow: Flow, v: Sequence[float], _: Memory) -> None:
-    flow.toe_mm = v[0]
-    flow.toe_tail = v[1]
-
-
-def _stress_relaxation(flow: Flow, values: Sequence[float], state: Memory) -> None:
-    relaxed = low_pass(flow.force_N, flow.step_s, values[1], memory(state, "low_pass_N", 0.0, 0.0))
-    flow.force_N = np.maximum(0.0, flow.force_N - values[0] * relaxed)
-
-
-def _mechanical_hysteresis(flow: Flow, values: Sequence[float], state: Memory) -> None:
-    start = memory(state, "z", 0.0, flow.deformation_mm[0])
-    flow.force_N = flow.force_N * (1.0 + values[0] * direction_state(flow.deformation_mm, values[1], start))
-
-
-def _mullins_softening(flow: Flow, values: Sequence[float], state: Memory) -> None:
-    presses = completed_presses(flow.deformation_mm, memory(state, "presses", 0.0, 0.0))
-    flow.force_N = flow.force_N * (1.0 + values[0] * np.expm1(-presses / values[1]))
-
-
-def _shift_2(flow: Flow, v: Sequence[float], _: Memory) -> None:
+def _settled(flow: Flow, v: Sequence[float], _: Memory) -> Array:
     # expm1, since 1 - exp(-x) loses its digits where x is small.
-    settled = v[0] * -np.expm1(-flow.t_s / v[1]) + v[2] * -np.expm1(-flow.t_s / v[3])
-    flow.contact_mm = flow.contact_mm + settled
+    return np.asarray(flow.contact_mm + sum(s * -np.expm1(-flow.t_s / tau_s) for s, tau_s in pairs(v)))
 
 
-def _frame_joint(flow: Flow, v: Sequence[float], _: Memory) -> None:
-    flow.compliance_mm_N = v[0]
-    flow.toe_mm = v[1]
+def _force_stops(flow: Flow, v: Sequence[float], state: Memory) -> Array:
+    return np.maximum(0.0, flow.force_N + (flow.deformation_mm > 0) * stops(flow.force_N, v, state, "reach_N"))
 
 
-def _relaxation_2(flow: Flow, v: Sequence[float], state: Memory) -> None:
-    flow.force_N = np.maximum(0.0, flow.force_N - two_low_passes(flow.force_N, flow.step_s, v, state))
-
-
-def _mechanical_2(flow: Flow, v: Sequence[float], state: Memory) -> None:
-    flow.force_N = flow.force_N * loops(flow.deformation_mm, v, state)
-
-
-def _force_stops(flow: Flow, v: Sequence[float], state: Memory) -> None:
-    flow.force_N = np.maximum(0.0, flow.force_N + _touching(flow) * stops(flow.force_N, v, state, "reach_N"))
-
-
-def _stroke_stops(flow: Flow, v: Sequence[float], state: Memory) -> None:
+def _stroke_stops(flow: Flow, v: Sequence[float], state: Memory) -> Array:
     # Stops act on lengths here; the mean stiffness of the run carries them to newtons.
     def read() -> float:
         return float(np.max(flow.force_N)) / (float(np.max(flow.deformation_mm)) or 1.0)
 
     stiffness = constant(v, state, len(STOPS) + 1, "stiffness_N_mm", read)
     bent_mm = stops(flow.deformation_mm, v, state, "reach_mm")
-    flow.force_N = np.maximum(0.0, flow.force_N + _touching(flow) * stiffness * bent_mm)
+    return np.maximum(0.0, flow.force_N + (flow.deformation_mm > 0) * stiffness * bent_mm)
 
 
-def _touching(flow: Flow) -> Array:
-    return (flow.deformation_mm > 0).astype(np.float64)
-
-
-def _mullins_power(flow: Flow, v: Sequence[float], state: Memory) -> None:
-    done = completed_presses(flow.deformation_mm, memory(state, "presses", 0.0, 0.0))
-    flow.force_N = flow.force_N * (1.0 + v[0] * ((1.0 + done / v[1]) ** -v[2] - 1.0))
-
-
-def _mullins_deepest(flow: Flow, v: Sequence[float], state: Memory) -> None:
-    last = memory(state, "deepest_mm", 0.0)
-    deepest = np.maximum(np.maximum.accumulate(flow.deformation_mm), last[0])
-    last[0] = deepest[-1]
-    flow.force_N = flow.force_N * (1.0 + v[0] * np.expm1(-deepest / v[1]))
+def _presses(flow: Flow, state: Memory) -> Array:
+    return completed_presses(flow.deformation_mm, memory(state, "presses", 0.0, 0.0))
 
 
 SOFTENING = Parameter("m", "", 0.0, 0.8, 0.1, neutral=0.0)
 
 EFFECTS = (
+    Effect(
+        id="backlash",
+        stage="motion",
+        hook=Hook.MOTION,
+        equation="the pad follows u through a play operator of width b",
+        source="play operator, Brokate and Sprekels 1996; 5–20 µm for ball screws, 20–150 µm for lead screws",
+        parameters=(Parameter("b", "mm", 0.0, 1.0, 0.05, neutral=0.0),),
+        step=sets("pad_mm", lambda flow, v, state: play(flow.pad_mm, v[0], memory(state, "y", flow.pad_mm[0] - v[0]))),
+        signs=Signs(
+            probes=Sizes((0.007, 0.035), "depth_mm"),
+            hides_behind=("loadcell_creep", "mechanical_hysteresis"),
+            shown_by=("small_reversals", "rigid_block"),
+            remedy=PLATEN,
+        ),
+    ),
     Effect(
         id="contact_shift",
         stage="mechanics",
@@ -171,14 +147,14 @@ EFFECTS = (
             Parameter("s", "mm", -0.5, 0.5, 0.08, neutral=0.0),
             Parameter("tau", "s", 2.0, 1000.0, 40.0, scale="log"),
         ),
-        step=_contact_shift,
+        step=sets("contact_mm", _settled),
         signs=Signs(
             probes=Shapes(0.007, (0.05, 0.15, 0.5, 1.5), "duration_s", "depth_mm"),
             hides_behind=("mullins_softening", "stress_relaxation"),
             shown_by=("slow_touch_down",),
             remedy=PLATEN,
         ),
-    ).with_forms(two(_shift_2, "two settling times")),
+    ).with_forms(two("two settling times")),
     Effect(
         id="frame_compliance",
         stage="mechanics",
@@ -186,14 +162,16 @@ EFFECTS = (
         equation="δ = max(0, u − u0 − c_f·F), solved for F",
         source="spring in series, Hooke; 1–50 µm/N for bench stands",
         parameters=(Parameter("c_f", "mm/N", 0.0, 0.2, 0.03, neutral=0.0),),
-        step=_frame_compliance,
+        step=hands_on("compliance_mm_N"),
         signs=Signs(
             probes=Sizes((0.02, 0.06), "softness_mm_N"),
             hides_behind=("loadcell_saturation", "misaligned_contact", "loadcell_nonlinearity"),
             shown_by=("rigid_block",),
             remedy=PLATEN,
         ),
-    ).with_forms(plus(_frame_joint, "joint that closes", (Parameter("l", "mm", 0.0, 0.5, 0.05), 0.01))),
+    ).with_forms(
+        plus(hands_on("compliance_mm_N", "toe_mm"), "joint that closes", (Parameter("l", "mm", 0.0, 0.5, 0.05), 0.01))
+    ),
     Effect(
         id="misaligned_contact",
         stage="mechanics",
@@ -201,7 +179,7 @@ EFFECTS = (
         equation="δ → δ − ℓ·(1 − exp(−δ/ℓ))",
         source="toe region of a compression curve, ASTM D695 annex on toe compensation",
         parameters=(Parameter("l", "mm", 0.0, 0.8, 0.2, neutral=0.0),),
-        step=_misaligned_contact,
+        step=hands_on("toe_mm"),
         signs=Signs(
             probes=Sizes((0.03, 0.15), "depth_mm"),
             hides_behind=("frame_compliance",),
@@ -210,7 +188,7 @@ EFFECTS = (
         ),
     ).with_forms(
         # An edge that is rounded or not straight goes on closing long after the pad is touched.
-        plus(_toe_with_tail, "toe that fades by a power", (Parameter("tail", "", 0.0, 3.0, 0.5), 0.3))
+        plus(hands_on("toe_mm", "toe_tail"), "toe that fades by a power", (Parameter("tail", "", 0.0, 3.0, 0.5), 0.3))
     ),
     Effect(
         id="stress_relaxation",
@@ -222,13 +200,16 @@ EFFECTS = (
             Parameter("g", "", 0.0, 0.8, 0.1, neutral=0.0),
             Parameter("tau", "s", 0.03, 300.0, 5.0, scale="log"),
         ),
-        step=_stress_relaxation,
+        step=sets(
+            "force_N",
+            lambda flow, v, state: np.maximum(0.0, flow.force_N - low_passes(flow.force_N, flow.step_s, v, state)),
+        ),
         signs=Signs(
             probes=Times(0.02),
             hides_behind=("mechanical_hysteresis", "loadcell_creep"),
             shown_by=("steps_with_holds", "rate_sweep", "long_hold"),
         ),
-    ).with_forms(two(_relaxation_2, "two relaxation times")),
+    ).with_forms(two("two relaxation times")),
     Effect(
         id="mechanical_hysteresis",
         stage="mechanics",
@@ -239,16 +220,16 @@ EFFECTS = (
             Parameter("a", "", 0.0, 0.5, 0.05, neutral=0.0),
             Parameter("d0", "mm", 0.02, 5.0, 0.3, scale="log"),
         ),
-        step=_mechanical_hysteresis,
+        step=sets("force_N", lambda flow, v, state: flow.force_N * loops(flow.deformation_mm, v, state)),
         signs=Signs(
             probes=Shapes(0.01, (0.02, 0.06, 0.2, 0.6), "depth_mm"),
             hides_behind=("stress_relaxation", "backlash"),
             shown_by=("rate_sweep", "small_reversals"),
         ),
     ).with_forms(
-        two(_mechanical_2, "two loops"),
-        stop_form(_force_stops, "stop operators on the force", "reach_N"),
-        stop_form(_stroke_stops, "stop operators on the compression", "reach_mm", "stiffness_N_mm"),
+        two("two loops"),
+        stop_form(sets("force_N", _force_stops), "stop operators on the force", "reach_N"),
+        stop_form(sets("force_N", _stroke_stops), "stop operators on the compression", "reach_mm", "stiffness_N_mm"),
     ),
     Effect(
         id="mullins_softening",
@@ -257,14 +238,23 @@ EFFECTS = (
         equation="F = Fe·(1 − m·(1 − exp(−N/N0))), N = completed compressions",
         source="Mullins 1969; 5–30 % in virgin silicone",
         parameters=(SOFTENING, Parameter("N0", "", 0.2, 50.0, 3.0, scale="log")),
-        step=_mullins_softening,
+        step=grows("force_N", lambda flow, v, state: np.expm1(-_presses(flow, state) / v[1])),
         signs=Signs(
             probes=Shapes(0.02, (0.5, 2.0, 8.0)), hides_behind=("contact_shift",), shown_by=("amplitude_ladder", "rest")
         ),
     ).with_forms(
-        plus(_mullins_power, "power of the presses", (POWER, 0.5)),
+        plus(
+            grows("force_N", lambda flow, v, state: (1.0 + _presses(flow, state) / v[1]) ** -v[2] - 1.0),
+            "power of the presses",
+            (POWER, 0.5),
+        ),
         in_form(
-            _mullins_deepest,
+            grows(
+                "force_N",
+                lambda flow, v, state: np.expm1(
+                    -largest_so_far(flow.deformation_mm, memory(state, "deepest_mm", 0.0)) / v[1]
+                ),
+            ),
             "softening with the deepest press so far",
             (SOFTENING, Parameter("depth", "mm", 0.1, 20.0, 2.0, scale="log")),
             ((0, 1.0), (None, 2.0)),

@@ -11,14 +11,14 @@ SensorType = Literal["pressure", "strain"]
 
 @dataclass(frozen=True)
 class BaseParameters:
-    """The unknowns of the base twin; the defaults are an eGaIn channel in Ecoflex that reaches about 7 N at 3.5 mm.
+    """The unknowns of the base twin; by default eGaIn in Ecoflex, about 7 N at 3.5 mm.
 
     Args:
         u0_mm: stage position of first contact.
         k1_N_mm, k3_N_mm3: stiffness, F = k1·δ + k3·δ³, both >= 0.
         r0_ohm: resistance of the unloaded channel.
         kappa_per_N: pressure sensitivity, R = R0/(1 − κ·F), >= 0; per mm for a strain sensor.
-        sigma_output_V, sigma_force_N: standard deviation of the Gaussian noise before the ADC and of the load cell.
+        sigma_output_V, sigma_force_N: standard deviation of the noise before ADC and of the cell.
 
     Raises:
         InputError: a value is not finite or outside its physical range.
@@ -43,7 +43,6 @@ class BaseParameters:
             raise InputError("r0_ohm is 0; a resistance above 0 Ω was expected")
 
     def with_values(self, **values: float) -> "BaseParameters":
-        """Return the same unit with some parameters changed."""
         return replace(self, **values)
 
 
@@ -54,8 +53,6 @@ class ReadoutMetadata:
     Args:
         vref_V: supply of the divider and full scale of the ADC.
         adc_bits: resolution; one step is vref_V/(2**adc_bits − 1).
-        r_series_ohm: series resistor of the divider.
-        sample_rate_Hz: nominal rate of all channels.
         sensor_type: `pressure` (κ acts on the force) or `strain` (κ acts on the deformation).
 
     Raises:
@@ -80,5 +77,4 @@ class ReadoutMetadata:
 
     @property
     def step_V(self) -> float:
-        """One step of the ideal ADC, q = Vref/(2ⁿ − 1), in V."""
         return float(self.vref_V / (2**self.adc_bits - 1))

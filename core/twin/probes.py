@@ -35,7 +35,6 @@ class Extent:
     series_ohm: float = 10.0
 
     def measure(self, name: Measure) -> float:
-        """Return one of the natural units of this case."""
         derived = {
             "one": 1.0,
             "softness_mm_N": self.depth_mm / self.force_N,

@@ -1,6 +1,6 @@
-"""The recursions of the twin, compiled with numba: low-pass, play operator, rate-independent state, time shift.
+"""The recursions of the twin: low-pass, play operator, rate-independent state, time shift.
 
-Every recursion carries its state in a small array from chunk to chunk, so a stream and a batch give the same numbers.
+Each carries its state in a small array, so a stream and a batch give the same numbers.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ def compiled(function: Function) -> Function:
 
 @compiled
 def low_pass(signal: Array, step_s: Array, tau_s: float, state: Array) -> Array:
-    """Return the first-order low-pass τ·dy/dt = x − y, exact for an input that is straight between samples.
+    """Return the low-pass τ·dy/dt = x − y, exact for an input that is straight between samples.
 
     Args:
         signal: (n,) input x.
@@ -50,7 +50,7 @@ def low_pass(signal: Array, step_s: Array, tau_s: float, state: Array) -> Array:
 
 @compiled
 def play(signal: Array, width: float, state: Array) -> Array:
-    """Return the play operator of width b: y stays until x leaves [y, y + b] and is then pushed along.
+    """Return the play operator of width b: y stays until x leaves [y, y + b] and pushes it.
 
     Args:
         state: (1,) y at the sample before; 0 at the start of a run, which begins retracted.
@@ -67,7 +67,7 @@ def play(signal: Array, width: float, state: Array) -> Array:
 
 @compiled
 def direction_state(signal: Array, scale: float, state: Array) -> Array:
-    """Return z of dz/dx = (1 − z·sign(dx))/scale: rate-independent, +1 after long loading, −1 after long unloading.
+    """Return z of dz/dx = (1 − z·sign(dx))/scale: +1 after long loading, −1 after unloading.
 
     The step between two samples is solved exactly: z goes to ±1 by exp(−|Δx|/scale).
 
@@ -90,7 +90,7 @@ def direction_state(signal: Array, scale: float, state: Array) -> Array:
 
 @compiled
 def completed_presses(deformation: Array, state: Array) -> Array:
-    """Return how many compressions are completed at each sample; one is complete when contact is lost again.
+    """Return how many compressions are completed at each sample: contact made and lost again.
 
     Args:
         deformation: (n,) δ in mm, 0 without contact.
@@ -108,8 +108,15 @@ def completed_presses(deformation: Array, state: Array) -> Array:
     return out
 
 
+def largest_so_far(signal: Array, state: Array) -> Array:
+    """Return the largest value up to each sample; state: (1,) the one before, updated."""
+    largest = np.maximum(np.maximum.accumulate(signal), state[0])
+    state[0] = largest[-1]
+    return np.asarray(largest)
+
+
 def known_so_far(t_s: Array, values: Array, wanted_s: Array, state: dict[str, Array]) -> tuple[Array, Array]:
-    """Return the instants and values known up to the end of this chunk, and keep what the next one may ask for.
+    """Return instants and values known at the end of this chunk; keep what the next may ask for.
 
     Args:
         t_s: (n,) instants of this chunk.
@@ -118,7 +125,7 @@ def known_so_far(t_s: Array, values: Array, wanted_s: Array, state: dict[str, Ar
     """
     known_s = np.concatenate([state.get("t_s", np.empty(0)), t_s])
     known = np.concatenate([state.get("output_V", np.empty(0)), values])
-    # The oldest instant the next chunk can ask for moves with the clock; one sample more is kept to interpolate.
+    # The oldest instant of the next chunk moves with the clock; one sample more interpolates.
     keep = max(0, int(np.searchsorted(known_s, min(wanted_s[-1], known_s[-1]))) - 2)
     state["t_s"], state["output_V"] = known_s[keep:], known[keep:]
     return known_s, known

@@ -1,8 +1,8 @@
-"""The chain from stage position to recording: in one call, or as a stream with a state."""
+"""A twin: its chain from stage position to recording, at once or as a stream, and its record."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -27,11 +27,11 @@ class EffectSetting:
     """One effect switched on.
 
     Args:
-        values: parameter values by name; a parameter left out stands at its usual value. Constants of a form must stand
-            here too.
-        episodes: rows of an episodic effect, in s since the start of the run: (start, stop) of each bad contact,
-            or (instant, count) of each loss of samples.
-        form: by which of its other equations it acts, as `Form` names it; by the catalogue's where empty.
+        values: parameter values by name; a parameter left out stands at its usual value. Constants
+            of a form must stand here too.
+        episodes: rows of an episodic effect, in s since the start of the run: (start, stop) of each
+            bad contact, or (instant, count) of each loss of samples.
+        form: its other equation that acts, as `Form` names it; the catalogue's where empty.
 
     Raises:
         InputError: unknown effect, form or parameter, or a value that is missing or not finite.
@@ -67,17 +67,16 @@ class EffectSetting:
 
     @property
     def ordered_values(self) -> tuple[float, ...]:
-        """Values in the order of the effect's equation."""
         usual = {p.name: p.usual for p in self.effect.parameters}
         return tuple(float(self.values.get(name, usual.get(name, np.nan))) for name in self.effect.value_names)
 
 
 @dataclass(frozen=True)
 class Twin:
-    """The simulator of one unit on the station: base parameters, effects that are switched on, electronics.
+    """The simulator of one unit on the station: base parameters, effects, electronics.
 
     Args:
-        empirical: terms that describe what no effect explains; at each place of the chain they act behind its effects.
+        empirical: terms for what no effect explains; each acts behind the effects of its place.
     """
 
     parameters: BaseParameters = BaseParameters()
@@ -87,13 +86,12 @@ class Twin:
 
     def __post_init__(self) -> None:
         ids = [setting.effect_id for setting in self.effects]
-        # Twice the same cause would share its size between two places, and no fit could tell them apart.
+        # Twice the same cause would share its size, and no fit could tell the two apart.
         if len(set(ids)) < len(ids):
             raise InputError(f"an effect is switched on twice: {', '.join(ids)}")
 
     @property
     def clean(self) -> "Twin":
-        """The same twin without any effect or empirical term."""
         return Twin(self.parameters, (), self.metadata)
 
 
@@ -106,12 +104,11 @@ class Chain:
 
     def __init__(self, effects: Sequence[Effect]) -> None:
         self.effects = tuple(effects)
-        # Effects of one hook do not commute (a ceiling before hum is not hum before a ceiling): the catalogue decides.
+        # Effects of one hook do not commute (a ceiling and hum): the catalogue decides.
         order = sorted(range(len(effects)), key=lambda k: ORDER.get(effects[k].id, len(ORDER)))
         self._at = {hook: [k for k in order if effects[k].hook == hook] for hook in Hook}
 
     def fresh_memories(self) -> list[Memory]:
-        """Return what the effects remember at the start of a run: nothing."""
         return [{} for _ in self.effects]
 
     def apply(self, hook: Hook, flow: Flow, values: Values, memories: Sequence[Memory]) -> None:
@@ -120,7 +117,6 @@ class Chain:
             self.effects[k].step(flow, values[k], memories[k])
 
     def press(self, flow: Flow, base: BaseParameters, values: Values, memories: Sequence[Memory]) -> None:
-        """Carry the stage position to deformation and force."""
         flow.pad_mm, flow.contact_mm = flow.stage_mm, base.u0_mm
         self.apply(Hook.MOTION, flow, values, memories)
         self.apply(Hook.CONTACT, flow, values, memories)
@@ -130,7 +126,6 @@ class Chain:
     def sense(
         self, flow: Flow, base: BaseParameters, readout: ReadoutMetadata, values: Values, memories: Sequence[Memory]
     ) -> None:
-        """Carry what the channel feels to its resistance and on to the output."""
         flow.drive = flow.deformation_mm if readout.sensor_type == "strain" else flow.force_N
         self.apply(Hook.CHANNEL, flow, values, memories)
         flow.resistance_ohm = channel_resistance(flow.drive, base.r0_ohm, base.kappa_per_N)
@@ -138,7 +133,6 @@ class Chain:
         self.read_out(flow, readout, values, memories)
 
     def read_out(self, flow: Flow, readout: ReadoutMetadata, values: Values, memories: Sequence[Memory]) -> None:
-        """Carry the resistance through divider and electronics to the output's clock."""
         flow.wiring_ohm, flow.reference_V = 0.0, flow.vref_V
         self.apply(Hook.REFERENCE, flow, values, memories)
         resistance = flow.resistance_ohm + flow.wiring_ohm
@@ -147,14 +141,13 @@ class Chain:
         self.apply(Hook.CLOCK, flow, values, memories)
 
     def weigh(self, flow: Flow, values: Values, memories: Sequence[Memory]) -> None:
-        """Carry the force to the reading of the load cell."""
         flow.reading_N = flow.force_N
         self.apply(Hook.READING, flow, values, memories)
 
     def run(
         self, flow: Flow, base: BaseParameters, readout: ReadoutMetadata, values: Values, memories: Sequence[Memory]
     ) -> None:
-        """Pass one stretch of a run through the whole chain, without noise and ADC; the flow holds every signal then.
+        """Pass one stretch of a run through the whole chain, without noise and ADC.
 
         Args:
             flow: time, stage position and temperature; the rest is written.
@@ -204,18 +197,7 @@ class TwinStream:
             raise ValueError(f"t_s has {len(t_s)} samples, stage_mm {len(stage_mm)}")
         if not len(t_s):
             return np.empty(0), np.empty(0)
-        flow = self._flow(t_s, stage_mm, temperature_C)
-        self._chain.run(flow, self._twin.parameters, self._twin.metadata, self._values, self._memories)
-        noise_N, noise_V = np.zeros(len(t_s)), np.zeros(len(t_s))
-        if self._rng is not None:
-            base, (force, output) = self._twin.parameters, self._rng
-            noise_N = force.normal(0.0, base.sigma_force_N, len(t_s))
-            noise_V = output.normal(0.0, base.sigma_output_V, len(t_s))
-        return flow.reading_N + noise_N, digitise(flow.output_V, noise_V, self._twin.metadata)
-
-    def _flow(self, t_s: Array, stage_mm: Array, temperature_C: Array | None) -> Flow:
-        before_s = t_s[0] if self._last_t_s is None else self._last_t_s
-        step_s = np.diff(t_s, prepend=before_s)
+        step_s = np.diff(t_s, prepend=t_s[0] if self._last_t_s is None else self._last_t_s)
         if np.any(step_s[1:] <= 0) or (self._last_t_s is not None and step_s[0] <= 0):
             raise ValueError("t_s must go on: every instant later than the one before")
         rise_K = None
@@ -225,8 +207,16 @@ class TwinStream:
                 self._first_temperature_C = float(temperature_C[0])
             rise_K = np.asarray(temperature_C, dtype=np.float64) - self._first_temperature_C
         self._last_t_s = float(t_s[-1])
+        base, readout = self._twin.parameters, self._twin.metadata
         episodes = {s.effect_id: np.array(s.episodes) for s in self._twin.effects if s.episodes}
-        return Flow(t_s, step_s, stage_mm, rise_K, self._twin.metadata.vref_V, episodes)
+        flow = Flow(t_s, step_s, stage_mm, rise_K, readout.vref_V, episodes)
+        self._chain.run(flow, base, readout, self._values, self._memories)
+        noise_N, noise_V = np.zeros(len(t_s)), np.zeros(len(t_s))
+        if self._rng is not None:
+            force, output = self._rng
+            noise_N = force.normal(0.0, base.sigma_force_N, len(t_s))
+            noise_V = output.normal(0.0, base.sigma_output_V, len(t_s))
+        return flow.reading_N + noise_N, digitise(flow.output_V, noise_V, readout)
 
 
 def simulate(
@@ -241,3 +231,55 @@ def simulate(
         temperature_C: (n,) temperature of the channel.
     """
     return TwinStream(twin, rng).advance(np.asarray(t_s) - t_s[0], stage_mm, temperature_C)
+
+
+SCHEMA = "softcal.twin/1"
+RICHER = "softcal.twin/2"
+"""Of a twin with other forms or empirical terms, which a reader of the first would leave out."""
+TERM = ("place", "variable", "coefficient", "load_N", "depth_mm")
+
+
+def twin_record(twin: Twin) -> dict[str, Any]:
+    """Return a twin as JSON values, by the second schema where the first does not do."""
+    is_richer = bool(twin.empirical) or any(s.form for s in twin.effects)
+    record: dict[str, Any] = {
+        "schema": RICHER if is_richer else SCHEMA,
+        "parameters": dict(vars(twin.parameters)),
+        "metadata": dict(vars(twin.metadata)),
+        "effects": [
+            {"effect": s.effect_id, "values": dict(s.values), "episodes": [list(row) for row in s.episodes]}
+            | ({"form": s.form} if s.form else {})
+            for s in twin.effects
+        ],
+    }
+    if twin.empirical:
+        record["empirical"] = [{name: getattr(term, name) for name in (*TERM, "unit")} for term in twin.empirical]
+    return record
+
+
+def twin_from_record(record: Mapping[str, Any], place: str) -> Twin:
+    """Return the twin of a record.
+
+    Raises:
+        InputError: it does not describe a twin.
+    """
+    try:
+        if record["schema"] not in (SCHEMA, RICHER):
+            raise InputError(f"{place}: schema {record['schema']!r}; {SCHEMA} or {RICHER} was expected")
+        effects = tuple(
+            EffectSetting(
+                e["effect"], e["values"], tuple((float(a), float(b)) for a, b in e["episodes"]), str(e.get("form", ""))
+            )
+            for e in record["effects"]
+        )
+        terms = []
+        for e in record.get("empirical", ()):
+            numbers = (float(e[name]) for name in ("coefficient", "load_N", "depth_mm"))
+            terms.append(term := EmpiricalTerm(e["place"], e["variable"], *numbers))
+            if e.get("unit", term.unit) != term.unit:
+                raise InputError(f"{term.formula}: its coefficient is in {term.unit}, not in {e['unit']}")
+        return Twin(
+            BaseParameters(**record["parameters"]), effects, ReadoutMetadata(**record["metadata"]), tuple(terms)
+        )
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{place}: does not describe a twin ({error}); write it with softcal gap apply") from error

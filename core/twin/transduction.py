@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Alias, Effect, Flow, Hook, Memory, Parameter, Placing, Signs, memory
-from softcal.core.twin.forms import loops, plus, stop_form, stops, two, two_low_passes
+from softcal.core.twin.effects import Alias, Effect, Flow, Hook, Memory, Parameter, Placing, Signs, grows, memory, sets
+from softcal.core.twin.forms import loops, low_passes, plus, stop_form, stops, two
 from softcal.core.twin.probes import Shapes, Sizes, Times
-from softcal.core.twin.signals import compiled, direction_state, low_pass
+from softcal.core.twin.signals import compiled, low_pass
 from softcal.core.words.reason import Reason
 
 COLLAPSED = 0.02
@@ -20,32 +20,32 @@ def channel_resistance(drive: Array, r0: float, kappa: float) -> Array:
     """Return R = R0/(1 − κ·F) in Ω (Park and others 2010, pressure form; Kim and others 2020)."""
     out = np.empty_like(drive)
     for k in range(len(drive)):
-        # The pressure form has a pole where the channel is shut; a fit that steps over it must not see a sign change.
+        # There is a pole where the channel is shut; a fit that steps over it must not see a sign change.
         out[k] = r0 / max(1.0 - kappa * drive[k], COLLAPSED)
     return out
 
 
-def _channel_creep(flow: Flow, values: Sequence[float], state: Memory) -> None:
-    slow = low_pass(flow.drive, flow.step_s, values[1], memory(state, "low_pass", 0.0, 0.0))
-    flow.drive = (1.0 - values[0]) * flow.drive + values[0] * slow
+def _creep(flow: Flow, v: Sequence[float], state: Memory) -> Array:
+    kept = 1.0 - v[0] - sum(v[2::2])
+    return np.asarray(kept * flow.drive + low_passes(flow.drive, flow.step_s, v, state))
 
 
-def _channel_hysteresis(flow: Flow, values: Sequence[float], state: Memory) -> None:
-    start = memory(state, "z", 0.0, flow.drive[0])
-    flow.drive = flow.drive * (1.0 + values[0] * direction_state(flow.drive, values[1], start))
-
-
-def _channel_collapse(flow: Flow, values: Sequence[float], _: Memory) -> None:
-    flow.resistance_ohm = flow.resistance_ohm * (1.0 + values[0] * np.maximum(0.0, flow.drive - values[1]) ** 2)
-
-
-def _thermal_drift(flow: Flow, values: Sequence[float], _: Memory) -> None:
+def _thermal_drift(flow: Flow, v: Sequence[float], state: Memory) -> None:
     if flow.temperature_rise_K is not None:
-        flow.resistance_ohm = flow.resistance_ohm * (1.0 + values[0] * flow.temperature_rise_K)
+        felt, (alpha, alpha2, tau_s) = flow.temperature_rise_K, (*v, 0.0, 0.0)[:3]
+        if tau_s > 0:
+            felt = low_pass(felt, flow.step_s, tau_s, memory(state, "felt_K", 0.0, 0.0))
+        flow.resistance_ohm = flow.resistance_ohm * (1.0 + alpha * felt + alpha2 * felt**2)
 
 
-def _ageing_drift(flow: Flow, values: Sequence[float], _: Memory) -> None:
-    flow.resistance_ohm = flow.resistance_ohm * (1.0 + values[0] * np.log1p(flow.t_s / values[1]))
+def _ageing_power(flow: Flow, v: Sequence[float], _: Memory) -> Array:
+    x = 1.0 + flow.t_s / v[1]
+    return np.asarray(np.log(x) if abs(v[2]) < 1e-6 else (x ** v[2] - 1.0) / v[2])
+
+
+def _over(flow: Flow, onset: float) -> Array:
+    # Below its threshold the walls do not touch; the term and its slope are both 0 there.
+    return np.maximum(0.0, flow.drive - onset)
 
 
 def _intermittent_contact(flow: Flow, values: Sequence[float], _: Memory) -> None:
@@ -55,39 +55,6 @@ def _intermittent_contact(flow: Flow, values: Sequence[float], _: Memory) -> Non
     flow.resistance_ohm = flow.resistance_ohm + values[0] * bad
     # The samples at which a contact opens or closes: no straight line between samples holds there.
     flow.is_unforeseeable = np.diff(bad, prepend=bad[:1])
-
-
-def _creep_2(flow: Flow, v: Sequence[float], state: Memory) -> None:
-    slow = two_low_passes(flow.drive, flow.step_s, v, state)
-    flow.drive = (1.0 - v[0] - v[2]) * flow.drive + slow
-
-
-def _channel_2(flow: Flow, v: Sequence[float], state: Memory) -> None:
-    flow.drive = flow.drive * loops(flow.drive, v, state)
-
-
-def _channel_stops(flow: Flow, v: Sequence[float], state: Memory) -> None:
-    flow.drive = flow.drive + stops(flow.drive, v, state, "reach_N")
-
-
-def _collapse_power(flow: Flow, v: Sequence[float], _: Memory) -> None:
-    # Below its threshold the walls do not touch; the term and its slope are both 0 there.
-    over = np.maximum(0.0, flow.drive - v[1])
-    flow.resistance_ohm = flow.resistance_ohm * (1.0 + v[0] * over ** v[2])
-
-
-def _thermal_curve(flow: Flow, v: Sequence[float], state: Memory) -> None:
-    if flow.temperature_rise_K is not None:
-        felt = flow.temperature_rise_K
-        if v[2] > 0:
-            felt = low_pass(felt, flow.step_s, v[2], memory(state, "felt_K", 0.0, 0.0))
-        flow.resistance_ohm = flow.resistance_ohm * (1.0 + v[0] * felt + v[1] * felt**2)
-
-
-def _ageing_power(flow: Flow, v: Sequence[float], _: Memory) -> None:
-    x = 1.0 + flow.t_s / v[1]
-    grown = np.log(x) if abs(v[2]) < 1e-6 else (x ** v[2] - 1.0) / v[2]
-    flow.resistance_ohm = flow.resistance_ohm * (1.0 + v[0] * grown)
 
 
 CLIMATE = Reason("gap.remedy.climate")
@@ -115,13 +82,13 @@ EFFECTS = (
             Parameter("c", "", 0.0, 1.0, 0.08, neutral=0.0),
             Parameter("tau", "s", 0.03, 300.0, 5.0, scale="log"),
         ),
-        step=_channel_creep,
+        step=sets("drive", _creep),
         signs=Signs(
             probes=Times(0.02),
             hides_behind=("readout_lag", "clock_offset"),
             shown_by=("rate_sweep", "steps_with_holds"),
         ),
-    ).with_forms(two(_creep_2, "two creep times")),
+    ).with_forms(two("two creep times")),
     Effect(
         id="channel_hysteresis",
         stage="transduction",
@@ -132,13 +99,20 @@ EFFECTS = (
             Parameter("a", "", 0.0, 0.5, 0.04, neutral=0.0),
             Parameter("f0", "N", 0.05, 20.0, 1.0, scale="log"),
         ),
-        step=_channel_hysteresis,
+        step=sets("drive", lambda flow, v, state: flow.drive * loops(flow.drive, v, state)),
         signs=Signs(
             probes=Shapes(0.01, (0.02, 0.06, 0.2, 0.6), "force_N"),
             hides_behind=("clock_offset", "channel_creep"),
             shown_by=("rate_sweep", "small_reversals"),
         ),
-    ).with_forms(two(_channel_2, "two loops"), stop_form(_channel_stops, "stop operators on the force", "reach_N")),
+    ).with_forms(
+        two("two loops"),
+        stop_form(
+            sets("drive", lambda flow, v, state: flow.drive + stops(flow.drive, v, state, "reach_N")),
+            "stop operators on the force",
+            "reach_N",
+        ),
+    ),
     Effect(
         id="channel_collapse",
         stage="transduction",
@@ -146,13 +120,19 @@ EFFECTS = (
         equation="R = R0/(1 − κ·F)·(1 + β·max(0, F − Fc)²)",
         source="closing of a microchannel under pressure, Park and others 2010; above 60–80 % of the limit",
         parameters=(Parameter("beta", "1/N²", 0.0, 5.0, 0.03, neutral=0.0), Parameter("Fc", "N", 0.2, 50.0, 4.0)),
-        step=_channel_collapse,
+        step=grows("resistance_ohm", lambda flow, v, state: _over(flow, v[1]) ** 2),
         signs=Signs(
             probes=Shapes(0.6, (0.1, 0.3, 0.5, 0.65, 0.8, 0.9), "force_N", "per_force2"),
             hides_behind=("wiring_resistance", "loadcell_nonlinearity", "loadcell_saturation"),
             shown_by=("dummy_resistor", "dead_weights"),
         ),
-    ).with_forms(plus(_collapse_power, "power law", (Parameter("power", "", 0.7, 6.0, 0.5), 2.0))),
+    ).with_forms(
+        plus(
+            grows("resistance_ohm", lambda flow, v, state: _over(flow, v[1]) ** v[2]),
+            "power law",
+            (Parameter("power", "", 0.7, 6.0, 0.5), 2.0),
+        )
+    ),
     Effect(
         id="thermal_drift",
         stage="transduction",
@@ -171,7 +151,7 @@ EFFECTS = (
         ),
     ).with_forms(
         plus(
-            _thermal_curve,
+            _thermal_drift,
             "curved, felt with a delay",
             (Parameter("alpha2", "1/K²", -0.01, 0.01, 1e-4), 0.0),
             (Parameter("tau", "s", 0.0, 200.0, 5.0), 0.5),
@@ -187,14 +167,16 @@ EFFECTS = (
             Parameter("gamma", "", -0.06, 0.06, 0.005, neutral=0.0),
             Parameter("tau", "s", 0.5, 2000.0, 30.0, scale="log"),
         ),
-        step=_ageing_drift,
+        step=grows("resistance_ohm", lambda flow, v, state: np.log1p(flow.t_s / v[1])),
         signs=Signs(
             probes=Shapes(0.001, (0.01, 0.05, 0.2, 1.0), "duration_s"),
             hides_behind=("thermal_drift", "reference_drift"),
             shown_by=("rest", "long_hold", "dummy_resistor"),
             remedy=CLIMATE,
         ),
-    ).with_forms(plus(_ageing_power, "power law", (Parameter("power", "", -2.0, 1.0, 0.3), 0.2))),
+    ).with_forms(
+        plus(grows("resistance_ohm", _ageing_power), "power law", (Parameter("power", "", -2.0, 1.0, 0.3), 0.2))
+    ),
     Effect(
         id="intermittent_contact",
         stage="transduction",

@@ -1,6 +1,6 @@
 """What a diagnosis says of the place of a gap and of the next run, in English: one sentence a code.
 
-`core.words.reason` reads it. Names of effects, channels, maps and profiles are values: `app/texts` has them.
+Names of effects, channels, maps and profiles are values: `app/texts` has them.
 """
 
 from softcal.core.words.sentences import sentences

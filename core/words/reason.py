@@ -1,7 +1,7 @@
-"""What softcal says: a code with typed values. English stands in core, other languages in app/texts.
+"""What softcal says: a code with values. English stands in core, other languages in app/texts.
 
-Sentences on units and verdicts stand in `sentences`, those of stations, their gates and the registry in
-`rig_sentences`, those of a diagnosis in `gap_sentences`.
+Sentences on units and verdicts stand in `sentences`, those of stations, their gates and the
+registry in `rig_sentences`, those of a diagnosis in `gap_sentences`.
 """
 
 import json
@@ -24,7 +24,7 @@ PLAIN = "plain"
 """Code of a sentence that was kept as one: by an older version, or of a file or a device."""
 
 ENGLISH: Mapping[str, str] = {PLAIN: "{text}", **UNIT_SENTENCES, **GAP_SENTENCES, **SENTENCES}
-"""One sentence a code. Values stand in braces with their format; a value that is a reason is a phrase of its own."""
+"""One sentence a code, values in braces; a value that is a reason is a phrase of its own."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Reason:
 
 
 class _Filler(Formatter):
-    """Fills a sentence; a word in the place of a number ("nan", or a value of another version) stands as it is."""
+    """Fills a sentence; a word in the place of a number ("nan") stands as it is."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
         text: str = super().format_field(value, "" if isinstance(value, str) else format_spec)
@@ -90,8 +90,8 @@ def filled(sentence: str, values: Mapping[str, object]) -> str:
 def reason(code: str, /, **values: Value) -> Reason:
     """Return the reason of a code, its values as JSON can keep them.
 
-    NumPy numbers become plain ones. A number that is none (nan, inf) becomes its word: whatever a device reported, the
-    sentence about it is said.
+    NumPy numbers become plain ones. A number that is none (nan, inf) becomes its word: whatever a
+    device reported, the sentence about it is said.
     """
     return Reason(code, {name: _plain_value(value) for name, value in values.items()})
 
@@ -140,7 +140,7 @@ def joined(reasons: Iterable[Reason]) -> str:
 
 
 def in_words(values: Mapping[str, object], *names: str) -> dict[str, object]:
-    """Return a record whose reasons of these names are in English, with all of them as `reasons`."""
+    """Return a record with its reasons of these names in English, and all of them as `reasons`."""
     why = {name: value for name in names if isinstance(value := values[name], Reason)}
     return {
         **values,

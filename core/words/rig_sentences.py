@@ -1,4 +1,4 @@
-"""What stations, their gates and the registry say, in English: one sentence a code. `core.words.reason` reads it.
+"""What stations, their gates and the registry say, in English: one sentence a code.
 
 What a single driver says stands beside it, in `station/drivers/*.toml`.
 """

@@ -1,8 +1,8 @@
-"""What softcal says of units and verdicts, in English, and how a page of sentences is read for `core.words.reason`."""
+"""What softcal says of units and verdicts, in English, and how a page of sentences is read."""
 
 
 def sentences(page: str) -> dict[str, str]:
-    """Return the sentences of a page by code: a line is `code: sentence` and goes on where the next one is indented."""
+    """Return the sentences of a page by code: `code: sentence`, going on where a line is indented."""
     lines = page.replace("\n  ", " ").splitlines()
     return dict(line.split(": ", 1) for line in lines if line and not line.startswith("#"))
 

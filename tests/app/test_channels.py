@@ -9,7 +9,7 @@ from softcal.app.line.recover import recover
 from softcal.core.lot import Lot
 from softcal.core.orders import Order, OrderKind, RunState
 from softcal.core.profiles import ramps
-from softcal.core.twin.spread import draw_lot
+from softcal.core.simulated_lot import draw_lot
 from softcal.db.connection import open_registry
 from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.record.spool import Spool

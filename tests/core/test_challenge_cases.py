@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from softcal.core.challenge.cases import EXPERIMENTS, RunPlan, SealedCase, distance_sigma
-from softcal.core.challenge.catalogue_equations import CATALOGUE
-from softcal.core.challenge.draw import LINES, draw_case, draw_challenge
-from softcal.core.challenge.outside_equations import OUTSIDE
+from softcal.core.challenge.draw import LINES, SIZES, draw_case, draw_challenge
+from softcal.core.challenge.equations import CATALOGUE, OUTSIDE
+from softcal.core.challenge.published import PUBLISHED_OUTSIDE
 from softcal.core.challenge.realised import BASE, realised_shrink, refitted_base
 from softcal.core.challenge.rig import Cause
 from softcal.core.challenge.seal import open_seal, seal_labels
-from softcal.core.challenge.sizes import CATALOGUE_SIZES, OUTSIDE_SIZES
 from softcal.core.errors import InputError
 
 
@@ -25,7 +24,7 @@ def test_the_same_seed_gives_the_same_case() -> None:
 
 
 def test_every_effect_has_a_size() -> None:
-    assert set(CATALOGUE_SIZES) == set(CATALOGUE) and set(OUTSIDE_SIZES) == set(OUTSIDE)
+    assert set(SIZES) == set(CATALOGUE) | set(OUTSIDE) | set(PUBLISHED_OUTSIDE)
 
 
 @pytest.mark.parametrize("line", LINES)

@@ -9,9 +9,18 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from softcal.core.challenge.cases import EQUATIONS
-from softcal.core.challenge.chain import Rack, record
-from softcal.core.challenge.other_forms import OTHER_FORMS
-from softcal.core.challenge.rig import DEAD_WEIGHTS, DUMMY_RESISTOR, RIGID_BLOCK, Cause, Measured, Path, Rig
+from softcal.core.challenge.equations import OTHER_FORMS
+from softcal.core.challenge.rig import (
+    DEAD_WEIGHTS,
+    DUMMY_RESISTOR,
+    RIGID_BLOCK,
+    Cause,
+    Measured,
+    Path,
+    Rack,
+    Rig,
+    record,
+)
 from softcal.core.recording import Array
 
 RIG = Rig(

@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from softcal.core.challenge.catalogue_equations import CATALOGUE
 from softcal.core.challenge.draw import draw_case, draw_challenge
+from softcal.core.challenge.equations import CATALOGUE
 from softcal.core.challenge.mistakes import Mistake
 from softcal.core.challenge.score import FLOORS, score_reports, shortfalls
 from softcal.core.challenge.seal import Label

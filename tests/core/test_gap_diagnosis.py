@@ -19,8 +19,7 @@ from softcal.core.gap.residual import structure
 from softcal.core.gap.start import base_fit
 from softcal.core.twin.catalogue import EFFECTS, FORMS
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
-from softcal.core.twin.record import twin_from_record, twin_record
-from softcal.core.twin.simulate import EffectSetting, Twin, simulate
+from softcal.core.twin.simulate import EffectSetting, Twin, simulate, twin_from_record, twin_record
 
 READOUT = ReadoutMetadata(vref_V=3.3, adc_bits=12, r_series_ohm=10.0, sample_rate_Hz=50.0)
 BASE = BaseParameters(u0_mm=0.35, k1_N_mm=1.1, k3_N_mm3=0.1, kappa_per_N=0.06, sigma_force_N=0.015)

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from softcal.core import profiles
-from softcal.core.challenge.chain import Rack, record
-from softcal.core.challenge.outside_equations import OUTSIDE, OUTSIDE_FORM
-from softcal.core.challenge.rig import Cause, Path, Rig
+from softcal.core.challenge.equations import OUTSIDE, OUTSIDE_FORM
+from softcal.core.challenge.rig import Cause, Path, Rack, Rig, record
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.empirical import learned, terms_of_twin
@@ -18,8 +17,7 @@ from softcal.core.gap.start import base_fit
 from softcal.core.twin.effects import Flow
 from softcal.core.twin.empirical_terms import PLACES, VARIABLES, EmpiricalTerm
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
-from softcal.core.twin.record import RICHER, SCHEMA, twin_from_record, twin_record
-from softcal.core.twin.simulate import Chain, Twin, TwinStream, simulate
+from softcal.core.twin.simulate import RICHER, SCHEMA, Chain, Twin, TwinStream, simulate, twin_from_record, twin_record
 
 READOUT = ReadoutMetadata(vref_V=3.3, adc_bits=14, r_series_ohm=10.0, sample_rate_Hz=50.0)
 BASE = BaseParameters(u0_mm=0.35, k1_N_mm=1.1, k3_N_mm3=0.1, kappa_per_N=0.06, sigma_force_N=0.012)

@@ -4,9 +4,8 @@ from collections.abc import Callable
 
 import pytest
 
-from softcal.core.challenge.draw import LINES
+from softcal.core.challenge.draw import LINES, SIZES
 from softcal.core.challenge.rig import Cause
-from softcal.core.challenge.sizes import CATALOGUE_SIZES
 from softcal.core.gap.case import Case
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
 from tests.layers import layered
@@ -20,7 +19,7 @@ def drawn(drawn_case: Callable[..., Case], monkeypatch: pytest.MonkeyPatch) -> C
 
     def draw(effect: str, form: str, seed: int) -> Case:
         def causes(rng, scope):  # type: ignore[no-untyped-def]
-            return (Cause(effect, form, CATALOGUE_SIZES[effect](rng, scope, 1.0)),)
+            return (Cause(effect, form, SIZES[effect](rng, scope, 1.0)),)
 
         monkeypatch.setitem(LINES, "form", causes)  # type: ignore[arg-type]
         return drawn_case(seed, f"{effect}-{seed}", "form")

@@ -5,9 +5,9 @@ import pytest
 
 from softcal.core import profiles
 from softcal.core.errors import InputError
+from softcal.core.simulated_lot import draw_lot
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, TwinStream, simulate
-from softcal.core.twin.spread import draw_lot
 
 
 @pytest.mark.parametrize(

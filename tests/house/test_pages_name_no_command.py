@@ -36,7 +36,7 @@ AT_A_TERMINAL = {
     "core/export/c_text.py": "the head of a file for a device",
     "core/unit/knowledge.py": "where a number of the method comes from",
     "core/use/method.py": "where a number of the method comes from",
-    "core/twin/record.py": "twins a command keeps as files",
+    "core/twin/simulate.py": "twins a command keeps as files",
     "db/care/sync.py": "registries that a command exchanges",
     "db/access/tokens.py": "tokens, which a command makes and withdraws",
     "db/connection.py": "to whoever keeps the registry: it cannot be opened",

@@ -7,8 +7,8 @@ import pytest
 
 from softcal.core.errors import CommandRefused
 from softcal.core.profiles import ramps, unit_profile
+from softcal.core.simulated_lot import draw_lot
 from softcal.core.twin.simulate import Twin, simulate
-from softcal.core.twin.spread import draw_lot
 from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.tasks.acquisition import record
 
