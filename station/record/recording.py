@@ -11,8 +11,8 @@ from softcal.core.words.reason import reason
 from softcal.station.clock import CLOCK_SHARE, ClockFit, fit_clock, residual_offset_s
 from softcal.station.device_names import named
 from softcal.station.interfaces import Sample, StagePosition
+from softcal.station.record.method import METHOD
 from softcal.station.record.proof import (
-    LATE_S,
     check_bits,
     check_follows,
     check_gain,
@@ -164,7 +164,7 @@ def assemble(raw: Raw, facts: RunFacts) -> StationRecording:
     else:
         cell = _channel(raw.force, "load cell")
         behind_s, late_s = _behind_s(cell, track, facts), facts.force_late_s
-        if not facts.is_latency_stated and abs(behind_s - late_s) > LATE_S:
+        if not facts.is_latency_stated and abs(behind_s - late_s) > METHOD.lag.late_s:
             late_s = behind_s
         _check_cell(cell, sensor, track, facts, late_s)
         force_N = _force_at(host_s, cell, facts, late_s)
