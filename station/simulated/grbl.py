@@ -4,6 +4,7 @@ import math
 import re
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 
 from softcal.station.simulated.answering import FarEnd
 from softcal.station.simulated.motion import Axis, QueuedMove
@@ -69,12 +70,27 @@ class SimulatedGrbl(FarEnd):
         """Take real-time bytes at once, lines into the buffer."""
         for code in content:
             byte = bytes([code])
-            if byte in _REAL_TIME:
-                self._real_time(byte)
+            if byte == grbl.STATUS and self.state != "Home":
+                self._report()
+            elif byte == grbl.HOLD:
+                if self.stop_received_s is None:
+                    self.stop_received_s, self.was_moving_at_stop = self._now_s, self.axis.is_moving
+                self._hold()
+            elif byte == grbl.RESUME and self.state in ("Hold", "Door") and not self._is_hold_pressed:
+                self._holds_at_s = math.inf
+                self.axis.resume()
+                self.state = "Run" if self.axis.is_moving else "Idle"
+            elif byte == grbl.RESET:
+                self._reset()
+            elif byte == grbl.DOOR:
+                self.open_door()
+            elif byte == grbl.JOG_CANCEL and self.state == "Jog":
+                self.axis.hold()
+                self.axis.queue.clear()
             elif byte in b"\r\n":
                 self._lines.append(self._received)
                 self._received = b""
-            elif sum(map(len, self._lines)) + len(self._received) < RECEIVE_BYTES - 1:
+            elif byte not in _REAL_TIME and sum(map(len, [*self._lines, self._received])) < RECEIVE_BYTES - 1:
                 self._received += byte
         self._work()
 
@@ -138,25 +154,6 @@ class SimulatedGrbl(FarEnd):
         self._say("Grbl 1.1h ['$' for help]")
         if self.state == "Alarm":
             self._say("[MSG:'$H'|'$X' to unlock]")
-
-    def _real_time(self, byte: bytes) -> None:
-        if byte == grbl.STATUS and self.state != "Home":
-            self._report()
-        elif byte == grbl.HOLD:
-            if self.stop_received_s is None:
-                self.stop_received_s, self.was_moving_at_stop = self._now_s, self.axis.is_moving
-            self._hold()
-        elif byte == grbl.RESUME and self.state in ("Hold", "Door") and not self._is_hold_pressed:
-            self._holds_at_s = math.inf
-            self.axis.resume()
-            self.state = "Run" if self.axis.is_moving else "Idle"
-        elif byte == grbl.RESET:
-            self._reset()
-        elif byte == grbl.DOOR:
-            self.open_door()
-        elif byte == grbl.JOG_CANCEL and self.state == "Jog":
-            self.axis.hold()
-            self.axis.queue.clear()
 
     def _reset(self) -> None:
         was_moving = self.axis.is_moving or self.state == "Home"
@@ -242,11 +239,9 @@ class SimulatedGrbl(FarEnd):
         self.state = "Home"
         self.axis.flush()
         reach = 0.0 if self.switch != "missing" else self.axis.position_mm - 1.5 * self.travel_mm
-        for target, speed in ((reach, SEEK_MM_S), (pull_off, SEEK_MM_S), (0.0, FEED_MM_S), (pull_off, FEED_MM_S)):
-            self.axis.add(QueuedMove(target, speed))
-        if self.switch == "missing":
-            while len(self.axis.queue) > 1:
-                self.axis.queue.pop()
+        ways = ((reach, SEEK_MM_S), (pull_off, SEEK_MM_S), (0.0, FEED_MM_S), (pull_off, FEED_MM_S))
+        for target_mm, speed_mm_s in ways[:1] if self.switch == "missing" else ways:
+            self.axis.add(QueuedMove(target_mm, speed_mm_s))
         self._waiting = self._is_homed
         return ""
 
@@ -276,7 +271,8 @@ class SimulatedGrbl(FarEnd):
         if b"".join(letter + value for letter, value in words) != line or not codes <= {0, 1, 4, 21, 53, 90, 91}:
             return "error:20"
         if 4 in codes:
-            return self._dwell(values.get(b"P", 0.0))
+            self._waiting = partial(self._has_paused, values.get(b"P", 0.0))
+            return ""
         self._is_relative = (self._is_relative or 91 in codes) and 90 not in codes
         self._feed_mm_s = values.get(b"F", self._feed_mm_s * 60) / 60
         if b"Z" not in values:
@@ -306,17 +302,13 @@ class SimulatedGrbl(FarEnd):
         self._waiting = put
         return ""
 
-    def _dwell(self, seconds: float) -> str:
-        def pause() -> bool:
-            if self.axis.is_moving or self.axis.is_held or self.state == "Hold":
-                return False
-            if self._dwell_until_s == math.inf:
-                self._dwell_until_s = self._now_s + seconds
-            if self._now_s < self._dwell_until_s:
-                return False
-            self._dwell_until_s = math.inf
-            self._say("ok")
-            return True
-
-        self._waiting = pause
-        return ""
+    def _has_paused(self, seconds: float) -> bool:
+        if self.axis.is_moving or self.axis.is_held or self.state == "Hold":
+            return False
+        if self._dwell_until_s == math.inf:
+            self._dwell_until_s = self._now_s + seconds
+        if self._now_s < self._dwell_until_s:
+            return False
+        self._dwell_until_s = math.inf
+        self._say("ok")
+        return True
