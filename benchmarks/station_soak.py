@@ -25,8 +25,8 @@ from softcal.core.twin.spread import draw_lot
 from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.devices.simulated_station import SimulatedStation
 from softcal.station.tasks.acquisition import record
+from softcal.station.tasks.seconds import HOMING
 from softcal.station.tasks.service import Hooks, StationService
-from softcal.station.testing.faults import HOMING
 from softcal.station.testing.line import NAMES, SimulatedLine
 
 UNITS_PER_H = 90
