@@ -19,9 +19,8 @@ SEEK_MM_S, FEED_MM_S = 25.0, 2.0
 SEGMENTS_S = 0.06
 """Motion that is already cut into steps when a feed hold comes: it still runs out (stepper.c, segment buffer)."""
 
-DEFAULTS = {10: 1.0, 13: 0.0, 20: 0.0, 21: 0.0, 22: 0.0, 24: 25.0, 25: 500.0, 27: 1.0}
-DEFAULTS |= {112: 500.0, 122: 10.0, 132: 200.0}
-"""A fresh controller (defaults.h, generic), the pressing axis."""
+SETTINGS = {10: 1.0, 13: 0.0, 20: 1.0, 21: 1.0, 22: 1.0, 24: 25.0, 25: 500.0, 27: 1.0, 112: 1500.0}
+"""A fresh controller (defaults.h, generic) with its limits switched on, the pressing axis."""
 
 _WORD = re.compile(rb"([A-Z])(-?[\d.]+)")
 _REAL_TIME = b"?!~\x18\x84\x85"
@@ -40,8 +39,7 @@ class SimulatedGrbl(FarEnd):
     def __init__(self, wire: Wire, axis: Axis, travel_mm: float = 40.0) -> None:
         super().__init__(wire, axis=axis)
         self.travel_mm = travel_mm
-        self.settings = DEFAULTS | {20: 1.0, 21: 1.0, 22: 1.0, 112: 1500.0}
-        self.settings |= {122: axis.acceleration_mm_s2, 132: travel_mm}
+        self.settings = SETTINGS | {122: axis.acceleration_mm_s2, 132: travel_mm}
         self.switch = "good"
         self.delay_reply_s = 0.0
         self.is_locked_until_reset = False
@@ -84,9 +82,6 @@ class SimulatedGrbl(FarEnd):
                 self._reset()
             elif byte == grbl.DOOR:
                 self.open_door()
-            elif byte == grbl.JOG_CANCEL and self.state == "Jog":
-                self.axis.hold()
-                self.axis.queue.clear()
             elif byte in b"\r\n":
                 self._lines.append(self._received)
                 self._received = b""
@@ -105,7 +100,7 @@ class SimulatedGrbl(FarEnd):
         if now_s >= self._holds_at_s:
             self._holds_at_s = math.inf
             self.axis.hold()
-        if self.state in ("Run", "Jog") and not self.axis.is_moving:
+        if self.state == "Run" and not self.axis.is_moving:
             self.state = "Idle"
         self._work()
         self.wire.deliver(now_s)
@@ -145,7 +140,7 @@ class SimulatedGrbl(FarEnd):
         self._is_hold_pressed = False
 
     def _hold(self) -> None:
-        if self.state in ("Run", "Jog", "Idle"):
+        if self.state in ("Run", "Idle"):
             self._holds_at_s = self._now_s + (SEGMENTS_S if self.axis.is_moving else 0.0)
             self.state = "Hold"
 
@@ -218,7 +213,21 @@ class SimulatedGrbl(FarEnd):
             self.state = "Idle" if self.state == "Alarm" else self.state
             return "ok"
         if line == b"$H":
-            return self._start_homing() if self.state in ("Idle", "Alarm") else "error:8"
+            if self.state not in ("Idle", "Alarm"):
+                return "error:8"
+            if not self.settings[22]:
+                return "error:5"
+            if self.is_locked_until_reset:
+                return ""
+            self.state = "Home"
+            self.axis.flush()
+            pull_off_mm, is_missing = self.settings[27], self.switch == "missing"
+            reach_mm = self.axis.position_mm - 1.5 * self.travel_mm if is_missing else 0.0
+            seek, slow = ((reach_mm, SEEK_MM_S), (pull_off_mm, SEEK_MM_S)), ((0.0, FEED_MM_S), (pull_off_mm, FEED_MM_S))
+            for target_mm, speed_mm_s in seek[:1] if is_missing else (*seek, *slow):
+                self.axis.add(QueuedMove(target_mm, speed_mm_s))
+            self._waiting = self._is_homed
+            return ""
         if line == b"$I":
             self._say("[VER:1.1h.20190825:]")
             self._say("[OPT:V,15,128]")
@@ -229,21 +238,6 @@ class SimulatedGrbl(FarEnd):
         self.settings[int(setting[1])] = float(setting[2])
         self.axis.acceleration_mm_s2 = self.settings[122]
         return "ok"
-
-    def _start_homing(self) -> str:
-        if not self.settings[22]:
-            return "error:5"
-        if self.is_locked_until_reset:
-            return ""
-        pull_off = self.settings[27]
-        self.state = "Home"
-        self.axis.flush()
-        reach = 0.0 if self.switch != "missing" else self.axis.position_mm - 1.5 * self.travel_mm
-        ways = ((reach, SEEK_MM_S), (pull_off, SEEK_MM_S), (0.0, FEED_MM_S), (pull_off, FEED_MM_S))
-        for target_mm, speed_mm_s in ways[:1] if self.switch == "missing" else ways:
-            self.axis.add(QueuedMove(target_mm, speed_mm_s))
-        self._waiting = self._is_homed
-        return ""
 
     def _is_homed(self) -> bool:
         if self.switch == "stuck" and self.axis.queue and self.axis.queue[0].target_mm > 0:

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from softcal.core.errors import NoReply
+from softcal.station.clock import next_turn_s
 from softcal.station.interfaces import Sample
 from softcal.station.wire.link import Link
 
@@ -59,8 +60,7 @@ class AskedReader:
         now_s = self._link.clock.now_s()
         if self._asked_s is None and now_s >= self._next_s:
             self._link.write(self._question)
-            # On a grid: counted from each answer, every delay would lower the rate.
-            self._asked_s, self._next_s = now_s, max(self._next_s, now_s - 1.0 / self.rate_Hz) + 1.0 / self.rate_Hz
+            self._asked_s, self._next_s = now_s, next_turn_s(self._next_s, now_s, self.rate_Hz)
         return samples
 
     def close(self) -> None:

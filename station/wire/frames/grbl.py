@@ -7,7 +7,7 @@ from typing import TypeAlias
 from softcal.core.errors import BadReply
 from softcal.core.words.reason import Reason, reason
 
-STATUS, HOLD, RESUME, RESET, DOOR, JOG_CANCEL = b"?", b"!", b"~", b"\x18", b"\x84", b"\x85"
+STATUS, HOLD, RESUME, RESET, DOOR = b"?", b"!", b"~", b"\x18", b"\x84"
 """Real-time bytes: picked out of the stream at once, never queued, no line end."""
 
 LINE_LENGTH = 127
@@ -110,7 +110,15 @@ def parse(line: bytes) -> Reply:
         if text.startswith("ALARM:"):
             return Alarm(int(text[6:]))
         if text.startswith("<") and text.endswith(">"):
-            return _status(text[1:-1])
+            head, *fields = text[1:-1].split("|")
+            state, _, substate = head.partition(":")
+            if state not in _STATES:
+                raise ValueError(text)
+            named = dict(field.split(":", 1) for field in fields if ":" in field)
+            machine_mm, work_mm, offset_mm = (
+                tuple(map(float, named[name].split(","))) if name in named else None for name in ("MPos", "WPos", "WCO")
+            )
+            return GrblStatus(state, int(substate or 0), machine_mm, work_mm, offset_mm, named.get("Pn", ""))
         if _GREETING.match(text):
             return Greeting(text)
         if setting := _SETTING.match(text):
@@ -120,18 +128,6 @@ def parse(line: bytes) -> Reply:
         raise ValueError(text)
     except ValueError as error:  # Not ASCII, or a number that is none.
         raise BadReply(reason("grbl.noise", line=repr(line[:60]))) from error
-
-
-def _status(text: str) -> GrblStatus:
-    head, *fields = text.split("|")
-    state, _, substate = head.partition(":")
-    if state not in _STATES:
-        raise ValueError(text)
-    named = dict(field.split(":", 1) for field in fields if ":" in field)
-    machine_mm, work_mm, offset_mm = (
-        tuple(map(float, named[name].split(","))) if name in named else None for name in ("MPos", "WPos", "WCO")
-    )
-    return GrblStatus(state, int(substate or 0), machine_mm, work_mm, offset_mm, named.get("Pn", ""))
 
 
 def move_line(axis: str, machine_mm: float, speed_mm_s: float) -> bytes:
