@@ -157,7 +157,7 @@ class ShiftWithFaults:
         station.world.sleep_s(1.0)
         moved_mm = abs(station.axis.position_mm - at_mm)
         self._past_s += station.world.now_s()
-        self._service.acknowledge()
+        self._service.start()
         now_mm = self._station.axis.position_mm
         self._station.world.sleep_s(10.0)
         moved_mm = max(moved_mm, abs(self._station.axis.position_mm - now_mm))

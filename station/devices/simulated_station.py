@@ -11,11 +11,10 @@ from softcal.station.devices.catalogue import driver_of
 from softcal.station.devices.config import ForceConfig, ReadoutConfig, Role, StageConfig
 from softcal.station.devices.driver import AnyDriver, Simulated, Surroundings
 from softcal.station.simulated.grbl import SimulatedGrbl
-from softcal.station.simulated.medium import BleEnd, SocketEnd
 from softcal.station.simulated.motion import Axis
 from softcal.station.simulated.rig import SimulatedRig
 from softcal.station.simulated.text_stream import CELL_COUNTS_PER_N, CELL_ZERO_COUNTS, SimulatedTextStream
-from softcal.station.simulated.wire import Wire
+from softcal.station.simulated.wire import BleEnd, SocketEnd, Wire
 from softcal.station.simulated.world import World
 
 ACCELERATION_MM_S2 = 200.0
@@ -54,7 +53,6 @@ class SimulatedStation:
         self.axis.position_mm = 2.3  # Where somebody left it: nothing is known before homing.
         self.rig = SimulatedRig(self.axis)
         self.mount(unit)
-        self.stage_kind, self.force_kind, self.readout_kind = stage_kind, force_kind, readout_kind
         drivers = driver_of("stage", stage_kind), driver_of("cell", force_kind), driver_of("readout", readout_kind)
         self.is_threaded = any(driver.is_threaded for driver in drivers)
         self.stage_wire, self.force_wire, self.readout_wire = (

@@ -80,7 +80,7 @@ class GrblStage:
             link.discard()
             link.write(grbl.RESET)
             with suppress(NoReply):
-                self.version = self._wait_for_greeting(1.2)
+                self._wait_for_greeting(1.2)
                 break
         else:
             raise NoReply(reason("grbl.none", port=link.port))
@@ -182,7 +182,7 @@ class GrblStage:
         self._link.discard()
         lines = (
             grbl.UNLOCK,
-            grbl.relative_line(self._axis, -self._sign * distance_mm, min(speed_mm_s, self.max_speed_mm_s)),
+            grbl.move_line(self._axis, -self._sign * distance_mm, min(speed_mm_s, self.max_speed_mm_s), True),
             grbl.SYNCHRONISE,
         )
         self._target_mm = self.position_mm - distance_mm
@@ -272,7 +272,7 @@ class GrblStage:
         self._is_alarmed = self._link.clock.now_s() >= heard_s + 2 * SILENCE_S
         return False
 
-    def _wait_for_greeting(self, within_s: float) -> str:
+    def _wait_for_greeting(self, within_s: float) -> None:
         end_s = self._link.clock.now_s() + within_s
         while True:
             line = self._link.next_line(max(0.0, end_s - self._link.clock.now_s()))
@@ -283,7 +283,7 @@ class GrblStage:
             if isinstance(reply, grbl.Alarm):
                 self.is_position_known = False  # The reset cut a motion.
             if isinstance(reply, grbl.Greeting):
-                return reply.text
+                return
 
     def _wait_until_homed(self, on_wait: OnWait) -> None:
         end_s = self._link.clock.now_s() + HOMING_S

@@ -30,7 +30,7 @@ class SimulatedGrbl(FarEnd):
     """A controller whose Z axis presses downward: machine Z runs from 0 at the homing switch to −travel.
 
     Faults are switches: `switch` ("good", "missing", "stuck"), `delay_reply_s`, `hit_limit()`, `dip_power()`,
-    `open_door()`, `press_emergency_stop()`, `press_hold()` and `release_hold()`, and everything the wire can do.
+    `open_door()`, `press_emergency_stop()`, `press_hold()`, and everything the wire can do.
 
     Args:
         axis: the drive; its position counts downward from the switch, mm.
@@ -134,10 +134,6 @@ class SimulatedGrbl(FarEnd):
         """Somebody presses the hold button at the machine, and keeps it pressed."""
         self._is_hold_pressed = True
         self._hold()
-
-    def release_hold(self) -> None:
-        """The hold button is let go; the controller stays in its hold."""
-        self._is_hold_pressed = False
 
     def _hold(self) -> None:
         if self.state in ("Run", "Idle"):

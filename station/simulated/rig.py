@@ -22,9 +22,8 @@ class Physics(Protocol):
 class SimulatedRig:
     """Stage, unit and load cell in one frame.
 
-    `weight_N` is a dead weight on the unit. `keeps_truth` keeps the true position at every sample, for tests that
-    compare. Faults are switches: `force_fault` and `output_fault` replace what a device would see: (time, true value)
-    -> value.
+    `weight_N` is a dead weight on the unit. Faults are switches: `force_fault` and `output_fault` replace what a device
+    would see: (time, true value) -> value.
 
     Args:
         axis: the drive; its position counts downward from the homing switch, mm.
@@ -37,9 +36,6 @@ class SimulatedRig:
         self.output_fault: Callable[[float, float], float] | None = None
         self._stands_at_mm: float | None = None
         self._lost_mm = 0.0
-        self.keeps_truth = False
-        self.true_t_s: list[float] = []
-        self.true_stage_mm: list[float] = []
         self.largest_force_N = 0.0
 
     def mount(self, units: Sequence[Physics], clearance_mm: float, now_s: float) -> None:
@@ -57,9 +53,6 @@ class SimulatedRig:
         self.axis.advance(now_s)
         if now_s > self._read_s:
             self._read_s = now_s
-            if self.keeps_truth:
-                self.true_t_s.append(now_s)
-                self.true_stage_mm.append(self.axis.position_mm)
             u_mm = self.carriage_mm - self.clearance_mm
             if self.weight_N:
                 # A weight sinks until the unit bears it, whatever the stage does above it.

@@ -144,17 +144,13 @@ class StationService:
         except DeviceError as error:
             self.state, self.reasons = StationState.STOPPED, (error.reason,)
 
-    def acknowledge(self) -> None:
-        """Open the ports again: somebody has read why it stopped; the next run homes first."""
-        self.start()
-
     def perform(self, order: Order) -> StationRecording | RestReading | None:
         """Perform one order; return what a run that went through recorded, which the host keeps and reports done.
 
         Every other outcome is reported here.
         """
         if order.kind is OrderKind.ACKNOWLEDGE:
-            self.acknowledge()
+            self.start()  # Somebody has read why it stopped; the next run homes first.
             self._end(order, RunState.DONE, "", (Reason("run.acknowledged"),))
             return None
         if self.state is StationState.STOPPED or self._bench is None:

@@ -130,14 +130,10 @@ def parse(line: bytes) -> Reply:
         raise BadReply(reason("grbl.noise", line=repr(line[:60]))) from error
 
 
-def move_line(axis: str, machine_mm: float, speed_mm_s: float) -> bytes:
-    """Return a straight move in machine coordinates, feed in mm/min."""
-    return f"G90 G21 G53 G1 {axis}{machine_mm:.4f} F{speed_mm_s * 60:.3f}\n".encode()
-
-
-def relative_line(axis: str, machine_mm: float, speed_mm_s: float) -> bytes:
-    """Return a straight move by so much from where the axis is, feed in mm/min."""
-    return f"G91 G21 G1 {axis}{machine_mm:.4f} F{speed_mm_s * 60:.3f}\n".encode()
+def move_line(axis: str, machine_mm: float, speed_mm_s: float, is_relative: bool = False) -> bytes:
+    """Return a straight move in machine coordinates, or by so much from where the axis is; feed in mm/min."""
+    codes = "G91 G21 G1" if is_relative else "G90 G21 G53 G1"
+    return f"{codes} {axis}{machine_mm:.4f} F{speed_mm_s * 60:.3f}\n".encode()
 
 
 SYNCHRONISE = b"G4 P0.01\n"
