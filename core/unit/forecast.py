@@ -61,7 +61,7 @@ def variance_table(model: SourceModel, evidence: MapEvidence) -> Array:
     pattern = 0.5 + 0.5 * _disagreement_pattern(model, evidence)
     if not knowledge.is_placed and budget["gain"]:
         pattern = 0.5 * pattern + 0.5 * _load_pattern(model, evidence)
-    reach = model.method.forecast.reach
+    reach = model.method.map.ends.reach
     unshown = unseen * beyond(model.interval.levels, evidence.estimate, reach)
     spread_out = map_variance(budget, knowledge) - (unseen * budget["extrapolation"]) ** 2
     line = budget.get(LINE, 0.0) ** 2 * _load_pattern(model, evidence)
@@ -106,7 +106,7 @@ def own_terms(
     - `excess`: the forecast error beyond the network's. Part of it is creep, lag and hysteresis that a window does not
       show; no network that reads windows could do better.
     """
-    network, budget, rows = model.network, evidence.budget, model.method.forecast.own_rows
+    network, budget, rows = model.network, evidence.budget, model.method.map.pairs.pairs // 2
     # Variances subtract: f was trained with the source's noise, so that much is in `floor` already.
     of_source = _source_noise_error(network, model.source.unlabelled, rows)
     estimate = evidence.estimate if len(evidence.rows) == len(target.windows) else None
