@@ -1,13 +1,11 @@
 """The host's clock, and device time to host time: offset and drift from (device, arrival) pairs."""
 
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.station.interfaces import Sample
 
 CLOCK_SHARE = 0.02
 """A device clock further off than this share is broken, or its rate is declared wrong."""
@@ -67,20 +65,6 @@ def fit_clock(device_s: Array, host_s: Array) -> ClockFit:
     return ClockFit(offset_s, rate, float(np.median(late)), float(np.max(late)))
 
 
-def clock_of(samples: Sequence[Sample]) -> tuple[Array, ClockFit]:
-    """Return (n,) times by the device's clock, the host's where it has none, and what that is to the host's."""
-    device_s = np.array([sample.host_s if sample.device_s is None else sample.device_s for sample in samples])
-    if samples[0].device_s is None:
-        return device_s, ClockFit(0.0, 1.0, 0.0, 0.0)
-    return device_s, fit_clock(device_s, np.array([sample.host_s for sample in samples]))
-
-
-def device_times_s(samples: Sequence[Sample]) -> Array:
-    """Return (n,) when samples were taken, host clock: by the device's clock where it has one."""
-    device_s, clock = clock_of(samples)
-    return clock.to_host(device_s)
-
-
 def _lower_hull(x: Array, y: Array) -> list[int]:
     hull: list[int] = []
     for k in range(len(x)):
@@ -91,11 +75,6 @@ def _lower_hull(x: Array, y: Array) -> list[int]:
             hull.pop()
         hull.append(k)
     return hull
-
-
-def next_turn_s(turn_s: float, now_s: float, rate_Hz: float) -> float:
-    """Return when a device is asked next. On a grid: counted from each answer, every delay would lower the rate."""
-    return max(turn_s, now_s - 1.0 / rate_Hz) + 1.0 / rate_Hz
 
 
 def unwrap_ms(previous_ms: int, reported_ms: int) -> int:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, DeviceError, NoReply
 from softcal.core.words.reason import Reason, reason
-from softcal.station.clock import next_turn_s
 from softcal.station.device_names import CELL
 from softcal.station.devices.config import ForceConfig, StageConfig
 from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings, opens
@@ -14,6 +13,7 @@ from softcal.station.drivers.admission import admit
 from softcal.station.interfaces import Move, OnWait, Sample, StagePosition, ignore_wait
 from softcal.station.simulated.esm import SimulatedEsm
 from softcal.station.simulated.force_gauge import SimulatedMark10
+from softcal.station.wire.asked import next_turn_s
 from softcal.station.wire.frames import esm, gcl2
 from softcal.station.wire.link import POLL_S, Line, Link
 

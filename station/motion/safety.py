@@ -117,7 +117,8 @@ class StuckWatch:
         averaged = max(1, round(STUCK_MEAN_S * rate_Hz)) if noise else 1
         self._name, self._least = name, STUCK_NOISES * noise / np.sqrt(averaged)
         self._recent: deque[float] = deque(maxlen=averaged)
-        self._forget()
+        self._count, self._low, self._high = 0, float("inf"), float("-inf")
+        self._shallow_mm, self._deep_mm = float("inf"), float("-inf")
 
     def check(self, value: float, pressed_mm: float) -> None:
         """Raise `BadReply` when the stage moved far on the unit and the channel has not followed."""

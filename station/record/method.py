@@ -9,7 +9,7 @@ RIGS = "good rigs of benchmarks/station_proof.py, seeds 0 to 99, 156, 400 to 519
 
 
 @dataclass(frozen=True)
-class LagConfig:
+class CellLagConfig:
     """How late a load cell is behind the stage.
 
     Args:
@@ -137,7 +137,7 @@ class OutputConfig:
 class ProofMethod(NumberedMethod):
     """Every number of the proof, by what it looks at."""
 
-    lag: LagConfig = field(default_factory=LagConfig)
+    lag: CellLagConfig = field(default_factory=CellLagConfig)
     law: LawConfig = field(default_factory=LawConfig)
     change: ChangeConfig = field(default_factory=ChangeConfig)
     hang: HangConfig = field(default_factory=HangConfig)

@@ -127,7 +127,7 @@ def _check_moments(t_s: Array, basis: Array, force_N: Array) -> None:
         trust = 1 / np.sqrt(np.maximum(np.abs(off_N), np.median(np.abs(off_N)) + 1e-12))
         off_N = force_N - basis @ _weights(basis * trust[:, None], force_N * trust)
     mean_N = np.convolve(off_N, np.full(length, 1 / length), "same")
-    mean_N[~_is_known(t_s)] = 0.0
+    mean_N = np.where(_is_known(t_s), mean_N, 0.0)
     oddest = int(np.argmax(np.abs(mean_N)))
     is_rest = np.abs(t_s - t_s[oddest]) > HANG.beside_s
     share = abs(mean_N[oddest]) / float(np.quantile(np.abs(force_N), HANG.largest))

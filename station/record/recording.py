@@ -8,7 +8,7 @@ import numpy as np
 from softcal.core.errors import BadReply, InputError
 from softcal.core.recording import Array, Indices, LabelledRecording, OutputRecording
 from softcal.core.words.reason import reason
-from softcal.station.clock import CLOCK_SHARE, ClockFit, clock_of, residual_offset_s
+from softcal.station.clock import CLOCK_SHARE, ClockFit, fit_clock, residual_offset_s
 from softcal.station.device_names import CELL, named
 from softcal.station.interfaces import Sample, StagePosition
 from softcal.station.record.method import METHOD
@@ -204,6 +204,20 @@ def restore(run: SpooledRun) -> StationRecording:
         return assemble(Raw(run.output, run.force, run.polls), RunFacts(**run.facts))
     except (IndexError, TypeError, ValueError) as error:
         raise InputError(reason("rig.run_facts", serial=serial)) from error
+
+
+def clock_of(samples: Sequence[Sample]) -> tuple[Array, ClockFit]:
+    """Return (n,) times by the device's clock, the host's where it has none, and what that is to the host's."""
+    device_s = np.array([sample.host_s if sample.device_s is None else sample.device_s for sample in samples])
+    if samples[0].device_s is None:
+        return device_s, ClockFit(0.0, 1.0, 0.0, 0.0)
+    return device_s, fit_clock(device_s, np.array([sample.host_s for sample in samples]))
+
+
+def device_times_s(samples: Sequence[Sample]) -> Array:
+    """Return (n,) when samples were taken, host clock: by the device's clock where it has one."""
+    device_s, clock = clock_of(samples)
+    return clock.to_host(device_s)
 
 
 @dataclass(frozen=True, eq=False)

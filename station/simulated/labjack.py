@@ -3,22 +3,22 @@
 import socket
 from collections.abc import Callable
 
-from softcal.station.simulated.answering import FarEnd
+from softcal.station.simulated.answering import SimulatedAnswers
 from softcal.station.simulated.wire import Wire
 
 TIMEOUT_S = 0.4
 REGISTERS = {"_RANGE": 10.0, "_RESOLUTION_INDEX": 0.0}
 
 
-class SimulatedLabjack(FarEnd):
+class SimulatedLabjack(SimulatedAnswers):
     """Answers `number NAME[=value] …` with `number value … checksum`, as Modbus does."""
 
     def __init__(self, wire: Wire, inputs_V: Callable[[float], tuple[float, ...]]) -> None:
-        super().__init__(wire)
-        self._inputs_V, self.said_end = inputs_V, b"\n"
+        super().__init__(wire, self._reply)
+        self._inputs_V = inputs_V
         self.registers: dict[str, float] = {}
 
-    def answer(self, words: str, now_s: float) -> str:
+    def _reply(self, words: str, now_s: float) -> str:
         number, *names = words.split()
         values = [f"{self._value(name, now_s):.6f}" for name in names]
         content = " ".join([number, *values])

@@ -10,7 +10,6 @@ from softcal.core.errors import BadReply, CommandRefused, SafetyStop
 from softcal.core.profiles import Profile
 from softcal.core.recording import Array
 from softcal.core.words.reason import Reason, reason
-from softcal.station.clock import device_times_s
 from softcal.station.devices.bench import Bench
 from softcal.station.devices.config import LATEST_S
 from softcal.station.interfaces import Move, OnWait, ignore_wait
@@ -20,7 +19,7 @@ from softcal.station.motion.motion import RETRACT_MM_S
 from softcal.station.motion.safety import STUCK_MM
 from softcal.station.motion.watched import WatchedBench
 from softcal.station.record.proof import check_lag, lag_s
-from softcal.station.record.recording import Raw, RunFacts, StationRecording, assemble
+from softcal.station.record.recording import Raw, RunFacts, StationRecording, assemble, device_times_s
 from softcal.station.record.spool import Spool
 from softcal.station.record.trajectory import DrivenMove, reconstruct
 from softcal.station.tasks.seconds import (

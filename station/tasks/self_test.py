@@ -8,12 +8,13 @@ import numpy as np
 from softcal.core.errors import DeviceError
 from softcal.core.profiles import Profile
 from softcal.core.words.reason import Reason, Value, plain, reason
-from softcal.station.clock import CLOCK_SHARE, clock_of, seen_rate_Hz
+from softcal.station.clock import CLOCK_SHARE, seen_rate_Hz
 from softcal.station.device_names import named
 from softcal.station.devices.bench import Bench
 from softcal.station.interfaces import Advises, ForceReader, Move, Readout, RunsOn, Sample
 from softcal.station.motion.motion import Cancelled
 from softcal.station.motion.watched import WatchedBench, bounds_of
+from softcal.station.record.recording import clock_of
 from softcal.station.tasks.seconds import FEELING, seconds_of, shorter
 
 LISTEN_S = 5.0

@@ -5,12 +5,16 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from softcal.core.errors import NoReply
-from softcal.station.clock import next_turn_s
 from softcal.station.interfaces import Sample
 from softcal.station.wire.link import Link
 
 LATE_S = 0.25
 """An answer still due when reading begins anew is awaited so long: its question is an old one."""
+
+
+def next_turn_s(turn_s: float, now_s: float, rate_Hz: float) -> float:
+    """Return when a device is asked next. On a grid: counted from each answer, every delay would lower the rate."""
+    return max(turn_s, now_s - 1.0 / rate_Hz) + 1.0 / rate_Hz
 
 
 class AskedReader:

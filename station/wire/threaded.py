@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 from softcal.core.errors import DeviceError, NoReply
 from softcal.core.words.reason import reason
-from softcal.station.clock import next_turn_s
 from softcal.station.device_names import named
 from softcal.station.interfaces import Clock, Sample
+from softcal.station.wire.asked import next_turn_s
 
 
 @dataclass(frozen=True)
