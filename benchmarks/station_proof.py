@@ -2,7 +2,7 @@
 
 python benchmarks/station_proof.py [--seeds A B] [--kept FILE] [--part K N] [--quick]
 
-The constants of station/record/proof.py and station/motion/safety.py were chosen on seeds 0 to 99, 156, 400 to 519 and
+The numbers of station/record/method.py and station/motion/safety.py were chosen on seeds 0 to 99, 156, 400 to 519 and
 600 to 1099; other seeds test them.
 """
 

@@ -24,8 +24,8 @@ from softcal.core.simulated_lot import draw_lot, twin_of
 from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.devices.simulated_station import SimulatedStation
 from softcal.station.tasks.acquisition import record
+from softcal.station.tasks.seconds import HOMING
 from softcal.station.tasks.service import Hooks, StationService
-from softcal.station.testing.faults import HOMING
 from softcal.station.testing.line import NAMES, SimulatedLine
 
 UNITS_PER_H = 90
@@ -156,7 +156,7 @@ class ShiftWithFaults:
         station.world.sleep_s(1.0)
         moved_mm = abs(station.axis.position_mm - at_mm)
         self._past_s += station.world.now_s()
-        self._service.acknowledge()
+        self._service.start()
         now_mm = self._station.axis.position_mm
         self._station.world.sleep_s(10.0)
         moved_mm = max(moved_mm, abs(self._station.axis.position_mm - now_mm))

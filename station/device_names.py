@@ -2,10 +2,13 @@
 
 from softcal.core.words.reason import Reason, plain, reason
 
+CELL, READOUT = "load cell", "sensor readout"
+"""What shipped drivers call themselves."""
+
 _NAMES = {
     "stage": Reason("device.stage"),
-    "load cell": Reason("device.cell"),
-    "sensor readout": Reason("device.readout"),
+    CELL: Reason("device.cell"),
+    READOUT: Reason("device.readout"),
     "gauge": Reason("device.gauge"),
     "readers": Reason("device.readers"),
 }

@@ -14,7 +14,8 @@ from softcal.station.devices.simulated_station import SimulatedStation
 from softcal.station.motion.motion import TICK_S
 from softcal.station.record.spool import Spool, read_spool
 from softcal.station.tasks.acquisition import RunProgress, record
-from softcal.station.testing.faults import MOMENTS, PRESS, RETURN, Fault
+from softcal.station.tasks.seconds import PRESSING, RETURNING
+from softcal.station.testing.faults import MOMENTS, Fault
 
 PROFILE: Profile = moves("trial", [0.0, 3.0, 0.0, 3.0, 0.0], [2.0, 2.0, 2.0, 10.0, 10.0], [1.0, 1.0, 0.5, 0.0, 1.0])
 
@@ -176,7 +177,7 @@ def run_with_full_disk(folder: Path, moment: str = "while pressing", seed: int =
         spool.append(FillingSpool(path, {"serial": "F1"}, is_full_at_end=moment == AT_THE_END))
         return spool[0]
 
-    phase, after_s = MOMENTS.get(moment, (RETURN, 1e6))
+    phase, after_s = MOMENTS.get(moment, (RETURNING, 1e6))
     fault = Fault(f"disk full {moment}", phase, after_s, lambda station: spool[0].fill())
     return _tried(fault, folder, seed, make_spool)
 
@@ -190,7 +191,7 @@ def run_with_dead_host(folder: Path, seed: int = 0) -> FaultOutcome:
 
         def on_progress(progress: RunProgress) -> None:
             nonlocal died_s, spool_says
-            if progress.phase != PRESS or progress.stage_mm < station.free_mm + 2.0:
+            if progress.phase != PRESSING or progress.stage_mm < station.free_mm + 2.0:
                 return
             died_s = station.world.now_s()
             station.world.sleep_s(COAST_S)
@@ -206,7 +207,7 @@ def run_with_dead_host(folder: Path, seed: int = 0) -> FaultOutcome:
         message = "the station's service was started again; press the unit again"
         force_N = station.rig.largest_force_N
         return FaultOutcome(
-            "host process killed while pressing", PRESS, "none", message, 0.0, stands_s, force_N, "none", spool_says
+            "host process killed while pressing", PRESSING, "none", message, 0.0, stands_s, force_N, "none", spool_says
         )
 
 

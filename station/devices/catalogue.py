@@ -14,10 +14,10 @@ import softcal.station.drivers
 from softcal.core.errors import InputError
 from softcal.core.plugins import installed
 from softcal.core.words.reason import reason
-from softcal.station.devices.config import Role
+from softcal.station.devices.config import DEVICES, Role
 from softcal.station.devices.driver import AnyDriver, Driver
 
-SECTIONS: dict[Role, str] = {"stage": "stage", "cell": "force", "readout": "readout"}
+SECTIONS: dict[Role, str] = {device.role: section for section, device in DEVICES.items()}
 """Where the keys of a device stand in the station file."""
 
 GROUPS: dict[Role, str] = {"stage": "softcal.stages", "cell": "softcal.cells", "readout": "softcal.readouts"}

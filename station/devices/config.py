@@ -175,8 +175,11 @@ class StationConfig:
 
 
 _T = TypeVar("_T")
-_DEVICES: dict[str, type[DeviceConfig]] = {"stage": StageConfig, "force": ForceConfig, "readout": ReadoutConfig}
-_SECTIONS: dict[str, type[Any]] = {**_DEVICES, "safety": SafetyConfig, "fixture": FixtureConfig}
+_KINDS: dict[Any, str] = {float: "a number", int: "a whole number", str: "text", bool: "true or false"}
+DEVICES: dict[str, type[DeviceConfig]] = {"stage": StageConfig, "force": ForceConfig, "readout": ReadoutConfig}
+"""Sections of the station file that are a device's."""
+
+_SECTIONS: dict[str, type[Any]] = {**DEVICES, "safety": SafetyConfig, "fixture": FixtureConfig}
 
 
 def read_station_file(path: Path) -> StationConfig:
@@ -210,7 +213,7 @@ def station_from_table(content: dict[str, Any]) -> StationConfig:
         if name in content and not isinstance(content[name], dict):
             raise InputError(reason("station_file.no_table", name=name))
         if name in content:
-            make = device_section if name in _DEVICES else partial(filled, kind=kind)
+            make = device_section if name in DEVICES else partial(filled, kind=kind)
             sections[name] = make(name, table=content[name])
     config = StationConfig(name=str(content.get("name", "station")), **sections)
     if config.force is None and not config.safety.without_cell:
@@ -268,7 +271,7 @@ def device_section(name: str, table: dict[str, Any]) -> DeviceConfig:
     """
     from softcal.station.devices.catalogue import driver_of  # The catalogue needs this module.
 
-    common = _DEVICES[name]
+    common = DEVICES[name]
     kind = table.get("kind", common.kind)
     driver = driver_of(common.role, str(kind))
     config: DeviceConfig = filled(name, driver.config, {**table, "kind": kind})
@@ -290,26 +293,25 @@ def filled(name: str, kind: type[_T], table: dict[str, Any]) -> _T:
     """
     known = {f.name: f for f in fields(kind)}  # type: ignore[arg-type]
     types = get_type_hints(kind)
-    values = {}
+    values: dict[str, Any] = {}
     for key, value in table.items():
         if key not in known:
             close = get_close_matches(key, known, 1)
             about = {"known": ", ".join(known), "similar": f"; did you mean {close[0]}?" if close else ""}
             raise InputError(reason("station_file.unknown_key", section=name, key=repr(key), **about))
-        values[key] = _typed(f"{name}.{key}", value, types[key])
+        kind_of, is_number = types[key], isinstance(value, int | float) and not isinstance(value, bool)
+        if kind_of is float and is_number and math.isfinite(value):
+            values[key] = float(value)
+        elif kind_of is not float and type(value) is kind_of:
+            values[key] = value
+        else:
+            expected = _KINDS.get(kind_of, str(kind_of))
+            about = {"name": f"{name}.{key}", "value": repr(value), "expected": expected}
+            raise InputError(reason("station_file.wrong_type", **about))
     for key, each in known.items():
         if key not in values and each.default is MISSING and each.default_factory is MISSING:
             raise InputError(reason("station_file.no_key", section=name, key=key))
     return kind(**values)
-
-
-def _typed(name: str, value: object, kind: object) -> object:
-    if kind is float and isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value):
-        return float(value)
-    if kind is not float and type(value) is kind:
-        return value
-    expected = {float: "a number", int: "a whole number", str: "text", bool: "true or false"}.get(kind, str(kind))  # type: ignore[call-overload]
-    raise InputError(reason("station_file.wrong_type", name=name, value=repr(value), expected=expected))
 
 
 def check_within(name: str, value: float, low: float, high: float) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, get_type_hin
 
 import numpy as np
 
-from softcal.station.devices.config import DeviceConfig, ForceConfig, ReadoutConfig, Role, StageConfig
+from softcal.station.devices.config import DEVICES, DeviceConfig, Role
 from softcal.station.interfaces import Clock, ForceReader, Readout, Stage
 from softcal.station.simulated.answering import FarEnd
 from softcal.station.simulated.motion import Axis
@@ -17,8 +17,6 @@ from softcal.station.wire.transport import WireKind
 
 if TYPE_CHECKING:  # The simulator is an extra: a real rig does without it.
     from softcal.core.twin.parameters import ReadoutMetadata
-
-BASES: tuple[type[DeviceConfig], ...] = (StageConfig, ForceConfig, ReadoutConfig)
 
 C = TypeVar("C", bound=DeviceConfig)
 D = TypeVar("D", bound=Stage | ForceReader | Readout)
@@ -95,8 +93,8 @@ class Driver(Generic[C, D]):
     is_threaded: bool = False
 
     def __post_init__(self) -> None:
-        if not (is_dataclass(self.config) and issubclass(self.config, BASES)):
-            known = ", ".join(base.__name__ for base in BASES)
+        if not (is_dataclass(self.config) and issubclass(self.config, tuple(DEVICES.values()))):
+            known = ", ".join(base.__name__ for base in DEVICES.values())
             raise ValueError(f"driver {self.kind!r}: config must be a frozen dataclass derived from one of {known}")
         if not self.wires:
             raise ValueError(f"driver {self.kind!r}: wires is empty; say what its port may name")
@@ -113,10 +111,8 @@ class Driver(Generic[C, D]):
     @property
     def described_keys(self) -> list[tuple[str, str, str, str]]:
         """Its keys as (name, type, default, unit), as the station file has them, "needed" without a default."""
-        types, names = (
-            get_type_hints(self.config),
-            {float: "number", int: "whole number", str: "text", bool: "true/false"},
-        )
+        types = get_type_hints(self.config)
+        names = {float: "number", int: "whole number", str: "text", bool: "true/false"}
         defaults = {f.name: "needed" if f.default is MISSING else json.dumps(f.default) for f in fields(self.config)}
         return [(key, names.get(types[key], str(types[key])), value, unit_of(key)) for key, value in defaults.items()]
 

@@ -10,13 +10,11 @@ from softcal.core.twin.simulate import Twin, TwinStream
 from softcal.station.devices.catalogue import driver_of
 from softcal.station.devices.config import ForceConfig, ReadoutConfig, Role, StageConfig
 from softcal.station.devices.driver import AnyDriver, Simulated, Surroundings
-from softcal.station.simulated.answering import FarEnd
 from softcal.station.simulated.grbl import SimulatedGrbl
-from softcal.station.simulated.medium import BleEnd, SocketEnd
 from softcal.station.simulated.motion import Axis
 from softcal.station.simulated.rig import SimulatedRig
 from softcal.station.simulated.text_stream import CELL_COUNTS_PER_N, CELL_ZERO_COUNTS, SimulatedTextStream
-from softcal.station.simulated.wire import Wire
+from softcal.station.simulated.wire import BleEnd, SocketEnd, Wire
 from softcal.station.simulated.world import World
 
 ACCELERATION_MM_S2 = 200.0
@@ -55,7 +53,6 @@ class SimulatedStation:
         self.axis.position_mm = 2.3  # Where somebody left it: nothing is known before homing.
         self.rig = SimulatedRig(self.axis)
         self.mount(unit)
-        self.stage_kind, self.force_kind, self.readout_kind = stage_kind, force_kind, readout_kind
         drivers = driver_of("stage", stage_kind), driver_of("cell", force_kind), driver_of("readout", readout_kind)
         self.is_threaded = any(driver.is_threaded for driver in drivers)
         self.stage_wire, self.force_wire, self.readout_wire = (
@@ -84,19 +81,23 @@ class SimulatedStation:
 
     @property
     def stage(self) -> SimulatedGrbl:
-        return _switches_of(SimulatedGrbl, self._far_ends[0])
+        return self.far_end(SimulatedGrbl, "stage")
 
     @property
     def force(self) -> SimulatedTextStream:
-        return _switches_of(SimulatedTextStream, self._far_ends[1])
+        return self.far_end(SimulatedTextStream, "cell")
 
     @property
     def readout(self) -> SimulatedTextStream:
-        return _switches_of(SimulatedTextStream, self._far_ends[2])
+        return self.far_end(SimulatedTextStream, "readout")
 
     def far_end(self, kind: type[_E], role: Role) -> _E:
         """The far end of any stage, load cell or readout, with its fault switches."""
-        return _switches_of(kind, self._far_ends[("stage", "cell", "readout").index(role)])
+        far_end = self._far_ends[("stage", "cell", "readout").index(role)]
+        if not isinstance(far_end, kind):
+            shown = type(far_end).__name__
+            raise ValueError(f"these fault switches are those of {kind.__name__}; the station has {shown}")
+        return far_end
 
     def mount(self, unit: Twin) -> None:
         """Put a unit under the stage, a little higher or lower than the one before."""
@@ -122,9 +123,3 @@ def wire_for(driver: AnyDriver, rng: np.random.Generator) -> Wire:
             return Wire(rng, medium=BleEnd())
         case _:
             return Wire(rng, medium=SocketEnd())
-
-
-def _switches_of(kind: type[_E], far_end: FarEnd | None) -> _E:
-    if not isinstance(far_end, kind):
-        raise ValueError(f"these fault switches are those of {kind.__name__}; the station has {type(far_end).__name__}")
-    return far_end

@@ -2,13 +2,12 @@
 
 from dataclasses import dataclass
 
+from softcal.station.device_names import READOUT
 from softcal.station.devices.config import ReadoutConfig, check_positive, check_within
 from softcal.station.devices.driver import Driver, Simulated, Surroundings, opens
 from softcal.station.drivers.text_stream import WIRES, TextStream
 from softcal.station.simulated.text_stream import SimulatedTextStream
 from softcal.station.wire.link import Link
-
-NAME = "sensor readout"
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,7 @@ class ArduinoReadout(TextStream):
     def __init__(
         self, link: Link, vref_V: float = 5.0, adc_bits: int = 10, rate_Hz: float = 50.0, channels: int = 1
     ) -> None:
-        super().__init__(NAME, link, channels, rate_Hz)
+        super().__init__(READOUT, link, channels, rate_Hz)
         self.range = (0.0, vref_V)
         self._step_V = vref_V / (2**adc_bits - 1)
 
@@ -70,4 +69,4 @@ def _simulate(around: Surroundings) -> Simulated[ArduinoConfig]:
     return Simulated(config, SimulatedTextStream(around.wire, counts, electronics.sample_rate_Hz, drift))
 
 
-DRIVERS = (Driver("arduino", "text lines `ms,adc[,adc ...]`", ArduinoConfig, opens(NAME, _open), _simulate, WIRES),)
+DRIVERS = (Driver("arduino", "text lines `ms,adc[,adc ...]`", ArduinoConfig, opens(READOUT, _open), _simulate, WIRES),)

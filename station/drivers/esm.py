@@ -6,12 +6,14 @@ from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, DeviceError, NoReply
 from softcal.core.words.reason import Reason, reason
+from softcal.station.device_names import CELL
 from softcal.station.devices.config import ForceConfig, StageConfig
 from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings, opens
 from softcal.station.drivers.admission import admit
 from softcal.station.interfaces import Move, OnWait, Sample, StagePosition, ignore_wait
 from softcal.station.simulated.esm import SimulatedEsm
 from softcal.station.simulated.force_gauge import SimulatedMark10
+from softcal.station.wire.asked import next_turn_s
 from softcal.station.wire.frames import esm, gcl2
 from softcal.station.wire.link import POLL_S, Line, Link
 
@@ -224,7 +226,7 @@ class EsmGauge:
         CommandRefused: peak mode, or readings without unit or sign, which its menu must change.
     """
 
-    name = "load cell"
+    name = CELL
     unit = "N"
 
     def __init__(self, port: SharedPort, capacity_N: float, sign: float = 1.0, rate_Hz: float = 50.0) -> None:
@@ -244,8 +246,7 @@ class EsmGauge:
         self._port.read()
         now_s = self._port.link.clock.now_s()
         if now_s >= self._next_s:
-            # On a grid: counted from each question, every delay would lower the rate.
-            self._next_s = max(self._next_s, now_s - 1.0 / self.rate_Hz) + 1.0 / self.rate_Hz
+            self._next_s = next_turn_s(self._next_s, now_s, self.rate_Hz)
             self._port.ask(esm.GAUGE_READING, self._take)
         samples, self._samples = self._samples, []
         return samples

@@ -1,6 +1,7 @@
 """Driver of a GRBL 1.1 or grblHAL stage with one axis (gnea/grbl wiki, "Grbl v1.1 Interface")."""
 
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply
@@ -14,7 +15,7 @@ from softcal.station.motion.feeding import PieceFeed, runs_on_mm, runs_on_s
 from softcal.station.record.trajectory import Trapezoid
 from softcal.station.simulated.grbl import SimulatedGrbl
 from softcal.station.wire.frames import grbl
-from softcal.station.wire.link import POLL_S, Line, Link
+from softcal.station.wire.link import POLL_S, Link
 
 STATUS_S = 0.1
 """Status polls: ten a second is the controller's limit."""
@@ -75,7 +76,14 @@ class GrblStage:
         self._asked_s: float | None = None
         self._next_status_s = 0.0
         self.position_mm = self._target_mm = 0.0
-        self.version = self._wake()
+        for _ in range(4):  # A boot loader swallows the first tries.
+            link.discard()
+            link.write(grbl.RESET)
+            with suppress(NoReply):
+                self._wait_for_greeting(1.2)
+                break
+        else:
+            raise NoReply(reason("grbl.none", port=link.port))
         self.settings = read_settings(link, self._index)
         self.travel_mm, self.max_speed_mm_s, self.acceleration_mm_s2 = self.settings.drive
 
@@ -106,7 +114,35 @@ class GrblStage:
         self._send_due()
 
     def poll(self) -> list[StagePosition]:
-        positions = [p for line in self._link.read_lines() if (p := self._take(line)) is not None]
+        positions = []
+        for line in self._link.read_lines():
+            reply = grbl.parse(line.text)
+            if isinstance(reply, grbl.Ok) and self._in_flight:
+                self._in_flight.popleft()
+                if not self.is_moving:
+                    self.position_mm = self._target_mm  # Newer than the last status poll.
+            elif isinstance(reply, grbl.GrblRefusal):
+                raise CommandRefused(reason("grbl.refused", reply=reply.reason))
+            elif isinstance(reply, grbl.Alarm):
+                self.is_position_known = self.is_position_known and not reply.loses_position
+                raise DeviceError(reason("grbl.alarm", reply=reply.reason))
+            elif isinstance(reply, grbl.Greeting):
+                self.is_position_known = False
+                raise DeviceError(Reason("grbl.restarted"))
+            elif isinstance(reply, grbl.GrblStatus):
+                asked_s = line.host_s if self._asked_s is None else self._asked_s
+                self._asked_s = None
+                self._is_button_held = "H" in reply.pins
+                if reply.state == "Hold":
+                    raise Held(Reason("grbl.held"))
+                if reply.state == "Door":
+                    raise DeviceError(Reason("grbl.door"))
+                if reply.state in ("Alarm", "Sleep"):
+                    self.is_position_known = False
+                    raise DeviceError(reason("grbl.state", state=reply.state))
+                self._offset_mm = reply.offset_mm or self._offset_mm
+                self.position_mm = self._sign * self._machine_mm(reply)
+                positions.append(StagePosition((asked_s + line.host_s) / 2, self.position_mm))
         now_s = self._link.clock.now_s()
         if self._asked_s is not None and now_s - self._asked_s > SILENCE_S:
             raise NoReply(reason("grbl.no_status", seconds=SILENCE_S))
@@ -146,7 +182,7 @@ class GrblStage:
         self._link.discard()
         lines = (
             grbl.UNLOCK,
-            grbl.relative_line(self._axis, -self._sign * distance_mm, min(speed_mm_s, self.max_speed_mm_s)),
+            grbl.move_line(self._axis, -self._sign * distance_mm, min(speed_mm_s, self.max_speed_mm_s), True),
             grbl.SYNCHRONISE,
         )
         self._target_mm = self.position_mm - distance_mm
@@ -167,17 +203,6 @@ class GrblStage:
     def close(self) -> None:
         self._link.close()
 
-    def _wake(self) -> str:
-        """Reset the controller and return its greeting; a boot loader swallows the first tries."""
-        for _ in range(4):
-            self._link.discard()
-            self._link.write(grbl.RESET)
-            try:
-                return self._wait_for_greeting(1.2)
-            except NoReply:
-                continue
-        raise NoReply(reason("grbl.none", port=self._link.port))
-
     def _send_due(self) -> None:
         """Send the pieces that are due, and at last the line that proves the end of the move."""
         now_s = self._link.clock.now_s()
@@ -196,39 +221,6 @@ class GrblStage:
         self._in_flight.append(len(line))
         self._link.write(line)
         return True
-
-    def _take(self, line: Line) -> StagePosition | None:
-        reply = grbl.parse(line.text)
-        if isinstance(reply, grbl.Ok) and self._in_flight:
-            self._in_flight.popleft()
-            if not self.is_moving:
-                self.position_mm = self._target_mm  # Newer than the last status poll.
-        elif isinstance(reply, grbl.GrblRefusal):
-            raise CommandRefused(reason("grbl.refused", reply=reply.reason))
-        elif isinstance(reply, grbl.Alarm):
-            self.is_position_known = self.is_position_known and not reply.loses_position
-            raise DeviceError(reason("grbl.alarm", reply=reply.reason))
-        elif isinstance(reply, grbl.Greeting):
-            self.is_position_known = False
-            raise DeviceError(Reason("grbl.restarted"))
-        elif isinstance(reply, grbl.GrblStatus):
-            return self._position(reply, line.host_s)
-        return None
-
-    def _position(self, status: grbl.GrblStatus, host_s: float) -> StagePosition:
-        asked_s = host_s if self._asked_s is None else self._asked_s
-        self._asked_s = None
-        self._is_button_held = "H" in status.pins
-        if status.state == "Hold":
-            raise Held(Reason("grbl.held"))
-        if status.state == "Door":
-            raise DeviceError(Reason("grbl.door"))
-        if status.state in ("Alarm", "Sleep"):
-            self.is_position_known = False
-            raise DeviceError(reason("grbl.state", state=status.state))
-        self._offset_mm = status.offset_mm or self._offset_mm
-        self.position_mm = self._sign * self._machine_mm(status)
-        return StagePosition((asked_s + host_s) / 2, self.position_mm)
 
     def _machine_mm(self, status: grbl.GrblStatus) -> float:
         if status.machine_mm is not None:
@@ -280,7 +272,7 @@ class GrblStage:
         self._is_alarmed = self._link.clock.now_s() >= heard_s + 2 * SILENCE_S
         return False
 
-    def _wait_for_greeting(self, within_s: float) -> str:
+    def _wait_for_greeting(self, within_s: float) -> None:
         end_s = self._link.clock.now_s() + within_s
         while True:
             line = self._link.next_line(max(0.0, end_s - self._link.clock.now_s()))
@@ -291,7 +283,7 @@ class GrblStage:
             if isinstance(reply, grbl.Alarm):
                 self.is_position_known = False  # The reset cut a motion.
             if isinstance(reply, grbl.Greeting):
-                return reply.text
+                return
 
     def _wait_until_homed(self, on_wait: OnWait) -> None:
         end_s = self._link.clock.now_s() + HOMING_S

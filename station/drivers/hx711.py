@@ -4,10 +4,9 @@ from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, InputError
 from softcal.core.words.reason import Reason, reason
-from softcal.station.device_names import named
+from softcal.station.device_names import CELL, named
 from softcal.station.devices.config import ForceConfig
 from softcal.station.devices.driver import Driver, Simulated, Surroundings, opens
-from softcal.station.drivers.serial_cell import NAME
 from softcal.station.drivers.text_stream import WIRES, TextStream
 from softcal.station.simulated.text_stream import CELL_COUNTS_PER_N, CELL_ZERO_COUNTS, SimulatedTextStream
 from softcal.station.wire.link import Link
@@ -48,7 +47,7 @@ class Hx711Cell(TextStream):
     def __init__(
         self, link: Link, counts_per_N: float, zero_counts: float, capacity_N: float, rate_Hz: float = 80.0
     ) -> None:
-        super().__init__(NAME, link, 1, rate_Hz)
+        super().__init__(CELL, link, 1, rate_Hz)
         self.counts_per_N, self.zero_counts, self.capacity_N = counts_per_N, zero_counts, capacity_N
 
     def values_of(self, counts: tuple[int, ...]) -> tuple[float, ...]:
@@ -74,4 +73,4 @@ def _simulate(around: Surroundings) -> Simulated[Hx711Config]:
     return Simulated(config, SimulatedTextStream(around.wire, counts, config.rate_Hz, drift, banner=banner))
 
 
-DRIVERS = (Driver("hx711", "text lines `ms,counts` of an HX711", Hx711Config, opens(NAME, _open), _simulate, WIRES),)
+DRIVERS = (Driver("hx711", "text lines `ms,counts` of an HX711", Hx711Config, opens(CELL, _open), _simulate, WIRES),)

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 from softcal.core.errors import BadReply
 from softcal.core.words.reason import Reason, reason
-from softcal.station.devices.driver import Driver
-from softcal.station.drivers.serial_cell import LineCell, SerialCellConfig, opens_cell, simulates
+from softcal.station.drivers.serial_cell import LineCell, SerialCellConfig, cell_driver
 from softcal.station.simulated.force_gauge import SimulatedIndicator
 from softcal.station.wire.frames.force_unit import in_newtons
 
@@ -40,10 +39,9 @@ class IndicatorCell(LineCell):
 
     fatal = OVERLOADED
 
-    def _force_N(self, text: bytes) -> float:
+    def force_of(self, text: bytes) -> float:
         return parse_N(text)
 
 
 _WHAT = "weighing indicators that print `ST,GS,+  4.876kg`"
-_SIMULATE = simulates(IndicatorConfig, SimulatedIndicator)
-DRIVERS = (Driver("indicator", _WHAT, IndicatorConfig, opens_cell(IndicatorCell), _SIMULATE),)
+DRIVERS = (cell_driver(_WHAT, IndicatorConfig, IndicatorCell, SimulatedIndicator),)

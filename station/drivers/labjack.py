@@ -11,13 +11,12 @@ from typing import Any
 
 from softcal.core.errors import BadReply, CommandRefused, NoReply
 from softcal.core.words.reason import reason
-from softcal.station.device_names import named
+from softcal.station.device_names import READOUT, named
 from softcal.station.devices.config import ReadoutConfig, check_known, check_within
 from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.simulated.labjack import SimulatedLabjack, SimulatedLjm
 from softcal.station.wire.threaded import Reading, ThreadedReader
 
-NAME = "sensor readout"
 RANGES_V = (10.0, 1.0, 0.1, 0.01)
 """Ranges of a T7; others take those they have and refuse the rest."""
 
@@ -53,7 +52,7 @@ class LabjackConfig(ReadoutConfig):
         try:
             return importlib.import_module("labjack.ljm")
         except Exception as error:  # It raises a kind of its own where LJM itself is missing.
-            raise NoReply(reason("labjack.missing", device=named(NAME, self.port), error=str(error))) from error
+            raise NoReply(reason("labjack.missing", device=named(READOUT, self.port), error=str(error))) from error
 
 
 def open_labjack(config: LabjackConfig, opening: Opening) -> ThreadedReader:
@@ -62,7 +61,7 @@ def open_labjack(config: LabjackConfig, opening: Opening) -> ThreadedReader:
     try:
         handle = ljm.openS(config.device, "ANY", config.port)
     except ljm.LJMError as error:
-        raise NoReply(reason("labjack.none", device=named(NAME, config.port), error=str(error))) from error
+        raise NoReply(reason("labjack.none", device=named(READOUT, config.port), error=str(error))) from error
     try:
         for name in config.inputs:
             _set(ljm, handle, f"{name}_RANGE", config.full_scale_V, config.port)
@@ -74,12 +73,12 @@ def open_labjack(config: LabjackConfig, opening: Opening) -> ThreadedReader:
     def read() -> Reading:
         values = tuple(ljm.eReadNames(handle, config.channels, config.inputs))
         if not all(math.isfinite(value) for value in values):
-            raise BadReply(reason("labjack.reading", device=named(NAME), values=str(values)))
+            raise BadReply(reason("labjack.reading", device=named(READOUT), values=str(values)))
         return Reading(values)
 
     # The converter reads a little beyond its range: at the range itself the sensor is at the rail.
     reader = partial(ThreadedReader, channels=config.channels, limits=(-config.full_scale_V, config.full_scale_V))
-    return reader(NAME, "V", config.rate_Hz, opening.clock, read, lambda: ljm.close(handle))
+    return reader(READOUT, "V", config.rate_Hz, opening.clock, read, lambda: ljm.close(handle))
 
 
 def _set(ljm: Any, handle: int, name: str, value: float, port: str) -> None:
@@ -88,10 +87,10 @@ def _set(ljm: Any, handle: int, name: str, value: float, port: str) -> None:
         found = float(ljm.eReadName(handle, name))
     except ljm.LJMError as error:
         raise CommandRefused(
-            reason("labjack.refused", device=named(NAME, port), name=name, value=value, error=str(error))
+            reason("labjack.refused", device=named(READOUT, port), name=name, value=value, error=str(error))
         ) from error
     if value and abs(found - value) > 0.1 * value:  # 0 lets the device choose.
-        raise CommandRefused(reason("labjack.other", device=named(NAME, port), name=name, value=value, found=found))
+        raise CommandRefused(reason("labjack.other", device=named(READOUT, port), name=name, value=value, found=found))
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, NoReply
 from softcal.core.words.reason import reason
-from softcal.station.devices.driver import Driver
-from softcal.station.drivers.serial_cell import LineCell, SerialCellConfig, opens_cell, simulates
+from softcal.station.drivers.serial_cell import LineCell, SerialCellConfig, cell_driver
 from softcal.station.simulated.force_gauge import SimulatedLoadstar
 from softcal.station.wire.frames.force_unit import in_newtons
 from softcal.station.wire.link import Link
@@ -69,7 +68,7 @@ class LoadstarCell(LineCell):
             self._link.write(PING)
         super().close()
 
-    def _force_N(self, text: bytes) -> float:
+    def force_of(self, text: bytes) -> float:
         return parse_N(text, self.native_unit)
 
     def _ask(self, question: bytes) -> str:
@@ -77,5 +76,4 @@ class LoadstarCell(LineCell):
         return self._link.next_line(ANSWER_S).text.decode("ascii", "replace").strip()
 
 
-_SIMULATE = simulates(LoadstarConfig, SimulatedLoadstar)
-DRIVERS = (Driver("loadstar", "Loadstar DI-100 and DI-1000", LoadstarConfig, opens_cell(LoadstarCell), _SIMULATE),)
+DRIVERS = (cell_driver("Loadstar DI-100 and DI-1000", LoadstarConfig, LoadstarCell, SimulatedLoadstar),)

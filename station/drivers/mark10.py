@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from softcal.station.devices.driver import Driver
-from softcal.station.drivers.serial_cell import NAME, SerialCellConfig, opens_cell, simulates
+from softcal.station.device_names import CELL
+from softcal.station.drivers.serial_cell import SerialCellConfig, cell_driver
 from softcal.station.simulated.force_gauge import SimulatedMark10
 from softcal.station.wire.asked import AskedReader
 from softcal.station.wire.frames import gcl2
@@ -33,7 +33,7 @@ class Mark10Gauge(AskedReader):
         def parse(line: bytes) -> tuple[float, ...]:
             return (sign * gcl2.parse_reading_N(line),)
 
-        super().__init__(NAME, "N", rate_Hz, link, gcl2.CURRENT, parse)
+        super().__init__(CELL, "N", rate_Hz, link, gcl2.CURRENT, parse)
         self.capacity_N = capacity_N
         link.discard()
         for command in (b"CUR" + gcl2.END, b"N" + gcl2.END, gcl2.LIST):
@@ -41,5 +41,4 @@ class Mark10Gauge(AskedReader):
         gcl2.check_settings(link.next_line(ANSWER_S).text)
 
 
-_SIMULATE = simulates(Mark10Config, SimulatedMark10)
-DRIVERS = (Driver("mark10", "Mark-10 gauges, GCL2", Mark10Config, opens_cell(Mark10Gauge), _SIMULATE),)
+DRIVERS = (cell_driver("Mark-10 gauges, GCL2", Mark10Config, Mark10Gauge, SimulatedMark10),)

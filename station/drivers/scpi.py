@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, InputError, NoReply
 from softcal.core.words.reason import Reason, reason
-from softcal.station.device_names import named
+from softcal.station.device_names import READOUT, named
 from softcal.station.devices.config import ReadoutConfig, check_known, check_positive, check_within
 from softcal.station.devices.driver import Driver, Simulated, Surroundings, opens
 from softcal.station.simulated.scpi import SimulatedDmm, SimulatedLcr
@@ -16,7 +16,6 @@ from softcal.station.wire.asked import AskedReader
 from softcal.station.wire.link import Link
 from softcal.station.wire.transport import WireKind
 
-NAME = "sensor readout"
 ANSWER_S = 3.0
 OVERLOAD = 9.9e37
 """What SCPI instruments send for a value beyond the range."""
@@ -113,18 +112,20 @@ def _readout(
     identity = _answer(link, "*IDN?").strip()
     fields = [field.strip() for field in identity.split(",")]
     if len(fields) < 2 or fields[1] not in models:
-        raise NoReply(reason("scpi.other", device=named(NAME), identity=repr(identity[:60]), models=", ".join(models)))
+        raise NoReply(
+            reason("scpi.other", device=named(READOUT), identity=repr(identity[:60]), models=", ".join(models))
+        )
     # One command a line: over USB-TMC each line is a message of its own.
     for command in ("*RST", "*CLS", *setup):
         link.write(command.encode() + b"\n")
     error = _answer(link, "SYST:ERR?")
     if int_of(error.split(",")[0]) != 0:
-        raise CommandRefused(reason("scpi.settings", device=named(NAME), error=error[:80]))
+        raise CommandRefused(reason("scpi.settings", device=named(READOUT), error=error[:80]))
 
     def parse(line: bytes) -> tuple[float, ...]:
         return (per_unit * parse_reading(line),)
 
-    return AskedReader(NAME, unit, config.rate_Hz, link, question, parse, limits=(-full_scale, full_scale))
+    return AskedReader(READOUT, unit, config.rate_Hz, link, question, parse, limits=(-full_scale, full_scale))
 
 
 def _answer(link: Link, question: str) -> str:
@@ -138,13 +139,13 @@ def parse_reading(line: bytes) -> float:
     try:
         value = float(fields[0])
     except ValueError as error:
-        raise BadReply(reason("scpi.reading", device=named(NAME), line=repr(line[:40]))) from error
+        raise BadReply(reason("scpi.reading", device=named(READOUT), line=repr(line[:40]))) from error
     status = int_of(fields[2].decode("ascii", "replace")) if len(fields) > 2 else 0
     if status:
         why = LCR_STATUS.get(status) or reason("scpi.status.other", status=status)
-        raise BadReply(reason("scpi.status", device=named(NAME), why=why))
+        raise BadReply(reason("scpi.status", device=named(READOUT), why=why))
     if not abs(value) < OVERLOAD:
-        raise BadReply(reason("scpi.overload", device=named(NAME)))
+        raise BadReply(reason("scpi.overload", device=named(READOUT)))
     return value
 
 
@@ -153,7 +154,7 @@ def int_of(text: str) -> int:
     try:
         return int(float(text))
     except (ValueError, OverflowError) as error:
-        raise BadReply(reason("scpi.whole", device=named(NAME), text=repr(text[:40]))) from error
+        raise BadReply(reason("scpi.whole", device=named(READOUT), text=repr(text[:40]))) from error
 
 
 def dmm_setup(config: DmmConfig) -> tuple[str, ...]:
@@ -198,6 +199,6 @@ def _simulate_lcr(around: Surroundings) -> Simulated[LcrConfig]:
 _DMM, _LCR = "SCPI multimeters: Keysight 34461A and its family", "SCPI LCR meters: Keysight E4980A, E4980AL"
 _WIRES: tuple[WireKind, ...] = ("tcp", "visa", "serial")
 DRIVERS = (
-    Driver("scpi_dmm", _DMM, DmmConfig, opens(NAME, _dmm), _simulate_dmm, _WIRES),
-    Driver("scpi_lcr", _LCR, LcrConfig, opens(NAME, _lcr), _simulate_lcr, _WIRES),
+    Driver("scpi_dmm", _DMM, DmmConfig, opens(READOUT, _dmm), _simulate_dmm, _WIRES),
+    Driver("scpi_lcr", _LCR, LcrConfig, opens(READOUT, _lcr), _simulate_lcr, _WIRES),
 )

@@ -3,18 +3,16 @@
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 from softcal.core.errors import BadReply
 from softcal.core.words.reason import Reason
+from softcal.station.device_names import CELL
 from softcal.station.devices.config import ForceConfig
-from softcal.station.devices.driver import Opening, Simulated, Surroundings, opens
+from softcal.station.devices.driver import AnyDriver, Driver, Simulated, opens
 from softcal.station.drivers.text_stream import LineReader
 from softcal.station.interfaces import ForceReader, Sample
 from softcal.station.simulated.force_gauge import SimulatedGauge
 from softcal.station.wire.link import Line, Link
-
-NAME = "load cell"
 
 
 @dataclass(frozen=True)
@@ -31,20 +29,24 @@ class SerialCellConfig(ForceConfig):
     sign: float = 1.0
 
 
-def opens_cell(
+def cell_driver(
+    what: str,
+    config: type[SerialCellConfig],
     cell: Callable[[Link, float, float, float], ForceReader],
-) -> Callable[[SerialCellConfig, Opening], ForceReader]:
-    """Return what opens a cell that is made of its port, capacity, sign and rate."""
-    return opens(NAME, lambda link, config: cell(link, config.capacity_N, config.sign, config.rate_Hz))
-
-
-def simulates(config: type[SerialCellConfig], gauge: type[SimulatedGauge]) -> Callable[[Surroundings], Simulated[Any]]:
-    """Return what makes the simulated cell."""
-    return lambda around: Simulated(config(around.wire.port), gauge(around.wire, around.force_N))
+    gauge: type[SimulatedGauge],
+) -> AnyDriver:
+    """Return the driver of a cell that is made of its port, capacity, sign and rate."""
+    return Driver(
+        config.kind,
+        what,
+        config,
+        opens(CELL, lambda link, own: cell(link, own.capacity_N, own.sign, own.rate_Hz)),
+        lambda around: Simulated(config(around.wire.port), gauge(around.wire, around.force_N)),
+    )
 
 
 class LineCell(LineReader):
-    """A cell that sends a reading a line by itself; each kind says by `_force_N` what a line reads.
+    """A cell that sends a reading a line by itself; each kind says by `force_of` what a line reads.
 
     The lines carry no time: where cell and unit meet within some milliseconds matters, use a cell with a clock.
 
@@ -52,7 +54,7 @@ class LineCell(LineReader):
         sign: 1 where compression reads positive, −1 otherwise.
     """
 
-    name = NAME
+    name = CELL
     unit = "N"
     fatal: Reason | None = None
     """What ends the readings at the first line that says so; other lines may be noise."""
@@ -61,14 +63,14 @@ class LineCell(LineReader):
         super().__init__(link, rate_Hz)
         self.capacity_N, self._sign = capacity_N, sign
 
-    def _sample(self, line: Line) -> Sample | None:
+    def sample_of(self, line: Line) -> Sample | None:
         try:
-            return Sample(line.host_s, None, (self._sign * self._force_N(line.text),))
+            return Sample(line.host_s, None, (self._sign * self.force_of(line.text),))
         except BadReply as error:
-            if self._is_noise() and error.reason != self.fatal:
+            if self.is_noise() and error.reason != self.fatal:
                 return None
             raise
 
     @abstractmethod
-    def _force_N(self, text: bytes) -> float:
+    def force_of(self, text: bytes) -> float:
         """Return the force a line reads, its sign as the device sends it."""

@@ -41,7 +41,7 @@ class LineReader(ABC):
         for line in self._link.read_lines():
             if not self._is_synchronised:
                 self._is_synchronised = True
-            elif sample := self._sample(line):
+            elif sample := self.sample_of(line):
                 samples.append(sample)
                 self._bad_in_a_row = 0
         return samples
@@ -50,10 +50,10 @@ class LineReader(ABC):
         self._link.close()
 
     @abstractmethod
-    def _sample(self, line: Line) -> Sample | None:
-        """Return what a line reads; None for one that is not used."""
+    def sample_of(self, line: Line) -> Sample | None:
+        """Return what a line reads; None for one that is not used; `BadReply` ends the readings."""
 
-    def _is_noise(self) -> bool:
+    def is_noise(self) -> bool:
         """Count an unreadable line, and say whether it may still be noise."""
         self._bad_in_a_row += 1
         return self._bad_in_a_row < BAD_IN_A_ROW
@@ -81,14 +81,14 @@ class TextStream(LineReader):
         """Return counts in the unit of the reader."""
         return tuple(map(float, counts))
 
-    def _sample(self, line: Line) -> Sample | None:
+    def sample_of(self, line: Line) -> Sample | None:
         try:
             said = parse(line.text)
             if len(said.counts) != self.channels:
                 raise BadReply(reason("rig.channels", count=len(said.counts), expected=self.channels))
         except BadReply as error:
             self.unreadable += 1
-            if self._is_noise():
+            if self.is_noise():
                 return None
             why = reason("rig.unreadable", device=named(self.name), count=BAD_IN_A_ROW, why=reason_of(error))
             raise BadReply(why) from error

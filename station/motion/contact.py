@@ -10,9 +10,9 @@ from scipy.optimize import least_squares
 from softcal.core.errors import BadReply
 from softcal.core.recording import Array
 from softcal.core.words.reason import reason
-from softcal.station.clock import fit_clock
 from softcal.station.devices.config import FixtureConfig
 from softcal.station.interfaces import Sample
+from softcal.station.record.recording import device_times_s
 
 UNLOADED_SAMPLES = 25
 
@@ -123,11 +123,7 @@ class ContactSearch:
     def touch(self, stage_at: Callable[[Array], Array]) -> Touch:
         """Return what was read since then; `stage_at`: host times -> stage positions in mm."""
         samples = self._cell if self._has_force else self._output
-        host_s = np.array([sample.host_s for sample in samples])
-        if samples[0].device_s is not None:
-            # Lines come late; a line 20 ms late is a contact 10 µm too deep.
-            device_s = np.array([sample.device_s for sample in samples], dtype=np.float64)
-            host_s = fit_clock(device_s, host_s).to_host(device_s)
+        host_s = device_times_s(samples)  # Lines come late; a line 20 ms late is a contact 10 µm too deep.
         values = np.array([sample.values[0] for sample in samples])
         return Touch(stage_at, host_s[self._began_at :], values[self._began_at :])
 
@@ -143,7 +139,16 @@ def bend(stage_mm: Array, values: Array) -> Foot:
         stage_mm: (n,) positions of the search, mm, ending in contact.
         values: (n,) force or output there.
     """
-    starts = [_start(stage_mm, values, power) for power in POWERS]
+    deepest_mm = float(np.max(stage_mm))
+    shallowest_mm = max(float(np.min(stage_mm)), deepest_mm - REACH_MM)
+    candidates_mm = np.arange(shallowest_mm, deepest_mm, GRID_MM)
+    starts = []
+    for power in POWERS:
+        shape = np.maximum(0.0, stage_mm - candidates_mm[:, None]) ** power  # (candidates, n)
+        shape -= shape.mean(axis=1, keepdims=True)
+        explained = (shape @ (values - values.mean())) ** 2 / np.maximum(np.sum(shape**2, axis=1), 1e-300)
+        k = int(np.argmax(explained))
+        starts.append(_Start(float(explained[k]), float(candidates_mm[k]), power))
     line, left_by_line = _fitted(stage_mm, values, starts[0], is_straight=True)
     curve, left = _fitted(stage_mm, values, max(starts), is_straight=False)
     # A straight line unless a curve is clearly better: a free power costs certainty where it is not needed.
@@ -156,18 +161,6 @@ class _Start(NamedTuple):
     explained: float
     at_mm: float
     power: float
-
-
-def _start(stage_mm: Array, values: Array, power: float) -> _Start:
-    """Return the foot on a grid that explains most of the values with this power, and how much."""
-    deepest_mm = float(np.max(stage_mm))
-    shallowest_mm = max(float(np.min(stage_mm)), deepest_mm - REACH_MM)
-    candidates_mm = np.arange(shallowest_mm, deepest_mm, GRID_MM)
-    shape = np.maximum(0.0, stage_mm - candidates_mm[:, None]) ** power  # (candidates, n)
-    shape -= shape.mean(axis=1, keepdims=True)
-    explained = (shape @ (values - values.mean())) ** 2 / np.maximum(np.sum(shape**2, axis=1), 1e-300)
-    k = int(np.argmax(explained))
-    return _Start(float(explained[k]), float(candidates_mm[k]), power)
 
 
 def _fitted(stage_mm: Array, values: Array, start: _Start, is_straight: bool) -> tuple[Foot, float]:

@@ -164,10 +164,15 @@ class StreamWatch:
         self._earliest_s, self._old_since_s = float("inf"), float("inf")
 
     def check(self, sample: Sample) -> None:
-        """Raise `BadReply` when the channel is at its rail, or comes at another rate."""
+        """Raise `BadReply` when the channel is at its rail, or comes at another rate; `NoReply` when it is old."""
         self._seen_s = sample.host_s
-        if self._rails:
-            self._check_rails(sample, *self._rails)
+        low, high = self._rails or (0.0, 0.0)
+        if self._rails is None or not any(value <= low or value >= high for value in sample.values):
+            self._on_rail_since_s = None
+        elif self._on_rail_since_s is None:
+            self._on_rail_since_s = sample.host_s
+        elif sample.host_s - self._on_rail_since_s > LASTS_S:
+            raise BadReply(reason("rig.rail", device=named(self._reader.name), rail_s=LASTS_S))
         if (device_s := sample.device_s) is None:
             return
         self._times.append(device_s)
@@ -175,28 +180,17 @@ class StreamWatch:
         if abs(round(span_s * rate_Hz) + 1 - count) > MISSED_SAMPLES:
             name = named(self._reader.name)
             raise BadReply(reason("rig.rate", device=name, count=count, span_s=span_s, rate_Hz=rate_Hz))
-        self._check_age(sample.host_s, device_s)
-
-    def check_silence(self, now_s: float) -> None:
-        """Raise `NoReply` when no sample came for too long."""
-        if now_s - self._seen_s > self._bounds.silence_s:
-            raise NoReply(reason("rig.silent", device=named(self._reader.name), seconds=now_s - self._seen_s))
-
-    def _check_age(self, host_s: float, device_s: float) -> None:
-        """A line may begin to hold readings back: they are old by the earliest ones of before."""
+        # A line may begin to hold readings back: they are old by the earliest ones of before.
         allowed_s = CLOCK_SHARE * (device_s - self._times[-2]) if len(self._times) > 1 else 0.0
-        self._earliest_s = min(self._earliest_s + allowed_s, host_s - device_s)
-        age_s = host_s - device_s - self._earliest_s
+        self._earliest_s = min(self._earliest_s + allowed_s, sample.host_s - device_s)
+        age_s = sample.host_s - device_s - self._earliest_s
         if age_s <= LASTS_S:
             self._old_since_s = float("inf")
         self._old_since_s = min(self._old_since_s, device_s)
         if age_s > LASTS_S and device_s - self._old_since_s > LASTS_S:
             raise NoReply(reason("rig.old", device=named(self._reader.name), age_s=age_s))
 
-    def _check_rails(self, sample: Sample, low: float, high: float) -> None:
-        if not any(value <= low or value >= high for value in sample.values):
-            self._on_rail_since_s = None
-        elif self._on_rail_since_s is None:
-            self._on_rail_since_s = sample.host_s
-        elif sample.host_s - self._on_rail_since_s > LASTS_S:
-            raise BadReply(reason("rig.rail", device=named(self._reader.name), rail_s=LASTS_S))
+    def check_silence(self, now_s: float) -> None:
+        """Raise `NoReply` when no sample came for too long."""
+        if now_s - self._seen_s > self._bounds.silence_s:
+            raise NoReply(reason("rig.silent", device=named(self._reader.name), seconds=now_s - self._seen_s))

@@ -195,7 +195,12 @@ class WatchedBench:
     def _take(self, polls: Sequence[StagePosition]) -> None:
         self.readings.polls += polls
         output, cell = self._read(polls)
-        self._look_ahead()
+        # How long the force may still grow: until a stop holds, or the move ends by itself.
+        speed_mm_s, ahead_s = self.motion.speed_mm_s, 0.0
+        if self.motion.is_lowering and speed_mm_s != 0.0:
+            stop_s = REACTION_S + self.late_s + 0.5 * speed_mm_s / self.bounds.reaction.acceleration_mm_s2
+            ahead_s = min(stop_s, self.late_s + self.motion.left_mm / speed_mm_s)
+        self._force_watch.ahead_s = ahead_s
         self._check(output, cell)
         self._on_tick()
 
@@ -214,10 +219,11 @@ class WatchedBench:
         except BadReply:
             return self._on_tick()  # Homing may begin under an overload: it is what takes it off.
         for sample in cell if StageWatch.RISE in self.motion.row.watches else ():
-            self._check_rise(sample.values[0])
+            self.check_rise(sample.values[0])
         self._on_tick()
 
-    def _check_rise(self, force_N: float) -> None:
+    def check_rise(self, force_N: float) -> None:
+        """Raise `SafetyStop` where the force grows while the stage homes."""
         self._lowest_N = min(self._lowest_N, force_N)
         if force_N > self._lowest_N + SUDDEN_N:
             raise SafetyStop(reason("rig.homing.rises", force_N=force_N - self._lowest_N))
@@ -250,20 +256,18 @@ class WatchedBench:
     def _force_N(self) -> float:
         return self.readings.force[-1].values[0] - self._force_watch.zero_N if self.readings.force else 0.0
 
-    def _look_ahead(self) -> None:
-        """How long the force may still grow: until a stop holds, or the move ends by itself."""
-        speed_mm_s = self.motion.speed_mm_s
-        if not self.motion.is_lowering or speed_mm_s == 0.0:
-            self._force_watch.ahead_s = 0.0
-            return
-        reaction = self.bounds.reaction
-        stop_s = REACTION_S + self.late_s + 0.5 * speed_mm_s / reaction.acceleration_mm_s2
-        self._force_watch.ahead_s = min(stop_s, self.late_s + self.motion.left_mm / speed_mm_s)
-
     def _check(self, output: Sequence[Sample], cell: Sequence[Sample]) -> None:
         on, now_s = self.motion.row.watches, self.bench.clock.now_s()
         for sample in cell:
-            self._check_force(sample)
+            newton = sample.values[0]
+            if StageWatch.FORCE in on:
+                self._force_watch.check(sample)
+            if StageWatch.FREE in on:
+                self.check_free(newton - (self.known.free_N or 0.0))
+            if StageWatch.FOLLOW in on:
+                self._follow_watch.check(newton - self._force_watch.zero_N, self.pressed_mm(self.late_s), sample.host_s)
+            if StageWatch.JUMP in on:
+                self._jump_watch.check(newton, self.bench.stage.is_moving, sample.host_s, self.latest_s)
         # A unit that relaxed leaves the stage for a while: where there is no force, FOLLOW says whether that may be.
         is_touched = self.bench.force is None or self._force_N > self.bench.config.fixture.contact_N
         # A cell that is late tells of where the stage was.
@@ -280,24 +284,15 @@ class WatchedBench:
             if StageWatch.STREAM in on and name in self._streams:
                 self._streams[name].check_silence(now_s)
         if StageWatch.DEPTH in on and self.readings.polls:
-            self._check_depth(self.readings.polls[-1].position_mm)
+            self.check_depth(self.readings.polls[-1].position_mm)
 
-    def _check_force(self, sample: Sample) -> None:
-        on, newton = self.motion.row.watches, sample.values[0]
-        if StageWatch.FORCE in on:
-            self._force_watch.check(sample)
-        if StageWatch.FREE in on:
-            self._check_free(newton - (self.known.free_N or 0.0))
-        if StageWatch.FOLLOW in on:
-            self._follow_watch.check(newton - self._force_watch.zero_N, self.pressed_mm(self.late_s), sample.host_s)
-        if StageWatch.JUMP in on:
-            self._jump_watch.check(newton, self.bench.stage.is_moving, sample.host_s, self.latest_s)
-
-    def _check_free(self, force_N: float) -> None:
+    def check_free(self, force_N: float) -> None:
+        """Raise `SafetyStop` where there is a force in the way of the approach."""
         if self.motion.is_lowering and force_N > self.bench.config.fixture.touch_N:
             raise SafetyStop(reason("rig.in_the_way", position_mm=self.bench.stage.position_mm, force_N=force_N))
 
-    def _check_depth(self, at_mm: float) -> None:
+    def check_depth(self, at_mm: float) -> None:
+        """Raise `SafetyStop` where the stage is deeper than it may ever be."""
         if at_mm > (deepest_mm := self.bench.config.safety.deepest_mm) + 0.01:
             raise SafetyStop(reason("rig.deepest", at_mm=at_mm, deepest_mm=deepest_mm))
 

@@ -11,50 +11,10 @@ from scipy.signal import lfilter
 from softcal.core.errors import BadReply
 from softcal.core.recording import Array
 from softcal.core.words.reason import reason
+from softcal.station.record.method import METHOD
 
-COARSE_S, FINE_S, EARLIEST_S, LATEST_S = 0.02, 0.0025, -0.16, 0.7
-"""Delays that are tried when force and stage are laid over each other."""
-
-POWERS = (1, 2, 3, 4)
-RELAXED_POWERS, RELAXATION_S, EVERY_RELAXATION_S = (1, 3), (0.1, 0.5, 3.0), (0.03, 0.1, 0.5, 3.0, 30.0)
-"""A soft unit's force relaxes and so leads its depth: without these terms that would be taken for an early cell. Where
-the delay is known, faster and slower terms (none slower than the run) leave less that does not belong to the cell."""
-
-GRID_S = 0.01
-"""Steps of the law of the depth; no soft unit and no load cell follows faster than that."""
-
-LATE_S, EARLY_S, PERIOD_SHARE = 0.01, 0.12, 0.25
-"""A cell may seem this much later than declared, or this much earlier (a unit that relaxes within 0.1 s still makes it
-seem so), and by this share of its sampling period."""
-
-BESIDE_S, TELLS, TELLS_SAMPLES = 0.04, 1.1, 40.0
-"""A delay is known that fits n samples TELLS + TELLS_SAMPLES/n times better than any that is BESIDE_S or more away: few
-samples fit anyhow."""
-
-GAIN, OUTPUT_GAIN = 1.4, 1.6
-"""Largest ratio between the stiffest and the softest press of one run; a cell whose gain halves shows 2. An output may
-creep and follow late by itself; it is looked at where no load cell says whether the stage moved."""
-
-MOMENTS, CHANGED, SLIGHT = 60, 0.12, 0.003
-"""Instants at which a cell may change, and the share of what two laws leave that one change explains at one of them:
-force by depth, and output by force. Softening shows in the first alone, a sensor's drift in the second. To this comes
-what the best of so many changes explains of n samples of noise: 2 ln(changes)/n. Good rigs show 0.10 beyond that at
-most. What moves a law by less than SLIGHT of its range (RMS) is none."""
-
-ODD_S, ODD_BESIDE_S, ODD, ODD_TIMES, ODD_LEAST, ODD_ROUNDS = 0.1, 0.6, 0.3, 15.0, 0.03, 25
-"""A cell hangs where its mean force over ODD_S is off the law of the depth by ODD of the largest force, or by ODD_LEAST
-of it and ODD_TIMES the RMS of the rest of the run (all but ODD_BESIDE_S on either side). Good rigs show 0.22 and 10."""
-
-FOLLOWS = 0.7
-"""Least share of an output's variance that goes with the depth; good rigs show 0.84 and more."""
-
-BIT_LEVELS, BIT_SPAN, BIT_ROUNDING = 16, 2, 0.01
-"""Different readings that are needed to know a converter's step, how many times a bit's weight they must run through,
-and how far from whole steps they may be."""
-
-PRESS_SAMPLES, SHALLOW, LARGEST = 10, 0.1, 0.99
-"""A press has so many samples at least, and is deeper than this share of the deepest. The quantile that stands for the
-largest force."""
+LAG, LAW, CHANGE, HANG = METHOD.lag, METHOD.law, METHOD.change, METHOD.hang
+PRESS, OUTPUT = METHOD.press, METHOD.output
 
 
 def lag_s(t_s: Array, force_N: Array, stage_mm_at: Callable[[Array], Array], contact_mm: float) -> float:
@@ -70,39 +30,43 @@ def lag_s(t_s: Array, force_N: Array, stage_mm_at: Callable[[Array], Array], con
     Returns:
         Delay in s, positive when the force is late; NaN where the run does not tell: too shallow, too slow, too noisy.
     """
-    if len(t_s) < PRESS_SAMPLES or float(np.max(stage_mm_at(t_s))) <= contact_mm:
+    if len(t_s) < PRESS.samples or float(np.max(stage_mm_at(t_s))) <= contact_mm:
         return float("nan")
-    # What arrives first may belong to a path before these samples, which the law does not know.
-    is_known = t_s >= min(t_s[0] + LATEST_S, float(np.median(t_s)))
+    is_known = _is_known(t_s)
     t_s, force_N = t_s[is_known], force_N[is_known]
-    grid_s = np.arange(t_s[0] - LATEST_S - BESIDE_S, t_s[-1] - EARLIEST_S + BESIDE_S, GRID_S)
-    law = _law(np.maximum(0.0, stage_mm_at(grid_s) - contact_mm), RELAXATION_S)
+    grid_s = np.arange(t_s[0] - LAG.latest_s - LAG.beside_s, t_s[-1] - LAG.earliest_s + LAG.beside_s, LAW.grid_s)
+    law = _law(np.maximum(0.0, stage_mm_at(grid_s) - contact_mm), LAW.relaxation_s)
 
     def misfit(lag: float) -> float:
         columns = [np.interp(t_s - lag, grid_s, column) for column in law]
         return _misfit(np.column_stack([np.ones_like(t_s), *columns]), force_N)
 
-    coarse = np.arange(EARLIEST_S, LATEST_S, COARSE_S)
+    coarse = np.arange(LAG.earliest_s, LAG.latest_s, LAG.coarse_s)
     misfits = np.array([misfit(lag) for lag in coarse])
-    near = coarse[int(np.argmin(misfits))] + np.arange(-COARSE_S, COARSE_S + FINE_S, FINE_S)
+    near = coarse[int(np.argmin(misfits))] + np.arange(-LAG.coarse_s, LAG.coarse_s + LAG.fine_s, LAG.fine_s)
     found = float(near[int(np.argmin([misfit(lag) for lag in near]))])
     # Presses that come again and again fit nearly as well half a press away: every other delay counts.
-    others = misfits[np.abs(coarse - found) > BESIDE_S]
-    beside = min(misfit(found - BESIDE_S), misfit(found + BESIDE_S), *others)
-    return found if beside > (TELLS + TELLS_SAMPLES / len(t_s)) * misfit(found) else float("nan")
+    others = misfits[np.abs(coarse - found) > LAG.beside_s]
+    beside = min(misfit(found - LAG.beside_s), misfit(found + LAG.beside_s), *others)
+    return found if beside > (LAG.tells + LAG.tells_samples / len(t_s)) * misfit(found) else float("nan")
+
+
+def _is_known(t_s: Array) -> Array:
+    """What arrives first may belong to a path before these samples, which the law does not know."""
+    return np.asarray(t_s >= min(t_s[0] + LAG.latest_s, float(np.median(t_s))))
 
 
 def check_lag(found_s: float, declared_s: float, period_s: float) -> None:
     """Raise `BadReply` when a cell, read every `period_s`, is later or earlier than stated."""
-    off_s, slack_s = found_s - declared_s, PERIOD_SHARE * period_s
-    if off_s > LATE_S + slack_s or off_s < -EARLY_S - slack_s:
+    off_s, slack_s = found_s - declared_s, LAG.period_share * period_s
+    if off_s > LAG.late_s + slack_s or off_s < -LAG.early_s - slack_s:
         raise BadReply(reason("rig.behind", found_s=found_s, declared_s=declared_s, latency_s=max(0.0, found_s)))
 
 
 def check_gain(stage_mm: Array, force_N: Array) -> None:
     """Raise `BadReply` when at equal depths, (n,), one press shows far more force than another."""
     ratio = _ratio(press_gains(stage_mm, force_N))
-    if ratio > GAIN:
+    if ratio > PRESS.gain:
         raise BadReply(reason("rig.gain", ratio=ratio))
 
 
@@ -122,18 +86,18 @@ def check_law(
         BadReply: one change of the cell explains what is off in force and output, or the force leaves the law for a
             moment.
     """
-    grid_s = np.arange(t_s[0], t_s[-1] + GRID_S, GRID_S)
+    grid_s = np.arange(t_s[0], t_s[-1] + LAW.grid_s, LAW.grid_s)
     depth_mm, felt_N = np.maximum(0.0, stage_mm_at(grid_s) - contact_mm), np.interp(grid_s, t_s, force_N)
-    _check_moments(t_s, _basis(t_s, grid_s, depth_mm, RELAXATION_S), force_N)
-    relaxation_s = [time_s for time_s in EVERY_RELAXATION_S if time_s < t_s[-1] - t_s[0]]
+    _check_moments(t_s, _basis(t_s, grid_s, depth_mm, LAW.relaxation_s), force_N)
+    relaxation_s = [time_s for time_s in LAW.every_relaxation_s if time_s < t_s[-1] - t_s[0]]
     # What is left of a path before these samples fades with the times of the relaxation.
     before = [np.ones_like(t_s), *(np.exp((t_s[0] - t_s) / time_s) for time_s in relaxation_s)]
     by_depth, by_force = (
         np.column_stack([*before, _basis(t_s, grid_s, value, relaxation_s)]) for value in (depth_mm, felt_N)
     )
     explained = np.minimum(_explained(t_s, by_depth, force_N), _explained(t_s, by_force, output))
-    by_chance = 2.0 * np.log(3 * MOMENTS) / len(t_s)  # A gain, a zero or a delay.
-    if len(t_s) >= MOMENTS and np.max(explained) > CHANGED + by_chance:
+    by_chance = 2.0 * np.log(3 * CHANGE.moments) / len(t_s)  # A gain, a zero or a delay.
+    if len(t_s) >= CHANGE.moments and np.max(explained) > CHANGE.share + by_chance:
         raise BadReply(reason("rig.odd_force", at_s=float(_moments(t_s)[np.argmax(explained)] - t_s[0])))
 
 
@@ -147,56 +111,55 @@ def _explained(t_s: Array, basis: Array, values: Array) -> Array:
         own = column - q @ (q.T @ column)  # What the law could not make itself.
         squares.append((left @ own) ** 2 / np.maximum(np.sum(own**2, axis=0), 1e-300))
     most = np.max(squares, axis=0)
-    is_slight = most < len(t_s) * (SLIGHT * np.ptp(values)) ** 2
+    is_slight = most < len(t_s) * (CHANGE.slight * np.ptp(values)) ** 2
     return np.where(is_slight, 0.0, most / max(float(left @ left), 1e-300))
 
 
 def _moments(t_s: Array) -> Array:
-    return np.linspace(t_s[0], t_s[-1], MOMENTS + 2)[1:-1]
+    return np.linspace(t_s[0], t_s[-1], CHANGE.moments + 2)[1:-1]
 
 
 def _check_moments(t_s: Array, basis: Array, force_N: Array) -> None:
-    length = max(1, round(ODD_S / float(np.median(np.diff(t_s)))))
+    length = max(1, round(HANG.mean_s / float(np.median(np.diff(t_s)))))
     off_N = force_N - basis @ _weights(basis, force_N)
-    for _ in range(ODD_ROUNDS):
+    for _ in range(HANG.rounds):
         # Least absolute deviations: least squares would bend the law towards the odd moment.
         trust = 1 / np.sqrt(np.maximum(np.abs(off_N), np.median(np.abs(off_N)) + 1e-12))
         off_N = force_N - basis @ _weights(basis * trust[:, None], force_N * trust)
     mean_N = np.convolve(off_N, np.full(length, 1 / length), "same")
-    # What arrives first may belong to a path before these samples.
-    mean_N[t_s < min(t_s[0] + LATEST_S, float(np.median(t_s)))] = 0.0
+    mean_N = np.where(_is_known(t_s), mean_N, 0.0)
     oddest = int(np.argmax(np.abs(mean_N)))
-    is_rest = np.abs(t_s - t_s[oddest]) > ODD_BESIDE_S
-    share = abs(mean_N[oddest]) / float(np.quantile(np.abs(force_N), LARGEST))
+    is_rest = np.abs(t_s - t_s[oddest]) > HANG.beside_s
+    share = abs(mean_N[oddest]) / float(np.quantile(np.abs(force_N), HANG.largest))
     rest_N = float(np.sqrt(np.mean(off_N[is_rest] ** 2))) if np.any(is_rest) else float("inf")
     times = abs(mean_N[oddest]) / rest_N
-    if share > ODD or (share > ODD_LEAST and times > ODD_TIMES):
+    if share > HANG.share or (share > HANG.least and times > HANG.times):
         raise BadReply(reason("rig.odd_force", at_s=float(t_s[oddest] - t_s[0])))
 
 
 def check_output_gain(stage_mm: Array, output: Array) -> None:
     """Raise `BadReply` when at equal depths one press changes the output far more than another."""
-    is_up = stage_mm <= SHALLOW * np.max(stage_mm)
+    is_up = stage_mm <= PRESS.shallow * np.max(stage_mm)
     change = output - (np.median(output[is_up]) if np.any(is_up) else output[0])
     ratio = _ratio(press_gains(stage_mm, change * np.sign(np.sum(change))))
-    if ratio > OUTPUT_GAIN:
+    if ratio > PRESS.output_gain:
         raise BadReply(reason("rig.output_gain", ratio=ratio))
 
 
 def check_follows(t_s: Array, output: Array, stage_mm_at: Callable[[Array], Array], contact_mm: float) -> None:
-    """Raise `BadReply` when less than FOLLOWS of the variance of an output, (n, channels), goes with the depth.
+    """Raise `BadReply` when too little of the variance of an output, (n, channels), goes with the depth.
 
     An input that floats does not follow. Positions are those of `lag_s`.
     """
-    grid_s = np.arange(t_s[0], t_s[-1] + GRID_S, GRID_S)
+    grid_s = np.arange(t_s[0], t_s[-1] + LAW.grid_s, LAW.grid_s)
     depth_mm = np.maximum(0.0, stage_mm_at(grid_s) - contact_mm)
-    if len(t_s) < PRESS_SAMPLES or float(np.max(depth_mm)) <= 0.0:
+    if len(t_s) < PRESS.samples or float(np.max(depth_mm)) <= 0.0:
         return
-    basis = np.column_stack([np.ones_like(t_s), _basis(t_s, grid_s, depth_mm, RELAXATION_S)])
+    basis = np.column_stack([np.ones_like(t_s), _basis(t_s, grid_s, depth_mm, LAW.relaxation_s)])
     for values in output.T:
         spread = float(np.sum((values - values.mean()) ** 2))
         followed = 1.0 - _misfit(basis, values) / spread if spread else 0.0
-        if followed < FOLLOWS:
+        if followed < OUTPUT.follows:
             raise BadReply(reason("rig.follows", percent=100 * followed))
 
 
@@ -207,13 +170,13 @@ def check_bits(output: Array) -> None:
     """
     for values in output.T:
         levels = np.unique(values)
-        if len(levels) < BIT_LEVELS:
+        if len(levels) < OUTPUT.levels:
             continue
         counts = levels / np.min(np.diff(levels))
-        if np.max(np.abs(counts - np.round(counts))) > BIT_ROUNDING or np.max(np.abs(counts)) > 2**31:
+        if np.max(np.abs(counts - np.round(counts))) > OUTPUT.rounding or np.max(np.abs(counts)) > 2**31:
             continue  # No converter's steps: an instrument that averages.
         codes = np.round(counts).astype(np.int64)
-        for bit in range(int(np.log2(np.ptp(codes) / BIT_SPAN)) + 1):
+        for bit in range(int(np.log2(np.ptp(codes) / OUTPUT.span)) + 1):
             if len(np.unique(codes >> bit & 1)) == 1:
                 raise BadReply(reason("rig.bit", bit=bit))
 
@@ -224,21 +187,21 @@ def press_gains(stage_mm: Array, force_N: Array) -> Array:
     A press that never is where others have a quarter of the run's largest force is left out.
     """
     # Stretches that leave the shallow tenth and come back to it, or to the end.
-    is_deep = np.concatenate([[False], stage_mm > SHALLOW * np.max(stage_mm), [False]])
+    is_deep = np.concatenate([[False], stage_mm > PRESS.shallow * np.max(stage_mm), [False]])
     turns = np.flatnonzero(np.diff(is_deep.astype(int)))
     if not len(turns):
         return np.empty(0)
-    edges = np.linspace(0.0, float(np.max(stage_mm)) + 1e-9, 25)
+    edges = np.linspace(0.0, float(np.max(stage_mm)) + 1e-9, PRESS.depths)
     bins = np.digitize(stage_mm, edges)
     medians = np.full(len(edges) + 1, np.nan)
     for k in np.unique(bins):
         medians[k] = np.median(force_N[bins == k])
     usual = medians[bins]
-    is_pressed = np.isfinite(usual) & (usual > 0.25 * np.nanmax(usual))
+    is_pressed = np.isfinite(usual) & (usual > PRESS.pressed * np.nanmax(usual))
     gains = []
     for begin, end in turns.reshape(-1, 2):
         own = is_pressed[begin:end]
-        if np.count_nonzero(own) >= PRESS_SAMPLES:
+        if np.count_nonzero(own) >= PRESS.samples:
             expected, force = usual[begin:end][own], force_N[begin:end][own]
             gains.append(float(np.dot(force, expected) / np.dot(expected, expected)))
     return np.array(gains)
@@ -255,10 +218,10 @@ def _basis(t_s: Array, grid_s: Array, value: Array, relaxation_s: Sequence[float
 def _law(value: Array, relaxation_s: Sequence[float]) -> list[Array]:
     """Return what a force may be made of by the depth, or an output by the force: also relaxed powers."""
     share = value / max(float(np.max(value)), 1e-9)
-    columns = [share**power for power in POWERS]
+    columns = [share**power for power in LAW.powers]
     for time_s in relaxation_s:
-        kept = float(np.exp(-GRID_S / time_s))
-        columns += [lfilter([1.0, -1.0], [1.0, -kept], share**power) for power in RELAXED_POWERS]
+        kept = float(np.exp(-LAW.grid_s / time_s))
+        columns += [lfilter([1.0, -1.0], [1.0, -kept], share**power) for power in LAW.relaxed_powers]
     return columns
 
 

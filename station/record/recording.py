@@ -9,10 +9,10 @@ from softcal.core.errors import BadReply, InputError
 from softcal.core.recording import Array, Indices, LabelledRecording, OutputRecording
 from softcal.core.words.reason import reason
 from softcal.station.clock import CLOCK_SHARE, ClockFit, fit_clock, residual_offset_s
-from softcal.station.device_names import named
+from softcal.station.device_names import CELL, named
 from softcal.station.interfaces import Sample, StagePosition
+from softcal.station.record.method import METHOD
 from softcal.station.record.proof import (
-    LATE_S,
     check_bits,
     check_follows,
     check_gain,
@@ -162,9 +162,9 @@ def assemble(raw: Raw, facts: RunFacts) -> StationRecording:
     if not raw.force:
         check_output_gain(stage_mm, output[:, 0])
     else:
-        cell = _channel(raw.force, "load cell")
+        cell = _channel(raw.force, CELL)
         behind_s, late_s = _behind_s(cell, track, facts), facts.force_late_s
-        if not facts.is_latency_stated and abs(behind_s - late_s) > LATE_S:
+        if not facts.is_latency_stated and abs(behind_s - late_s) > METHOD.lag.late_s:
             late_s = behind_s
         _check_cell(cell, sensor, track, facts, late_s)
         force_N = _force_at(host_s, cell, facts, late_s)
@@ -206,9 +206,17 @@ def restore(run: SpooledRun) -> StationRecording:
         raise InputError(reason("rig.run_facts", serial=serial)) from error
 
 
+def clock_of(samples: Sequence[Sample]) -> tuple[Array, ClockFit]:
+    """Return (n,) times by the device's clock, the host's where it has none, and what that is to the host's."""
+    device_s = np.array([sample.host_s if sample.device_s is None else sample.device_s for sample in samples])
+    if samples[0].device_s is None:
+        return device_s, ClockFit(0.0, 1.0, 0.0, 0.0)
+    return device_s, fit_clock(device_s, np.array([sample.host_s for sample in samples]))
+
+
 def device_times_s(samples: Sequence[Sample]) -> Array:
     """Return (n,) when samples were taken, host clock: by the device's clock where it has one."""
-    device_s, clock = _clocked(samples)
+    device_s, clock = clock_of(samples)
     return clock.to_host(device_s)
 
 
@@ -223,18 +231,10 @@ class _Channel:
 
 
 def _channel(samples: Sequence[Sample], name: str) -> _Channel:
-    device_s, clock = _clocked(samples)
+    device_s, clock = clock_of(samples)
     if abs(clock.rate - 1) > CLOCK_SHARE:
         raise BadReply(reason("rig.clock", device=named(name), percent=100 * (clock.rate - 1)))
     return _Channel(device_s, clock.to_host(device_s), np.array([sample.values for sample in samples]), clock)
-
-
-def _clocked(samples: Sequence[Sample]) -> tuple[Array, ClockFit]:
-    """(n,) times by the device's clock, the host's where it has none, and what that is to the host's."""
-    device_s = np.array([sample.host_s if sample.device_s is None else sample.device_s for sample in samples])
-    if samples[0].device_s is None:
-        return device_s, ClockFit(0.0, 1.0, 0.0, 0.0)
-    return device_s, fit_clock(device_s, np.array([sample.host_s for sample in samples]))
 
 
 def _count_lost(sensor_s: Array, facts: RunFacts) -> int:

@@ -136,40 +136,29 @@ def read_spool(path: Path) -> SpooledRun:
         lines = path.read_bytes().split(b"\n")
     except OSError as error:
         raise InputError(reason("file.unreadable", path=str(path), error=reason_of(error))) from error
-    values, damaged = _intact(lines)
-    try:
-        if values and values[0].get("schema") == SCHEMA:
-            return _run_of(values, damaged)
-    except (AttributeError, IndexError, TypeError, ValueError) as error:
-        raise InputError(reason("file.no_spool", path=str(path))) from error  # Whole lines of something else.
-    raise InputError(reason("file.no_spool", path=str(path)))
-
-
-def _run_of(values: Sequence[dict[str, Any]], damaged: int) -> SpooledRun:
-    output, force, polls = [], [], []
-    for value in values[1:]:
-        output += [_sample(row) for row in value.get("output", ())]
-        force += [_sample(row) for row in value.get("force", ())]
-        polls += [StagePosition(*row) for row in value.get("polls", ())]
-    # A second header is another run in the same file: what belongs to which cannot be told.
-    damaged += sum("schema" in value for value in values[1:])
-    end = Reason.of(values[-1].get("end", Reason("spool.cut_off")))
-    header = {key: str(text) for key, text in values[0].items() if key != "schema"}
-    facts: dict[str, Any] = next((value["facts"] for value in values if "facts" in value), {})
-    return SpooledRun(header, tuple(output), tuple(force), tuple(polls), facts, end, damaged)
-
-
-def _intact(lines: Sequence[bytes]) -> tuple[list[dict[str, Any]], int]:
     values: list[dict[str, Any]] = []
+    damaged = 0
     for k, line in enumerate(lines):
         checksum, _, text = line.partition(b" ")
         if not line and k == len(lines) - 1:
             break
         if checksum != b"%08x" % zlib.crc32(text):
-            return values, len([rest for rest in lines[k:] if rest])
+            damaged = len([rest for rest in lines[k:] if rest])
+            break
         values.append(json.loads(text))
-    return values, 0
-
-
-def _sample(row: Sequence[float]) -> Sample:
-    return Sample(row[0], row[1], tuple(row[2:]))
+    try:
+        if values[0].get("schema") != SCHEMA:
+            raise ValueError("another schema")
+        output, force = (
+            tuple(Sample(row[0], row[1], tuple(row[2:])) for value in values[1:] for row in value.get(name, ()))
+            for name in ("output", "force")
+        )
+        polls = tuple(StagePosition(*row) for value in values[1:] for row in value.get("polls", ()))
+        # A second header is another run in the same file: what belongs to which cannot be told.
+        damaged += sum("schema" in value for value in values[1:])
+        end = Reason.of(values[-1].get("end", Reason("spool.cut_off")))
+        header = {key: str(text) for key, text in values[0].items() if key != "schema"}
+        facts: dict[str, Any] = next((value["facts"] for value in values if "facts" in value), {})
+        return SpooledRun(header, output, force, polls, facts, end, damaged)
+    except (AttributeError, IndexError, TypeError, ValueError) as error:
+        raise InputError(reason("file.no_spool", path=str(path))) from error  # Whole lines of something else.

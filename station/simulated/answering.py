@@ -17,7 +17,7 @@ class FarEnd:
     """
 
     def __init__(self, wire: Wire, line_end: bytes = b"\n", axis: Axis | None = None) -> None:
-        self.wire, self.axis, self._line_end = wire, axis or Axis(1.0), line_end
+        self.wire, self.axis, self._line_end, self.said_end = wire, axis or Axis(1.0), line_end, b"\r\n"
         self._received = b""
         self.due_s = math.inf
         """When the device does something by itself."""
@@ -35,7 +35,17 @@ class FarEnd:
             self.take_line(line, now_s)
 
     def take_line(self, line: bytes, now_s: float) -> None:
-        """Take one line, its end taken off."""
+        """Take one line, its end taken off: here it is answered."""
+        self.say(self.answer(line.decode("ascii", "replace").strip(), now_s), now_s)
+
+    def answer(self, words: str, now_s: float) -> str:
+        """Return the answer to one line, "" for none."""
+        return ""
+
+    def say(self, text: str, now_s: float) -> None:
+        """Send a line to the host; nothing where there is no text."""
+        if text:
+            self.wire.send(text.encode() + self.said_end, now_s)
 
     def next_event_s(self) -> float:
         """Return the time of the next thing that happens by itself."""
@@ -62,9 +72,7 @@ class SimulatedAnswers(FarEnd):
 
     def __init__(self, wire: Wire, answer: Callable[[str, float], str], line_end: bytes = b"\n") -> None:
         super().__init__(wire, line_end)
-        self._answer = answer
+        self._answer, self.said_end = answer, line_end
 
-    def take_line(self, line: bytes, now_s: float) -> None:
-        text = self._answer(line.decode("ascii", "replace").strip(), now_s)
-        if text:
-            self.wire.send(text.encode() + self._line_end, now_s)
+    def answer(self, words: str, now_s: float) -> str:
+        return self._answer(words, now_s)

@@ -44,8 +44,7 @@ class SimulatedEsm(FarEnd):
                 self.upper_mm = float(command["upper"])
             else:
                 answer = self._letter(command["letter"], now_s)
-            if answer:
-                self.wire.send(answer.encode() + b"\r\n", now_s)
+            self.say(answer, now_s)
 
     def advance(self, now_s: float) -> None:
         super().advance(now_s)

@@ -16,11 +16,6 @@ class SimulatedGauge(FarEnd):
         super().__init__(wire, b"\r")
         self._force_N = force_N
 
-    def say(self, text: str, now_s: float) -> None:
-        """Send a line; nothing where there is no text."""
-        if text:
-            self.wire.send(text.encode() + b"\r\n", now_s)
-
 
 class SimulatedMark10(SimulatedGauge):
     """A gauge that answers GCL2; a successful command gets no answer.
@@ -33,23 +28,19 @@ class SimulatedMark10(SimulatedGauge):
         self.unit, self.mode, self.is_numeric_only = "LBF", "PC", False
         self._zero_N = 0.0
 
-    def take_line(self, line: bytes, now_s: float) -> None:
-        self.say(self.answer(line.strip().decode("ascii", "replace"), now_s), now_s)
-
-    def answer(self, command: str, now_s: float) -> str:
-        """Return what the gauge says to one command, "" where it says nothing."""
-        if command in ("?", "?C"):
+    def answer(self, words: str, now_s: float) -> str:
+        if words in ("?", "?C"):
             name, factor = PER_NEWTON[self.unit]
             reading = f"{(self._force_N(now_s) - self._zero_N) * factor:.3f}"
             return reading if self.is_numeric_only else f"{reading} {name}"
-        if command == "LIST":
+        if words == "LIST":
             kind = "NUM" if self.is_numeric_only else "FULL"
             return f"V1.00;{self.unit};{self.mode};FLTC8;FLTP1;AOUT00;AOFF5;{kind};MIT;POL;B0"
-        if command in ("LB", "N", "KG"):
-            self.unit = {"LB": "LBF", "N": "N", "KG": "KGF"}[command]
-        elif command in ("CUR", "PT", "PC"):
-            self.mode = command
-        elif command == "Z":
+        if words in ("LB", "N", "KG"):
+            self.unit = {"LB": "LBF", "N": "N", "KG": "KGF"}[words]
+        elif words in ("CUR", "PT", "PC"):
+            self.mode = words
+        elif words == "Z":
             self._zero_N = self._force_N(now_s)
         else:
             return "*10"
@@ -84,9 +75,9 @@ class SimulatedLoadstar(SimulatedGauge):
         super().__init__(wire, force_N)
         self.model, self.unit, self.is_faulty = "FCM DI-1000", "lb", False
 
-    def take_line(self, line: bytes, now_s: float) -> None:
-        self.due_s = now_s + 1.0 / 80.0 if line == b"WC" else math.inf
-        self.say({b"": "A", b"MODEL": self.model, b"UNITS": self.unit, b"WC": ""}.get(line, "E"), now_s)
+    def answer(self, words: str, now_s: float) -> str:
+        self.due_s = now_s + 1.0 / 80.0 if words == "WC" else math.inf
+        return {"": "A", "MODEL": self.model, "UNITS": self.unit, "WC": ""}.get(words, "E")
 
     def do_due(self) -> None:
         self.say("E" if self.is_faulty else f"{self._force_N(self.due_s) / 4.4482216152605:.6f}", self.due_s)

@@ -4,6 +4,7 @@ import math
 import re
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 
 from softcal.station.simulated.answering import FarEnd
 from softcal.station.simulated.motion import Axis, QueuedMove
@@ -18,9 +19,8 @@ SEEK_MM_S, FEED_MM_S = 25.0, 2.0
 SEGMENTS_S = 0.06
 """Motion that is already cut into steps when a feed hold comes: it still runs out (stepper.c, segment buffer)."""
 
-DEFAULTS = {10: 1.0, 13: 0.0, 20: 0.0, 21: 0.0, 22: 0.0, 24: 25.0, 25: 500.0, 27: 1.0}
-DEFAULTS |= {112: 500.0, 122: 10.0, 132: 200.0}
-"""A fresh controller (defaults.h, generic), the pressing axis."""
+SETTINGS = {10: 1.0, 13: 0.0, 20: 1.0, 21: 1.0, 22: 1.0, 24: 25.0, 25: 500.0, 27: 1.0, 112: 1500.0}
+"""A fresh controller (defaults.h, generic) with its limits switched on, the pressing axis."""
 
 _WORD = re.compile(rb"([A-Z])(-?[\d.]+)")
 _REAL_TIME = b"?!~\x18\x84\x85"
@@ -30,7 +30,7 @@ class SimulatedGrbl(FarEnd):
     """A controller whose Z axis presses downward: machine Z runs from 0 at the homing switch to −travel.
 
     Faults are switches: `switch` ("good", "missing", "stuck"), `delay_reply_s`, `hit_limit()`, `dip_power()`,
-    `open_door()`, `press_emergency_stop()`, `press_hold()` and `release_hold()`, and everything the wire can do.
+    `open_door()`, `press_emergency_stop()`, `press_hold()`, and everything the wire can do.
 
     Args:
         axis: the drive; its position counts downward from the switch, mm.
@@ -39,8 +39,7 @@ class SimulatedGrbl(FarEnd):
     def __init__(self, wire: Wire, axis: Axis, travel_mm: float = 40.0) -> None:
         super().__init__(wire, axis=axis)
         self.travel_mm = travel_mm
-        self.settings = DEFAULTS | {20: 1.0, 21: 1.0, 22: 1.0, 112: 1500.0}
-        self.settings |= {122: axis.acceleration_mm_s2, 132: travel_mm}
+        self.settings = SETTINGS | {122: axis.acceleration_mm_s2, 132: travel_mm}
         self.switch = "good"
         self.delay_reply_s = 0.0
         self.is_locked_until_reset = False
@@ -69,12 +68,24 @@ class SimulatedGrbl(FarEnd):
         """Take real-time bytes at once, lines into the buffer."""
         for code in content:
             byte = bytes([code])
-            if byte in _REAL_TIME:
-                self._real_time(byte)
+            if byte == grbl.STATUS and self.state != "Home":
+                self._report()
+            elif byte == grbl.HOLD:
+                if self.stop_received_s is None:
+                    self.stop_received_s, self.was_moving_at_stop = self._now_s, self.axis.is_moving
+                self._hold()
+            elif byte == grbl.RESUME and self.state in ("Hold", "Door") and not self._is_hold_pressed:
+                self._holds_at_s = math.inf
+                self.axis.resume()
+                self.state = "Run" if self.axis.is_moving else "Idle"
+            elif byte == grbl.RESET:
+                self._reset()
+            elif byte == grbl.DOOR:
+                self.open_door()
             elif byte in b"\r\n":
                 self._lines.append(self._received)
                 self._received = b""
-            elif sum(map(len, self._lines)) + len(self._received) < RECEIVE_BYTES - 1:
+            elif byte not in _REAL_TIME and sum(map(len, [*self._lines, self._received])) < RECEIVE_BYTES - 1:
                 self._received += byte
         self._work()
 
@@ -89,7 +100,7 @@ class SimulatedGrbl(FarEnd):
         if now_s >= self._holds_at_s:
             self._holds_at_s = math.inf
             self.axis.hold()
-        if self.state in ("Run", "Jog") and not self.axis.is_moving:
+        if self.state == "Run" and not self.axis.is_moving:
             self.state = "Idle"
         self._work()
         self.wire.deliver(now_s)
@@ -124,12 +135,8 @@ class SimulatedGrbl(FarEnd):
         self._is_hold_pressed = True
         self._hold()
 
-    def release_hold(self) -> None:
-        """The hold button is let go; the controller stays in its hold."""
-        self._is_hold_pressed = False
-
     def _hold(self) -> None:
-        if self.state in ("Run", "Jog", "Idle"):
+        if self.state in ("Run", "Idle"):
             self._holds_at_s = self._now_s + (SEGMENTS_S if self.axis.is_moving else 0.0)
             self.state = "Hold"
 
@@ -138,25 +145,6 @@ class SimulatedGrbl(FarEnd):
         self._say("Grbl 1.1h ['$' for help]")
         if self.state == "Alarm":
             self._say("[MSG:'$H'|'$X' to unlock]")
-
-    def _real_time(self, byte: bytes) -> None:
-        if byte == grbl.STATUS and self.state != "Home":
-            self._report()
-        elif byte == grbl.HOLD:
-            if self.stop_received_s is None:
-                self.stop_received_s, self.was_moving_at_stop = self._now_s, self.axis.is_moving
-            self._hold()
-        elif byte == grbl.RESUME and self.state in ("Hold", "Door") and not self._is_hold_pressed:
-            self._holds_at_s = math.inf
-            self.axis.resume()
-            self.state = "Run" if self.axis.is_moving else "Idle"
-        elif byte == grbl.RESET:
-            self._reset()
-        elif byte == grbl.DOOR:
-            self.open_door()
-        elif byte == grbl.JOG_CANCEL and self.state == "Jog":
-            self.axis.hold()
-            self.axis.queue.clear()
 
     def _reset(self) -> None:
         was_moving = self.axis.is_moving or self.state == "Home"
@@ -221,7 +209,21 @@ class SimulatedGrbl(FarEnd):
             self.state = "Idle" if self.state == "Alarm" else self.state
             return "ok"
         if line == b"$H":
-            return self._start_homing() if self.state in ("Idle", "Alarm") else "error:8"
+            if self.state not in ("Idle", "Alarm"):
+                return "error:8"
+            if not self.settings[22]:
+                return "error:5"
+            if self.is_locked_until_reset:
+                return ""
+            self.state = "Home"
+            self.axis.flush()
+            pull_off_mm, is_missing = self.settings[27], self.switch == "missing"
+            reach_mm = self.axis.position_mm - 1.5 * self.travel_mm if is_missing else 0.0
+            seek, slow = ((reach_mm, SEEK_MM_S), (pull_off_mm, SEEK_MM_S)), ((0.0, FEED_MM_S), (pull_off_mm, FEED_MM_S))
+            for target_mm, speed_mm_s in seek[:1] if is_missing else (*seek, *slow):
+                self.axis.add(QueuedMove(target_mm, speed_mm_s))
+            self._waiting = self._is_homed
+            return ""
         if line == b"$I":
             self._say("[VER:1.1h.20190825:]")
             self._say("[OPT:V,15,128]")
@@ -232,23 +234,6 @@ class SimulatedGrbl(FarEnd):
         self.settings[int(setting[1])] = float(setting[2])
         self.axis.acceleration_mm_s2 = self.settings[122]
         return "ok"
-
-    def _start_homing(self) -> str:
-        if not self.settings[22]:
-            return "error:5"
-        if self.is_locked_until_reset:
-            return ""
-        pull_off = self.settings[27]
-        self.state = "Home"
-        self.axis.flush()
-        reach = 0.0 if self.switch != "missing" else self.axis.position_mm - 1.5 * self.travel_mm
-        for target, speed in ((reach, SEEK_MM_S), (pull_off, SEEK_MM_S), (0.0, FEED_MM_S), (pull_off, FEED_MM_S)):
-            self.axis.add(QueuedMove(target, speed))
-        if self.switch == "missing":
-            while len(self.axis.queue) > 1:
-                self.axis.queue.pop()
-        self._waiting = self._is_homed
-        return ""
 
     def _is_homed(self) -> bool:
         if self.switch == "stuck" and self.axis.queue and self.axis.queue[0].target_mm > 0:
@@ -276,7 +261,8 @@ class SimulatedGrbl(FarEnd):
         if b"".join(letter + value for letter, value in words) != line or not codes <= {0, 1, 4, 21, 53, 90, 91}:
             return "error:20"
         if 4 in codes:
-            return self._dwell(values.get(b"P", 0.0))
+            self._waiting = partial(self._has_paused, values.get(b"P", 0.0))
+            return ""
         self._is_relative = (self._is_relative or 91 in codes) and 90 not in codes
         self._feed_mm_s = values.get(b"F", self._feed_mm_s * 60) / 60
         if b"Z" not in values:
@@ -306,17 +292,13 @@ class SimulatedGrbl(FarEnd):
         self._waiting = put
         return ""
 
-    def _dwell(self, seconds: float) -> str:
-        def pause() -> bool:
-            if self.axis.is_moving or self.axis.is_held or self.state == "Hold":
-                return False
-            if self._dwell_until_s == math.inf:
-                self._dwell_until_s = self._now_s + seconds
-            if self._now_s < self._dwell_until_s:
-                return False
-            self._dwell_until_s = math.inf
-            self._say("ok")
-            return True
-
-        self._waiting = pause
-        return ""
+    def _has_paused(self, seconds: float) -> bool:
+        if self.axis.is_moving or self.axis.is_held or self.state == "Hold":
+            return False
+        if self._dwell_until_s == math.inf:
+            self._dwell_until_s = self._now_s + seconds
+        if self._now_s < self._dwell_until_s:
+            return False
+        self._dwell_until_s = math.inf
+        self._say("ok")
+        return True

@@ -84,8 +84,15 @@ class Axis:
         while self._phases and self.next_event_s() <= now_s + 1e-12:
             phase = self._phases.popleft()
             self._integrate(phase.seconds, phase.acceleration)
-            if not self._phases:
-                self._arrive()
+            if self._phases:
+                continue
+            if not self.is_held:
+                self.position_mm = self.queue.popleft().target_mm
+            if self.is_held or not self.queue or abs(self.velocity_mm_s) < 1e-9:
+                self.velocity_mm_s = 0.0
+                self.standstills_s.append(self.time_s)
+            if not self.is_held:
+                self._plan()
         rest_s = max(0.0, now_s - self.time_s)
         if self._phases and rest_s:
             phase = self._phases[0]
@@ -98,18 +105,6 @@ class Axis:
         self.velocity_mm_s += acceleration * seconds
         self.time_s += seconds
         self.deepest_mm = max(self.deepest_mm, self.position_mm)
-
-    def _arrive(self) -> None:
-        if self.is_held:
-            self.velocity_mm_s = 0.0
-            self.standstills_s.append(self.time_s)
-            return
-        block = self.queue.popleft()
-        self.position_mm = block.target_mm
-        if not self.queue or abs(self.velocity_mm_s) < 1e-9:
-            self.velocity_mm_s = 0.0
-            self.standstills_s.append(self.time_s)
-        self._plan()
 
     def _plan(self) -> None:
         self._phases = deque()

@@ -22,9 +22,8 @@ class Physics(Protocol):
 class SimulatedRig:
     """Stage, unit and load cell in one frame.
 
-    `weight_N` is a dead weight on the unit. `keeps_truth` keeps the true position at every sample, for tests that
-    compare. Faults are switches: `force_fault` and `output_fault` replace what a device would see: (time, true value)
-    -> value.
+    `weight_N` is a dead weight on the unit. Faults are switches: `force_fault` and `output_fault` replace what a device
+    would see: (time, true value) -> value.
 
     Args:
         axis: the drive; its position counts downward from the homing switch, mm.
@@ -37,9 +36,6 @@ class SimulatedRig:
         self.output_fault: Callable[[float, float], float] | None = None
         self._stands_at_mm: float | None = None
         self._lost_mm = 0.0
-        self.keeps_truth = False
-        self.true_t_s: list[float] = []
-        self.true_stage_mm: list[float] = []
         self.largest_force_N = 0.0
 
     def mount(self, units: Sequence[Physics], clearance_mm: float, now_s: float) -> None:
@@ -56,7 +52,17 @@ class SimulatedRig:
     def read(self, now_s: float) -> tuple[float, tuple[float, ...]]:
         self.axis.advance(now_s)
         if now_s > self._read_s:
-            self._press(now_s)
+            self._read_s = now_s
+            u_mm = self.carriage_mm - self.clearance_mm
+            if self.weight_N:
+                # A weight sinks until the unit bears it, whatever the stage does above it.
+                self._sunk_mm = max(0.0, self._sunk_mm + SINK_MM_N * (self.weight_N - self._force_N))
+                u_mm = max(u_mm, self._sunk_mm)
+            at_s, at_mm = np.array([now_s - self._mounted_s]), np.array([u_mm])
+            readings = [unit.advance(at_s, at_mm) for unit in self._units]
+            self._force_N = float(readings[0][0][0])
+            self._outputs_V = tuple(float(output[0]) for _, output in readings)
+            self.largest_force_N = max(self.largest_force_N, self._force_N)
         force_N, outputs_V = self._force_N, self._outputs_V
         if self.force_fault:
             force_N = self.force_fault(now_s, force_N)
@@ -76,19 +82,3 @@ class SimulatedRig:
     def lose_steps(self, lost_mm: float) -> None:
         """The motor slips: from now on the carriage is higher than the controller counts."""
         self._lost_mm += lost_mm
-
-    def _press(self, now_s: float) -> None:
-        self._read_s = now_s
-        if self.keeps_truth:
-            self.true_t_s.append(now_s)
-            self.true_stage_mm.append(self.axis.position_mm)
-        u_mm = self.carriage_mm - self.clearance_mm
-        if self.weight_N:
-            # A weight sinks until the unit bears it, whatever the stage does above it.
-            self._sunk_mm = max(0.0, self._sunk_mm + SINK_MM_N * (self.weight_N - self._force_N))
-            u_mm = max(u_mm, self._sunk_mm)
-        since_s = now_s - self._mounted_s
-        readings = [unit.advance(np.array([since_s]), np.array([u_mm])) for unit in self._units]
-        self._force_N = float(readings[0][0][0])
-        self._outputs_V = tuple(float(output[0]) for _, output in readings)
-        self.largest_force_N = max(self.largest_force_N, self._force_N)

@@ -31,6 +31,7 @@ class SimulatedScpi(FarEnd):
         measure_s: float,
     ) -> None:
         super().__init__(wire)
+        self.said_end = b"\n"
         self.identity, self._defaults, self._measure = identity, settings, measure
         self.measure_s, self.settings = measure_s, dict(settings)
         self.is_overloaded, self.refuses = False, ""
@@ -43,9 +44,9 @@ class SimulatedScpi(FarEnd):
             if header == self.refuses and header:
                 self._errors.append('-113,"Undefined header"')
             elif header == "*IDN?":
-                self._answer(self.identity, now_s)
+                self.say(self.identity, now_s)
             elif header == "SYST:ERR?":
-                self._answer(self._errors.popleft() if self._errors else '+0,"No error"', now_s)
+                self.say(self._errors.popleft() if self._errors else '+0,"No error"', now_s)
             elif header == "*RST":
                 self.settings = dict(self._defaults)
             elif header == "*CLS":
@@ -59,7 +60,7 @@ class SimulatedScpi(FarEnd):
 
     def do_due(self) -> None:
         done_s = self._triggered.popleft()
-        self._answer(self._measure(done_s - self.measure_s / 2), done_s)
+        self.say(self._measure(done_s - self.measure_s / 2), done_s)
         self.due_s = self._triggered[0] if self._triggered else math.inf
 
     def trigger(self, now_s: float) -> None:
@@ -71,9 +72,6 @@ class SimulatedScpi(FarEnd):
     @abstractmethod
     def measured(self, header: str, now_s: float) -> bool:
         """Whether a header asks for a reading; then it is begun."""
-
-    def _answer(self, text: str, now_s: float) -> None:
-        self.wire.send(text.encode() + b"\n", now_s)
 
 
 class SimulatedDmm(SimulatedScpi):
@@ -117,6 +115,6 @@ class SimulatedLcr(SimulatedScpi):
             if self._is_triggered:
                 self.trigger(now_s)
             else:
-                self._answer("+9.90000E+37,+9.90000E+37,-1", now_s)
+                self.say("+9.90000E+37,+9.90000E+37,-1", now_s)
             self._is_triggered = False
         return header in ("TRIG:IMM", "FETC?")

@@ -14,12 +14,12 @@ class SimulatedTextStream(FarEnd):
     """A device that samples by its own crystal and prints every sample.
 
     Faults are switches: `is_frozen` (the last value for ever), `rate_factor` (0.5 = half rate), `has_checksum`,
-    `device_ms` (its clock), `restart()`, and everything the wire can do.
+    `device_ms` (its clock, as `millis()` shows it; near 2**32 it soon wraps), `restart()`, and everything the wire can
+    do.
 
     Args:
         sample: (true time) -> counts per channel.
         drift: relative error of the crystal; +1e-3 gains a millisecond a second.
-        first_ms: what `millis()` shows at the start; near 2**32 it soon wraps.
     """
 
     def __init__(
@@ -28,16 +28,14 @@ class SimulatedTextStream(FarEnd):
         sample: Callable[[float], tuple[int, ...]],
         rate_Hz: float,
         drift: float = 0.0,
-        first_ms: int = 731,
         banner: bytes = b"softcal readout 1\r\n",
-        has_checksum: bool = True,
     ) -> None:
         super().__init__(wire)
         self._sample = sample
-        self.rate_Hz, self._drift, self._banner, self.has_checksum = rate_Hz, drift, banner, has_checksum
+        self.rate_Hz, self._drift, self._banner, self.has_checksum = rate_Hz, drift, banner, True
         self.rate_factor = 1.0
         self.is_frozen = False
-        self.device_ms = float(first_ms)
+        self.device_ms = 731.0
         self.due_s = 0.004
         self._last: tuple[int, ...] = ()
         self._is_first = True

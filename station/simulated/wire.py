@@ -1,13 +1,121 @@
-"""The far end of one line: bytes that arrive late and in bursts, and the faults a wire can have."""
+"""The far end of one line: what it runs over, bytes that arrive late and in bursts, and the faults a wire can have."""
 
+import os
+import socket
 from collections import deque
+from contextlib import suppress
+from typing import TypeAlias
 
 import numpy as np
 
-from softcal.station.simulated.medium import Medium, serial_line
+from softcal.station.wire.transport import BLE
 
 BYTE_S = 10 / 115200
 """Time of one byte at 115200 8N1."""
+
+
+class PtyEnd:
+    """A serial line: a pseudo terminal (Linux and macOS). What the host does not read is lost, as on a real port."""
+
+    def __init__(self) -> None:
+        import pty  # Not on Windows.
+        import tty
+
+        self._master, slave = pty.openpty()
+        tty.setraw(slave)
+        os.set_blocking(self._master, False)
+        self.port = os.ttyname(slave)
+        # Kept open until the host opens it: a pty without a slave reports an error to its master.
+        self._slave = slave
+
+    def read(self) -> bytes:
+        content = b""
+        try:
+            # One read may give less than was written; what comes a step later would be another simulation.
+            while True:
+                content += os.read(self._master, 65536)
+        except BlockingIOError:
+            return content
+
+    def write(self, content: bytes) -> None:
+        with suppress(BlockingIOError):
+            os.write(self._master, content)
+
+    def hang_up(self) -> None:
+        os.close(self._slave)
+        os.close(self._master)
+
+
+class SocketEnd:
+    """An instrument on the network: a TCP server that talks to one host at a time."""
+
+    def __init__(self) -> None:
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self._server.setblocking(False)
+        self._host: socket.socket | None = None
+        self.port = f"tcp://127.0.0.1:{self._server.getsockname()[1]}"
+
+    def read(self) -> bytes:
+        content, host = b"", self._connected()
+        if host is None:
+            return content
+        try:
+            while piece := host.recv(65536):
+                content += piece
+        except BlockingIOError:
+            return content
+        except OSError:
+            pass
+        self._forget()
+        return content
+
+    def write(self, content: bytes) -> None:
+        host = self._connected()
+        if host is None:
+            return
+        try:
+            host.send(content)
+        except BlockingIOError:
+            pass
+        except OSError:
+            self._forget()
+
+    def hang_up(self) -> None:
+        self._forget()
+        self._server.close()
+
+    def _connected(self) -> socket.socket | None:
+        try:
+            newest, _ = self._server.accept()
+        except BlockingIOError:
+            return self._host
+        self._forget()
+        newest.setblocking(False)
+        newest.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._host = newest
+        return newest
+
+    def _forget(self) -> None:
+        if self._host is not None:
+            self._host.close()
+            self._host = None
+
+
+Medium: TypeAlias = PtyEnd | SocketEnd
+"""The device's end of a byte stream that the host opens by its `port`."""
+
+
+def serial_line() -> Medium:
+    """Return what stands for a serial line: a socket where there are no pseudo terminals."""
+    return PtyEnd() if os.name == "posix" else SocketEnd()
+
+
+class BleEnd(SocketEnd):
+    """A board behind Bluetooth, whose packets come over the air; a host finds it by its `port`."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.port = BLE + self.port.removeprefix("tcp://")
 
 
 class Wire:
@@ -17,21 +125,12 @@ class Wire:
     comes as noise, `torn` loses its second half with the line end, `flipped` has one wrong bit, `swapped` comes after
     the next one, `repeat` comes twice, `loss` never.
 
-    Args:
-        delay_s: least time from device to host.
-        jitter_s: mean of a random delay on top.
-        stall_s: now and then the host gets nothing for this long and then all at once.
+    `delay_s` is the least time from device to host, `jitter_s` the mean of a random delay on top. Now and then the host
+    gets nothing for `stall_s` and then all at once.
     """
 
-    def __init__(
-        self,
-        rng: np.random.Generator,
-        delay_s: float = 0.001,
-        jitter_s: float = 0.002,
-        stall_s: float = 0.1,
-        medium: Medium | None = None,
-    ) -> None:
-        self._rng, self.delay_s, self.jitter_s, self.stall_s = rng, delay_s, jitter_s, stall_s
+    def __init__(self, rng: np.random.Generator, medium: Medium | None = None) -> None:
+        self._rng, self.delay_s, self.jitter_s, self.stall_s = rng, 0.001, 0.002, 0.1
         self._medium = medium or serial_line()
         self.port = self._medium.port
         self._outbox: deque[tuple[float, bytes]] = deque()

@@ -152,7 +152,14 @@ class _Run:
             self.watched.home()
         else:
             self.watched.enter(State.LISTENING)
-        self._approach()
+        self._enter(READING)
+        self._motion.wait(REST_S)
+        self.watched.expect_nothing()
+        # To where no unit reaches, so slowly that a hand that is in the way takes no harm.
+        approach_mm = self._bench.config.fixture.approach_mm
+        if abs(approach_mm - self._stage.position_mm) > ROUNDING_MM:
+            self._go(approach_mm, self.watched.fastest_mm_s)
+            self._motion.wait(REST_S)
         zero_N = self._take_zero()
         touch, fixture = self._find_contact(), self._bench.config.fixture
         contact_mm = touch.foot(self.watched.late_s).at_mm
@@ -177,16 +184,6 @@ class _Run:
             self._spool.add_facts(asdict(facts))
         self._tell(1.0, 0.0)
         return assemble(Raw(self._readings.output, self._readings.force, self._readings.polls), facts)
-
-    def _approach(self) -> None:
-        """Go to where no unit reaches, so slowly that a hand that is in the way takes no harm."""
-        self._enter(READING)
-        self._motion.wait(REST_S)
-        self.watched.expect_nothing()
-        approach_mm = self._bench.config.fixture.approach_mm
-        if abs(approach_mm - self._stage.position_mm) > ROUNDING_MM:
-            self._go(approach_mm, self.watched.fastest_mm_s)
-            self._motion.wait(REST_S)
 
     def _press(self, zero_mm: float) -> tuple[float, float]:
         began_s = self._clock.now_s()
@@ -306,8 +303,16 @@ class _Run:
         force_N = np.array([sample.values[0] for sample in self._readings.force[began:]])
         self._measure_latency(began, force_N, at, contact_mm)
         seen = slice(None, down - began)
-        stiffness_N_mm = stiffest_N_mm(at(host_s[seen]), force_N[seen])
-        return deepest_mm + ROUNDING_MM, self._safe_mm_s(float(np.max(force_N)) - zero_N, stiffness_N_mm)
+        felt_N, stiffness_N_mm = float(np.max(force_N)) - zero_N, stiffest_N_mm(at(host_s[seen]), force_N[seen])
+        bounds, fastest_mm_s = self.watched.bounds, self._profile.fastest_mm_s
+        known_mm_s = bounds.known_mm_s(felt_N, stiffness_N_mm)
+        if fastest_mm_s > known_mm_s:
+            felt = {"force_N": felt_N, "stiffness_N_mm": stiffness_N_mm}
+            speeds = {"speed_mm_s": fastest_mm_s, "slower_mm_s": known_mm_s, "ceiling_N": bounds.ceiling_N}
+            worst_N = bounds.worst_N(fastest_mm_s, **felt)
+            about = reason("rig.too_fast", profile=repr(self._profile.name), worst_N=worst_N, **felt, **speeds)
+            raise CommandRefused(about)
+        return deepest_mm + ROUNDING_MM, known_mm_s
 
     def _feel_down(self, deepest_mm: float) -> bool:
         """Press in steps, each as fast as a stop holds that notices more force than the step before lets expect.
@@ -341,17 +346,6 @@ class _Run:
             check_lag(found_s, possible_s, period_s)
         if not is_stated and np.isfinite(found_s):
             self.watched.learn_latency(possible_s)
-
-    def _safe_mm_s(self, force_N: float, stiffness_N_mm: float) -> float:
-        bounds, fastest_mm_s = self.watched.bounds, self._profile.fastest_mm_s
-        known_mm_s = bounds.known_mm_s(force_N, stiffness_N_mm)
-        if fastest_mm_s > known_mm_s:
-            felt = {"force_N": force_N, "stiffness_N_mm": stiffness_N_mm}
-            speeds = {"speed_mm_s": fastest_mm_s, "slower_mm_s": known_mm_s, "ceiling_N": bounds.ceiling_N}
-            worst_N = bounds.worst_N(fastest_mm_s, **felt)
-            about = reason("rig.too_fast", profile=repr(self._profile.name), worst_N=worst_N, **felt, **speeds)
-            raise CommandRefused(about)
-        return known_mm_s
 
     def _tell(self, fraction: float, remaining_s: float) -> None:
         if self._on_progress is None:

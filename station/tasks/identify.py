@@ -54,15 +54,25 @@ def identify(port: str, clock: Clock) -> DeviceIdentity:
     """Return what answers at a port; `NoReply`: it does not exist or belongs to another process."""
     link = Link(port, clock)
     try:
-        unknown = DeviceIdentity(port, "", "", Reason("port.unknown"))
-        return _stream(link) or _esm(link) or _grbl(link) or _zaber(link) or _mark10(link) or _loadstar(link) or unknown
+        for probe in (_stream, _esm, _grbl, _zaber, _mark10, _loadstar):
+            if (found := probe(link)) is not None:
+                return found
+        return DeviceIdentity(port, "", "", Reason("port.unknown"))
     finally:
         link.close()
 
 
 def _stream(link: Link) -> DeviceIdentity | None:
-    banner, lines = "", []
-    heard, rate_Hz = _heard(link)
+    banner, lines, heard = "", [], list[Line]()
+    end_s = link.clock.now_s() + BOOT_S
+    while len(heard) < FEW_LINES and link.clock.now_s() < end_s:
+        link.clock.sleep_s(POLL_S)
+        heard += link.read_lines()
+    if not heard:
+        return None
+    link.clock.sleep_s(LISTEN_S)
+    after = link.read_lines()
+    heard, rate_Hz = [*heard, *after], len(after) / LISTEN_S
     if any(_is_indicator(line.text) for line in heard[1:3]):
         said = reason("port.said", said=heard[1].text.decode())
         return DeviceIdentity(link.port, "force", "indicator", said, rate_Hz, 1)
@@ -85,20 +95,6 @@ def _is_indicator(line: bytes) -> bool:
     except BadReply as error:
         return error.reason == OVERLOADED
     return True
-
-
-def _heard(link: Link) -> tuple[list[Line], float]:
-    """Return all lines: until some came (BOOT_S at most) and LISTEN_S more; and how many a second."""
-    end_s = link.clock.now_s() + BOOT_S
-    heard: list[Line] = []
-    while len(heard) < FEW_LINES and link.clock.now_s() < end_s:
-        link.clock.sleep_s(POLL_S)
-        heard += link.read_lines()
-    if not heard:
-        return [], 0.0
-    link.clock.sleep_s(LISTEN_S)
-    after = link.read_lines()
-    return [*heard, *after], len(after) / LISTEN_S
 
 
 def _told_apart(banner: str, largest: int, smallest: int, rate_Hz: float) -> tuple[str, str, Reason]:

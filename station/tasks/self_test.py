@@ -8,12 +8,13 @@ import numpy as np
 from softcal.core.errors import DeviceError
 from softcal.core.profiles import Profile
 from softcal.core.words.reason import Reason, Value, plain, reason
-from softcal.station.clock import CLOCK_SHARE, fit_clock, seen_rate_Hz
+from softcal.station.clock import CLOCK_SHARE, seen_rate_Hz
 from softcal.station.device_names import named
 from softcal.station.devices.bench import Bench
 from softcal.station.interfaces import Advises, ForceReader, Move, Readout, RunsOn, Sample
 from softcal.station.motion.motion import Cancelled
 from softcal.station.motion.watched import WatchedBench, bounds_of
+from softcal.station.record.recording import clock_of
 from softcal.station.tasks.seconds import FEELING, seconds_of, shorter
 
 LISTEN_S = 5.0
@@ -92,18 +93,19 @@ def self_test(
         zero_N, allowed_N = float(np.mean([sample.values[0] for sample in weighed])), bench.config.safety.zero_N
         cure = None if abs(zero_N) <= allowed_N else reason("cure.zero", allowed_N=allowed_N)
         findings.append(_item("load cell", "check.zero", "found.zero", cure, zero_N=zero_N))
-    return findings if profile is None else [*findings, *_seconds_findings(bench, profile)]
-
-
-def _seconds_findings(bench: Bench, profile: Profile) -> Iterator[SelfTestItem]:
-    config, bounds = bench.config, bounds_of(bench)
-    phases = seconds_of(config, bounds, profile, config.fixture.approach_mm)
+    if profile is None:
+        return findings
+    bounds = bounds_of(bench)
+    phases = seconds_of(bench.config, bounds, profile, bench.config.fixture.approach_mm)
     all_s = sum(phases.values())
     about = {"press_s": profile.duration_s, "feel_s": phases[FEELING], "stiffest_N_mm": bounds.stiffest_N_mm}
-    yield _item("stage", "check.unit_seconds", "found.unit_seconds", all_s=all_s, profile=profile.name, **about)
-    for key, value, shorter_s in shorter(config, bounds, profile):
+    findings.append(
+        _item("stage", "check.unit_seconds", "found.unit_seconds", all_s=all_s, profile=profile.name, **about)
+    )
+    for key, value, shorter_s in shorter(bench.config, bounds, profile):
         if shorter_s < all_s - 1.0:
-            yield _item("stage", "check.shorter", "found.shorter", key=key, value=value, all_s=shorter_s)
+            findings.append(_item("stage", "check.shorter", "found.shorter", key=key, value=value, all_s=shorter_s))
+    return findings
 
 
 def _stream_findings(reader: ForceReader | Readout, samples: Sequence[Sample]) -> Iterator[SelfTestItem]:
@@ -118,8 +120,7 @@ def _stream_findings(reader: ForceReader | Readout, samples: Sequence[Sample]) -
     yield _item(name, "check.noise", "found.noise", noise=noise, unit=unit)
     if samples[0].device_s is None:
         return
-    device_s = np.array([sample.device_s for sample in samples], dtype=np.float64)
-    fit = fit_clock(device_s, np.array([sample.host_s for sample in samples]))
+    device_s, fit = clock_of(samples)
     rate_Hz = seen_rate_Hz(device_s)
     is_right = abs(rate_Hz / reader.rate_Hz - 1) < RATE_SHARE
     slow = None if is_right else reason("cure.rate", rate_Hz=reader.rate_Hz)

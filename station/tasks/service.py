@@ -10,14 +10,7 @@ from dataclasses import dataclass, replace
 from datetime import timedelta
 from pathlib import Path
 
-from softcal.core.errors import (
-    BadReply,
-    CommandRefused,
-    DeviceError,
-    NoReply,
-    SafetyStop,
-    SoftcalError,
-)
+from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply, SafetyStop, SoftcalError
 from softcal.core.lot import check_serial
 from softcal.core.orders import Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.profiles import Profile
@@ -151,17 +144,13 @@ class StationService:
         except DeviceError as error:
             self.state, self.reasons = StationState.STOPPED, (error.reason,)
 
-    def acknowledge(self) -> None:
-        """Open the ports again: somebody has read why it stopped; the next run homes first."""
-        self.start()
-
     def perform(self, order: Order) -> StationRecording | RestReading | None:
         """Perform one order; return what a run that went through recorded, which the host keeps and reports done.
 
         Every other outcome is reported here.
         """
         if order.kind is OrderKind.ACKNOWLEDGE:
-            self.acknowledge()
+            self.start()  # Somebody has read why it stopped; the next run homes first.
             self._end(order, RunState.DONE, "", (Reason("run.acknowledged"),))
             return None
         if self.state is StationState.STOPPED or self._bench is None:
@@ -224,7 +213,19 @@ class StationService:
         if bench is None:
             raise NoReply(Reason("rig.no_devices"))
         if order.kind is OrderKind.CHECK:
-            self._check(order, bench, relay)
+            self._hooks.report(Progress(order.order_id, RunState.RUNNING, "self-test", 0.0, CHECK_S))
+            self.findings = self_test(bench, on_wait=relay.look)
+            faults = [
+                reason("rig.self_test", device=f.device, what=f.what, value=f.value, cure=f.cure)
+                for f in self.findings
+                if f.cure is not None
+            ]
+            if faults:
+                raise BadReply(several(faults))
+            self._homing_fault = self._zero_fault = None
+            self._zero_return_N = 0.0
+            self._end(order, RunState.DONE, "", (Reason("rig.all_good"),))
+            self._ready()
             return None
         if order.kind is OrderKind.LOAD:
             reading = read_at_rest(bench, order.serial, READ.settle_s, READ.reading_s, relay.on_reading)
@@ -236,24 +237,13 @@ class StationService:
         with Spool(self.spool_path(order), header | {"kind": order.kind, "profile": profile.name}) as spool:
             recording = record(bench, order.serial, profile, with_reference, relay.on_progress, spool, relay.look)
         self._zero_return_N = recording.zero_return_N
-        self._bench = _with_latency(bench, recording.alignment.force_behind_s)
+        # Later runs are held to how late a good one found the cell, until the ports open again.
+        force, behind_s = bench.config.force, recording.alignment.force_behind_s
+        if force is not None and not force.is_latency_stated and math.isfinite(behind_s):
+            stated = replace(force, latency_s=min(max(0.0, behind_s), LATEST_S))
+            self._bench = replace(bench, config=replace(bench.config, force=stated))
         self._ready()
         return recording
-
-    def _check(self, order: Order, bench: Bench, relay: "_Relay") -> None:
-        self._hooks.report(Progress(order.order_id, RunState.RUNNING, "self-test", 0.0, CHECK_S))
-        self.findings = self_test(bench, on_wait=relay.look)
-        faults = [
-            reason("rig.self_test", device=f.device, what=f.what, value=f.value, cure=f.cure)
-            for f in self.findings
-            if f.cure is not None
-        ]
-        if faults:
-            raise BadReply(several(faults))
-        self._homing_fault = self._zero_fault = None
-        self._zero_return_N = 0.0
-        self._end(order, RunState.DONE, "", (Reason("rig.all_good"),))
-        self._ready()
 
     def _ready(self) -> None:
         # The gate is asked between orders: a registry that is away must not cost a run that is done.
@@ -287,8 +277,13 @@ class _Relay:
         if progress.output is not None:
             self._points.append((progress.t_s, progress.output, progress.stage_mm, progress.force_N))
             self._unit = progress.output_unit
+        # Before the cell's first sample there is no force to draw.
+        points, signal = [point for point in self._points if point[3] is not None] or list(self._points), Signal()
+        if points:
+            t_s, output, stage_mm, force_N = zip(*points, strict=True)
+            signal = Signal(t_s, output, stage_mm, () if force_N[0] is None else force_N, self._unit)
         state = (progress.phase, progress.fraction, progress.remaining_s)
-        self._hooks.report(Progress(self._order.order_id, RunState.RUNNING, *state, signal=self._signal()))
+        self._hooks.report(Progress(self._order.order_id, RunState.RUNNING, *state, signal=signal))
 
     def on_reading(self, fraction: float, remaining_s: float) -> None:
         self.look()
@@ -296,20 +291,3 @@ class _Relay:
         if (step := int(remaining_s * 10)) != self._told:
             self._told = step
             self._hooks.report(Progress(self._order.order_id, RunState.RUNNING, READING, fraction, remaining_s))
-
-    def _signal(self) -> Signal:
-        """Return the newest stretch; before the cell's first sample there is no force to draw."""
-        points = [point for point in self._points if point[3] is not None] or list(self._points)
-        if not points:
-            return Signal()
-        t_s, output, stage_mm, force_N = zip(*points, strict=True)
-        return Signal(t_s, output, stage_mm, () if force_N[0] is None else force_N, self._unit)
-
-
-def _with_latency(bench: Bench, behind_s: float) -> Bench:
-    """Hold later runs to how late a good one found the cell, until the ports open again."""
-    force = bench.config.force
-    if force is None or force.is_latency_stated or not math.isfinite(behind_s):
-        return bench
-    stated = replace(force, latency_s=min(max(0.0, behind_s), LATEST_S))
-    return replace(bench, config=replace(bench.config, force=stated))

@@ -7,22 +7,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from softcal.station.devices.simulated_station import SimulatedStation
+from softcal.station.simulated.answering import FarEnd
 from softcal.station.simulated.force_gauge import SimulatedIndicator, SimulatedLoadstar, SimulatedMark10
 from softcal.station.simulated.zaber import SimulatedZaber
+from softcal.station.tasks.seconds import FEELING, HOMING, PRESSING, READING, RETURNING, SEARCHING
 
-HOMING, APPROACH, SEARCH = "homing", "reading the unloaded channels", "searching for contact"
-FEEL, PRESS, RETURN = "feeling the unit", "pressing", "reading the zero return"
 DOWN_S, HOLD_S, BETWEEN_S = 1.6, 3.0, 5.2
 """Seconds into the pressing of `trial.PROFILE` at which the stage goes down, holds a press, and stands between two."""
 
 MOMENTS: Mapping[str, tuple[str, float]] = {
     "while homing": (HOMING, 0.1),
-    "in the approach": (APPROACH, 0.4),
-    "in the search for contact": (SEARCH, 0.5),
-    "while feeling": (FEEL, 0.5),
-    "while pressing": (PRESS, DOWN_S),
-    "in a hold": (PRESS, HOLD_S),
-    "at the zero return": (RETURN, 0.1),
+    "in the approach": (READING, 0.4),
+    "in the search for contact": (SEARCHING, 0.5),
+    "while feeling": (FEELING, 0.5),
+    "while pressing": (PRESSING, DOWN_S),
+    "in a hold": (PRESSING, HOLD_S),
+    "at the zero return": (RETURNING, 0.1),
 }
 """Every state a run goes through: the phase, and seconds into it."""
 
@@ -60,7 +60,7 @@ def _from_the_start(name: str, inject: Inject) -> Fault:
 
 
 def _pressing(name: str, inject: Inject, after_s: float = DOWN_S, force_kind: str = "hx711") -> Fault:
-    return Fault(name, PRESS, after_s, inject, force_kind=force_kind)
+    return Fault(name, PRESSING, after_s, inject, force_kind=force_kind)
 
 
 def _seen_late(*faults: Fault) -> list[Fault]:
@@ -72,10 +72,7 @@ def _without_cell(fault: Fault) -> Fault:
 
 
 def _set(target: str, name: str, value: object) -> Inject:
-    def inject(station: SimulatedStation) -> None:
-        setattr(getattr(station, target), name, value)
-
-    return inject
+    return lambda station: setattr(getattr(station, target), name, value)
 
 
 def _add(target: str, name: str, amount: float) -> Inject:
@@ -155,122 +152,103 @@ def _of_stream(device: str, wire: str, end: str) -> list[Fault]:
     ]
 
 
-def _of_controller() -> list[Fault]:
-    def cut_motor(station: SimulatedStation) -> None:
-        station.rig.cut_motor()
-
-    return [
-        *_at_every_moment("stage unplugged", _unplug("stage_wire")),
-        *_at_every_moment("controller restarts", lambda s: s.stage.dip_power()),
-        *_at_every_moment("hard limit switch", lambda s: s.stage.hit_limit(), "while homing"),
-        *_at_every_moment("safety door opened", lambda s: s.stage.open_door()),
-        *_at_every_moment("emergency stop", lambda s: s.stage.press_emergency_stop()),
-        *_at_every_moment("hold button pressed", lambda s: s.stage.press_hold(), "while homing"),
-        *_at_every_moment("controller silent", _set("stage_wire", "is_silent", True)),
-        _from_the_start("homing switch missing", _set("stage", "switch", "missing")),
-        _from_the_start("homing switch stuck", _set("stage", "switch", "stuck")),
-        _pressing("controller slow to answer", _set("stage", "delay_reply_s", 0.4)),
-        _pressing("noise on the controller's line", _set("stage_wire", "garbage", 0.5)),
-        _pressing("drive switched off while pressing", lambda s: s.axis.hold()),
-        *_seen_late(
-            _pressing("every third line of the controller torn", _set("stage_wire", "torn", 0.3)),
-            _pressing("motor without supply while pressing", cut_motor),
-            _without_cell(_pressing("motor without supply", cut_motor)),
-            _pressing("motor loses 0.5 mm between two presses", lambda s: s.rig.lose_steps(0.5), BETWEEN_S),
-            _without_cell(_pressing("motor loses 1 mm", lambda s: s.rig.lose_steps(1.0), BETWEEN_S)),
-        ),
-    ]
+def _flip_bits_unchecked(station: SimulatedStation) -> None:
+    station.force.has_checksum, station.force_wire.flipped = False, 0.02
 
 
-def _of_cell() -> list[Fault]:
-    def halve(force_N: float) -> float:
-        return 0.5 * force_N
-
-    def flip_bits_unchecked(station: SimulatedStation) -> None:
-        station.force.has_checksum, station.force_wire.flipped = False, 0.02
-
-    drifting = _set("rig", "force_fault", lambda t, x: x + 0.05 * t)
-    return [
-        _pressing("load cell saturated", _force(lambda x: 1e6)),
-        _pressing("load cell bridge breaks while pressing", _force(lambda x: 0.0)),
-        _from_the_start("load cell bridge dead", _force(lambda x: 0.0)),
-        _from_the_start("load cell pulls where it should press", _force(lambda x: -x)),
-        _pressing("load cell zero jumps in a hold", _force(lambda x: x + 3.0), HOLD_S),
-        _from_the_start("load cell not unloaded before the run", _force(lambda x: x + 3.0)),
-        *_seen_late(
-            *(
-                _from_the_start(f"load cell's line {s:g} s late", _add("force_wire", "delay_s", s))
-                for s in (0.02, 0.05, 0.1, 0.2)
-            ),
-            _pressing("load cell's gain halves between two presses", _force(halve), BETWEEN_S),
-            _pressing("load cell's gain doubles between two presses", _force(lambda x: 2.0 * x), BETWEEN_S),
-            _pressing("load cell's gain halves while pressing", _force(halve)),
-            _pressing("load cell stuck but noisy", _set("rig", "force_fault", _stuck_noisy)),
-            _pressing("load cell hangs for 1 s while pressing", lambda station: hang(station, 1.0)),
-            _pressing("load cell's input floats", _set("rig", "force_fault", _floating)),
-            _pressing("load cell's amplifier clips at 3 N", _force(lambda x: min(x, 3.0)), 0.0),
-            _from_the_start("load cell's converter has a bit stuck", _force(_bit(1 / 9870, 13, True))),
-            _pressing("load cell zero moves while pressing", _force(lambda x: x + 3.0)),
-            _from_the_start("load cell's zero drifts by 0.05 N/s", drifting),
-            _pressing("flipped bits on a load cell's line without checksums", flip_bits_unchecked),
-        ),
-    ]
+def _set_cell(kind: type[FarEnd], name: str, value: object) -> Inject:
+    return lambda station: setattr(station.far_end(kind, "cell"), name, value)
 
 
-def _of_other_devices() -> list[Fault]:
-    def mute_units(station: SimulatedStation) -> None:
-        station.far_end(SimulatedMark10, "cell").is_numeric_only = True
-
-    def report_errors(station: SimulatedStation) -> None:
-        station.far_end(SimulatedLoadstar, "cell").is_faulty = True
-
-    def overload(station: SimulatedStation) -> None:
-        station.far_end(SimulatedIndicator, "cell").capacity_N = 0.5
-
-    of_zaber: Mapping[str, Inject] = {
-        "Zaber stage stalls": lambda s: s.far_end(SimulatedZaber, "stage").stall(),
-        "knob of a Zaber stage turned": lambda s: s.far_end(SimulatedZaber, "stage").turn_knob(),
-        "Zaber stage unplugged": _unplug("stage_wire"),
-    }
-    return [
-        _pressing("gauge set to numbers without a unit while pressing", mute_units, force_kind="mark10"),
-        _pressing("gauge unplugged while pressing", _unplug("force_wire"), force_kind="mark10"),
-        _pressing("interface reports errors while pressing", report_errors, force_kind="loadstar"),
-        _pressing("indicator overloaded while pressing", overload, force_kind="indicator"),
-        *(replace(_pressing(f"{name} while pressing", of_zaber[name]), stage_kind="zaber") for name in of_zaber),
-    ]
+def _of_zaber(name: str, inject: Inject) -> Fault:
+    return replace(_pressing(f"{name} while pressing", inject), stage_kind="zaber")
 
 
-def _of_unit() -> list[Fault]:
-    noisy, frozen = _set("rig", "output_fault", _stuck_noisy), _set("readout", "is_frozen", True)
-    gone = _set("rig", "clearance_mm", 100.0)
-    return [
-        _without_cell(_pressing("readout unplugged", _unplug("readout_wire"))),
-        _from_the_start("unit not connected", _output(lambda x: 5.0)),
-        _from_the_start("unit's wires touch from the start", _output(lambda x: 0.0)),
-        _from_the_start("no unit in the fixture", gone),
-        _from_the_start("something in the way of the approach", _set("rig", "clearance_mm", 2.6)),
-        _from_the_start("hard object under the stage", lambda s: s.mount_rigid()),
-        *_seen_late(
-            _pressing("readout stuck but noisy", noisy),
-            _without_cell(_pressing("readout stuck but noisy", noisy)),
-            _pressing("readout's input floats", _set("rig", "output_fault", _floating)),
-            _without_cell(_pressing("readout frozen", frozen)),
-            _pressing("readout's amplifier clips at 1.6 V", _output(lambda x: min(x, 1.6)), 0.0),
-            _from_the_start("readout's converter has bit 5 at 0", _output(_bit(5 / 1023, 5, False))),
-            _from_the_start("readout's converter has bit 6 at 1", _output(_bit(5 / 1023, 6, True))),
-            _pressing("unit's wire breaks", _output(lambda x: 5.0)),
-            _pressing("unit's wires touch", _output(lambda x: 0.0)),
-            _pressing("unit falls out between two presses", gone, BETWEEN_S),
-        ),
-    ]
-
+_NOISY, _GONE = _set("rig", "output_fault", _stuck_noisy), _set("rig", "clearance_mm", 100.0)
 
 FAULTS: tuple[Fault, ...] = (
-    *_of_controller(),
+    # Of the controller.
+    *_at_every_moment("stage unplugged", _unplug("stage_wire")),
+    *_at_every_moment("controller restarts", lambda s: s.stage.dip_power()),
+    *_at_every_moment("hard limit switch", lambda s: s.stage.hit_limit(), "while homing"),
+    *_at_every_moment("safety door opened", lambda s: s.stage.open_door()),
+    *_at_every_moment("emergency stop", lambda s: s.stage.press_emergency_stop()),
+    *_at_every_moment("hold button pressed", lambda s: s.stage.press_hold(), "while homing"),
+    *_at_every_moment("controller silent", _set("stage_wire", "is_silent", True)),
+    _from_the_start("homing switch missing", _set("stage", "switch", "missing")),
+    _from_the_start("homing switch stuck", _set("stage", "switch", "stuck")),
+    _pressing("controller slow to answer", _set("stage", "delay_reply_s", 0.4)),
+    _pressing("noise on the controller's line", _set("stage_wire", "garbage", 0.5)),
+    _pressing("drive switched off while pressing", lambda s: s.axis.hold()),
+    *_seen_late(
+        _pressing("every third line of the controller torn", _set("stage_wire", "torn", 0.3)),
+        _pressing("motor without supply while pressing", lambda s: s.rig.cut_motor()),
+        _without_cell(_pressing("motor without supply", lambda s: s.rig.cut_motor())),
+        _pressing("motor loses 0.5 mm between two presses", lambda s: s.rig.lose_steps(0.5), BETWEEN_S),
+        _without_cell(_pressing("motor loses 1 mm", lambda s: s.rig.lose_steps(1.0), BETWEEN_S)),
+    ),
+    # Of the streams.
     *_of_stream("load cell", "force_wire", "force"),
     *_of_stream("readout", "readout_wire", "readout"),
-    *_of_cell(),
-    *_of_other_devices(),
-    *_of_unit(),
+    # Of the load cell.
+    _pressing("load cell saturated", _force(lambda x: 1e6)),
+    _pressing("load cell bridge breaks while pressing", _force(lambda x: 0.0)),
+    _from_the_start("load cell bridge dead", _force(lambda x: 0.0)),
+    _from_the_start("load cell pulls where it should press", _force(lambda x: -x)),
+    _pressing("load cell zero jumps in a hold", _force(lambda x: x + 3.0), HOLD_S),
+    _from_the_start("load cell not unloaded before the run", _force(lambda x: x + 3.0)),
+    *_seen_late(
+        *(
+            _from_the_start(f"load cell's line {s:g} s late", _add("force_wire", "delay_s", s))
+            for s in (0.02, 0.05, 0.1, 0.2)
+        ),
+        _pressing("load cell's gain halves between two presses", _force(lambda x: 0.5 * x), BETWEEN_S),
+        _pressing("load cell's gain doubles between two presses", _force(lambda x: 2.0 * x), BETWEEN_S),
+        _pressing("load cell's gain halves while pressing", _force(lambda x: 0.5 * x)),
+        _pressing("load cell stuck but noisy", _set("rig", "force_fault", _stuck_noisy)),
+        _pressing("load cell hangs for 1 s while pressing", lambda station: hang(station, 1.0)),
+        _pressing("load cell's input floats", _set("rig", "force_fault", _floating)),
+        _pressing("load cell's amplifier clips at 3 N", _force(lambda x: min(x, 3.0)), 0.0),
+        _from_the_start("load cell's converter has a bit stuck", _force(_bit(1 / 9870, 13, True))),
+        _pressing("load cell zero moves while pressing", _force(lambda x: x + 3.0)),
+        _from_the_start("load cell's zero drifts by 0.05 N/s", _set("rig", "force_fault", lambda t, x: x + 0.05 * t)),
+        _pressing("flipped bits on a load cell's line without checksums", _flip_bits_unchecked),
+    ),
+    # Of other devices.
+    _pressing(
+        "gauge set to numbers without a unit while pressing",
+        _set_cell(SimulatedMark10, "is_numeric_only", True),
+        force_kind="mark10",
+    ),
+    _pressing("gauge unplugged while pressing", _unplug("force_wire"), force_kind="mark10"),
+    _pressing(
+        "interface reports errors while pressing",
+        _set_cell(SimulatedLoadstar, "is_faulty", True),
+        force_kind="loadstar",
+    ),
+    _pressing(
+        "indicator overloaded while pressing", _set_cell(SimulatedIndicator, "capacity_N", 0.5), force_kind="indicator"
+    ),
+    _of_zaber("Zaber stage stalls", lambda s: s.far_end(SimulatedZaber, "stage").stall()),
+    _of_zaber("knob of a Zaber stage turned", lambda s: s.far_end(SimulatedZaber, "stage").turn_knob()),
+    _of_zaber("Zaber stage unplugged", _unplug("stage_wire")),
+    # Of the unit.
+    _without_cell(_pressing("readout unplugged", _unplug("readout_wire"))),
+    _from_the_start("unit not connected", _output(lambda x: 5.0)),
+    _from_the_start("unit's wires touch from the start", _output(lambda x: 0.0)),
+    _from_the_start("no unit in the fixture", _GONE),
+    _from_the_start("something in the way of the approach", _set("rig", "clearance_mm", 2.6)),
+    _from_the_start("hard object under the stage", lambda s: s.mount_rigid()),
+    *_seen_late(
+        _pressing("readout stuck but noisy", _NOISY),
+        _without_cell(_pressing("readout stuck but noisy", _NOISY)),
+        _pressing("readout's input floats", _set("rig", "output_fault", _floating)),
+        _without_cell(_pressing("readout frozen", _set("readout", "is_frozen", True))),
+        _pressing("readout's amplifier clips at 1.6 V", _output(lambda x: min(x, 1.6)), 0.0),
+        _from_the_start("readout's converter has bit 5 at 0", _output(_bit(5 / 1023, 5, False))),
+        _from_the_start("readout's converter has bit 6 at 1", _output(_bit(5 / 1023, 6, True))),
+        _pressing("unit's wire breaks", _output(lambda x: 5.0)),
+        _pressing("unit's wires touch", _output(lambda x: 0.0)),
+        _pressing("unit falls out between two presses", _GONE, BETWEEN_S),
+    ),
 )

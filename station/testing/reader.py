@@ -11,7 +11,7 @@ RATE_SHARE = 0.05
 LATEST_S, EARLIEST_S = 0.25, 0.02
 """A reading may show what was so long before its line came, and never what came later."""
 
-GONE_S = 1.0
+GONE_S, FAULTY_SHARE = 1.0, 0.33
 SPAN_V = 5.0
 
 
@@ -123,15 +123,15 @@ def _is_silent_with_its_device(rig: DriverRig) -> None:
     require(not late, f"its device is silent, and it delivers {len(late)} samples, the first {late[:1]}")
 
 
-def _invents_nothing(fault: str, share: float) -> Callable[[DriverRig], None]:
+def _invents_nothing(fault: str) -> Callable[[DriverRig], None]:
     def examine(rig: DriverRig) -> None:
         _, _, level, *_ = _levels(rig)
         reader = rig.reader()
         rig.level = level
         rig.collect(reader, 0.5)
-        setattr(rig.wire, fault, share)
+        setattr(rig.wire, fault, FAULTY_SHARE)
         samples, _ = rig.fault_within(3.0, reader.poll)
-        _check_true(rig, samples, level, f"with {fault} {share:g} on its line")
+        _check_true(rig, samples, level, f"with {fault} {FAULTY_SHARE:g} on its line")
         _check_times(samples)
 
     return examine
@@ -162,9 +162,9 @@ READER: dict[str, Callable[[DriverRig], None]] = {
     "start() throws away what lay there": _starts_anew,
     "of a silent device it delivers nothing": _is_silent_with_its_device,
     "of noise it delivers nothing": _is_deaf_to_noise,
-    "of a third noise it delivers nothing wrong": _invents_nothing("garbage", 0.33),
-    "of lost lines it delivers nothing wrong": _invents_nothing("loss", 0.33),
-    "of repeated lines it delivers nothing wrong": _invents_nothing("repeat", 0.33),
+    "of a third noise it delivers nothing wrong": _invents_nothing("garbage"),
+    "of lost lines it delivers nothing wrong": _invents_nothing("loss"),
+    "of repeated lines it delivers nothing wrong": _invents_nothing("repeat"),
     "a device that is gone is said at once": _notices_that_it_is_gone,
 }
 """Sentence -> what looks at it."""

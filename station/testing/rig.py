@@ -58,8 +58,8 @@ class DriverRig:
         self.wire: Wire = wire_for(self.beside or driver, self._rng)
         self._stack.callback(self.wire.close)
         if self.beside is not None:
-            self._beside_config: DeviceConfig = self._live(self.beside, self.wire).config
-        self.simulated = self._live(driver, self.wire)
+            self._beside_config: DeviceConfig = self._live(self.beside).config
+        self.simulated = self._live(driver)
         self.clock: Clock = HostClock() if driver.is_threaded else self.world
 
     def __enter__(self) -> "DriverRig":
@@ -136,9 +136,9 @@ class DriverRig:
         self.clock.sleep_s(1.0)
         return abs(self.position_mm() - before_mm) < 1e-6
 
-    def _live(self, driver: AnyDriver, wire: Wire) -> Simulated[Any]:
-        electronics, port = ReadoutMetadata(), self.wire.port
-        around = Surroundings(wire, self.axis, self._value, self._outputs_V, electronics, self._rng, port)
+    def _live(self, driver: AnyDriver) -> Simulated[Any]:
+        wire, electronics = self.wire, ReadoutMetadata()
+        around = Surroundings(wire, self.axis, self._value, self._outputs_V, electronics, self._rng, wire.port)
         simulated: Simulated[Any] = driver.simulate(around)
         if simulated.far_end is not None:
             self.world.add(simulated.far_end)

@@ -12,6 +12,11 @@ LATE_S = 0.25
 """An answer still due when reading begins anew is awaited so long: its question is an old one."""
 
 
+def next_turn_s(turn_s: float, now_s: float, rate_Hz: float) -> float:
+    """Return when a device is asked next. On a grid: counted from each answer, every delay would lower the rate."""
+    return max(turn_s, now_s - 1.0 / rate_Hz) + 1.0 / rate_Hz
+
+
 class AskedReader:
     """Asks at a steady rate and takes every answer for a reading from the middle between question and answer.
 
@@ -59,8 +64,7 @@ class AskedReader:
         now_s = self._link.clock.now_s()
         if self._asked_s is None and now_s >= self._next_s:
             self._link.write(self._question)
-            # On a grid: counted from each answer, every delay would lower the rate.
-            self._asked_s, self._next_s = now_s, max(self._next_s, now_s - 1.0 / self.rate_Hz) + 1.0 / self.rate_Hz
+            self._asked_s, self._next_s = now_s, next_turn_s(self._next_s, now_s, self.rate_Hz)
         return samples
 
     def close(self) -> None:

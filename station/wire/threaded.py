@@ -11,6 +11,7 @@ from softcal.core.errors import DeviceError, NoReply
 from softcal.core.words.reason import reason
 from softcal.station.device_names import named
 from softcal.station.interfaces import Clock, Sample
+from softcal.station.wire.asked import next_turn_s
 
 
 @dataclass(frozen=True)
@@ -121,5 +122,5 @@ class ThreadedReader:
                 if is_new and asked_s >= self._discard_before_s:
                     self._device_s, self._newest_s = reading.device_s, now_s
                     self._samples.append(Sample((asked_s + now_s) / 2, reading.device_s, reading.values))
-            next_s = max(next_s, asked_s - 1.0 / self.rate_Hz) + 1.0 / self.rate_Hz
+            next_s = next_turn_s(next_s, asked_s, self.rate_Hz)
             self._ends.wait(max(0.0, next_s - now_s))

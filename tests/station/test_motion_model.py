@@ -199,13 +199,13 @@ class Stopped(Exception):
 CHECKS = {
     StageWatch.STREAM: (StreamWatch, "check_silence"),
     StageWatch.FORCE: (ForceWatch, "check"),
-    StageWatch.DEPTH: (WatchedBench, "_check_depth"),
+    StageWatch.DEPTH: (WatchedBench, "check_depth"),
     StageWatch.JUMP: (JumpWatch, "check"),
-    StageWatch.FREE: (WatchedBench, "_check_free"),
+    StageWatch.FREE: (WatchedBench, "check_free"),
     StageWatch.FOLLOW: (FollowWatch, "check"),
     StageWatch.STUCK_CELL: (StuckWatch, "check"),
     StageWatch.STUCK_OUTPUT: (StuckWatch, "check"),
-    StageWatch.RISE: (WatchedBench, "_check_rise"),
+    StageWatch.RISE: (WatchedBench, "check_rise"),
 }
 
 

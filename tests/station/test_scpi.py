@@ -9,9 +9,8 @@ from softcal.station.clock import HostClock
 from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.devices.driver import Opening
 from softcal.station.drivers.scpi import DRIVERS, DmmConfig, LcrConfig, dmm_setup, lcr_setup, parse_reading
-from softcal.station.simulated.medium import SocketEnd, serial_line
 from softcal.station.simulated.scpi import SimulatedDmm, SimulatedLcr
-from softcal.station.simulated.wire import Wire
+from softcal.station.simulated.wire import SocketEnd, Wire, serial_line
 from softcal.station.simulated.world import World
 from softcal.station.tasks.acquisition import record
 from softcal.station.wire.link import Link
@@ -217,7 +216,6 @@ def test_pyvisa_itself_drives_the_far_end(wired, setup, kind):
 def test_a_unit_is_pressed_and_recorded_through_a_bench_instrument(kind, unit, per_V):
     profile = moves("short", [0.0, 2.0, 0.0], [2.0, 2.0, 2.0], [0.5, 0.5, 0.5])
     with open_simulated_bench(seed=3, readout_kind=kind) as (bench, station):
-        station.rig.keeps_truth = True
         # An answer that a line holds back for 30 ms is a reading less: what counts here is that all others come.
         station.readout_wire.jitter_s = station.readout_wire.stall_s = 0.0
         recording = record(bench, "A1", profile, with_reference=True)

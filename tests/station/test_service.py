@@ -92,7 +92,7 @@ def test_how_late_the_cell_is_is_learnt_from_the_first_unit(tmp_path):
         station.force_wire.delay_s += 0.1
         assert service.perform(order(OrderKind.UNIT, "A4")) is None
         assert [root_of(why).code for why in host.reports[-1].message] == ["rig.behind"]
-        service.acknowledge()  # What was learnt is gone with it: the next unit is felt slowly again.
+        service.start()  # What was learnt is gone with it: the next unit is felt slowly again.
         began_s = station.world.now_s()
         assert service.perform(order(OrderKind.UNIT, "A4")).alignment.force_behind_s == pytest.approx(0.2, abs=0.015)
         assert station.world.now_s() - began_s > 0.9 * took_s[0]

@@ -10,7 +10,8 @@ from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import said
 from softcal.core.errors import InputError
 from softcal.core.twin.simulate import Twin
-from softcal.station.testing.faults import FAULTS, HOMING
+from softcal.station.tasks.seconds import HOMING
+from softcal.station.testing.faults import FAULTS
 from softcal.station.testing.line import SimulatedLine
 
 STANDS_WITHIN_S = 0.5

@@ -16,7 +16,6 @@ from softcal.station.tasks.acquisition import record
 @pytest.fixture(scope="module")
 def source_run():
     with open_simulated_bench(seed=3) as (bench, station):
-        station.rig.keeps_truth = True
         recording = record(bench, "A0", unit_profile(np.random.default_rng(1), 40.0), with_reference=True)
         yield recording, station
 

@@ -11,8 +11,7 @@ from softcal.core.errors import NoReply
 from softcal.core.profiles import moves
 from softcal.station.clock import HostClock
 from softcal.station.devices.bench import open_simulated_bench
-from softcal.station.simulated.medium import SocketEnd
-from softcal.station.simulated.wire import Wire
+from softcal.station.simulated.wire import SocketEnd, Wire
 from softcal.station.simulated.world import World
 from softcal.station.tasks.acquisition import record
 from softcal.station.wire.link import Link, link_for_driver

@@ -7,7 +7,7 @@ from typing import TypeAlias
 from softcal.core.errors import BadReply
 from softcal.core.words.reason import Reason, reason
 
-STATUS, HOLD, RESUME, RESET, DOOR, JOG_CANCEL = b"?", b"!", b"~", b"\x18", b"\x84", b"\x85"
+STATUS, HOLD, RESUME, RESET, DOOR = b"?", b"!", b"~", b"\x18", b"\x84"
 """Real-time bytes: picked out of the stream at once, never queued, no line end."""
 
 LINE_LENGTH = 127
@@ -110,7 +110,15 @@ def parse(line: bytes) -> Reply:
         if text.startswith("ALARM:"):
             return Alarm(int(text[6:]))
         if text.startswith("<") and text.endswith(">"):
-            return _status(text[1:-1])
+            head, *fields = text[1:-1].split("|")
+            state, _, substate = head.partition(":")
+            if state not in _STATES:
+                raise ValueError(text)
+            named = dict(field.split(":", 1) for field in fields if ":" in field)
+            machine_mm, work_mm, offset_mm = (
+                tuple(map(float, named[name].split(","))) if name in named else None for name in ("MPos", "WPos", "WCO")
+            )
+            return GrblStatus(state, int(substate or 0), machine_mm, work_mm, offset_mm, named.get("Pn", ""))
         if _GREETING.match(text):
             return Greeting(text)
         if setting := _SETTING.match(text):
@@ -122,26 +130,10 @@ def parse(line: bytes) -> Reply:
         raise BadReply(reason("grbl.noise", line=repr(line[:60]))) from error
 
 
-def _status(text: str) -> GrblStatus:
-    head, *fields = text.split("|")
-    state, _, substate = head.partition(":")
-    if state not in _STATES:
-        raise ValueError(text)
-    named = dict(field.split(":", 1) for field in fields if ":" in field)
-    machine_mm, work_mm, offset_mm = (
-        tuple(map(float, named[name].split(","))) if name in named else None for name in ("MPos", "WPos", "WCO")
-    )
-    return GrblStatus(state, int(substate or 0), machine_mm, work_mm, offset_mm, named.get("Pn", ""))
-
-
-def move_line(axis: str, machine_mm: float, speed_mm_s: float) -> bytes:
-    """Return a straight move in machine coordinates, feed in mm/min."""
-    return f"G90 G21 G53 G1 {axis}{machine_mm:.4f} F{speed_mm_s * 60:.3f}\n".encode()
-
-
-def relative_line(axis: str, machine_mm: float, speed_mm_s: float) -> bytes:
-    """Return a straight move by so much from where the axis is, feed in mm/min."""
-    return f"G91 G21 G1 {axis}{machine_mm:.4f} F{speed_mm_s * 60:.3f}\n".encode()
+def move_line(axis: str, machine_mm: float, speed_mm_s: float, is_relative: bool = False) -> bytes:
+    """Return a straight move in machine coordinates, or by so much from where the axis is; feed in mm/min."""
+    codes = "G91 G21 G1" if is_relative else "G90 G21 G53 G1"
+    return f"{codes} {axis}{machine_mm:.4f} F{speed_mm_s * 60:.3f}\n".encode()
 
 
 SYNCHRONISE = b"G4 P0.01\n"
