@@ -12,10 +12,9 @@ from softcal.app.export.certificates import parts
 from softcal.app.export.certificates.fonts import BOLD, marked_up
 from softcal.app.export.certificates.plots import Level, bars_plot, course_plot
 from softcal.app.texts.catalogue import text
-from softcal.app.texts.reasons import Words
 from softcal.app.views.common import far_end, number
 from softcal.app.views.lot import NEEDS_A_LOOK, LotView
-from softcal.app.views.lot_report import MOST_ROWS, ReportPart, report_facts, report_parts
+from softcal.app.views.lot_report import MOST_ROWS, report_facts, report_parts
 from softcal.db.registry import Registry
 from softcal.db.truth.lot_pages import UnitFilter
 
@@ -46,24 +45,24 @@ def lot_report_pdf(registry: Registry, view: LotView, language: str = "en", made
         parts.facts_table(list(report_facts(view, say).items())),
     ]
     listed = say("report.bad", shown=len(bad.units), of=bad.total)
-    for part in report_parts(view, bad.units, listed, say):
-        story += parts.section(part.title, _drawn(part, view, say))
-    return parts.document_pdf(story, page)
-
-
-def _drawn(part: ReportPart, view: LotView, say: Words) -> Flowable:
     unit, chart = view.lot.reference_unit, view.process.chart
     predicted = f"{say('column.predicted')}, {unit}"
-    if part.picture == "errors":
-        values, limit = view.predicted(), view.limit_rmse
-        if not len(values):
-            return parts.paragraph("–")
-        top = far_end(values, limit)
-        counts, edges = np.histogram(np.minimum(values, top), BINS, (0.0, top))
-        level = None if limit is None else Level(limit, say("chart.limit.named", limit=number(limit, unit)))
-        return bars_plot(edges, counts.astype(float), level, (predicted, say("chart.count")), parts.WIDTH)
-    if part.picture == "process" and chart is not None:
-        levels = [Level(limit, number(limit)) for limit in (chart.upper, chart.lower)]
-        return course_plot(chart.values, levels, (say("chart.order"), predicted), parts.WIDTH)
-    cells = [[parts.paragraph(cell, 7) for cell in row] for row in (part.header, *part.rows)]
-    return Table(cells, colWidths=[parts.WIDTH * share for share in part.shares], style=parts.grid(7), repeatRows=1)
+    for part in report_parts(view, bad.units, listed, say):
+        drawn: Flowable
+        if part.picture == "errors":
+            values, limit = view.predicted(), view.limit_rmse
+            drawn = parts.paragraph("–")
+            if len(values):
+                top = far_end(values, limit)
+                counts, edges = np.histogram(np.minimum(values, top), BINS, (0.0, top))
+                level = None if limit is None else Level(limit, say("chart.limit.named", limit=number(limit, unit)))
+                drawn = bars_plot(edges, counts.astype(float), level, (predicted, say("chart.count")), parts.WIDTH)
+        elif part.picture == "process" and chart is not None:
+            levels = [Level(limit, number(limit)) for limit in (chart.upper, chart.lower)]
+            drawn = course_plot(chart.values, levels, (say("chart.order"), predicted), parts.WIDTH)
+        else:
+            cells = [[parts.paragraph(cell, 7) for cell in row] for row in (part.header, *part.rows)]
+            widths = [parts.WIDTH * share for share in part.shares]
+            drawn = Table(cells, colWidths=widths, style=parts.grid(7), repeatRows=1)
+        story += parts.section(part.title, drawn)
+    return parts.document_pdf(story, page)

@@ -16,9 +16,50 @@ METADATA = (("vref_V", 5.0), ("adc_bits", 16), ("r_series_ohm", 1000.0), ("sampl
 
 
 def render() -> None:
+    wanted, known = str(st.query_params.get("case", "")), [str(case) for case in cases()]
+    options = [wanted, *known] if wanted and wanted not in known else known
+    case = None
     with heading("gap"):
-        case = _choose_case()
-    _add_case()
+        if options:
+            index = options.index(wanted) if wanted in options else 0
+            chosen = str(st.selectbox(say("gap.case"), options, index=index, format_func=_shown, key=f"case-{wanted}"))
+            if chosen != wanted:
+                st.query_params["case"] = chosen
+            case = Path(chosen)
+    with st.expander(say("gap.add"), icon=":material/add:", expanded=not known):
+        folder, upload, rig = st.tabs([say("gap.add.folder"), say("gap.add.upload"), say("gap.add.rig")])
+        with folder, st.form("case-folder", border=False):
+            path = str(st.text_input(say("gap.folder"), placeholder="/data/rig-7")).strip()
+            st.caption(say("gap.folder.how"))
+            if st.form_submit_button(say("gap.folder.do")) and path:
+                permit("set_up")
+                if Path(path).is_dir():
+                    _open(Path(path).resolve())
+                st.error(say("gap.folder.none", path=path), icon=":material/error:")
+        with upload, st.form("case-upload", border=False):
+            left, right = st.columns(2)
+            name = str(left.text_input(say("gap.name"), placeholder="rig-7"))
+            serial = str(right.text_input(say("column.serial"), placeholder="A17"))
+            values: dict[str, object] = {"serial": serial.strip()}
+            for column, (key, usual) in zip(st.columns(len(METADATA)), METADATA, strict=True):
+                least = 1 if key == "adc_bits" else type(usual)(1e-3)
+                values[key] = column.number_input(key, value=usual, min_value=least)
+            sensors, said = ("pressure", "strain"), named("gap.sensor")
+            values["sensor_type"] = st.selectbox(say("gap.sensor"), sensors, format_func=said)
+            files = st.file_uploader(say("gap.files"), type=["csv"], accept_multiple_files=True)
+            st.caption(say("gap.files.how"))
+            is_sent = st.form_submit_button(say("gap.upload.do"))
+        with upload:
+            if is_sent:
+                permit("set_up")
+                with refusals_in_words():
+                    _open(store_upload(name.strip(), [file.getvalue() for file in files], values))
+        with rig:
+            st.caption(say("gap.rig.how"))
+            if st.button(say("gap.rig.do"), icon=":material/casino:"):
+                permit("set_up")
+                with st.spinner(say("gap.rig.wait")):
+                    _open(practise())
     if case is None:
         empty("gap.none")
         return
@@ -31,70 +72,9 @@ def render() -> None:
         gap_report(job, case)
 
 
-def _choose_case() -> Path | None:
-    """Draw the choice and return the case; None where there is none yet."""
-    wanted = str(st.query_params.get("case", ""))
-    known = [str(case) for case in cases()]
-    options = [wanted, *known] if wanted and wanted not in known else known
-    if not options:
-        return None
-    index = options.index(wanted) if wanted in options else 0
-    chosen = str(st.selectbox(say("gap.case"), options, index=index, format_func=_shown, key=f"case-{wanted}"))
-    if chosen != wanted:
-        st.query_params["case"] = chosen
-    return Path(chosen)
-
-
 def _shown(path: str) -> str:
     folder = Path(path)
     return str(folder.relative_to(cases_folder())) if folder.is_relative_to(cases_folder()) else path
-
-
-def _add_case() -> None:
-    """Draw the three ways to a new case."""
-    with st.expander(say("gap.add"), icon=":material/add:", expanded=not cases()):
-        folder, upload, rig = st.tabs([say("gap.add.folder"), say("gap.add.upload"), say("gap.add.rig")])
-        with folder:
-            _folder()
-        with upload:
-            _upload()
-        with rig:
-            st.caption(say("gap.rig.how"))
-            if st.button(say("gap.rig.do"), icon=":material/casino:"):
-                permit("set_up")
-                with st.spinner(say("gap.rig.wait")):
-                    _open(practise())
-
-
-def _folder() -> None:
-    with st.form("case-folder", border=False):
-        path = str(st.text_input(say("gap.folder"), placeholder="/data/rig-7")).strip()
-        st.caption(say("gap.folder.how"))
-        if st.form_submit_button(say("gap.folder.do")) and path:
-            permit("set_up")
-            if Path(path).is_dir():
-                _open(Path(path).resolve())
-            st.error(say("gap.folder.none", path=path), icon=":material/error:")
-
-
-def _upload() -> None:
-    with st.form("case-upload", border=False):
-        left, right = st.columns(2)
-        name = str(left.text_input(say("gap.name"), placeholder="rig-7"))
-        serial = str(right.text_input(say("column.serial"), placeholder="A17"))
-        fields = zip(st.columns(len(METADATA)), METADATA, strict=True)
-        values: dict[str, object] = {
-            key: column.number_input(key, value=usual, min_value=type(usual)(1e-3) if key != "adc_bits" else 1)
-            for column, (key, usual) in fields
-        }
-        values["sensor_type"] = st.selectbox(say("gap.sensor"), ("pressure", "strain"), format_func=named("gap.sensor"))
-        files = st.file_uploader(say("gap.files"), type=["csv"], accept_multiple_files=True)
-        st.caption(say("gap.files.how"))
-        if not st.form_submit_button(say("gap.upload.do")):
-            return
-    permit("set_up")
-    with refusals_in_words():
-        _open(store_upload(name.strip(), [file.getvalue() for file in files], {"serial": serial.strip(), **values}))
 
 
 def _open(case: Path) -> None:

@@ -46,7 +46,13 @@ def _screen() -> None:
         # The field has one place whatever stands beside it: drawn anew in another, it would miss what is typed then.
         with st.container(key="line-actions", horizontal=True):
             with st.container(key="line-buttons", horizontal=True, width="content"):
-                _actions(view)
+                if view.state == "no_station" and allows("set_up"):
+                    if st.button(say("start.station.do"), key="line-to-station", type="primary"):
+                        go_to("station")
+                for number, command in enumerate(view.actions):
+                    label = f"{action_said(command, view.state, say)} · {KEYS[command]}"
+                    draw = partial(st.button, label, key=f"line-{command}", on_click=in_one_piece(_on_scan))
+                    draw(args=(f"CMD:{command}", view.seen), type="primary" if number == 0 else "secondary")
             texts = {"label": say("line.scan"), "placeholder": say("line.scan.hint"), "late": say("line.scan.late")}
             texts["spoken"] = note[0] if note else view.spoken
             scan_field(texts, view.seen, COMMAND_OF_KEY, screen().station, _on_scan)
@@ -105,16 +111,6 @@ def _on_scan(text: str, seen: int | None, until_s: float | None = None) -> None:
     except InputError as error:
         why = in_words(error)
     st.session_state[REFUSED] = why
-
-
-def _actions(view: LineView) -> None:
-    if view.state == "no_station" and allows("set_up"):
-        if st.button(say("start.station.do"), key="line-to-station", type="primary"):
-            go_to("station")
-    for number, command in enumerate(view.actions):
-        label = f"{action_said(command, view.state, say)} · {KEYS[command]}"
-        draw = partial(st.button, label, key=f"line-{command}", on_click=in_one_piece(_on_scan))
-        draw(args=(f"CMD:{command}", view.seen), type="primary" if number == 0 else "secondary")
 
 
 def line_setup() -> None:

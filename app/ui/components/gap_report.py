@@ -31,71 +31,39 @@ SHOWN_CAUSES = 8
 
 def gap_report(job: Job, case: Path) -> None:
     """Draw the diagnosis a job has left."""
-    report = job.result
-    _headline(report)
-    _take_along(job, case)
-    if report["verdict"] == "data":
-        # The figures of such recordings would show the mistake as a gap.
-        if has_sealed_rig(case):
-            _truth(case)
-        return
-    if not rest_may_follow():
-        return
-    runs = run_views_of(report, registry().job_board.arrays(job))
-    _where(report, runs)
-    st.header(say("gap.why"))
-    _rows(gap.cause_rows(report, say), gap.no_cause_words(report, say))
-    for group in gap.ambiguous_groups(report, say):
-        st.warning(say("gap.ambiguous", group=group), icon=":material/call_split:")
-    _figure(gap_figures.ranking_figure(report, SHOWN_CAUSES, say, colours()), "ranking")
-    _gain(report)
-    if lines := gap.untold_lines(report, say):
-        st.header(say("gap.told"))
-        st.markdown("\n".join(f"- {gap.begun(line)}" for line in lines))
-    if report.get("residual"):
-        _left(report["residual"], report)
-    _next(report, case)
-    with st.expander(say("gap.runs"), icon=":material/show_chart:"):
-        for channel, name in gap_figures.CHANNELS.items():
-            if figure := gap_figures.trace_figure(runs, channel, say, colours()):
-                st.subheader(gap.begun(say("gap.figure.trace", channel=gap.channel_name(name, say))))
-                _figure(figure, f"trace-{channel}")
-
-
-def _headline(report: Report) -> None:
+    report, board, texts = job.result, registry().job_board, words()
+    is_data = report["verdict"] == "data"
     st.header(f":material/{ICONS[report['verdict']]}: {say('gap.verdict.' + report['verdict'])}")
     for row in gap.mistake_rows(report, say):
-        announce = st.error if report["verdict"] == "data" else st.warning
+        announce = st.error if is_data else st.warning
         announce(say("gap.data.found", **row), icon=":material/report:")
-    if report["verdict"] == "data":
-        return
-    if causes := gap.named_causes(report, say):
-        st.markdown(say("gap.causes", causes=", ".join(causes)))
-    if report["missing_channels"]:
-        st.caption(say("gap.missing", channels=", ".join(report["missing_channels"])))
-    shrink = report["shrink"]
-    cells = [
-        (say(f"gap.{name}"), percent(shrink.get(key)), say(f"gap.{name}.help"))
-        for name, key in (("forecast", "predicted"), ("held_out", "held_out"))
-        if shrink.get(key) is not None
-    ]
-    if cells:
-        numbers(cells)
-    if shrink.get("low") is not None:
-        st.caption(say("gap.interval", low=percent(shrink["low"]), high=percent(shrink["high"])))
-
-
-def _take_along(job: Job, case: Path) -> None:
-    """Offer the standalone page in the language of the screen."""
-    board, report, texts = registry().job_board, job.result, words()
+    if not is_data:
+        if causes := gap.named_causes(report, say):
+            st.markdown(say("gap.causes", causes=", ".join(causes)))
+        if report["missing_channels"]:
+            st.caption(say("gap.missing", channels=", ".join(report["missing_channels"])))
+        shrink = report["shrink"]
+        cells = [
+            (say(f"gap.{name}"), percent(shrink.get(key)), say(f"gap.{name}.help"))
+            for name, key in (("forecast", "predicted"), ("held_out", "held_out"))
+            if shrink.get(key) is not None
+        ]
+        if cells:
+            numbers(cells)
+        if shrink.get("low") is not None:
+            st.caption(say("gap.interval", low=percent(shrink["low"]), high=percent(shrink["high"])))
 
     def page() -> str:
         return gap_page(report, run_views_of(report, board.arrays(job)), report["serial"], texts)
 
+    # The standalone page in the language of the screen.
     download(say("gap.page.save"), f"{case.name}-gap.html", page, "gap-page")
-
-
-def _where(report: Report, runs: list[gap_figures.RunView]) -> None:
+    # The figures of recordings with a mistake would show the mistake as a gap.
+    if is_data and has_sealed_rig(case):
+        _truth(case)
+    if is_data or not rest_may_follow():
+        return
+    runs = run_views_of(report, board.arrays(job))
     st.header(say("gap.where"))
     # The picture has a light ground of its own: its shades of red would not be read on a dark one.
     drawn = '<svg xmlns="http://www.w3.org/2000/svg" style="background:#fff" '
@@ -106,31 +74,39 @@ def _where(report: Report, runs: list[gap_figures.RunView]) -> None:
         figure = gap_figures.map_figure(runs, channel, say)
         if figure is not None:
             _figure(figure, f"map-{channel}")
-
-
-def _gain(report: Report) -> None:
+    st.header(say("gap.why"))
+    _rows(gap.cause_rows(report, say), gap.no_cause_words(report, say))
+    for group in gap.ambiguous_groups(report, say):
+        st.warning(say("gap.ambiguous", group=group), icon=":material/call_split:")
+    _figure(gap_figures.ranking_figure(report, SHOWN_CAUSES, say, colours()), "ranking")
     left, right = st.columns(2)
     with left:
         st.header(say("gap.gain"))
         _figure(gap_figures.gain_figure(report, say, colours()), "gain")
-    figure = gap_figures.hidden_figure(report, say, colours())
     with right:
         st.header(say("gap.sure"))
         if hidden := gap.hidden_effects(report, say):
             st.caption(say("gap.hidden", effects=", ".join(hidden)))
-        if figure is not None:
+        if (figure := gap_figures.hidden_figure(report, say, colours())) is not None:
             _figure(figure, "hidden")
-
-
-def _left(residual: Report, report: Report) -> None:
-    st.header(say("gap.left"))
-    shrink = {name: percent(residual["shrink"][name]) for name in ("held_out", "low", "high")}
-    st.markdown(say("gap.left.is", **shrink))
-    _rows(gap.residual_rows(report, say), say("gap.left"))
-    if residual["beside"]:
-        causes = gap.listed([gap.effect_name(effect, say) for effect in residual["beside"]], "gap.and", say)
-        st.caption(say("gap.left.beside", causes=causes, without=percent(residual["without"])))
-    st.caption(say("gap.left.span", **{name: f"{residual[name]:.3g}" for name in ("load_N", "depth_mm")}))
+    if lines := gap.untold_lines(report, say):
+        st.header(say("gap.told"))
+        st.markdown("\n".join(f"- {gap.begun(line)}" for line in lines))
+    if residual := report.get("residual"):
+        st.header(say("gap.left"))
+        shares = {name: percent(residual["shrink"][name]) for name in ("held_out", "low", "high")}
+        st.markdown(say("gap.left.is", **shares))
+        _rows(gap.residual_rows(report, say), say("gap.left"))
+        if residual["beside"]:
+            beside = gap.listed([gap.effect_name(effect, say) for effect in residual["beside"]], "gap.and", say)
+            st.caption(say("gap.left.beside", causes=beside, without=percent(residual["without"])))
+        st.caption(say("gap.left.span", **{name: f"{residual[name]:.3g}" for name in ("load_N", "depth_mm")}))
+    _next(report, case)
+    with st.expander(say("gap.runs"), icon=":material/show_chart:"):
+        for channel, name in gap_figures.CHANNELS.items():
+            if figure := gap_figures.trace_figure(runs, channel, say, colours()):
+                st.subheader(gap.begun(say("gap.figure.trace", channel=gap.channel_name(name, say))))
+                _figure(figure, f"trace-{channel}")
 
 
 def _next(report: Report, case: Path) -> None:
