@@ -62,7 +62,7 @@ def render(lot_id: str) -> None:
         draw, icon = (st.error, "report") if alert.is_urgent else (st.warning, "notifications")
         draw(say(f"alert.{alert.kind}", **alert.values), icon=f":material/{icon}:")
     unit, ratio = view.lot.reference_unit, view.after_to_own
-    audited = (say("lot.audited"), str(len(view.audited)), say("lot.audited.help"))
+    scored = (say("lot.audited"), str(len(view.audited)), say("lot.audited.help"))
     compared = (say("lot.ratio"), number(ratio), say("lot.ratio.help", count=len(view.audited)))
     shares = []
     for name, share in (("first_pass", view.yields.first_pass), ("yield", view.yields.last_pass)):
@@ -76,21 +76,22 @@ def render(lot_id: str) -> None:
             *shares,
             (say("lot.predicted"), number(view.median_predicted, unit), say("lot.predicted.help")),
             (limit, number(view.limit_rmse, unit), say("lot.limit.help")),
-            audited if ratio is None else compared,
+            scored if ratio is None else compared,
         )
     )
     st.progress(view.judged / view.total, text=say("lot.progress", done=view.judged, total=view.total))
     if not rest_may_follow():
         return
     _figures(view)
-    marker = registry().pages.change_marker(lot_id)
-    audited = _audited_view(str(registry().database.name), marker, lot_id, view.chosen, view) if view.audited else None
-    if audited is not None:
-        figures_beside(
-            ("lot.audited.estimate", estimate_over_reference(audited, colours(), say), "audited-estimate"),
-            ("lot.audited.load", error_over_load(audited, colours(), say), "audited-load"),
-        )
-        st.caption(say("lot.audited.count", shown=len(audited.units), of=audited.of))
+    if view.audited:
+        marker = registry().pages.change_marker(lot_id)
+        audited = _audited_view(str(registry().database.name), marker, lot_id, view.chosen, view)
+        if audited is not None:
+            figures_beside(
+                ("lot.audited.estimate", estimate_over_reference(audited, colours(), say), "audited-estimate"),
+                ("lot.audited.load", error_over_load(audited, colours(), say), "audited-load"),
+            )
+            st.caption(say("lot.audited.count", shown=len(audited.units), of=audited.of))
     st.header(say("lot.look"))
     if view.looks:
         if view.needing_a_look > len(view.looks):
