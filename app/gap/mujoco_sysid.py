@@ -57,7 +57,13 @@ def from_sysid(
         InputError: the extra is missing, a candidate is no parameter of one number, a transform changes what was
             measured, or there is no candidate or no sequence.
     """
-    sysid = _sysid()
+    try:
+        from mujoco import sysid
+    except ImportError as error:
+        raise InputError(f"mujoco is missing ({error}); install it with pip install 'mujoco[sysid]'") from error
+    # Without its extra the package imports, and has nothing in it.
+    if not hasattr(sysid, "residual"):
+        raise InputError("mujoco.sysid lacks its extra packages; install them with pip install 'mujoco[sysid]'")
     free = [p for p in params.copy().parameters.values() if not p.frozen]
     _check(free, neutral, signal_transform)
     trajectories = [(s.spec, each) for s in models_sequences for each in s.measured_rollout]
@@ -83,17 +89,6 @@ def from_sysid(
         columns = {"t_s": t_s, RUN: np.full(len(t_s), float(k)), **_channels(measured)}
         runs.append(recorded(simulator, sequence, columns))
     return SysidProblem(simulator, tuple(runs))
-
-
-def _sysid() -> Any:
-    try:
-        from mujoco import sysid
-    except ImportError as error:
-        raise InputError(f"mujoco is missing ({error}); install it with pip install 'mujoco[sysid]'") from error
-    # Without its extra the package imports, and has nothing in it.
-    if not hasattr(sysid, "residual"):
-        raise InputError("mujoco.sysid lacks its extra packages; install them with pip install 'mujoco[sysid]'")
-    return sysid
 
 
 def _check(free: Sequence[Any], neutral: Mapping[str, float], transform: Any) -> None:

@@ -5,6 +5,7 @@ import platform
 import shutil
 import sys
 import zipfile
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -30,7 +31,7 @@ def examine(url_option: str | None) -> tuple[Facts, list[str]]:
         "packages": {name: _version(name) for name in PACKAGES},
         "environment": {k: masked(v) for k, v in sorted(os.environ.items()) if k.startswith("SOFTCAL_")},
     }
-    for name, look in (("folders", _folders), ("registry", lambda found: _registry(url_option, found))):
+    for name, look in (("folders", _folders), ("registry", partial(_registry, url_option))):
         try:
             facts[name] = look(problems)
         except (SoftcalError, OSError) as error:
