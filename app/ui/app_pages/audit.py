@@ -44,16 +44,14 @@ def render(lot_id: str) -> None:
     if audited:
         st.markdown(f"## {say('audit.units')}")
         table(
-            [
-                {
-                    say("column.serial"): row.serial,
-                    say("release.forecast"): number(row.forecast_rmse, unit),
-                    say("release.measured"): number(row.measured_rmse, unit),
-                    say("column.verdict"): say(f"verdict.{row.verdict or 'none'}"),
-                    say("audit.brought"): instant(row.audited_at),
-                }
-                for row in audited[:MOST_ROWS]
-            ]
+            {
+                say("column.serial"): row.serial,
+                say("release.forecast"): number(row.forecast_rmse, unit),
+                say("release.measured"): number(row.measured_rmse, unit),
+                say("column.verdict"): say(f"verdict.{row.verdict or 'none'}"),
+                say("audit.brought"): instant(row.audited_at),
+            }
+            for row in audited[:MOST_ROWS]
         )
     for serial, doubt in ((row.serial, row.doubt) for row in audited if row.doubt is not None):
         with st.container(border=True):

@@ -109,7 +109,7 @@ def _change_rules(lot: Lot, versions: Sequence[LineRulesEntry]) -> None:
     key, none = f"rules-target-{mark}", say("rules.target.none")
     target = right.number_input(say("rules.target"), 1, MOST_UNITS, now.target, key=key, placeholder=none)
     st.markdown(say("rules.retests"))
-    retests = {}
+    retests: dict[str, int] = {}
     for verdict, column in zip(VERDICTS, st.columns(len(VERDICTS)), strict=True):
         label, usual = say(f"verdict.{verdict}"), now.retests.get(verdict, 0)
         retests[verdict] = int(column.number_input(label, 0, MOST_RETESTS, usual, key=f"rules-{verdict}-{mark}"))

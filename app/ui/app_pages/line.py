@@ -31,7 +31,20 @@ def render() -> None:
     st.fragment(_screen, run_every=BUSY_S if is_busy else IDLE_S)()
     # Drawn last, though it stands at the top: the state is what a person looks for.
     with st.container(key="line-setup"), st.popover("", icon=":material/tune:", help=say("line.setup")):
-        line_setup()
+        choose_language()
+        try:
+            facts = read_line(registry(), screen())
+            station = _choose(say("station.station"), "station", list(facts.stations), facts.station)
+            if station:
+                remember("station", station)
+                st.rerun()
+            lot = _choose(say("choose.lot"), "lot", list(facts.lots), facts.lot.id if facts.lot else "")
+            if lot:
+                take_scan(registry(), screen(), f"LOT:{lot}")
+                st.rerun()
+        except (RegistryError, InputError) as error:
+            st.caption(in_words(error))
+        st.caption(say("line.setup.codes"))
 
 
 @in_one_language()
@@ -111,24 +124,6 @@ def _on_scan(text: str, seen: int | None, until_s: float | None = None) -> None:
     except InputError as error:
         why = in_words(error)
     st.session_state[REFUSED] = why
-
-
-def line_setup() -> None:
-    """Draw the settings."""
-    choose_language()
-    try:
-        facts = read_line(registry(), screen())
-        station = _choose(say("station.station"), "station", list(facts.stations), facts.station)
-        if station:
-            remember("station", station)
-            st.rerun()
-        lot = _choose(say("choose.lot"), "lot", list(facts.lots), facts.lot.id if facts.lot else "")
-        if lot:
-            take_scan(registry(), screen(), f"LOT:{lot}")
-            st.rerun()
-    except (RegistryError, InputError) as error:
-        st.caption(in_words(error))
-    st.caption(say("line.setup.codes"))
 
 
 def _choose(label: str, name: str, names: list[str], now: str) -> str:

@@ -19,18 +19,16 @@ def render() -> None:
     with beside:
         serial = choose(say("column.serial"), [unit.serial for unit, _ in units], "unit") or units[0][0].serial
     table(
-        [
-            {
-                say("column.serial"): unit.serial,
-                say("column.state"): say("event.alarm" if unit.entry["alarm"] else f"event.{unit.entry['verdict']}"),
-                say("lot.predicted"): number(unit.entry["predicted_rmse"], reference_unit),
-                say("chart.drift_scale"): number(unit.entry["shift"]),
-                say("long_term.steps"): unit.steps,
-                say("column.made"): instant(unit.made_at),
-                say("column.remark"): phrase("adapt", unit.entry["alarm"], say),
-            }
-            for unit, reference_unit in units
-        ]
+        {
+            say("column.serial"): unit.serial,
+            say("column.state"): say("event.alarm" if unit.entry["alarm"] else f"event.{unit.entry['verdict']}"),
+            say("lot.predicted"): number(unit.entry["predicted_rmse"], reference_unit),
+            say("chart.drift_scale"): number(unit.entry["shift"]),
+            say("long_term.steps"): unit.steps,
+            say("column.made"): instant(unit.made_at),
+            say("column.remark"): phrase("adapt", unit.entry["alarm"], say),
+        }
+        for unit, reference_unit in units
     )
     streams = registry().adaptations.streams(serial)
     stream = streams[0] if len(streams) == 1 else str(st.selectbox(say("long_term.stream"), streams))

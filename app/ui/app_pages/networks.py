@@ -158,19 +158,17 @@ def comparison(lot: Lot, rows: Sequence[NetworkRow]) -> None:
     unit, compared = lot.reference_unit, job.result["rows"]
     show_figure(charts_compare.comparison(compared, unit, colours(), say), f"compared-{job.job_id}")
     table(
-        [
-            {
-                say("column.network"): row["network"][:12],
-                say("column.family"): row["family"],
-                say("lot.units"): row["units"],
-                say("verdict.pass"): row["passed"],
-                say("networks.refused"): row["refused"],
-                say("column.predicted"): number(row["predicted"], unit),
-                say("lot.audited"): row["audited"],
-                say("column.before"): number(row["before"], unit),
-                say("column.after"): number(row["after"], unit),
-                say("networks.after_95"): number(row["after_95"], unit),
-            }
-            for row in compared
-        ]
+        {
+            say("column.network"): row["network"][:12],
+            say("column.family"): row["family"],
+            say("lot.units"): row["units"],
+            say("verdict.pass"): row["passed"],
+            say("networks.refused"): row["refused"],
+            say("column.predicted"): number(row["predicted"], unit),
+            say("lot.audited"): row["audited"],
+            say("column.before"): number(row["before"], unit),
+            say("column.after"): number(row["after"], unit),
+            say("networks.after_95"): number(row["after_95"], unit),
+        }
+        for row in compared
     )

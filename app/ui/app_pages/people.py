@@ -24,14 +24,12 @@ def render() -> None:
     left, right = st.columns([3, 2])
     with left:
         table(
-            [
-                {
-                    say("sign_in.name"): user.name,
-                    say("people.role"): say(f"role.{user.role}"),
-                    say("column.state"): say("people.active" if user.is_active else "people.inactive"),
-                }
-                for user in people
-            ]
+            {
+                say("sign_in.name"): user.name,
+                say("people.role"): say(f"role.{user.role}"),
+                say("column.state"): say("people.active" if user.is_active else "people.inactive"),
+            }
+            for user in people
         )
         for role in ROLES:
             st.caption(f"**{say(f'role.{role}')}** · {say(f'role.{role}.may')}")

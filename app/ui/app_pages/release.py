@@ -41,14 +41,12 @@ def render(lot_id: str) -> None:
         st.markdown(f"## {say(f'release.{name}')}: {len(units)}")
         st.caption(say(f"release.{name}.means"))
         table(
-            [
-                {
-                    say("column.serial"): unit.serial,
-                    say("column.verdict"): say(f"verdict.{unit.verdict or 'none'}"),
-                    say("column.reasons"): in_words(unit.reasons[:1]),
-                }
-                for unit in units[:MOST_ROWS]
-            ]
+            {
+                say("column.serial"): unit.serial,
+                say("column.verdict"): say(f"verdict.{unit.verdict or 'none'}"),
+                say("column.reasons"): in_words(unit.reasons[:1]),
+            }
+            for unit in units[:MOST_ROWS]
         )
     with st.expander(say("laboratory.title"), icon=":material/badge:"):
         _laboratory()
@@ -66,14 +64,12 @@ def _statement(standing: LotStanding) -> None:
     st.markdown(say("release.evidence", audits=len(audits)))
     if audits:
         table(
-            [
-                {
-                    say("column.serial"): audit.serial,
-                    say("release.forecast"): number(audit.forecast_rmse, unit),
-                    say("release.measured"): number(audit.measured_rmse, unit),
-                }
-                for audit in sorted(audits, key=lambda audit: -audit.ratio)[:10]
-            ]
+            {
+                say("column.serial"): audit.serial,
+                say("release.forecast"): number(audit.forecast_rmse, unit),
+                say("release.measured"): number(audit.measured_rmse, unit),
+            }
+            for audit in sorted(audits, key=lambda audit: -audit.ratio)[:10]
         )
     with st.expander(say("release.words"), icon=":material/article:"):
         st.caption(in_words(decided.statement))

@@ -70,26 +70,22 @@ def render() -> None:
         st.success(say("setup.good", station=result["station"]), icon=":material/check:")
     if result.get("ports"):
         table(
-            [
-                {
-                    say("setup.port"): port,
-                    say("setup.is"): say(f"setup.role.{role or 'none'}") + (f" ({kind})" if kind else ""),
-                    say("setup.says"): in_words(Reason.of(answer)),
-                }
-                for port, role, kind, answer in result["ports"]
-            ]
+            {
+                say("setup.port"): port,
+                say("setup.is"): say(f"setup.role.{role or 'none'}") + (f" ({kind})" if kind else ""),
+                say("setup.says"): in_words(Reason.of(answer)),
+            }
+            for port, role, kind, answer in result["ports"]
         )
     table(
-        [
-            {
-                say("station.good"): MARKS[not cure],
-                say("setup.device"): in_words(Reason.of(device)),
-                say("setup.what"): in_words(Reason.of(what)),
-                say("setup.value"): in_words(Reason.of(value)),
-                say("setup.cure"): in_words(Reason.of(cure or "")),
-            }
-            for device, what, value, cure in result["found"]
-        ]
+        {
+            say("station.good"): MARKS[not cure],
+            say("setup.device"): in_words(Reason.of(device)),
+            say("setup.what"): in_words(Reason.of(what)),
+            say("setup.value"): in_words(Reason.of(value)),
+            say("setup.cure"): in_words(Reason.of(cure or "")),
+        }
+        for device, what, value, cure in result["found"]
     )
     with st.expander(say("setup.file"), icon=":material/description:"):
         st.code(result["toml"], language="toml")
@@ -110,14 +106,12 @@ def _state(station: str) -> None:
         st.warning(in_words(reason), icon=":material/lock:")
     if beat.gate:
         table(
-            [
-                {
-                    say("station.good"): MARKS[condition.is_good],
-                    say("station.condition"): in_words(condition.name),
-                    say("station.fact"): in_words(condition.says),
-                }
-                for condition in beat.gate
-            ]
+            {
+                say("station.good"): MARKS[condition.is_good],
+                say("station.condition"): in_words(condition.name),
+                say("station.fact"): in_words(condition.says),
+            }
+            for condition in beat.gate
         )
 
 
