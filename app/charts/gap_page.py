@@ -83,7 +83,8 @@ def _gain_rows(report: Mapping[str, Any], runs: Sequence[RunView], say: Words) -
         channel, (times, unit) = report["gap"].get(figures.reported(column)), figures.unit_of(column)
         if not channel or channel["rmse_before"] is None:
             continue
-        span = max(figures.span_of(runs, column), 1e-300)
+        parts = [run.channels[column].measured for run in runs if column in run.channels]
+        span = max(max(part.max() for part in parts) - min(part.min() for part in parts), 1e-300)
         row = {"channel": gap.channel_name(figures.reported(column), say)}
         for name, key in (("base", "rmse_before"), ("causes", "rmse_after"), ("floor", "noise_floor")):
             row[name] = f"{times * channel[key]:.3g} {unit} ({100 * channel[key] / span:.2g} %)"

@@ -72,13 +72,18 @@ def from_sysid(
     start = np.concatenate([p.nominal.flatten() for p in free])
     model = _Rollout(sysid, params.copy(), trajectories, signal_transform, neutral)
     _, measured = model.both(0, start)
+    candidates = []
+    for p in (p for p in free if p.name in neutral):
+        low, high = (float(v.flatten()[0]) - neutral[p.name] for v in (p.min_value, p.max_value))
+        usual = USUAL * (high if high >= -low else low)
+        candidates.append(candidate(p.name, "model", Parameter("change", "", low, high, usual, neutral=0.0)))
     simulator = Simulator(
         name=name,
         run=model,
         inputs=(RUN,),
         channels=tuple(_channels(measured)),
         base=tuple(each for p in free if p.name not in neutral for each in _parameters(p)),
-        candidates=tuple(_candidate(p, neutral[p.name]) for p in free if p.name in neutral),
+        candidates=tuple(candidates),
         per_run=per_run or {},
     )
     names = [n for s in models_sequences for n in s.sequence_name]
@@ -167,9 +172,3 @@ def _parameters(parameter: Any) -> list[Parameter]:
         size = float(nominal) or USUAL * float(most - least)
         parameters.append(Parameter(name, "", float(least), float(most), size, scale=scale))
     return parameters
-
-
-def _candidate(parameter: Any, neutral: float) -> Any:
-    low, high = (float(v.flatten()[0]) - neutral for v in (parameter.min_value, parameter.max_value))
-    far = high if high >= -low else low
-    return candidate(parameter.name, "model", Parameter("change", "", low, high, USUAL * far, neutral=0.0))

@@ -130,12 +130,12 @@ def _next(report: Report, case: Path) -> None:
 
 def _truth(case: Path) -> None:
     if st.toggle(say("gap.truth"), key=f"truth-{case}"):
-        label = truth(case)
-        hidden = [gap.effect_name(effect, say) for effect in label.effects]
-        if label.mistake:
-            values = {"mistake": gap.mistake_name(label.mistake, say), "runs": ", ".join(map(str, label.runs))}
-            values |= {"channel": gap.channel_name(label.channel, say) if label.channel else "–"}
-            key = "gap.truth.mistake" if label.runs else "gap.truth.mistake.all"
+        effects, mistake = truth(case)
+        hidden = [gap.effect_name(effect, say) for effect in effects]
+        if mistake is not None:
+            values = {"mistake": gap.mistake_name(mistake.what, say), "runs": ", ".join(map(str, mistake.runs))}
+            values |= {"channel": gap.channel_name(mistake.channel, say) if mistake.channel else "–"}
+            key = "gap.truth.mistake" if mistake.runs else "gap.truth.mistake.all"
             hidden.append(say(key, **values))
         st.markdown(say("gap.truth.is", causes=", ".join(hidden) or say("trail.nothing")))
 
