@@ -9,6 +9,7 @@ Needs the package mujoco with its extra: pip install 'mujoco[sysid]'.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -126,7 +127,7 @@ class _Rollout:
         _, predicted, measured = self.sysid.residual(
             vector,
             self.params,
-            [_OneSequence(spec, [trajectory])],
+            [SimpleNamespace(spec=spec, measured_rollout=[trajectory])],
             modify_residual=None if self.transform is None else self.transform.apply,
             n_threads=1,
             return_pred_all=True,
@@ -143,12 +144,6 @@ class _Rollout:
             else:
                 vector += [p[name] for name in _names(parameter)]
         return _channels(self.both(int(inputs[RUN][0]), np.array(vector))[0])
-
-
-@dataclass(frozen=True)
-class _OneSequence:
-    spec: Any
-    measured_rollout: list[Any]
 
 
 def _channels(series: Any) -> dict[str, Array]:
