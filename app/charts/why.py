@@ -119,9 +119,7 @@ def _titled(figure: go.Figure, place: Mapping[str, int], x_title: str, y_title: 
     figure.update_yaxes(title_text=y_title, title_standoff=6, automargin=True, **place)
 
 
-def explain_unit(
-    registry: Registry, serial: str, out: Path, revision: int | None = None, lot_id: str | None = None
-) -> UnitView:
+def explain_unit(registry: Registry, serial: str, out: Path, revision: int | None, lot_id: str | None) -> UnitView:
     """Write the page of one unit, whole in itself; InputError unless `out` ends in .html."""
     if out.suffix.lower() != ".html":
         raise InputError(f"{out}: the figure is written as a page; name a file that ends in .html")
@@ -130,7 +128,7 @@ def explain_unit(
     return view
 
 
-def explain_units(registry: Registry, serials: list[str], folder: Path, lot_id: str | None = None) -> None:
+def explain_units(registry: Registry, serials: list[str], folder: Path, lot_id: str | None) -> None:
     """Write one page a unit into a folder, and the drawing script they share."""
     write_text(folder / SCRIPT, get_plotlyjs())
     for serial in serials:

@@ -75,7 +75,7 @@ def untrimmed(registry: Registry, stored: StoredCalibration) -> StoredCalibratio
     return registry.calibrations.get(stored.serial, int(revision), lot_id=stored.lot_id)
 
 
-def keep_trim(registry: Registry, stored: StoredCalibration, loads: Anchors, actor: str | None = None) -> Trimmed:
+def keep_trim(registry: Registry, stored: StoredCalibration, loads: Anchors) -> Trimmed:
     """Trim a calibration in use by known loads, and put the result into use.
 
     Raises:
@@ -83,11 +83,11 @@ def keep_trim(registry: Registry, stored: StoredCalibration, loads: Anchors, act
     """
     audit = newest_audits(registry, stored.lot_id, stored.serial).get(stored.serial)
     known = KnownTrim(loads, stored.record.recording_sha256, "" if audit is None else audit.sha256)
-    return _trimmed(registry, stored, known, f"trimmed by {len(loads.output)} loads", actor)
+    return _trimmed(registry, stored, known, f"trimmed by {len(loads.output)} loads", None)
 
 
 @contextmanager
-def trim_kept(registry: Registry, lot_id: str, serial: str, actor: str | None = None) -> Iterator[None]:
+def trim_kept(registry: Registry, lot_id: str, serial: str, actor: str | None) -> Iterator[None]:
     """Keep the trim of a unit while another calibration comes into use: both, or neither.
 
     The trim goes behind the new map, or the unit says why it is left out. The loads of another recording are left out:

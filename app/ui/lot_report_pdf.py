@@ -1,6 +1,6 @@
 """The report of a lot as a PDF for people."""
 
-from datetime import UTC, datetime
+from datetime import datetime
 from functools import partial
 from importlib.metadata import version
 
@@ -21,13 +21,13 @@ from softcal.db.truth.lot_pages import UnitFilter
 BINS = 32
 
 
-def lot_report_pdf(registry: Registry, view: LotView, language: str = "en", made: datetime | None = None) -> bytes:
+def lot_report_pdf(registry: Registry, view: LotView, language: str, made: datetime) -> bytes:
     """Return the report of a lot, or of what a filter leaves; units that did not pass are listed.
 
     Raises:
         InputError: no font at hand can write the language.
     """
-    say, now = partial(text, language), made or datetime.now(UTC)
+    say = partial(text, language)
     wanted = UnitFilter(NEEDS_A_LOOK, sort="severity", serials=view.chosen)
     bad = registry.pages.unit_page(view.lot.id, wanted, size=MOST_ROWS)
     title = say("report.title", lot=view.lot.id)
@@ -35,8 +35,8 @@ def lot_report_pdf(registry: Registry, view: LotView, language: str = "en", made
         title=title,
         author="",
         software=f"softcal {version('softcal')}",
-        footer=f"{title}   {say('report.made', at=now, version=version('softcal'))}",
-        made_on=now.date(),
+        footer=f"{title}   {say('report.made', at=made, version=version('softcal'))}",
+        made_on=made.date(),
         numbering=say("report.page", number="{number}", count="{count}"),
     )
     story = [

@@ -22,7 +22,7 @@ Serials = tuple[str, ...] | None
 
 @st.fragment
 @errors_in_words()
-def unit_table(lot: Lot, serials: Serials = None) -> None:
+def unit_table(lot: Lot, serials: Serials) -> None:
     """Draw the table of a lot, or of some serials, so that filters draw nothing else."""
     verdicts = st.pills(
         say("column.verdict"),
