@@ -31,11 +31,6 @@ class AuditTrace:
     reference: Array
     estimate: Array
 
-    @property
-    def error(self) -> Array:
-        """(n,) estimate − reference."""
-        return self.estimate - self.reference
-
 
 @dataclass(frozen=True, eq=False)
 class AuditedView:
