@@ -42,7 +42,7 @@ def predicted_errors(view: LotView, colours: Palette, words: Words) -> go.Figure
     # Without a step of their own the ticks would follow the bars, at odd numbers.
     figure.update_xaxes(range=[0.0, top + edges[1]], dtick=style.nice_step(top), tick0=0)
     if view.limit_rmse is not None:
-        note = {"text": words("chart.limit"), "font": {"color": colours.limit, "size": 12}}
+        note: dict[str, Any] = {"text": words("chart.limit"), "font": {"color": colours.limit, "size": 12}}
         note |= {"yref": "paper", "y": 1.0, "yanchor": "bottom", "xanchor": "left"}
         figure.add_vline(view.limit_rmse, line={"color": colours.limit, "width": 2}, annotation=note)
     title, beyond = f"{words('column.predicted')} [{view.lot.reference_unit}]", int(np.sum(every > top))

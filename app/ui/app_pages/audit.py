@@ -79,8 +79,8 @@ def render(lot_id: str) -> None:
         looked = look_at_audits(lot, target_serials(registry(), lot_id), files, columns)
         rows = []
         for one in looked:
-            audit_of = one.recording
-            seconds = None if audit_of is None else len(audit_of) / audit_of.unlabelled.sample_rate_Hz
+            recording = one.recording
+            seconds = None if recording is None else len(recording) / recording.unlabelled.sample_rate_Hz
             rows.append(
                 {
                     say("new_lot.column.file"): one.file,
